@@ -1,4 +1,4 @@
-"""Rules for all tests: what each needs is marked, and nothing is skipped."""
+"""Rules for all tests: their requirements are marked, and nothing is skipped."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ NEEDS = {"system": ("engine", "ros"), "ros": ("ros",), "interop": ("interop",)}
 marks on every Python of the machine, with no ROS and no engine there."""
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"
 
-# How long one example takes says something about the machine, not about PHM. The same examples in each run of the same code:
-# a run that fails says something about the change. New ones are looked for with --hypothesis-profile=explore and scripts/fuzz.
+# The duration of one example depends on the machine, not on PHM. Equal code has equal examples in each run, so that
+# a failure is caused by a change. --hypothesis-profile=explore and scripts/fuzz search for new ones.
 hypothesis_settings.register_profile("phm", deadline=None, derandomize=True, database=None)
 hypothesis_settings.register_profile("explore", deadline=None, print_blob=True)
 hypothesis_settings.load_profile("phm")
 
 
 def pytest_configure() -> None:
-    """Programs that tests start find no terminal width in their environment, in a terminal as in a pipe."""
+    """Remove the terminal width from the environment of programs that tests start, in a terminal as in a pipe."""
     os.environ.pop("COLUMNS", None)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark by folder; in any folder, a file named `test_real_*` or `test_*_real` talks to a real engine."""
+    """Mark by directory; in any directory, a file named `test_real_*` or `test_*_real` uses a real engine."""
     for item in items:
         if ROOT not in item.path.parents:
             continue
@@ -40,7 +40,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A run in which something was skipped has failed, and says so."""
+    """Fail a run in which something was skipped, with a message."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is not None and reporter.stats.get("skipped"):
         reporter.write_line(SKIPPED_IS_FAILED, red=True)

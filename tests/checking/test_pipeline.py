@@ -1,4 +1,4 @@
-"""The pipeline: passes, wake-ups, and what reporters and recovery ask it."""
+"""The pipeline: passes, wake-ups, and queries of reporters and recovery."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class Rig:
         return [event for event in self.events if isinstance(event, Report)]
 
 
-def test_a_pass_is_complete_when_every_unit_was_run_since_it_began() -> None:
-    """A result from before the pass does not count for it."""
+def test_a_pass_is_complete_when_every_unit_ran_since_its_start() -> None:
+    """A result from before the pass does not count."""
     rig = Rig()
     before = rig.clock.mono()
     rig.clock.advance(1)
@@ -54,7 +54,7 @@ def test_a_pass_is_complete_when_every_unit_was_run_since_it_began() -> None:
     assert [state.level for state in rig.reports()[0].units] == [Level.OK, Level.OK]
 
 
-def test_a_pass_ends_even_if_a_check_does_not_come_back() -> None:
+def test_a_pass_ends_even_if_a_check_hangs() -> None:
     """A hung check costs its own line, not the report."""
     rig = Rig()
     rig.pipeline.begin_pass()
@@ -65,7 +65,7 @@ def test_a_pass_ends_even_if_a_check_does_not_come_back() -> None:
 
 
 def test_an_overdue_check_counts_for_the_pass_but_not_as_a_sign_of_life() -> None:
-    """What the watchdog says about a hung check must not keep the heartbeat going."""
+    """The report of a hung check must not keep the heartbeat alive."""
     rig = Rig()
     alive = rig.pipeline.last_result_at
     rig.pipeline.begin_pass()
@@ -75,7 +75,7 @@ def test_an_overdue_check_counts_for_the_pass_but_not_as_a_sign_of_life() -> Non
     assert rig.pipeline.last_result_at == alive
 
 
-def test_a_check_that_hangs_for_ever_does_not_end_the_periodic_report() -> None:
+def test_a_permanently_hung_check_does_not_end_the_periodic_report() -> None:
     """Each later pass is published as soon as the other checks are done, with the hung unit named in it."""
     rig = Rig()
     rig.pipeline.begin_pass()
@@ -99,8 +99,8 @@ def test_a_check_that_hangs_for_ever_does_not_end_the_periodic_report() -> None:
     assert rig.reports()[-1].missing == ()
 
 
-def test_an_unfinished_pass_is_published_before_the_next_one_begins() -> None:
-    """With an interval shorter than the slowest check, what is known is reported and the rest is named."""
+def test_an_unfinished_pass_is_published_before_the_next_one_starts() -> None:
+    """With an interval shorter than the slowest check, known results are reported and the rest is named."""
     rig = Rig()
     rig.pipeline.begin_pass()
     rig.pipeline.observe({"container": ok("running")}, rig.clock.mono(), 0.0)
@@ -111,8 +111,8 @@ def test_an_unfinished_pass_is_published_before_the_next_one_begins() -> None:
     assert kinds == [ReportStarted, Report, ReportStarted]
 
 
-def test_what_the_tracker_wants_to_know_wakes_the_checks() -> None:
-    """The dependent's question reaches the engine."""
+def test_a_query_of_the_tracker_wakes_the_checks() -> None:
+    """A dependent unit triggers the check of the engine."""
     rig = Rig()
     rig.pipeline.observe({"container": ok("well"), "nodes": ok("well")}, rig.clock.mono(), 0.0)
     rig.clock.advance(1)
@@ -120,8 +120,8 @@ def test_what_the_tracker_wants_to_know_wakes_the_checks() -> None:
     assert rig.wakes == [(frozenset({"container"}), "confirm")]
 
 
-def test_a_start_has_what_needs_the_container_looked_at_anew() -> None:
-    """What was bad in the old life is run again, and does not count before that."""
+def test_a_container_start_triggers_all_dependent_checks() -> None:
+    """A unit that was bad in the old generation is checked again, and does not count before that."""
     rig = Rig(target="app")
     rig.pipeline.observe({"container": ok("well"), "nodes": ok("well")}, rig.clock.mono(), 0.0)
     rig.clock.advance(1)
@@ -133,8 +133,8 @@ def test_a_start_has_what_needs_the_container_looked_at_anew() -> None:
     assert rig.pipeline.open_faults() == ()
 
 
-def test_verification_counts_only_runs_that_began_after_the_action() -> None:
-    """An OK that was on its way when the action ended proves nothing."""
+def test_verification_counts_only_runs_that_started_after_the_action() -> None:
+    """An OK that was in progress when the action ended proves nothing."""
     rig = Rig()
     rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
     done = rig.clock.mono() + 1
@@ -144,8 +144,8 @@ def test_verification_counts_only_runs_that_began_after_the_action() -> None:
     assert rig.pipeline.ok_since("container", done)
 
 
-def test_closed_faults_are_remembered_up_to_a_cap() -> None:
-    """`phm status` shows the recent ones; memory does not grow with trouble."""
+def test_closed_faults_are_kept_up_to_a_limit() -> None:
+    """`phm status` shows the recent ones; memory does not grow with the number of faults."""
     rig = Rig()
     for _ in range(50):
         rig.clock.advance(1)
@@ -157,14 +157,14 @@ def test_closed_faults_are_remembered_up_to_a_cap() -> None:
     assert recent[-1].id == "F50"
 
 
-def test_time_is_waited_for_only_while_it_may_change_something() -> None:
-    """Well, or told as it is: nobody need tick. A result, an action or a held unit that changes that is told at once."""
+def test_the_main_loop_ticks_only_while_time_may_change_a_state() -> None:
+    """OK or already published: no ticks. A result, an action or a held unit that changes that triggers it immediately."""
     rig = Rig(target="app")
     stirred: list[float] = []
     rig.pipeline.attach(rig.wake, lambda: stirred.append(rig.clock.mono()))
 
     def observe(unit: str, result: Result) -> bool:
-        """Whether the heart is called; then until nothing waits any more."""
+        """Whether the main loop was woken; then tick until nothing is pending."""
         before = len(stirred)
         rig.clock.advance(0.5)
         rig.pipeline.observe({unit: result}, rig.clock.mono(), 0.0)
@@ -180,7 +180,7 @@ def test_time_is_waited_for_only_while_it_may_change_something() -> None:
         observe(unit, ok("well"))
     assert not observe("nodes", ok("well"))
     assert observe("nodes", BAD), "it waits for what it needs to be looked at"
-    assert not observe("nodes", BAD), "told"
+    assert not observe("nodes", BAD), "already published"
     assert observe("nodes", ok("well"))
     rig.pipeline.begin_action("app", "container", "restart", 30.0)
     rig.pipeline.tick()

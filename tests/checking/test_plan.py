@@ -1,4 +1,4 @@
-"""From a configuration to what is tracked: which pressure units can explain a unit's symptoms."""
+"""From a configuration to a plan: which pressure units can explain a unit's symptoms."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def starved_by(**recovery: Any) -> dict[str, tuple[str, ...]]:
     return {entry.unit.id: entry.starved_by for entry in made.tracked}
 
 
-def test_a_unit_is_starved_by_its_container_by_those_of_its_needs_and_by_the_host() -> None:
-    """In this order: the first that is bad is named."""
+def test_a_unit_is_starved_by_its_container_its_dependencies_and_the_host() -> None:
+    """In this order: the first bad one is named."""
     by = starved_by()
     assert by["nodes/planner"][0] == "pressure/nav"
     assert by["nodes/camera"][0] == "pressure/video"
@@ -46,7 +46,7 @@ def test_a_container_is_starved_by_the_host_and_the_host_by_nothing() -> None:
 
 
 @pytest.mark.parametrize(("relieve", "alone"), [([], False), (["video"], True)])
-def test_pressure_that_recovery_can_relieve_is_a_fault_of_its_own(relieve: list[str], alone: bool) -> None:
+def test_pressure_that_recovery_can_relieve_is_a_separate_fault(relieve: list[str], alone: bool) -> None:
     """Blocked by the host it would have no fault, and so no action."""
     by = starved_by(relieve=relieve)
     assert (by["pressure/nav"] == ()) is alone

@@ -1,4 +1,4 @@
-"""Finding plug-ins: what cannot be used is named with its cause."""
+"""Finding plug-ins: an unusable one is reported with its cause."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from phm.checking import registry
         ("phm.api:Check", "is named None"),
     ],
 )
-def test_each_way_to_fail_has_its_own_sentence(value: str, words: str) -> None:
-    """A load error keeps its cause, and the others still run."""
+def test_each_load_error_has_its_own_text(value: str, words: str) -> None:
+    """It keeps its cause, and the other checks still run."""
     found = registry._load(EntryPoint("mine", value, registry.CHECKS), Check)
     assert found.loaded is None
     assert words in found.problem
 
 
-def test_two_packages_with_one_name_are_both_refused() -> None:
-    """Neither can be trusted to be the one that is meant."""
+def test_two_packages_with_one_name_are_both_rejected() -> None:
+    """It is unknown which one is meant."""
     twins = [registry.Plugin("x", "one 1.0", Check), registry.Plugin("x", "two 1.0", Check)]
     (merged,) = registry._without_duplicates(twins)
     assert merged.loaded is None

@@ -1,4 +1,4 @@
-"""The engine: one thread a check, deadlines, and crashes that stay where they happen."""
+"""The scheduler: one thread per check, deadlines, and isolated crashes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Scripted(api.Check):
 
 
 class Rig:
-    """An engine on a fake clock, and what it delivered."""
+    """A scheduler on a fake clock, and its results."""
 
     def __init__(self) -> None:
         self.clock = testing.FakeClock()
@@ -72,8 +72,8 @@ def test_a_check_runs_at_start_and_then_every_period(rig: Rig) -> None:
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
 
 
-def test_a_wake_runs_only_the_checks_that_named_the_subject(rig: Rig) -> None:
-    """An event costs the run of what it is about, not a whole pass."""
+def test_a_wake_runs_only_the_checks_of_its_subject(rig: Rig) -> None:
+    """An event runs only the affected checks, not an entire pass."""
     engine = rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"))
     until(lambda: len(rig.batches) == 2, "the second result")
     rig.clock.wait_for_sleepers(2)
@@ -85,7 +85,7 @@ def test_a_wake_runs_only_the_checks_that_named_the_subject(rig: Rig) -> None:
 
 
 def test_a_check_that_is_woken_all_the_time_leaves_a_gap(rig: Rig) -> None:
-    """What wakes it meanwhile is one run, after the gap."""
+    """All wake-ups in between cause one run, after the gap."""
     engine = rig.start(Scripted(lambda: api.ok("well")))
     for count in (1, 2, 3):
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
@@ -97,8 +97,8 @@ def test_a_check_that_is_woken_all_the_time_leaves_a_gap(rig: Rig) -> None:
         rig.clock.advance(0.05)
 
 
-def test_a_crash_is_stale_about_phm_and_the_check_goes_on(rig: Rig) -> None:
-    """A check's own crash is never the vehicle's fault, not even SystemExit from a plug-in."""
+def test_a_crash_makes_a_unit_stale_and_the_check_continues(rig: Rig) -> None:
+    """A check's own crash is never a fault of the vehicle, not even SystemExit from a plug-in."""
     answers: list[BaseException | None] = [ValueError("boom"), SystemExit(3), None]
 
     def run() -> api.Result:
@@ -119,8 +119,8 @@ def test_a_crash_is_stale_about_phm_and_the_check_goes_on(rig: Rig) -> None:
     assert third.level is api.Level.OK
 
 
-def test_cannot_tell_is_stale_with_the_probes_sentence(rig: Rig) -> None:
-    """What the probe said reaches the log."""
+def test_cannot_tell_is_stale_with_the_text_of_the_probe(rig: Rig) -> None:
+    """The log has the reason."""
 
     def run() -> api.Result:
         raise api.CannotTell("the engine did not answer in 5 s")
@@ -130,7 +130,7 @@ def test_cannot_tell_is_stale_with_the_probes_sentence(rig: Rig) -> None:
     assert rig.batches[0].units["scripted"] == api.stale("the engine did not answer in 5 s")
 
 
-def test_a_unit_left_out_is_stale(rig: Rig) -> None:
+def test_a_unit_without_a_result_is_stale(rig: Rig) -> None:
     """Silence is never OK."""
     rig.start(Scripted(lambda: {"scripted": api.ok("well")}))
     until(lambda: len(rig.batches) == 1, "the first result")
@@ -138,8 +138,8 @@ def test_a_unit_left_out_is_stale(rig: Rig) -> None:
     assert rig.batches[0].units["scripted/second"].level is api.Level.STALE
 
 
-def test_a_hung_check_makes_only_itself_stale(rig: Rig) -> None:
-    """The deadline is told once; the others go on; what comes back late is delivered."""
+def test_a_hung_check_makes_only_its_own_units_stale(rig: Rig) -> None:
+    """The deadline is reported once, the other checks continue, and a late result is delivered."""
     hung = threading.Event()
 
     def hang() -> api.Result:
@@ -160,7 +160,7 @@ def test_a_hung_check_makes_only_itself_stale(rig: Rig) -> None:
 
 
 def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:
-    """A lost result must not mean that the unit is never looked at again."""
+    """A lost result must not mean that the unit is never checked again."""
     calls: list[CheckRun] = []
 
     def sink(batch: CheckRun) -> None:

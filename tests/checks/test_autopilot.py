@@ -1,4 +1,4 @@
-"""Slot 10: rules of the check of the autopilot."""
+"""Slot 10: rules of the autopilot check."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def check(**mavlink: Any) -> api.Check:
     return one
 
 
-def run(judge: api.Check, pilot: api.AutopilotFact | None, link: api.LinkFact = OPEN) -> api.Result:
-    result = judge.run(testing.world(links=testing.FakeLinks(autopilot=pilot, links=(link,))))
+def run(autopilot_check: api.Check, pilot: api.AutopilotFact | None, link: api.LinkFact = OPEN) -> api.Result:
+    result = autopilot_check.run(testing.world(links=testing.FakeLinks(autopilot=pilot, links=(link,))))
     assert isinstance(result, api.Result)
     return result
 
@@ -28,8 +28,8 @@ def changed(**fields: Any) -> api.AutopilotFact:
     return dataclasses.replace(WELL, **fields)
 
 
-def test_an_autopilot_that_is_heard_is_ok() -> None:
-    """Armed or not, its mode and how long it has run go into the record."""
+def test_an_autopilot_that_sends_heartbeats_is_ok() -> None:
+    """The record has its mode and its uptime, whether it is armed or not."""
     result = run(check(), changed(armed=True))
     assert result.level is api.Level.OK
     assert "armed, mode 5" in result.summary
@@ -37,8 +37,8 @@ def test_an_autopilot_that_is_heard_is_ok() -> None:
     assert {name: result.values[name] for name in expected} == expected
 
 
-def test_an_autopilot_never_heard_is_not_judged_unless_it_is_expected() -> None:
-    """mavlink.autopilot says that there is one."""
+def test_an_autopilot_that_was_never_received_is_a_fault_only_when_it_is_expected() -> None:
+    """`mavlink.autopilot` declares that there is one."""
     assert run(check(), None).bypass
     result = run(check(autopilot=True), None)
     assert (result.level, result.condition, result.brief) == (
@@ -49,7 +49,7 @@ def test_an_autopilot_never_heard_is_not_judged_unless_it_is_expected() -> None:
 
 
 def test_an_autopilot_may_start_after_phm() -> None:
-    """It is switched on with the companion, and is waited for."""
+    """It gets its power together with the companion, so PHM waits for it."""
     just_begun = testing.world(links=testing.FakeLinks(links=(OPEN,)), myself=testing.FakeSelf(uptime_s=10.0))
     result = check(autopilot=True).run(just_begun)
     assert isinstance(result, api.Result)
@@ -57,7 +57,7 @@ def test_an_autopilot_may_start_after_phm() -> None:
 
 
 def test_a_silent_autopilot_is_an_error() -> None:
-    """With the age of its last heartbeat, and whether it was armed then."""
+    """The result has the age of its last heartbeat and whether it was armed then."""
     result = run(check(), changed(age_s=6.0, armed=True))
     assert (result.level, result.condition, result.brief) == (
         api.Level.ERROR,
@@ -67,26 +67,26 @@ def test_a_silent_autopilot_is_an_error() -> None:
     assert "It was armed" in result.summary
 
 
-def test_a_longer_time_may_be_given() -> None:
-    """mavlink.autopilot_timeout."""
+def test_the_timeout_is_configurable() -> None:
+    """`mavlink.autopilot_timeout`."""
     assert run(check(autopilot_timeout="10s"), changed(age_s=6.0)).level is api.Level.OK
 
 
-def test_its_link_is_reopened_only_where_it_is_silent_as_a_whole() -> None:
-    """Another component that still speaks on the port proves that the port is well."""
+def test_the_link_is_reopened_only_when_nothing_is_received_on_it() -> None:
+    """Another component that still sends on the port proves that the port works."""
     assert run(check(), changed(age_s=6.0)).target == ""
     assert run(check(), changed(age_s=6.0), dataclasses.replace(OPEN, rx_age_s=6.0)).target == "link:fc"
     assert run(check(autopilot=True), None, dataclasses.replace(OPEN, rx_age_s=None)).target == "link:fc"
 
 
-def test_behind_a_closed_link_it_is_not_known() -> None:
-    """The link tells why."""
+def test_behind_a_closed_link_the_autopilot_is_stale() -> None:
+    """The link's own unit reports the cause."""
     assert run(check(), changed(age_s=60.0), api.LinkFact("fc", open=False)).level is api.Level.STALE
     assert run(check(autopilot=True), None, api.LinkFact("fc", open=False)).level is api.Level.STALE
 
 
-def test_a_reboot_is_told_for_a_while() -> None:
-    """As a warning, with the words that the operator reads; then it is over."""
+def test_a_reboot_is_reported_for_a_limited_time() -> None:
+    """A warning with a text for the operator, until the time is over."""
     result = run(check(), changed(rebooted_s=2.0, reboots=1, boot_s=2.0))
     assert (result.level, result.condition, result.brief) == (
         api.Level.WARN,
@@ -97,7 +97,7 @@ def test_a_reboot_is_told_for_a_while() -> None:
 
 
 def test_a_reboot_while_armed_is_an_error() -> None:
-    """It may be in the air."""
+    """The vehicle may be flying."""
     result = run(check(), changed(rebooted_s=2.0, reboots=1, rebooted_armed=True))
     assert (result.level, result.brief) == (api.Level.ERROR, "autopilot rebooted while armed")
 
@@ -107,36 +107,36 @@ ROUTER = {"url": "tcp:10.0.0.1:5760", "name": "fc", "leads_to": "router"}
 
 
 def behind_a_router(pilot: api.AutopilotFact, *others: float) -> api.Result:
-    """others: how long ago each of the others behind it was heard."""
+    """others: seconds since the last frame of each other component behind the router."""
     senders = (api.SenderFact(1, 1, 2.6, 50, 0.0), *(api.SenderFact(255, 190, age_s, 50, 0.0) for age_s in others))
     link = dataclasses.replace(OPEN, rx_age_s=min([2.6, *others]), senders=senders)
-    (judge,) = Autopilot.build(testing.settings(agent={"id": 1}, mavlink={"endpoints": [ROUTER]}))
-    return run(judge, pilot, link)
+    (autopilot_check,) = Autopilot.build(testing.settings(agent={"id": 1}, mavlink={"endpoints": [ROUTER]}))
+    return run(autopilot_check, pilot, link)
 
 
-def test_a_steady_autopilot_is_lost_before_the_timeout() -> None:
-    """On its own port nothing else can be the cause: told at once, and its link is opened anew."""
+def test_a_regular_autopilot_is_lost_before_the_timeout() -> None:
+    """On its own port there is no other possible cause: report immediately and reopen the link."""
     result = run(check(), OVERDUE, dataclasses.replace(OPEN, rx_age_s=2.4))
     assert (result.level, result.condition, result.settle_s) == (api.Level.ERROR, "autopilot_silent", 0.0)
     assert "expected one within 2.5 s, and nothing else is received on fc either" in result.summary
     assert result.target == "link:fc"
 
 
-def test_behind_a_router_others_prove_that_it_is_the_autopilot() -> None:
-    """Frames of others that came since its own ended; the router is well."""
+def test_other_components_behind_a_router_prove_that_the_autopilot_is_lost() -> None:
+    """Their frames arrived after its last frame, so the router works."""
     result = behind_a_router(OVERDUE, 0.9)
     assert (result.level, result.settle_s, result.target) == (api.Level.ERROR, 0.0, "")
     assert "other frames are still received" in result.summary
 
 
-def test_behind_a_router_that_may_be_silent_it_is_waited_for() -> None:
-    """The timeout holds and the evidence about the router is waited for, as those of others ended together with its own."""
+def test_behind_a_router_that_may_be_silent_the_full_timeout_applies() -> None:
+    """The frames of the others ended together with its own, so the check waits for evidence about the router."""
     assert behind_a_router(OVERDUE).level is api.Level.OK
     assert behind_a_router(OVERDUE, 2.3).level is api.Level.OK
     late = behind_a_router(changed(age_s=3.8, quiet_s=3.7), 3.4)
     assert (late.level, late.settle_s) == (api.Level.ERROR, None)
 
 
-def test_a_reboot_is_told_at_once() -> None:
-    """The autopilot itself says so."""
+def test_a_reboot_is_reported_immediately() -> None:
+    """The autopilot's own uptime proves it."""
     assert run(check(), changed(rebooted_s=0.1, reboots=1)).settle_s == 0.0

@@ -1,4 +1,4 @@
-"""The path of a command: each hop that breaks is named in one alarm, and everything behind it is blocked by it."""
+"""The path of a command: each broken hop raises one alarm and blocks all units behind it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NODE = {"name": "/a/controller", "commands": True}
 
 
 def flying(**more: Any) -> PathWorld:
-    """All hops have been heard for a while, and nothing is wrong."""
+    """All hops have been received for a while, and nothing is wrong."""
     world = PathWorld(**more)
     world.devices.put(SERIAL)
     world.run(20.0)
@@ -26,11 +26,11 @@ def flying(**more: Any) -> PathWorld:
     return world
 
 
-# ---------------------------------------------------------------- pure
+# ---------------------------------------------------------------- pure functions
 
 
 def test_the_first_broken_hop_counts() -> None:
-    """Hops that are weak, unknown or unused do not stop a command; of several that do, the first is named."""
+    """Weak, unknown and unused hops do not stop a command; of several broken hops the first is reported."""
     hops = [
         Hop("GCS", HopState.UNKNOWN),
         Hop("radio", HopState.WEAK),
@@ -43,8 +43,8 @@ def test_the_first_broken_hop_counts() -> None:
     assert in_words(hops) == "GCS unknown -> radio weak -> router BROKEN (silent) -> autopilot BROKEN"
 
 
-def test_what_is_behind_a_broken_hop_is_not_known() -> None:
-    """None of its evidence gets here; a hop that is heard all the same stays as it is."""
+def test_a_hop_behind_a_broken_hop_is_unknown() -> None:
+    """Its evidence cannot arrive; a hop that is received nevertheless keeps its state."""
     hops = [
         Hop("GCS", HopState.BROKEN, "no heartbeat", ("router", "radio")),
         Hop("radio", HopState.OK, "", ("router",)),
@@ -53,8 +53,8 @@ def test_what_is_behind_a_broken_hop_is_not_known() -> None:
     assert in_words(seen_from_here(hops)) == "GCS unknown (behind router) -> radio ok -> router BROKEN (silent)"
 
 
-def test_a_hop_says_what_its_check_says() -> None:
-    """The level becomes the hop's state, and the brief its evidence, without naming the hop twice."""
+def test_a_hop_takes_level_and_text_from_its_check() -> None:
+    """The level becomes the state of the hop, and the brief its evidence, without a repeated name."""
     broken = api.error("no RADIO_STATUS", brief="radio: no RADIO_STATUS 6 s", condition="radio_silent")
     assert hop("radio", broken) == Hop("radio", HopState.BROKEN, "no RADIO_STATUS 6 s")
     assert hop("radio", api.bypass("none")) == Hop("radio", HopState.UNUSED)
@@ -79,14 +79,16 @@ HOPS = [
 
 
 @pytest.mark.parametrize(("hop_name", "leads_to", "alarm", "behind"), HOPS, ids=[f"{one[0]}-{one[1]}" for one in HOPS])
-def test_each_broken_hop_is_one_alarm_that_names_it(hop_name: str, leads_to: str, alarm: str, behind: set[str]) -> None:
-    """One alarm, at the hop that is broken; what is behind it is STALE, blocked by it, and well again after it."""
+def test_each_broken_hop_raises_one_alarm_with_its_name(
+    hop_name: str, leads_to: str, alarm: str, behind: set[str]
+) -> None:
+    """The alarm is at the broken hop. Hops behind it are STALE and blocked by it, and recover after it."""
     world = flying(leads_to=leads_to)
     world.down = {hop_name}
     world.run(60.0)
-    (told,) = world.alarms
-    assert told.startswith(alarm)
-    unit = told.partition(":")[0]
+    (alarm_text,) = world.alarms
+    assert alarm_text.startswith(alarm)
+    unit = alarm_text.partition(":")[0]
     assert world.blocked() == dict.fromkeys(behind, unit)
     assert world.bad() == {unit}
     world.down = set()
@@ -98,31 +100,31 @@ def test_each_broken_hop_is_one_alarm_that_names_it(hop_name: str, leads_to: str
 
 
 @pytest.mark.parametrize("heartbeat_s", [2.0, 10.0])
-def test_a_radio_that_reports_rarely_is_told_once_all_the_same(heartbeat_s: float) -> None:
-    """In a large swarm the radio's silence is known after the ground station's: no alarm is taken back for it."""
+def test_a_radio_that_reports_rarely_raises_one_alarm(heartbeat_s: float) -> None:
+    """In a large swarm the radio's silence is detected after the ground station's: no alarm is withdrawn for it."""
     world = flying(leads_to="router", heartbeat_s=heartbeat_s)
     world.run(20.0)
     world.down = {"radio"}
     world.run(90.0)
-    (told,) = world.alarms
-    assert told.startswith("radio/ground: radio: no RADIO_STATUS")
+    (alarm_text,) = world.alarms
+    assert alarm_text.startswith("radio/ground: radio: no RADIO_STATUS")
     assert world.closed == []
 
 
 @pytest.mark.parametrize("heartbeat_s", [2.0, 10.0])
-def test_a_ground_station_lost_behind_a_radio_that_answers(heartbeat_s: float) -> None:
-    """The radio has been heard since: the alarm is the ground station's, and says that the radio aboard is well."""
+def test_a_lost_ground_station_behind_a_working_radio_is_reported(heartbeat_s: float) -> None:
+    """The radio has been received since: the alarm is for the ground station and says that the onboard radio responds."""
     world = flying(leads_to="router", heartbeat_s=heartbeat_s)
     world.run(20.0)
     world.down = {"gcs"}
     world.run(40.0)
-    (told,) = world.alarms
-    assert told.startswith("gcs: GCS: no heartbeat")
+    (alarm_text,) = world.alarms
+    assert alarm_text.startswith("gcs: GCS: no heartbeat")
     assert "onboard radio responds" in world.text("gcs")
 
 
-def test_nothing_heard_is_no_alarm() -> None:
-    """On an agent without radio, ground station and autopilot nothing is missing, and nothing is claimed."""
+def test_an_agent_without_endpoints_has_no_alarm() -> None:
+    """Without radio, ground station and autopilot nothing is missing, and the path makes no statement."""
     world = PathWorld()
     world.never = {"gcs", "radio", "pilot"}
     world.run(60.0)
@@ -132,36 +134,36 @@ def test_nothing_heard_is_no_alarm() -> None:
     assert "radio" not in world.text("path")
 
 
-def test_what_is_required_must_be_heard() -> None:
-    """With mavlink.autopilot and a required radio, silence since the start is a fault, each at its own hop."""
+def test_required_endpoints_that_never_send_are_faults() -> None:
+    """With `mavlink.autopilot` and a required radio, silence since the start is a fault of each of the two hops."""
     world = PathWorld(leads_to="router", mavlink={"autopilot": True})
     world.never = {"pilot"}
     world.run(30.0)
     assert world.alarms == ["autopilot: autopilot: no heartbeat"]
 
 
-def test_no_radio_where_none_is_used() -> None:
-    """An autopilot keeps RADIO_STATUS to itself: the hop is unused, and the ground station's silence is its own alarm."""
+def test_an_unused_radio_is_not_part_of_the_path() -> None:
+    """An autopilot does not forward RADIO_STATUS: the hop is unused, and a lost ground station raises its own alarm."""
     world = PathWorld()
     world.never = {"radio"}
     world.run(20.0)
     world.down = {"gcs"}
     world.run(30.0)
-    (told,) = world.alarms
-    assert told.startswith("gcs: ")
+    (alarm_text,) = world.alarms
+    assert alarm_text.startswith("gcs: ")
     assert "check the radio" in world.text("gcs")
     assert "radio" not in world.text("path")
 
 
-def test_a_silent_router_with_one_sender_behind_it_is_not_accused() -> None:
-    """Who was the only one to speak there may have fallen silent itself."""
+def test_a_silent_router_with_one_sender_behind_it_is_not_blamed() -> None:
+    """The only sender behind it may be the one that failed."""
     world = PathWorld(leads_to="router")
     world.never = {"gcs", "radio"}
     world.run(20.0)
     world.down = {"router"}
     world.run(30.0)
-    (told,) = world.alarms
-    assert told.startswith("autopilot: ")
+    (alarm_text,) = world.alarms
+    assert alarm_text.startswith("autopilot: ")
 
 
 # ---------------------------------------------------------------- the port
@@ -176,8 +178,8 @@ PORTS = [
 
 
 @pytest.mark.parametrize(("code", "there", "brief", "advice"), PORTS, ids=[one[2].split(" ", 2)[2] for one in PORTS])
-def test_a_closed_port_says_why(code: int, there: bool, brief: str, advice: str) -> None:
-    """Is it there, may PHM open it, who else has it: named in the alarm, with what to do."""
+def test_a_closed_port_alarm_states_the_reason(code: int, there: bool, brief: str, advice: str) -> None:
+    """The device is missing, access is denied or another program uses it; the alarm also says what to do."""
     world = flying(url=SERIAL)
     world.down, world.closed_with = {"link"}, (code, f"could not open port: error {code}")
     world.links.busy = {SERIAL: ("mavproxy.py (42)",)}
@@ -201,8 +203,8 @@ def with_devices(**more: Any) -> PathWorld:
     return world
 
 
-def test_a_port_that_a_container_misses_too_is_one_alarm() -> None:
-    """Where the port is also a device of a container, its loss is told there."""
+def test_a_port_that_a_container_also_misses_raises_one_alarm() -> None:
+    """If the port is also a device of a container, the devices check reports the loss."""
     world = with_devices()
     del world.devices.devices[SERIAL]
     world.down, world.closed_with = {"link"}, (errno.ENOENT, "no such file")
@@ -213,8 +215,8 @@ def test_a_port_that_a_container_misses_too_is_one_alarm() -> None:
     assert "is broken at port" in world.text("path")
 
 
-def test_another_device_of_the_container_hides_no_link() -> None:
-    """A camera may be missing for a whole flight."""
+def test_another_missing_device_of_the_container_does_not_hide_a_link() -> None:
+    """A camera may be missing for an entire flight."""
     world = with_devices()
     del world.devices.devices["/dev/video0"]
     world.run(10.0)
@@ -223,8 +225,8 @@ def test_another_device_of_the_container_hides_no_link() -> None:
     assert world.alarms == ["devices/ros_app: video0 missing", "link/ground: port: ttyUSB0 failed"]
 
 
-def test_a_port_that_no_check_of_devices_tells_is_told_here() -> None:
-    """With the check of devices switched off."""
+def test_a_missing_port_is_reported_by_its_link_without_a_devices_check() -> None:
+    """The devices check is disabled."""
     world = with_devices(checks={"devices": {"enabled": False}})
     del world.devices.devices[SERIAL]
     world.down, world.closed_with = {"link"}, (errno.ENOENT, "no such file")
@@ -239,8 +241,8 @@ def listed(world: PathWorld) -> None:
     world.ros.change(nodes={"/a/controller": 1})
 
 
-def test_a_node_that_takes_commands_is_part_of_the_path() -> None:
-    """When it dies its own check tells it; the path says where commands stop, without a second alarm."""
+def test_a_node_that_executes_commands_is_part_of_the_path() -> None:
+    """When it dies, its own unit raises the alarm; the path shows where commands stop, without a second alarm."""
     world = PathWorld(ros={"nodes": [NODE]})
     listed(world)
     world.run(20.0)
@@ -255,7 +257,7 @@ def test_a_node_that_takes_commands_is_part_of_the_path() -> None:
 
 
 def test_other_nodes_are_not_part_of_the_path() -> None:
-    """Only nodes with `commands: true` are on the way."""
+    """Only nodes with `commands: true` are hops."""
     world = PathWorld(ros={"nodes": [{"name": "/a/camera"}]})
     world.ros.change(nodes={"/a/camera": 1})
     world.run(20.0)
@@ -266,8 +268,8 @@ def test_other_nodes_are_not_part_of_the_path() -> None:
 
 
 @pytest.mark.parametrize("beacon", [BeaconFact(8.0, 0.5), BeaconFact(0.2, 0.5, late_s=9.0)], ids=["silent", "late"])
-def test_a_node_that_hangs_breaks_the_path(beacon: BeaconFact) -> None:
-    """It is in the graph, and its beacon says that it does not take commands."""
+def test_a_hung_node_breaks_the_path(beacon: BeaconFact) -> None:
+    """It is in the graph, but its beacon shows that it does not execute commands."""
     world = PathWorld(ros={"nodes": [NODE]})
     listed(world)
     world.ros.change(beacons={"/a/controller": beacon})
@@ -275,8 +277,8 @@ def test_a_node_that_hangs_breaks_the_path(beacon: BeaconFact) -> None:
     assert "application BROKEN (controller does not answer)" in world.text("path")
 
 
-def test_an_application_that_cannot_be_looked_at_is_not_known() -> None:
-    """Without a picture of the graph, or with an old one, nothing is claimed about the nodes."""
+def test_without_a_current_graph_the_application_is_unknown() -> None:
+    """With no snapshot of the graph, or an old one, the path makes no statement about nodes."""
     world = PathWorld(ros={"nodes": [NODE]})
     world.ros.fail("the child is being replaced")
     world.run(3.0)
@@ -290,14 +292,14 @@ def test_an_application_that_cannot_be_looked_at_is_not_known() -> None:
 # ---------------------------------------------------------------- two endpoints
 
 
-def test_endpoints_that_lead_to_one_side_alone_make_no_path() -> None:
+def test_endpoints_that_lead_to_one_side_only_make_no_path() -> None:
     """A path needs both ends."""
     for leads_to in ("ground", "autopilot"):
         assert "path" not in {entry.unit.id for entry in PathWorld(leads_to=leads_to).plan.tracked}
 
 
-def test_the_way_to_the_other_agents_is_no_hop() -> None:
-    """Neither is it in the words, nor does the path or the ground station need it; the router needs no name beside it."""
+def test_the_endpoint_to_the_other_agents_is_not_a_hop() -> None:
+    """The texts omit it, and neither path nor ground station depends on it; the router needs no name to distinguish it."""
     peers = {"url": "udpout:10.0.0.1:14600", "name": "peers", "leads_to": "peers"}
     router = {"url": "tcp:10.0.0.1:5760", "name": "ground", "leads_to": "router"}
     world = PathWorld(leads_to="router", mavlink={"endpoints": [router, peers]})
@@ -310,8 +312,8 @@ def test_the_way_to_the_other_agents_is_no_hop() -> None:
     assert "router ground" not in world.text("path")
 
 
-def test_the_autopilot_is_no_need_of_the_ground_behind_a_router() -> None:
-    """Only an autopilot that passes frames on can hide the ground station."""
+def test_a_ground_station_behind_a_router_does_not_depend_on_the_autopilot() -> None:
+    """Only an autopilot that forwards frames can hide the ground station."""
     needs = {entry.unit.id: entry.needs for entry in PathWorld(leads_to="router").plan.tracked}
     assert "autopilot" not in needs["gcs"]
     needs = {entry.unit.id: entry.needs for entry in PathWorld(leads_to="both").plan.tracked}

@@ -17,15 +17,15 @@ def run(judge: api.Check, world: api.World) -> api.Result:
     return result
 
 
-def test_all_well_is_ok() -> None:
-    """A PHM without problems is OK."""
+def test_a_phm_without_problems_is_ok() -> None:
+    """No overdue checks, lost events or problems."""
     result = run(check(), testing.world())
     assert result.level is api.Level.OK
     assert result.values["uptime_s"] == 60.0
 
 
-def test_troubles_of_phm_itself_are_warnings() -> None:
-    """Overdue checks, lost events and problems are told, all in one summary."""
+def test_problems_of_phm_itself_are_warnings() -> None:
+    """One summary lists overdue checks, lost events and problems."""
     myself = testing.FakeSelf(
         overdue=("files/ros_app",), dropped={"mavlink": 3, "log": 0}, problems=("log: no space left",)
     )
@@ -36,14 +36,14 @@ def test_troubles_of_phm_itself_are_warnings() -> None:
     assert "log 0" not in result.summary
 
 
-def test_the_links_are_not_its_business() -> None:
-    """A closed link and a lost ground station are told by checks of their own, once."""
+def test_lost_links_are_not_reported_here() -> None:
+    """A closed link and a lost ground station have checks of their own, which report them once."""
     links = testing.FakeLinks(gcs_age_s=60.0, links=(api.LinkFact("radio", False, "no such device"),))
     assert run(check(), testing.world(links=links)).level is api.Level.OK
 
 
-def test_an_end_without_a_word_is_told_for_a_while() -> None:
-    """PHM was killed and started again: a warning, and no longer than a ground station needs to hear of it."""
+def test_a_crash_is_reported_for_a_limited_time() -> None:
+    """PHM was killed and restarted: a warning, only for as long as a ground station needs to receive it."""
     myself = testing.FakeSelf(uptime_s=2.0, ended_badly=True)
     result = run(check(), testing.world(myself=myself))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_restarted", "PHM was restarted")
@@ -51,8 +51,8 @@ def test_an_end_without_a_word_is_told_for_a_while() -> None:
     assert run(check(), testing.world(myself=myself)).level is api.Level.OK
 
 
-def test_standing_still_is_told_for_a_while() -> None:
-    """PHM was stopped and goes on: how long nobody watched."""
+def test_a_suspension_is_reported_for_a_limited_time() -> None:
+    """PHM was suspended and resumed: the text has the time without monitoring."""
     myself = testing.FakeSelf(suspended_s=4.2, suspended_ago_s=1.0)
     result = run(check(), testing.world(myself=myself))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_suspended", "PHM suspended 4 s")

@@ -1,4 +1,4 @@
-"""Slot 6: rules of the consensus: quorum, dissent, split, and what it leaves to the check of nodes."""
+"""Slot 6: rules of the consensus: quorum, dissent, split, and what the nodes check reports instead."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ALL = (A, B, C, D)
 
 
 def beacon(hears: Mapping[str, bool] | None = None, **fields: Any) -> api.BeaconFact:
-    """A beacon that beats, of a node that has lived for 100 s."""
+    """A beacon with heartbeats, of a node that has run for 100 s."""
     views = {name: api.NeighbourFact(alive, 0.3) for name, alive in (hears or {}).items()}
     given: dict[str, Any] = {
         "age_s": 0.1,
@@ -29,10 +29,10 @@ def beacon(hears: Mapping[str, bool] | None = None, **fields: Any) -> api.Beacon
     return api.BeaconFact(**{**given, **fields})
 
 
-def matrix(*names: str, deaf: tuple[tuple[str, str], ...] = ()) -> dict[str, api.BeaconFact]:
-    """Nodes that all hear each other, except for (who, whom)."""
+def matrix(*names: str, not_received: tuple[tuple[str, str], ...] = ()) -> dict[str, api.BeaconFact]:
+    """Nodes that all receive each other, except for the pairs (observer, observed)."""
     return {
-        name: beacon({other: (name, other) not in deaf for other in names if other != name}, witness=name)
+        name: beacon({other: (name, other) not in not_received for other in names if other != name}, witness=name)
         for name in names
     }
 
@@ -48,17 +48,17 @@ def opinions(agreement: Agreement) -> dict[str, Verdict]:
 # ---------------------------------------------------------------- the quorum
 
 
-def test_all_hear_all() -> None:
-    """Everyone is alive by everyone's word, PHM's included."""
+def test_nodes_that_all_receive_each_other_are_alive() -> None:
+    """Every observer reports every node alive, PHM included."""
     agreement = agree(matrix(A, B, C), {})
     assert opinions(agreement) == dict.fromkeys((A, B, C), Verdict.ALIVE)
     assert agreement.observers == (A, B, C, PHM)
     assert not agreement.split and not agreement.dissents
 
 
-def test_a_node_that_nobody_hears_is_dead_without_dissent() -> None:
-    """Nor is it an observer: what it said last does not count."""
-    beacons = matrix(A, B, C, deaf=((A, C), (B, C)))
+def test_a_node_that_no_observer_receives_is_dead_without_dissent() -> None:
+    """It does not count as an observer either: its last reports are ignored."""
+    beacons = matrix(A, B, C, not_received=((A, C), (B, C)))
     beacons[C] = beacon({A: False, B: False}, age_s=5.0, witness=C)
     agreement = agree(beacons, {})
     assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.ALIVE, C: Verdict.DEAD}
@@ -66,29 +66,29 @@ def test_a_node_that_nobody_hears_is_dead_without_dissent() -> None:
     assert not agreement.split and not agreement.dissents
 
 
-def test_the_majority_decides_against_phm() -> None:
-    """PHM alone does not hear it: the node lives, and PHM is the one that dissents."""
+def test_the_majority_overrules_phm() -> None:
+    """Only PHM does not receive the node: the node is alive, and PHM is the dissenter."""
     beacons = matrix(A, B, C)
     beacons[C] = beacon({}, age_s=5.0, witness=C)
     (dissent,) = agree(beacons, {}).dissents
     assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (C, Verdict.ALIVE, (A, B), (PHM,))
 
 
-def test_the_majority_decides_for_phm() -> None:
-    """One of three does not hear it."""
-    (dissent,) = agree(matrix(A, B, C, deaf=((A, B),)), {}).dissents
+def test_the_majority_confirms_phm() -> None:
+    """One of three does not receive it."""
+    (dissent,) = agree(matrix(A, B, C, not_received=((A, B),)), {}).dissents
     assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (B, Verdict.ALIVE, (C, PHM), (A,))
 
 
 def test_a_tie_decides_nothing() -> None:
-    """Two observers, two opinions."""
-    agreement = agree(matrix(A, B, deaf=((A, B),)), {})
+    """Two observers with different opinions."""
+    agreement = agree(matrix(A, B, not_received=((A, B),)), {})
     assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.UNDECIDED}
     assert not agreement.split, "one direction still works"
 
 
 def test_nodes_of_one_process_are_one_observer() -> None:
-    """Five nodes that share their ears do not outvote two that do not."""
+    """Five nodes that share one DDS participant do not outvote two separate ones."""
     names = [f"/agent_1/n{number}" for number in range(5)]
     beacons = {name: beacon({A: False, B: True}, witness="one") for name in names}
     beacons[A] = beacon({**dict.fromkeys(names, True), B: True}, witness="a")
@@ -97,23 +97,23 @@ def test_nodes_of_one_process_are_one_observer() -> None:
     assert (dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (Verdict.ALIVE, (B, PHM), (names[0],))
 
 
-def test_who_has_not_had_the_time_to_meet_has_no_opinion() -> None:
-    """A node that started a second ago is not yet unheard; after ten seconds it is."""
+def test_an_observer_without_time_for_discovery_has_no_opinion() -> None:
+    """A node that started a second ago does not yet count as not received; after ten seconds it does."""
     beacons = {A: beacon({}, witness=A), B: beacon({A: True}, witness=B, heartbeats=5)}
     assert not agree(beacons, {}).dissents
     beacons[B] = beacon({A: True}, witness=B, heartbeats=50)
     assert [item.node for item in agree(beacons, {}).dissents] == [B]
 
 
-def test_while_phm_itself_is_late_nobody_is_silent() -> None:
-    """The age of the picture is taken off."""
+def test_no_node_is_silent_while_phm_itself_is_late() -> None:
+    """The age of the snapshot is subtracted."""
     beacons = {name: beacon({}, age_s=2.1, witness=name, heartbeats=5) for name in (A, B)}
     assert opinions(agree(beacons, {}, late_s=2.0)) == {A: Verdict.ALIVE, B: Verdict.ALIVE}
     assert opinions(agree(beacons, {})) == {A: Verdict.DEAD, B: Verdict.DEAD}
 
 
-def test_an_executor_that_does_not_turn_is_hung_and_still_an_observer() -> None:
-    """Its ears are another thread's."""
+def test_a_node_with_a_blocked_executor_is_hung_and_still_an_observer() -> None:
+    """Another thread receives for it."""
     beacons = matrix(A, B)
     beacons[B] = beacon({A: True}, witness=B, late_s=6.0)
     agreement = agree(beacons, {})
@@ -122,7 +122,7 @@ def test_an_executor_that_does_not_turn_is_hung_and_still_an_observer() -> None:
 
 
 @pytest.mark.parametrize(
-    ("deaf", "sides"),
+    ("not_received", "sides"),
     [
         (both((A, C), (A, D), (B, C), (B, D)), ((A, B), (C, D))),
         (both((A, B), (A, C), (A, D)), ((A,), (B, C, D))),
@@ -131,17 +131,17 @@ def test_an_executor_that_does_not_turn_is_hung_and_still_an_observer() -> None:
         (((A, C), (A, D), (B, C), (B, D)), ((A, B, C, D),)),
     ],
 )
-def test_sides_are_groups_that_do_not_hear_each_other(
-    deaf: tuple[tuple[str, str], ...], sides: tuple[tuple[str, ...], ...]
+def test_sides_are_groups_that_do_not_receive_each_other(
+    not_received: tuple[tuple[str, str], ...], sides: tuple[tuple[str, ...], ...]
 ) -> None:
-    """In neither direction, not even through others; and what a split explains is no dissent besides."""
-    agreement = agree(matrix(*ALL, deaf=deaf), {})
+    """In neither direction, not even through others; a split is not reported as dissent too."""
+    agreement = agree(matrix(*ALL, not_received=not_received), {})
     assert agreement.sides == sides
     assert bool(agreement.dissents) is not agreement.split
 
 
-def test_a_node_without_a_beacon_is_heard_by_phm_alone() -> None:
-    """Heard it is alive; not heard it is undecided, for it cannot be heard by others."""
+def test_a_node_without_a_beacon_is_observed_by_phm_only() -> None:
+    """Received, it is alive; not received, it is undecided because no other node can observe it."""
     agreement = agree(matrix(A, B), {C: True, D: False})
     assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.ALIVE, C: Verdict.ALIVE, D: Verdict.UNDECIDED}
     assert not agreement.dissents
@@ -166,35 +166,35 @@ def judge(beacons: Mapping[str, api.BeaconFact], check: Consensus | None = None,
 
 
 def test_agreement_is_ok() -> None:
-    """It says by whose word."""
+    """The summary names the observers."""
     result = judge(matrix(A, B, C))
     assert result.level is api.Level.OK and not result.bypass
     assert result.summary == "3 of 3 nodes are alive according to agent_1/a, agent_1/b, agent_1/c, PHM"
     assert dict(result.values) == {"nodes": 3, "alive": 3, "hung": 0, "observers": 4, "beacons": 3, "refused": 0}
 
 
-def test_it_needs_its_nodes_and_their_container() -> None:
-    """A dead or hung node is told by `nodes`, and what the neighbours then say follows from it."""
+def test_the_check_depends_on_its_nodes_and_their_container() -> None:
+    """The nodes check reports a dead or hung node; reports of its neighbours are a consequence."""
     (unit,) = build(A, B).units
     assert unit.needs == ("container/ros_app", "network/ros_app", "nodes/agent_1/a", "nodes/agent_1/b")
     assert (unit.id, unit.target, unit.settle_s, unit.grace_s) == ("consensus", "ros_app", 3.0, 8.0)
     assert build(A, container=False).units[0].needs == ("nodes/agent_1/a",)
 
 
-def test_without_nodes_there_is_no_check() -> None:
-    """Nothing is configured, so nothing is built."""
+def test_without_configured_nodes_no_check_is_built() -> None:
+    """There is nothing to check."""
     assert not list(Consensus.build(testing.settings()))
 
 
-def test_without_beacons_there_is_nothing_to_agree_on() -> None:
-    """A BYPASS: beacons are an offer."""
+def test_without_beacons_the_result_is_a_bypass() -> None:
+    """Beacons are optional."""
     assert judge({}).bypass
     assert judge({A: beacon(age_s=61.0)}).bypass, "one that was closed long ago"
 
 
-def test_dissent_is_a_warning_that_names_everyone() -> None:
-    """Who is not heard, by whom, and who hears it."""
-    result = judge(matrix(A, B, C, deaf=((A, B),)))
+def test_dissent_is_a_warning_with_all_names() -> None:
+    """The node that is not received, the observers that miss it and those that receive it."""
+    result = judge(matrix(A, B, C, not_received=((A, B),)))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "dissent", "b not seen by a")
     assert result.summary.startswith("agent_1/b is not received by agent_1/a, but is received by agent_1/c, PHM. ")
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
@@ -202,13 +202,13 @@ def test_dissent_is_a_warning_that_names_everyone() -> None:
 
 def test_a_split_is_a_warning_that_names_the_sides() -> None:
     """The larger side first."""
-    result = judge(matrix(*ALL, deaf=both((A, B), (A, C), (A, D))), build(*ALL))
+    result = judge(matrix(*ALL, not_received=both((A, B), (A, C), (A, D))), build(*ALL))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "split", "nodes split 3|1")
     assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not receive each other" in result.summary
 
 
-def test_a_hung_node_is_mentioned_and_no_second_alarm() -> None:
-    """The check of nodes tells it."""
+def test_a_hung_node_is_mentioned_without_a_second_alarm() -> None:
+    """The nodes check reports it."""
     beacons = {**matrix(A, B, C), C: beacon({A: True, B: True}, witness=C, late_s=9.0)}
     result = judge(beacons)
     assert result.level is api.Level.OK
@@ -216,30 +216,30 @@ def test_a_hung_node_is_mentioned_and_no_second_alarm() -> None:
     assert result.values["hung"] == 1
 
 
-def test_a_dead_node_is_no_second_alarm() -> None:
-    """All agree that it is dead."""
-    beacons = matrix(A, B, C, deaf=((A, C), (B, C)))
+def test_a_dead_node_raises_no_second_alarm() -> None:
+    """All observers agree that it is dead."""
+    beacons = matrix(A, B, C, not_received=((A, C), (B, C)))
     beacons[C] = beacon({}, age_s=5.0, witness=C)
     result = judge(beacons)
     assert result.level is api.Level.OK
     assert result.summary.startswith("2 of 3 nodes are alive")
 
 
-def test_strangers_do_not_vote() -> None:
-    """Nodes that are not configured, another agent's among them, are no observers and are not judged."""
+def test_unconfigured_nodes_have_no_vote() -> None:
+    """Nodes that are not configured, such as those of another agent, are not observers and not judged."""
     stranger = beacon({A: False, B: False}, witness="s")
     result = judge({**matrix(A, B), "/agent_2/x": stranger}, build(A, B))
     assert result.level is api.Level.OK and "agent_2" not in result.summary
 
 
-def test_when_all_are_silent_nobody_can_tell() -> None:
-    """STALE, while the check of nodes has its say."""
+def test_when_all_nodes_are_silent_the_consensus_is_stale() -> None:
+    """The nodes check reports the silence."""
     assert judge({A: beacon(age_s=3.0), B: beacon(age_s=3.0)}).level is api.Level.STALE
 
 
 @pytest.mark.parametrize("ros", [{"age_s": 5.5}, None])
-def test_without_a_fresh_picture_nothing_is_told(ros: dict[str, Any] | None) -> None:
-    """STALE: PHM's own eyes are shut."""
+def test_without_a_current_snapshot_the_consensus_is_stale(ros: dict[str, Any] | None) -> None:
+    """PHM itself receives nothing."""
     if ros is not None:
         assert judge(matrix(A, B, C), **ros).level is api.Level.STALE
         return
@@ -272,21 +272,21 @@ def flowing(node: str, hz: float = 10.0) -> dict[str, api.TopicFact]:
     ],
 )
 def test_nodes_without_a_beacon_take_part_by_topics_and_diagnostics(ros: dict[str, Any], words: str) -> None:
-    """By a topic that only they publish, or a status that begins with their name."""
+    """By a topic that only they publish, or by a diagnostic status whose name begins with theirs."""
     result = judge(matrix(A, B), **ros)
     assert result.level is api.Level.OK
     assert result.summary.endswith(words)
 
 
 def test_a_name_that_two_nodes_share_proves_nothing() -> None:
-    """diagnostic_updater leaves the namespace out."""
+    """diagnostic_updater omits the namespace."""
     other = "/agent_2/c"
     result = judge(matrix(A, B), build(A, B, C, other), diagnostics={"c: loop": api.DiagnosticFact(1.0, 0)})
     assert result.summary.endswith("; no observer for agent_1/c, agent_2/c")
 
 
-def test_a_required_beacon_that_is_not_there_is_an_error() -> None:
-    """Of a node that runs: one that is dead is the check of nodes' to tell."""
+def test_a_missing_required_beacon_is_an_error() -> None:
+    """Only for a running node: the nodes check reports a dead one."""
     check = build(A, B, beacon="required")
     result = judge({A: beacon({}, witness=A)}, check)
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "beacon_missing", "b has no beacon")
@@ -296,7 +296,7 @@ def test_a_required_beacon_that_is_not_there_is_an_error() -> None:
 
 
 def test_beacons_of_another_version_are_a_warning() -> None:
-    """Something is there, and this PHM cannot read it."""
+    """Beacons arrive, but this PHM cannot read them."""
     result = judge({}, refused=12)
     assert (result.level, result.condition) == (api.Level.WARN, "beacons_refused")
     assert "12 messages on /phm/beacon were rejected" in result.summary
@@ -304,7 +304,7 @@ def test_beacons_of_another_version_are_a_warning() -> None:
 
 
 def test_a_second_publisher_of_a_beacon_is_reported() -> None:
-    """It is refused, so the agreement is not disturbed; who it is is said. A node that runs twice is another matter."""
+    """Its data is rejected, so the consensus is unaffected; the text names it. A duplicate node is another fault."""
     beacons = matrix(A, B, C)
     copied = judge({**beacons, A: beacon({B: True, C: True}, witness=A, copied_by="/elsewhere/forger")})
     assert (copied.level, copied.condition, copied.target) == (api.Level.WARN, "beacon_copied", "")
@@ -316,8 +316,8 @@ def test_a_second_publisher_of_a_beacon_is_reported() -> None:
     assert judge(rival, nodes={A: 2, B: 1, C: 1}).level is api.Level.OK
 
 
-def test_while_beacons_are_lost_nothing_is_said() -> None:
-    """Not even that a required beacon is missing."""
+def test_while_beacons_are_lost_the_consensus_makes_no_statement() -> None:
+    """A missing required beacon is not reported either."""
     result = judge({}, lost_s=1.0)
     assert result.level is api.Level.STALE and "more messages arrive on /phm/beacon than PHM can read" in result.summary
     assert judge(matrix(A, B, C), lost_s=60.0).level is api.Level.OK

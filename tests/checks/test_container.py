@@ -32,14 +32,14 @@ def judge(**fields: Any) -> api.Result:
 # ------------------------------------------------------------ engine
 
 
-def test_the_engine_is_judged_only_when_containers_are() -> None:
-    """Without configured containers nobody needs an engine."""
+def test_the_engine_is_checked_only_with_configured_containers() -> None:
+    """Without configured containers no unit needs an engine."""
     assert list(Engine.build(testing.settings())) == []
     assert len(build(Engine)) == 1
 
 
-def test_an_answering_engine_is_ok() -> None:
-    """The version shows that it was asked."""
+def test_a_responding_engine_is_ok() -> None:
+    """The version in the summary proves the request."""
     assert "27.0" in run(Engine()).summary
 
 
@@ -50,8 +50,8 @@ def test_an_answering_engine_is_ok() -> None:
         (api.NotPermitted("permission denied"), "engine_refused"),
     ],
 )
-def test_an_engine_that_does_not_answer_is_the_fault_itself(problem: Exception, condition: str) -> None:
-    """Here alone not answering is an ERROR, and a refusal names its remedy."""
+def test_an_engine_that_does_not_respond_is_an_error(problem: Exception, condition: str) -> None:
+    """Only this check reports an unavailable engine as ERROR; a permission error states its remedy."""
     docker = testing.FakeDocker()
     docker.fail(problem)
     result = Engine().run(testing.world(docker=docker))
@@ -60,8 +60,8 @@ def test_an_engine_that_does_not_answer_is_the_fault_itself(problem: Exception, 
     assert ("group_add" in result.summary) is (condition == "engine_refused")
 
 
-def test_the_engine_is_looked_at_when_its_event_stream_breaks() -> None:
-    """And what is found must last for a moment: it is asked twice at least."""
+def test_a_broken_event_stream_triggers_the_engine_check() -> None:
+    """The result must last for a moment: the engine is asked at least twice."""
     (check,) = build(Engine)
     assert check.wakes == {"engine"}
     assert check.units == (api.Unit("engine", settle_s=SETTLE_S),) and check.failures == 2
@@ -71,19 +71,19 @@ def test_the_engine_is_looked_at_when_its_event_stream_breaks() -> None:
 
 
 def test_a_running_container_is_ok() -> None:
-    """Running is all this check asks for."""
+    """This check requires only that it runs."""
     assert judge().level is api.Level.OK
 
 
-def test_the_container_needs_the_engine_and_is_its_own_target() -> None:
-    """A silent engine is one alarm, and a repair of the container holds its alarm."""
+def test_the_container_depends_on_the_engine_and_is_its_own_target() -> None:
+    """A silent engine raises one alarm, and recovery of the container suppresses the container's alarm."""
     (check,) = build(Container)
     assert check.units == (api.Unit("container/ros_app", needs=("engine",), target="ros_app"),)
     assert check.wakes == {"container:ros_app"}
 
 
-def test_no_such_container_is_missing() -> None:
-    """PHM does not create containers, so it says who must."""
+def test_a_container_that_does_not_exist_is_missing() -> None:
+    """PHM does not create containers, so the text says what to do."""
     (check,) = build(Container)
     result = run(check)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "missing", "ros_app")
@@ -101,15 +101,15 @@ def test_no_such_container_is_missing() -> None:
         ("strange", "not_running"),
     ],
 )
-def test_each_state_but_running_is_an_error_of_its_own(status: str, condition: str) -> None:
-    """Recovery chooses its steps by the condition, so each state has one."""
+def test_each_state_except_running_has_its_own_condition(status: str, condition: str) -> None:
+    """Recovery chooses its steps by the condition."""
     result = judge(status=status)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, condition, "ros_app")
     assert result.brief.startswith("ros_app ")
 
 
-def test_killed_for_lack_of_memory_is_told_as_such() -> None:
-    """137 with the OOM mark is another fault than a `docker kill`."""
+def test_an_oom_kill_has_its_own_condition() -> None:
+    """Exit code 137 with the OOM flag is a different fault from `docker kill`."""
     result = judge(status="exited", exit_code=137, oom_killed=True)
     assert (result.condition, result.brief) == ("oom", "ros_app out of memory")
 
@@ -129,7 +129,7 @@ def test_killed_for_lack_of_memory_is_told_as_such() -> None:
         (255, "application error"),
     ],
 )
-def test_exit_codes_are_told_in_words(code: int, words: str) -> None:
+def test_exit_codes_are_explained_in_words(code: int, words: str) -> None:
     """An operator does not know that 139 is a crash in native code."""
     assert words in code_in_words(code)
     result = judge(status="exited", exit_code=code)
@@ -138,7 +138,7 @@ def test_exit_codes_are_told_in_words(code: int, words: str) -> None:
 
 
 class Loop:
-    """One container check, and a container that a test lets live and end."""
+    """A container check with a container that a test starts and stops."""
 
     def __init__(self, **more: Any) -> None:
         (self.check,) = Container.build(testing.settings(containers=[{"name": "ros_app"}], **more))
@@ -154,12 +154,12 @@ class Loop:
         return result
 
     def waits(self) -> api.Result:
-        """Its process ended and the engine waits to restart it."""
+        """Its process terminated and the engine waits before it restarts it."""
         self.count += 1
         return self.look(status="restarting", restart_count=self.count, exit_code=139)
 
     def runs(self, *, by_hand: bool = False) -> api.Result:
-        """It has been started again."""
+        """It has been restarted."""
         self.life += 1
         self.count = 0 if by_hand else self.count
         return self.look(status="running", started_at=f"t{self.life}", restart_count=self.count)
@@ -169,12 +169,12 @@ class Loop:
         return self.look()
 
 
-def told(*results: api.Result) -> list[tuple[str, str]]:
+def level_and_condition(*results: api.Result) -> list[tuple[str, str]]:
     return [(result.level.name, result.condition) for result in results]
 
 
-def test_every_result_names_the_life_that_was_seen() -> None:
-    """By it the tracker knows that a container was started again between two looks."""
+def test_each_result_has_the_start_time_of_the_container() -> None:
+    """It shows the tracker that the container was restarted between two checks."""
     loop = Loop()
     first, second = loop.look(), loop.runs(by_hand=True)
     assert first.level is second.level is api.Level.OK
@@ -183,8 +183,8 @@ def test_every_result_names_the_life_that_was_seen() -> None:
     assert loop.look(status="exited").evidence.generation == "id-of-ros_app@t2"
 
 
-def test_one_restart_by_the_engine_is_a_warning_until_it_has_stayed() -> None:
-    """The process did end: that is told whether or not a look fell between its lives, and it is no fault."""
+def test_one_restart_by_the_engine_is_a_warning_until_the_container_is_stable() -> None:
+    """The process did terminate: this is reported even if no check ran in between, and it is not a fault."""
     seen, unseen = Loop(), Loop()
     seen.look()
     unseen.look()
@@ -193,11 +193,11 @@ def test_one_restart_by_the_engine_is_a_warning_until_it_has_stayed() -> None:
     assert waiting.level is api.Level.STALE and "exit code 139: segmentation fault" in waiting.summary
     for loop in (seen, unseen):
         after = [loop.runs(), loop.stays(STABLE_S - 1), loop.stays(1)]
-        assert told(*after) == [("WARN", "restarted"), ("WARN", "restarted"), ("OK", "")]
+        assert level_and_condition(*after) == [("WARN", "restarted"), ("WARN", "restarted"), ("OK", "")]
 
 
-def test_a_container_that_ends_again_and_again_is_one_error_that_lasts() -> None:
-    """From the third short life on, whether it runs or waits at a look, in the same words for the operator."""
+def test_a_container_that_keeps_terminating_is_one_lasting_error() -> None:
+    """From the third short run on, with the same text whether it runs or waits during a check."""
     loop = Loop()
     loop.look()
     early = [result for _ in range(2) for result in (loop.stays(2.0), loop.waits(), loop.runs())]
@@ -205,87 +205,92 @@ def test_a_container_that_ends_again_and_again_is_one_error_that_lasts() -> None
     for _ in range(6):
         loop.clock.advance(2.0)
         results = [loop.waits(), loop.stays(1.0), loop.runs(), loop.stays(1.0)]
-        assert told(*results) == [("ERROR", "restarting")] * 4
+        assert level_and_condition(*results) == [("ERROR", "restarting")] * 4
         assert {result.brief for result in results} == {"ros_app crash loop"}
-    assert told(loop.stays(STABLE_S)) == [("OK", "")]
+    assert level_and_condition(loop.stays(STABLE_S)) == [("OK", "")]
 
 
-def test_restarts_between_two_looks_are_all_counted() -> None:
-    """The engine's counter tells of lives that nobody saw."""
+def test_restarts_between_two_checks_are_all_counted() -> None:
+    """The engine's restart counter includes those that no check observed."""
     loop = Loop()
     loop.look()
     loop.count = 4
-    assert told(loop.runs()) == [("ERROR", "restarting")]
+    assert level_and_condition(loop.runs()) == [("ERROR", "restarting")]
 
 
-def test_a_loop_that_was_there_before_phm_is_told_at_the_first_look() -> None:
-    """After a restart of PHM the engine may be in the middle of a wait of a minute."""
+def test_a_restart_loop_from_before_the_start_of_phm_is_reported_by_the_first_check() -> None:
+    """After a restart of PHM the engine may be in the middle of a back-off of one minute."""
     loop = Loop()
     loop.count = 8
-    assert told(loop.waits(), loop.stays(59.0), loop.runs(), loop.stays(2.0)) == [("ERROR", "restarting")] * 4
+    assert (
+        level_and_condition(loop.waits(), loop.stays(59.0), loop.runs(), loop.stays(2.0))
+        == [("ERROR", "restarting")] * 4
+    )
 
 
-def test_not_knowing_does_not_last_while_the_engine_waits() -> None:
-    """The engine waits long only after several restarts, and a STALE that lasts would hide a container that is down."""
+def test_stale_turns_into_an_error_while_the_engine_backs_off() -> None:
+    """The engine waits long only after several restarts, and a lasting STALE would hide a container that is down."""
     loop = Loop()
     loop.look()
     loop.waits()
-    assert told(loop.stays(WAIT_S)) == [("ERROR", "restarting")]
+    assert level_and_condition(loop.stays(WAIT_S)) == [("ERROR", "restarting")]
 
 
-def test_lives_that_are_not_short_are_no_loop() -> None:
-    """A process that ends once an hour is restarted by the engine, with a warning each time."""
+def test_long_runs_are_no_restart_loop() -> None:
+    """A process that terminates once an hour is restarted by the engine, with one warning each time."""
     loop = Loop()
     loop.look()
     for _ in range(10):
         loop.stays(3600.0)
         loop.waits()
-        assert told(loop.runs(), loop.stays(STABLE_S)) == [("WARN", "restarted"), ("OK", "")]
+        assert level_and_condition(loop.runs(), loop.stays(STABLE_S)) == [("WARN", "restarted"), ("OK", "")]
 
 
-def test_starts_by_hand_are_no_loop_until_there_are_more_than_phm_itself_may_make() -> None:
-    """Each start gives grace to what runs inside: a tool that restarts all the time would hide for ever what is broken."""
+def test_manual_starts_are_a_loop_only_above_the_limit_for_restarts_by_phm() -> None:
+    """Each start grants grace to what runs inside: a tool that restarts all the time would hide a fault permanently."""
     loop = Loop()
     loop.look()
     results = []
     for _ in range(OTHER_STARTS):
         loop.clock.advance(4.0)
         results.append(loop.runs(by_hand=True))
-    assert told(*results) == [("OK", "")] * (OTHER_STARTS - 1) + [("ERROR", "restarting")]
+    assert level_and_condition(*results) == [("OK", "")] * (OTHER_STARTS - 1) + [("ERROR", "restarting")]
     assert "6 times" in results[-1].summary
     generous = Loop(recovery={"budget": 8})
     generous.look()
     results = [generous.runs(by_hand=True) for _ in range(9)]
-    assert told(*results) == [("OK", "")] * 8 + [("ERROR", "restarting")]
+    assert level_and_condition(*results) == [("OK", "")] * 8 + [("ERROR", "restarting")]
 
 
-def test_a_start_by_hand_ends_the_engines_loop() -> None:
-    """Somebody has done something about it: it is judged anew."""
+def test_a_manual_start_ends_the_restart_loop() -> None:
+    """The operator has intervened, so the count starts from zero."""
     loop = Loop()
     loop.look()
     loop.count = 5
-    assert told(loop.runs()) == [("ERROR", "restarting")]
-    assert told(loop.runs(by_hand=True)) == [("OK", "")]
+    assert level_and_condition(loop.runs()) == [("ERROR", "restarting")]
+    assert level_and_condition(loop.runs(by_hand=True)) == [("OK", "")]
 
 
-def test_a_life_shorter_than_the_grace_of_what_runs_inside_is_short() -> None:
-    """With a long `ros.grace` a slow loop would otherwise hide behind grace that is given again and again."""
+def test_a_run_shorter_than_the_grace_of_its_nodes_is_short() -> None:
+    """With a long `ros.grace` a slow loop would otherwise be hidden by repeated grace."""
     loop = Loop(ros={"grace": "60s"})
     loop.look()
     for _ in range(3):
         loop.stays(50.0)
         loop.waits()
-    assert told(loop.runs(), loop.stays(59.0), loop.stays(1.0)) == [("ERROR", "restarting")] * 2 + [("OK", "")]
+    assert level_and_condition(loop.runs(), loop.stays(59.0), loop.stays(1.0)) == [("ERROR", "restarting")] * 2 + [
+        ("OK", "")
+    ]
 
 
-def test_an_engine_error_text_is_told_without_control_characters() -> None:
-    """What the engine says comes from outside."""
+def test_the_error_text_of_the_engine_is_reported_without_control_characters() -> None:
+    """The text is external input."""
     result = judge(status="created", error="mount\n\x1b[31mfailed")
     assert "mount [31mfailed" in result.summary
 
 
-def test_an_engine_that_is_silent_is_no_fault_of_the_container() -> None:
-    """CannotTell goes through to the engine of PHM, which makes it STALE."""
+def test_a_silent_engine_is_not_a_fault_of_the_container() -> None:
+    """CannotTell propagates to the scheduler, which sets the unit to STALE."""
     (check,) = build(Container)
     docker = testing.FakeDocker()
     docker.fail()
@@ -305,14 +310,14 @@ def test_an_engine_that_is_silent_is_no_fault_of_the_container() -> None:
         ("unhealthy", 0, api.Level.STALE),
     ],
 )
-def test_docker_health_is_taken_over(health: str, streak: int, level: api.Level) -> None:
-    """Starting is not known yet; unhealthy is an error, but not the engine's word for `not run since a pause`."""
+def test_docker_health_is_reported_as_level(health: str, streak: int, level: api.Level) -> None:
+    """`starting` is not known yet; `unhealthy` is an error, except when the probe has not run since a pause."""
     (check,) = build(Health)
     assert run(check, testing.container("ros_app", health=health, health_streak=streak)).level is level
 
 
-def test_how_long_docker_may_say_starting_depends_on_the_healthcheck() -> None:
-    """Its interval, time-out, start period and retries; an operator reads it, and recovery waits for it."""
+def test_the_limit_for_starting_depends_on_the_healthcheck() -> None:
+    """Its interval, timeout, start period and retries; the text has the limit, and recovery waits for it."""
     (check,) = build(Health)
     slow = HealthcheckFact(interval_s=60.0, timeout_s=10.0, start_period_s=20.0, retries=2)
     assert slow.decides_s == 20.0 + 5.0 + 10.0 + 2 * 70.0
@@ -325,8 +330,8 @@ def test_how_long_docker_may_say_starting_depends_on_the_healthcheck() -> None:
     )
 
 
-def test_unhealthy_says_how_old_its_probe_may_be() -> None:
-    """The engine probes in its own time: the newest failure came after the look before, and may have taken its time-out."""
+def test_unhealthy_has_the_maximum_age_of_its_probe() -> None:
+    """The engine schedules probes itself: the newest failure came after the previous check and may have taken its timeout."""
     (check,) = build(Health)
     clock, docker = testing.FakeClock(), testing.FakeDocker()
     world = testing.world(clock=clock, docker=docker)
@@ -347,8 +352,8 @@ def test_unhealthy_says_how_old_its_probe_may_be() -> None:
     assert age_s(4) == 10.0
 
 
-def test_unhealthy_tells_streak_and_last_output() -> None:
-    """The last output is where the reason stands; it is made one printable line and cut."""
+def test_unhealthy_has_streak_and_last_output() -> None:
+    """The last output has the reason; it is reduced to one printable line and truncated."""
     (check,) = build(Health)
     fact = testing.container(
         "ros_app", health="unhealthy", health_streak=4, health_output="curl:\n refused\x00" + "x" * 999
@@ -359,28 +364,28 @@ def test_unhealthy_tells_streak_and_last_output() -> None:
     assert result.summary.isprintable() and len(result.summary) < 500
 
 
-def test_no_healthcheck_is_a_bypass() -> None:
-    """In the words of the paper's log; it counts as OK and never stays unknown."""
+def test_a_container_without_healthcheck_is_a_bypass() -> None:
+    """With the text of the paper's log; it counts as OK and is never STALE."""
     (check,) = build(Health)
     result = run(check, testing.container("ros_app"))
     assert result.level is api.Level.OK and result.bypass
     assert result.summary == "No health check defined for ros_app."
 
 
-def test_no_healthcheck_is_an_error_when_required() -> None:
-    """A configuration that requires one means it."""
+def test_a_missing_required_healthcheck_is_an_error() -> None:
+    """`required` in the configuration is strict."""
     (check,) = build(Health, healthcheck="required")
     assert run(check, testing.container("ros_app")).condition == "healthcheck_missing"
 
 
 def test_an_ignored_healthcheck_is_not_built() -> None:
-    """Ignore means no unit at all."""
+    """`ignore` builds no unit."""
     assert build(Health, healthcheck="ignore") == []
 
 
 @pytest.mark.parametrize("facts", [(), (testing.container("ros_app", status="exited", health="unhealthy"),)])
-def test_health_is_not_known_while_the_container_does_not_run(facts: tuple[api.ContainerFact, ...]) -> None:
-    """Docker keeps the last health of a stopped container; it says nothing about now."""
+def test_health_is_stale_while_the_container_does_not_run(facts: tuple[api.ContainerFact, ...]) -> None:
+    """Docker keeps the last health of a stopped container, which says nothing about the present."""
     (check,) = build(Health)
     assert run(check, *facts).level is api.Level.STALE
     assert check.units[0].needs == ("container/ros_app",)

@@ -1,4 +1,4 @@
-"""Slot 9: the quick way to see that the processor is used up, and the reading behind it."""
+"""Slot 9: fast detection of a CPU overload, and the probe behind it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CALM = {"cpu_percent": 30.0, "waiting_percent": 10.0}
 
 
 class Bench:
-    """The check on a machine that has been up for a while, with one container that has, too; each look is half a second later."""
+    """The check on a machine and with a container that have been up for a while; each check is half a second later."""
 
     def __init__(self, **limits: Any) -> None:
         (self.check,) = Host.build(testing.settings(host=limits, containers=[{"name": "ros_app"}]))
@@ -45,20 +45,20 @@ class Bench:
 
 
 @pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
-def test_a_start_is_one_however_the_clock_is_set(step_s: float) -> None:
-    """The container's own stamp is of the clock before the step."""
+def test_a_start_is_recognized_despite_clock_steps(step_s: float) -> None:
+    """The container's own timestamp is from the clock before the step."""
     bench = Bench()
     bench.started()
     bench.clock.jump_utc(step_s)
     assert "ERROR" not in [result.level.name for result in bench.looks(2.0, **BUSY)]
 
 
-def test_a_processor_that_is_full_while_tasks_wait_is_told_soon() -> None:
-    """After cpu_quick, with the kernel's evidence in the text; before it, nothing."""
-    told = Bench().looks(2.0, **BUSY)
-    assert [result.level.name for result in told] == ["OK"] * 3 + ["ERROR"]
-    assert (told[-1].condition, told[-1].brief) == ("cpu_high", "CPU 100 %")
-    assert "waited for a core in 90 %" in told[-1].summary and "`top`" in told[-1].summary
+def test_a_full_cpu_with_waiting_tasks_is_reported_fast() -> None:
+    """After `cpu_quick`, with the kernel's evidence in the text; nothing before."""
+    results = Bench().looks(2.0, **BUSY)
+    assert [result.level.name for result in results] == ["OK"] * 3 + ["ERROR"]
+    assert (results[-1].condition, results[-1].brief) == ("cpu_high", "CPU 100 %")
+    assert "waited for a core in 90 %" in results[-1].summary and "`top`" in results[-1].summary
 
 
 @pytest.mark.parametrize(
@@ -69,21 +69,21 @@ def test_a_processor_that_is_full_while_tasks_wait_is_told_soon() -> None:
         {"cpu_percent": 85.0, "waiting_percent": 100.0},
     ],
 )
-def test_what_the_kernel_does_not_call_pressure_is_left_to_the_mean(fields: dict[str, Any]) -> None:
-    """Cores that are all used while nobody waits, a kernel that does not count, and waiting tasks beside idle cores."""
+def test_load_without_cpu_pressure_is_left_to_the_mean(fields: dict[str, Any]) -> None:
+    """All cores busy without waiting tasks, a kernel without PSI, and waiting tasks beside idle cores."""
     assert {result.level for result in Bench().looks(5.0, **fields)} == {api.Level.OK}
 
 
-def test_one_look_with_room_begins_the_quick_window_anew() -> None:
-    """A burst that pauses is not sustained."""
+def test_one_idle_sample_restarts_the_fast_window() -> None:
+    """A burst with a pause is not sustained."""
     bench = Bench()
     for _ in range(5):
         assert {result.level for result in [*bench.looks(1.5, **BUSY), bench.look(**CALM)]} == {api.Level.OK}
         bench.looks(3.0, **CALM)
 
 
-def test_a_container_that_starts_takes_the_processor_for_a_while() -> None:
-    """Within ros.grace (8 s) of its start only the mean counts; then it is told."""
+def test_a_starting_container_may_use_the_cpu_for_a_while() -> None:
+    """Within `ros.grace` (8 s) of its start only the mean counts; then the fast detection reports it."""
     bench = Bench()
     bench.started()
     levels = [result.level.name for result in bench.looks(8.0, **BUSY)]
@@ -91,15 +91,15 @@ def test_a_container_that_starts_takes_the_processor_for_a_while() -> None:
     assert levels[-1] != "OK"
 
 
-def test_phm_itself_has_just_started() -> None:
-    """A machine that boots is busy."""
+def test_the_fast_detection_is_off_shortly_after_the_start_of_phm() -> None:
+    """A booting machine is busy."""
     bench = Bench()
     (bench.check,) = Host.build(testing.settings())
     assert "ERROR" not in {result.level.name for result in bench.looks(7.5, **BUSY)}
 
 
-def test_an_engine_that_does_not_answer_leaves_it_to_the_mean_and_is_left_alone() -> None:
-    """Each question may take as long as the engine's time-out."""
+def test_with_a_silent_engine_only_the_mean_decides_and_the_engine_is_not_polled() -> None:
+    """Each request may take as long as the engine's timeout."""
     bench = Bench()
     bench.docker.fail()
     bench.looks(2.0, **BUSY)
@@ -109,7 +109,7 @@ def test_an_engine_that_does_not_answer_leaves_it_to_the_mean_and_is_left_alone(
 
 
 def test_bursts_with_short_pauses_are_one_fault() -> None:
-    """What was told quickly stays until it was not so for a while."""
+    """A fast report stays until the load has been low for a while."""
     bench = Bench()
     levels = []
     for _ in range(4):
@@ -118,13 +118,13 @@ def test_bursts_with_short_pauses_are_one_fault() -> None:
     assert bench.looks(STAYS_S + 1.0, **CALM)[-1].level is api.Level.OK
 
 
-def test_the_quick_way_can_be_switched_off() -> None:
-    """Then the mean alone decides."""
+def test_the_fast_detection_can_be_disabled() -> None:
+    """Then only the mean decides."""
     assert {result.level for result in Bench(cpu_quick="0s").looks(6.0, **BUSY)} == {api.Level.OK}
 
 
-def test_a_warning_by_the_quick_way_becomes_an_error_by_the_mean() -> None:
-    """The worse of the two is told."""
+def test_a_warning_of_the_fast_detection_becomes_an_error_of_the_mean() -> None:
+    """The worse of the two is reported."""
     bench = Bench()
     assert bench.looks(3.0, cpu_percent=95.0, waiting_percent=90.0)[-1].level is api.Level.WARN
     assert bench.looks(12.0, cpu_percent=100.0, waiting_percent=90.0)[-1].level is api.Level.ERROR
@@ -141,8 +141,8 @@ def write(proc: Path, ticks: str, waited_us: int | None) -> None:
         (proc / "pressure" / "cpu").write_text(line, "ascii")
 
 
-def test_use_is_counted_since_the_reading_before(tmp_path: Path) -> None:
-    """Idle and waiting for a disk are no use; guests are counted in user already; pressure is a share of the time."""
+def test_usage_is_measured_since_the_previous_sample(tmp_path: Path) -> None:
+    """Idle and iowait do not count as usage; user already includes guest time; pressure is a share of the time."""
     clock = testing.FakeClock()
     write(tmp_path, "100 0 100 1000 100 0 0 0 50 0", 1_000_000)
     processor = CpuMonitor(clock, tmp_path)
@@ -153,7 +153,7 @@ def test_use_is_counted_since_the_reading_before(tmp_path: Path) -> None:
     assert use.waiting_percent == pytest.approx(40.0)
 
 
-def test_a_reading_too_soon_gives_the_last_one(tmp_path: Path) -> None:
+def test_a_sample_too_soon_returns_the_previous_one(tmp_path: Path) -> None:
     """The kernel counts in hundredths of a second."""
     clock = testing.FakeClock()
     write(tmp_path, "100 0 100 1000 0 0 0 0 0 0", 0)
@@ -166,8 +166,8 @@ def test_a_reading_too_soon_gives_the_last_one(tmp_path: Path) -> None:
     assert processor.use() == first and first.busy_percent == 100.0
 
 
-def test_a_kernel_without_pressure_tells_none(tmp_path: Path) -> None:
-    """As a Raspberry Pi's without `psi=1` on its command line."""
+def test_a_kernel_without_psi_reports_no_pressure(tmp_path: Path) -> None:
+    """Such as a Raspberry Pi without `psi=1` on its kernel command line."""
     clock = testing.FakeClock()
     write(tmp_path, "1 0 1 1 0 0 0 0 0 0", None)
     processor = CpuMonitor(clock, tmp_path)
@@ -175,8 +175,8 @@ def test_a_kernel_without_pressure_tells_none(tmp_path: Path) -> None:
     assert processor.use().waiting_percent is None
 
 
-def test_without_pressure_the_run_queues_show_who_waits(tmp_path: Path) -> None:
-    """The eighth figure of each `cpu` line of /proc/schedstat (sched-stats.rst) counts nanoseconds: the mean of the CPUs."""
+def test_without_psi_the_run_queues_show_waiting_tasks(tmp_path: Path) -> None:
+    """Field 8 of each `cpu` line of /proc/schedstat (sched-stats.rst) counts nanoseconds: the mean of all CPUs."""
 
     def waited(first_ns: int, second_ns: int) -> None:
         lines = [
@@ -194,7 +194,7 @@ def test_without_pressure_the_run_queues_show_who_waits(tmp_path: Path) -> None:
 
 
 def test_stalls_for_memory_and_disks_are_those_of_all_tasks(tmp_path: Path) -> None:
-    """The `full` lines: a single task that waits while others run is ordinary."""
+    """The `full` lines: one waiting task while others run is normal."""
 
     def stalled(full_us: int) -> None:
         for name in ("memory", "io"):
@@ -211,8 +211,8 @@ def test_stalls_for_memory_and_disks_are_those_of_all_tasks(tmp_path: Path) -> N
     assert (use.memory_percent, use.io_percent) == (pytest.approx(25.0), pytest.approx(25.0))
 
 
-def test_who_has_the_cpus_is_named_when_they_are_taken() -> None:
-    """Asked only then."""
+def test_an_overload_names_the_processes_that_use_the_cpu() -> None:
+    """They are queried only then."""
     bench = Bench()
     pressure = testing.FakePressure()
     pressure.taken = (api.ConsumerFact("slam", 1.83), api.ConsumerFact("ros_app", 0.1))

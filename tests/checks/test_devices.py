@@ -33,14 +33,14 @@ def judge(check: api.Check, host: testing.FakeDevices, **container: Any) -> api.
 
 
 def test_a_mapped_device_is_ok() -> None:
-    """There, usable, mapped."""
+    """It exists, is accessible and is mapped."""
     result = judge(build(), there(description="PX4 FMU"))
     assert result.level is api.Level.OK
     assert "PX4 FMU" in result.summary
 
 
-def test_a_missing_device_is_an_error_that_lists_the_ports_there() -> None:
-    """A flight controller that came back under another name is found by reading the message."""
+def test_a_missing_device_is_an_error_that_lists_the_existing_ports() -> None:
+    """The message shows a flight controller that reappeared under another name."""
     devices = testing.FakeDevices()
     devices.ports = (api.DeviceFact("/dev/ttyACM1", True, 166, 1, None, description="PX4 FMU"),)
     result = judge(build(), devices)
@@ -48,8 +48,8 @@ def test_a_missing_device_is_an_error_that_lists_the_ports_there() -> None:
     assert "/dev/ttyACM1 (PX4 FMU)" in result.summary
 
 
-def test_a_missing_device_is_judged_without_a_container() -> None:
-    """Docker starts no container whose device is missing, so the device is the cause."""
+def test_a_missing_device_is_reported_even_without_its_container() -> None:
+    """Docker does not start a container whose device is missing, so the device is the cause."""
     check = build()
     result = check.run(testing.world())
     assert isinstance(result, api.Result)
@@ -57,20 +57,20 @@ def test_a_missing_device_is_judged_without_a_container() -> None:
     assert check.units == (api.Unit("devices/ros_app", target="ros_app", settle_s=SETTLE_S),)
 
 
-def test_a_folder_in_place_of_a_device_is_the_wrong_type() -> None:
-    """Docker makes a folder where a bind's source is missing."""
+def test_a_directory_in_place_of_a_device_is_the_wrong_type() -> None:
+    """Docker creates a directory if the source of a bind mount is missing."""
     result = judge(build(), there(character=False, openable=None, reason="a directory"))
     assert result.condition == "device_wrong_type"
     assert "a directory" in result.summary
 
 
-def test_a_device_that_cannot_be_opened_is_refused() -> None:
-    """The node may outlive what is behind it."""
+def test_a_device_that_cannot_be_opened_is_an_error() -> None:
+    """The device file may outlive its device."""
     assert judge(build(), there(openable=False, reason="input/output error")).condition == "device_refused"
 
 
-def test_a_device_that_phm_may_not_open_is_no_fault() -> None:
-    """PHM's own rights say nothing about the application's."""
+def test_missing_permissions_of_phm_are_not_a_fault() -> None:
+    """They say nothing about the permissions of the application."""
     assert judge(build(), there(openable=None, reason="PHM itself may not open it")).level is api.Level.OK
 
 
@@ -78,8 +78,8 @@ def test_a_device_that_phm_may_not_open_is_no_fault() -> None:
     ("opening", "major", "opened"),
     [("auto", 166, False), ("auto", 188, False), ("auto", 10, True), ("always", 166, True), ("never", 10, False)],
 )
-def test_serial_ports_are_not_opened_unless_told(opening: str, major: int, opened: bool) -> None:
-    """Opening raises DTR, which resets some autopilots and radios."""
+def test_serial_ports_are_opened_only_on_request(opening: str, major: int, opened: bool) -> None:
+    """Opening a port raises DTR, which resets some autopilots and radios."""
     devices = there(major=major)
     judge(build(open=opening), devices)
     assert bool(devices.opened) is opened
@@ -96,7 +96,7 @@ def test_serial_ports_are_not_opened_unless_told(opening: str, major: int, opene
     ],
 )
 def test_each_way_to_map_a_device_counts(container: dict[str, Any]) -> None:
-    """By a link, by a folder, by privilege, or by a bind with a rule."""
+    """By device, symlink, directory, privileged mode, or a bind mount with a cgroup rule."""
     devices = there()
     devices.put("/dev/serial/by-id/usb-PX4", major=166)
     assert judge(build(), devices, **container).level is api.Level.OK
@@ -120,13 +120,13 @@ def test_each_way_to_map_a_device_counts(container: dict[str, Any]) -> None:
     ],
 )
 def test_a_device_that_the_container_cannot_use_is_unmapped(container: dict[str, Any], words: str) -> None:
-    """What is lacking is named in the words of a compose file."""
+    """The text names the missing part in Compose terms."""
     result = judge(build(), there(), **container)
     assert result.condition == "device_unmapped"
     assert words in result.summary
 
 
-def test_another_name_inside_the_container_must_be_the_configured_one() -> None:
+def test_the_device_name_inside_the_container_must_be_the_configured_one() -> None:
     """An application that opens /dev/fmu does not find /dev/ttyACM0."""
     assert judge(build(in_container="/dev/fmu"), there()).condition == "device_unmapped"
     mapped = (api.DeviceMapping(PATH, "/dev/fmu"),)
@@ -134,8 +134,8 @@ def test_another_name_inside_the_container_must_be_the_configured_one() -> None:
 
 
 @pytest.mark.parametrize("back", [{"minor": 1}, {"inode": 8}, {}])
-def test_a_device_that_was_away_is_lost_to_the_container(back: dict[str, int]) -> None:
-    """Docker copies device files at start: what is plugged in again is there on the host only, until a restart."""
+def test_a_replugged_device_is_lost_for_the_container(back: dict[str, int]) -> None:
+    """Docker copies device files when it starts a container: a replugged device exists on the host only, until a restart."""
     check, devices = build(), there(inode=7)
     assert judge(check, devices).level is api.Level.OK
     if not back:
@@ -156,8 +156,8 @@ def test_a_device_that_was_away_is_lost_to_the_container(back: dict[str, int]) -
         {"status": "exited"},
     ],
 )
-def test_a_device_that_was_away_is_found_again_where_dev_is_bound(container: dict[str, Any]) -> None:
-    """A bind of /dev shows what the host has now, and a stopped container gets new device files at its start."""
+def test_a_replugged_device_is_available_where_dev_is_bind_mounted(container: dict[str, Any]) -> None:
+    """A bind mount of /dev shows the current devices, and a stopped container gets new device files when it starts."""
     check, devices = build(), there()
     assert judge(check, devices, **container).level is api.Level.OK
     del devices.devices[PATH]
@@ -166,20 +166,20 @@ def test_a_device_that_was_away_is_found_again_where_dev_is_bound(container: dic
     assert judge(check, devices, **container).level is api.Level.OK
 
 
-def test_a_device_that_need_not_be_mapped_is_judged_by_itself() -> None:
-    """`mapped: false` leaves the container out of it."""
+def test_a_device_that_need_not_be_mapped_is_checked_on_the_host_only() -> None:
+    """`mapped: false` ignores the container."""
     assert judge(build(mapped=False), there(), devices=()).level is api.Level.OK
 
 
-def test_mapping_is_not_known_without_a_container() -> None:
-    """The device is there; whether it is mapped cannot be told."""
+def test_without_its_container_the_mapping_is_unknown() -> None:
+    """The device exists; the check has no evidence about the mapping."""
     result = build().run(testing.world(devices=there()))
     assert isinstance(result, api.Result)
     assert result.level is api.Level.STALE
 
 
-def test_a_probe_that_cannot_tell_makes_it_stale() -> None:
-    """An unmounted /dev is no missing device."""
+def test_a_probe_without_evidence_makes_the_unit_stale() -> None:
+    """A /dev that is not mounted is not a missing device."""
     devices = testing.FakeDevices()
     devices.fail("the host's /dev is not mounted")
     result = judge(build(), devices)

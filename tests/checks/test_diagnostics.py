@@ -30,7 +30,7 @@ def build(*nodes: str, **entry: Any) -> api.Check:
 
 
 def judge(check: api.Check, world: api.World | None = None, **heard: api.DiagnosticFact) -> api.Result:
-    """One run; `heard` by the last word of the status: frequency=... is `camera: Frequency`."""
+    """Run the check once; the keyword is the last word of the status name: frequency=... is `camera: Frequency`."""
     diagnostics = {f"camera: {word.capitalize()}": fact for word, fact in heard.items()}
     results = check.run(world or testing.world(ros=testing.FakeRos(diagnostics=diagnostics)))
     assert not isinstance(results, api.Result)
@@ -38,7 +38,7 @@ def judge(check: api.Check, world: api.World | None = None, **heard: api.Diagnos
     return result
 
 
-def test_a_status_that_says_ok_is_ok() -> None:
+def test_a_status_of_level_ok_is_ok() -> None:
     """Its message is shown."""
     result = judge(build(), frequency=said())
     assert (result.level, result.summary) == (api.Level.OK, "camera: Frequency reports OK: fine")
@@ -53,8 +53,10 @@ def test_a_status_that_says_ok_is_ok() -> None:
         (50, api.Level.ERROR, "diagnostic_error", "reports the unknown level 50: odd"),
     ],
 )
-def test_a_level_is_taken_over(level: int, becomes: api.Level, condition: str, words: str) -> None:
-    """Status, level, message and hardware id are named; a level that does not exist is an error, as for the aggregator."""
+def test_the_level_of_a_status_becomes_the_level_of_the_unit(
+    level: int, becomes: api.Level, condition: str, words: str
+) -> None:
+    """Status, level, message and hardware id are named; an undefined level is an ERROR, as in the aggregator."""
     result = judge(build(), frequency=said(level, hardware_id="cam-07", values={"fps": "3.1", "status": "theirs"}))
     assert (result.level, result.condition, result.target) == (becomes, condition, "ros_app")
     assert f"camera: Frequency {words} (hardware id cam-07)" in result.summary
@@ -65,8 +67,8 @@ def test_a_level_is_taken_over(level: int, becomes: api.Level, condition: str, w
 @pytest.mark.parametrize(
     ("when_stale", "level"), [("error", api.Level.ERROR), ("warn", api.Level.WARN), ("stale", api.Level.STALE)]
 )
-def test_a_status_that_is_silent_is_stale_as_configured(when_stale: str, level: api.Level) -> None:
-    """A publisher that vanished, one that never was, and one that says STALE of itself are the same to the user."""
+def test_a_silent_status_has_the_configured_level(when_stale: str, level: api.Level) -> None:
+    """A publisher that vanished, one that never existed and one that reports STALE are the same to the user."""
     check = build(when_stale=when_stale, timeout=5)
     silent = judge(check, frequency=said(age_s=6.0))
     assert (silent.level, silent.condition) == (level, "diagnostic_stale")
@@ -76,8 +78,8 @@ def test_a_status_that_is_silent_is_stale_as_configured(when_stale: str, level: 
     assert (never.level, never.condition, never.brief) == (level, "diagnostic_stale", f"{NAME} not received")
 
 
-def test_the_worst_of_those_that_match_counts() -> None:
-    """A pattern stands for many; the text names the worst, and the others that are not OK."""
+def test_the_worst_of_all_matching_statuses_counts() -> None:
+    """A pattern matches many statuses; the text names the worst and the others that are not OK."""
     check = build(name="camera: *")
     assert judge(check, one=said(), two=said()).level is api.Level.OK
     result = judge(check, one=said(1), two=said(2), three=said(), four=said(age_s=9.0))
@@ -86,8 +88,8 @@ def test_the_worst_of_those_that_match_counts() -> None:
     assert (result.values["heard"], result.values["not_ok"]) == (4, 3)
 
 
-def test_an_error_beats_a_stale_status_that_is_no_fault() -> None:
-    """What is known to be wrong wins over what is not known, and that over what is well."""
+def test_an_error_has_priority_over_a_stale_status() -> None:
+    """A known fault has priority over an unknown status, and that over an OK one."""
     check = build(name="camera: *", when_stale="stale")
     assert judge(check, one=said(age_s=9.0), two=said(1)).level is api.Level.WARN
     assert judge(check, one=said(age_s=9.0), two=said()).level is api.Level.STALE
@@ -105,33 +107,33 @@ def test_an_error_beats_a_stale_status_that_is_no_fault() -> None:
     ],
 )
 def test_only_star_and_question_mark_are_special(pattern: str, name: str, fits: bool) -> None:
-    """Brackets and dots are common in names of statuses and mean themselves."""
+    """Brackets and dots are common in status names and are literal."""
     world = testing.world(ros=testing.FakeRos(diagnostics={name: said()}))
     assert (judge(build(name=pattern), world).level is api.Level.OK) is fits
 
 
-def test_a_young_child_proves_no_absence() -> None:
-    """Statuses come once a second, and discovery takes seconds."""
+def test_a_new_ros_child_proves_no_absence() -> None:
+    """Statuses arrive once a second, and discovery takes seconds."""
     world = testing.world(ros=testing.FakeRos(up_s=2.0))
     assert judge(build(), world).level is api.Level.STALE
 
 
-def test_breaks_of_the_child_do_not_hide_for_ever_that_a_status_is_missing() -> None:
-    """One with a long timeout has been listened for long enough; after a break discovery alone gets its grace."""
+def test_restarts_of_the_ros_child_do_not_hide_a_missing_status_permanently() -> None:
+    """A status with a long timeout has been awaited long enough; after a restart only discovery gets its grace."""
     check = build(timeout="300s")
     young, old = (testing.world(ros=testing.FakeRos(up_s=20.0, listened_s=listened_s)) for listened_s in (200.0, 400.0))
     assert judge(check, young).level is api.Level.STALE
     assert judge(check, old).level is api.Level.ERROR
 
 
-def test_a_near_name_is_offered() -> None:
-    """`Freqency` in the configuration is found."""
+def test_a_similar_name_is_suggested() -> None:
+    """It helps to find `Freqency` in the configuration."""
     world = testing.world(ros=testing.FakeRos(diagnostics={NAME: said()}))
     assert f"Did you mean {NAME}?" in judge(build(name="camera: Freqency"), world).summary
 
 
-def test_what_was_heard_before_the_container_was_started_anew_need_not_come_again() -> None:
-    """Names may be others in the next life; until that life had its grace, nothing is missing."""
+def test_statuses_from_before_a_container_restart_need_not_return() -> None:
+    """Names may differ after the restart; nothing is missing until the new generation has had its grace."""
     clock, docker = testing.FakeClock(), testing.FakeDocker(testing.container("ros_app"))
     ros = testing.FakeRos(diagnostics={"camera: Old": said(), "camera: New": said()})
     world = testing.world(clock=clock, docker=docker, ros=ros)
@@ -151,16 +153,16 @@ def test_what_was_heard_before_the_container_was_started_anew_need_not_come_agai
     assert judge(check, world).level is api.Level.ERROR
 
 
-def test_an_engine_that_does_not_answer_changes_nothing() -> None:
-    """The status itself is judged all the same."""
+def test_an_engine_that_does_not_respond_changes_nothing() -> None:
+    """The status itself is still evaluated."""
     docker = testing.FakeDocker(testing.container("ros_app"))
     docker.fail()
     world = testing.world(docker=docker, ros=testing.FakeRos(diagnostics={NAME: said(2)}))
     assert judge(build(), world).level is api.Level.ERROR
 
 
-def test_while_all_is_well_the_engine_is_hardly_asked() -> None:
-    """A look at statuses costs no call to Docker."""
+def test_while_all_statuses_are_ok_the_engine_is_rarely_polled() -> None:
+    """Reading statuses needs no Docker request."""
     docker = testing.FakeDocker(testing.container("ros_app"))
     world = testing.world(docker=docker, ros=testing.FakeRos(diagnostics={NAME: said()}))
     check = build()
@@ -180,27 +182,27 @@ def test_while_all_is_well_the_engine_is_hardly_asked() -> None:
         (["/agent_1/camera", "/agent_1/lidar"], {"node": "agent_1/lidar"}, ["nodes/agent_1/lidar"]),
     ],
 )
-def test_a_status_needs_its_node_and_their_container(nodes: list[str], entry: Any, needs: list[str]) -> None:
-    """A dead node is told once, at the node: the configured one, or the one that the status is named after."""
+def test_a_status_depends_on_its_node_and_its_container(nodes: list[str], entry: Any, needs: list[str]) -> None:
+    """A dead node is reported once, by its own unit: the configured node, or the one in the name of the status."""
     (unit,) = build(*nodes, **entry).units
     assert list(unit.needs) == ["container/ros_app", "network/ros_app", *needs]
     assert (unit.target, unit.settle_s, unit.grace_s, unit.memory_s) == ("ros_app", 1.5, 8.0, 5.0)
 
 
-def test_nothing_is_known_without_the_child() -> None:
-    """No ROS, or a child that has been silent: STALE, no fault."""
+def test_without_the_ros_child_the_status_is_stale() -> None:
+    """No ROS, or a silent child process: STALE without a fault."""
     ros = testing.FakeRos()
     ros.fail("rclpy is not installed")
     assert judge(build(), testing.world(ros=ros)).level is api.Level.STALE
     assert judge(build(), testing.world(ros=testing.FakeRos(age_s=30.0))).level is api.Level.STALE
 
 
-def test_text_from_outside_is_one_line() -> None:
-    """A status cannot write lines of its own into the log."""
+def test_external_text_is_reduced_to_one_line() -> None:
+    """A status cannot write its own lines into the log."""
     result = judge(build(), frequency=said(2, message="a\n2026 ---- SUCCESS: all is well\x1b[2J", hardware_id="x\ny"))
     assert result.summary.isprintable()
 
 
-def test_nothing_watched_no_check() -> None:
-    """Nothing to judge, nothing built."""
+def test_without_configured_statuses_no_check_is_built() -> None:
+    """There is nothing to check."""
     assert list(Diagnostics.build(testing.settings())) == []

@@ -28,12 +28,12 @@ def with_file(**fields: Any) -> testing.FakeFiles:
 
 
 def test_containers_without_files_have_no_unit() -> None:
-    """Nothing to judge, nothing built."""
+    """There is nothing to check."""
     assert list(Files.build(testing.settings(containers=[{"name": "ros_app"}]))) == []
 
 
 def test_expected_files_are_ok() -> None:
-    """Present, executable, unaltered and absent as configured."""
+    """Present, executable, unmodified or absent as configured."""
     files = with_file(mode=0o755, executable=True, sha256=SUM)
     result = judge(
         {"path": PATH, "executable": True, "sha256": SUM.upper()}, {"path": "/app/core", "present": False}, files=files
@@ -56,23 +56,23 @@ def test_expected_files_are_ok() -> None:
 def test_each_discrepancy_has_its_condition(
     wanted: dict[str, Any], fields: dict[str, Any] | None, condition: str, brief: str | None
 ) -> None:
-    """What is wrong with a file is told by one word and one line."""
+    """One condition and one line report what is wrong with a file."""
     files = testing.FakeFiles() if fields is None else with_file(**fields)
     result = judge({"path": PATH, **wanted}, files=files)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, condition, "ros_app")
     assert brief is None or result.brief == brief
 
 
-def test_all_problems_stand_in_one_summary() -> None:
-    """The first problem gives the brief, the summary tells them all."""
+def test_one_summary_lists_all_problems() -> None:
+    """The brief has the first problem only."""
     result = judge({"path": "/a"}, {"path": PATH}, {"path": "/b"}, files=with_file())
     assert result.brief == "a missing"
     assert "/a in" in result.summary and "/b in" in result.summary and PATH not in result.summary
     assert result.values["files_bad"] == 2
 
 
-def test_a_file_that_can_be_put_back_is_named_first() -> None:
-    """The condition of the first decides what recovery does, and `path` tells it which file is meant."""
+def test_a_restorable_file_comes_first() -> None:
+    """Recovery acts on the first condition, and `path` selects the file."""
     result = judge(
         {"path": "/a", "executable": True},
         {"path": "/b", "restore": "image"},
@@ -83,8 +83,8 @@ def test_a_file_that_can_be_put_back_is_named_first() -> None:
     assert "/a in" in result.summary and "/c in" in result.summary
 
 
-def test_a_file_that_cannot_be_seen_is_stale() -> None:
-    """Not seeing a file is no proof that it is missing."""
+def test_an_inaccessible_file_is_stale() -> None:
+    """No access to a file does not prove that it is missing."""
     files = testing.FakeFiles()
     files.fail("the container is stopped and no volume covers the path")
     result = judge({"path": PATH}, files=files)
@@ -97,8 +97,8 @@ def test_a_file_without_its_container_is_stale() -> None:
     assert judge({"path": PATH}, files=testing.FakeFiles(), running=False).level is api.Level.STALE
 
 
-def test_a_known_problem_outweighs_an_unseen_file() -> None:
-    """One unreadable file does not hide that another is missing."""
+def test_a_known_problem_outweighs_an_inaccessible_file() -> None:
+    """One unreadable file does not hide that another one is missing."""
     files = with_file()
     files.problems["ros_app", PATH] = api.CannotTell("permission denied")
     result = judge({"path": PATH}, {"path": "/gone"}, files=files)
@@ -106,6 +106,6 @@ def test_a_known_problem_outweighs_an_unseen_file() -> None:
     assert "permission denied" in result.summary
 
 
-def test_a_sum_that_could_not_be_read_is_stale() -> None:
-    """A present file without its digest is not known to be unaltered."""
+def test_a_digest_that_could_not_be_read_is_stale() -> None:
+    """A file without its digest may be modified."""
     assert judge({"path": PATH, "sha256": SUM}, files=with_file()).level is api.Level.STALE

@@ -1,4 +1,4 @@
-"""Slot 1: rules of the check of the ground station."""
+"""Slot 1: rules of the ground station check."""
 
 from __future__ import annotations
 
@@ -27,35 +27,35 @@ def heard(age_s: float | None, **more: object) -> testing.FakeLinks:
     return links
 
 
-def test_without_a_link_to_the_ground_there_is_nothing_to_judge() -> None:
-    """No endpoints, or only one that leads to the autopilot alone: no check."""
+def test_without_a_link_to_the_ground_no_check_is_built() -> None:
+    """No endpoints, or only one that leads to the autopilot."""
     assert not list(Gcs.build(testing.settings()))
     pilot = {"url": "/dev/ttyACM0", "leads_to": "autopilot"}
     assert not list(Gcs.build(testing.settings(mavlink={"endpoints": [pilot]})))
 
 
-def test_a_ground_station_that_is_heard_is_ok() -> None:
-    """With who it is, and by which link."""
+def test_a_received_ground_station_is_ok() -> None:
+    """With its system id and its link."""
     result = run(check(), heard(1.0))
     assert result.level is api.Level.OK
     assert result.values == {"gcs_age_s": 1.0, "gcs": "255/190", "link": "ground"}
 
 
-def test_a_ground_station_never_heard_is_ok_and_said() -> None:
+def test_a_ground_station_that_was_never_received_is_ok_with_a_note() -> None:
     """Before the first heartbeat nothing was lost."""
     result = run(check(), heard(None))
     assert result.bypass
     assert "no ground station heartbeat received yet" in result.summary
 
 
-def test_a_ground_station_lost_is_an_error() -> None:
-    """Silence beyond gcs_timeout is gcs_lost, with its age in the brief."""
+def test_a_lost_ground_station_is_an_error() -> None:
+    """Silence beyond `gcs_timeout` is `gcs_lost`, with its duration in the brief."""
     result = run(check(), heard(12.0))
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "gcs_lost", "GCS: no heartbeat 12 s")
     assert result.target == ""
 
 
-def test_the_lost_ground_station_is_not_told_each_second() -> None:
+def test_a_lost_ground_station_is_not_reported_every_second() -> None:
     """The brief changes only when the silence has doubled."""
     judge, links = check(), heard(12.0)
     briefs = []
@@ -65,14 +65,14 @@ def test_the_lost_ground_station_is_not_told_each_second() -> None:
     assert list(dict.fromkeys(briefs)) == ["GCS: no heartbeat 12 s", "GCS: no heartbeat 25 s"]
 
 
-def test_behind_closed_links_it_is_not_known() -> None:
-    """A closed link is a fault of its own; nothing is known of what is behind it."""
+def test_behind_closed_links_the_ground_station_is_stale() -> None:
+    """A closed link is its own fault and hides everything behind it."""
     links = testing.FakeLinks(gcs_age_s=30.0, links=(api.LinkFact("ground", open=False),))
     assert run(check(), links).level is api.Level.STALE
 
 
-def test_a_radio_that_fell_silent_with_it_is_waited_for() -> None:
-    """It may be the radio's fault; one that was heard since is well, and the advice says so."""
+def test_a_radio_that_fell_silent_too_is_checked_first() -> None:
+    """It may be the cause; a radio that was received since works, and the advice says so."""
     together = heard(12.0, radios=(api.RadioFact("ground", 13.0, 10.0),))
     assert run(check(), together).level is api.Level.STALE
     since = heard(12.0, radios=(api.RadioFact("ground", 6.0, 10.0),))
@@ -81,8 +81,8 @@ def test_a_radio_that_fell_silent_with_it_is_waited_for() -> None:
     assert "onboard radio responds" in result.summary
 
 
-def test_a_radio_that_is_not_judged_is_not_waited_for() -> None:
-    """With `radio: off` nobody would ever tell that it is the radio's fault."""
+def test_a_radio_without_a_check_is_not_waited_for() -> None:
+    """With `radio: off` no unit could report the radio as the cause."""
     links = heard(12.0, radios=(api.RadioFact("ground", 13.0, 10.0),))
     assert run(check({**GROUND, "radio": "off"}), links).level is api.Level.ERROR
 
@@ -90,15 +90,15 @@ def test_a_radio_that_is_not_judged_is_not_waited_for() -> None:
 ALONE = api.RadioFact("ground", 0.4, 1.0, rssi=180, alone=True)
 
 
-def test_a_radio_that_lost_the_other_one_tells_early() -> None:
-    """By its own word nothing at all comes from the ground: the timeout need not pass, and the line says where to look."""
+def test_a_radio_without_contact_to_the_ground_radio_shortens_the_detection() -> None:
+    """It reports that nothing arrives from the ground: no need for the full timeout, and the line says where to look."""
     result = run(check(), heard(3.6, radios=(ALONE,)))
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "gcs_lost", "GCS: no heartbeat 4 s")
     assert "receives nothing from the ground radio" in result.summary
 
 
-def test_a_radio_that_is_alone_says_nothing_about_a_ground_station_that_is_heard() -> None:
-    """Nor about one that came by another link, nor when it said so before the last heartbeat."""
+def test_a_radio_without_contact_does_not_contradict_a_received_ground_station() -> None:
+    """Nor one that is received by another link, nor if the report is older than the last heartbeat."""
     assert run(check(), heard(1.0, radios=(ALONE,))).level is api.Level.OK
     assert run(check(), heard(3.6, radios=(dataclasses.replace(ALONE, link="other"),))).level is api.Level.OK
     assert run(check(), heard(3.6, radios=(dataclasses.replace(ALONE, age_s=3.8),))).level is api.Level.OK
@@ -110,22 +110,22 @@ def overdue(age_s: float, **more: object) -> testing.FakeLinks:
     return links
 
 
-def test_a_steady_ground_station_is_lost_before_the_timeout() -> None:
-    """It never paused for so long; what was expected is said."""
+def test_a_regular_ground_station_is_lost_before_the_timeout() -> None:
+    """It never paused for so long; the text has the expected time."""
     result = run(check(), overdue(5.3))
     assert (result.level, result.condition) == (api.Level.ERROR, "gcs_lost")
     assert "expected one within 5.0 s" in result.summary
 
 
-def test_a_radio_that_still_hears_the_other_one_leaves_it_to_the_timeout() -> None:
-    """Heartbeats get lost in bursts on the air, and the operator's program may stand still."""
+def test_with_a_working_radio_link_the_timeout_applies() -> None:
+    """Heartbeats get lost in bursts on the radio link, and the operator's program may freeze for a moment."""
     well = api.RadioFact("ground", 0.4, 1.0, rssi=180, remrssi=170)
     assert run(check(), overdue(5.3, radios=(well,))).level is api.Level.OK
     assert run(check(), overdue(10.5, radios=(well,))).level is api.Level.ERROR
 
 
-def test_before_the_timeout_nothing_is_said_while_the_radio_may_be_the_cause() -> None:
-    """One that does not tell of the other radio and is due itself."""
+def test_before_the_timeout_the_check_waits_while_the_radio_may_be_the_cause() -> None:
+    """The radio does not report its link and is overdue itself."""
     together = overdue(5.3, radios=(api.RadioFact("ground", 5.5, 2.0),))
     assert run(check(), together).level is api.Level.OK
     closed = testing.FakeLinks(gcs_age_s=5.3, links=(api.LinkFact("ground", open=False),), radios=(ALONE,))
@@ -133,15 +133,15 @@ def test_before_the_timeout_nothing_is_said_while_the_radio_may_be_the_cause() -
     assert run(check(), closed).level is api.Level.STALE
 
 
-def test_a_radio_that_finds_the_other_one_for_a_moment_ends_nothing() -> None:
-    """At the edge of its range: what was told is over with the next heartbeat."""
+def test_a_short_contact_between_the_radios_does_not_end_the_fault() -> None:
+    """At the edge of the radio's range the fault ends with the next heartbeat only."""
     clock, links, judge = testing.FakeClock(), heard(3.6, radios=(ALONE,)), check()
-    told = []
+    levels = []
     for age_s, remrssi in ((3.6, None), (4.6, 150), (5.6, None), (0.2, 150), (1.2, 150)):
         links.gcs_age = age_s
         links.radio_facts = (dataclasses.replace(ALONE, age_s=0.1, remrssi=remrssi, alone=remrssi is None),)
         result = judge.run(testing.world(links=links, clock=clock))
         assert isinstance(result, api.Result)
-        told.append(result.level)
+        levels.append(result.level)
         clock.advance(1.0)
-    assert told == [api.Level.ERROR] * 3 + [api.Level.OK] * 2
+    assert levels == [api.Level.ERROR] * 3 + [api.Level.OK] * 2

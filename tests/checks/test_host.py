@@ -11,7 +11,7 @@ from phm_checks.host import STEP_REPORT_S, Host, Threshold
 
 
 class Bench:
-    """The check with a machine and a clock at hand; each look is two seconds later."""
+    """The check with a fake machine and a fake clock; each check is two seconds later."""
 
     def __init__(self, **limits: Any) -> None:
         (self.check,) = Host.build(testing.settings(host=limits))
@@ -26,30 +26,30 @@ class Bench:
         return results[f"host/{part}"]
 
 
-def test_a_calm_machine_is_ok() -> None:
+def test_an_idle_machine_is_ok() -> None:
     """Each part has a unit and a reading."""
     bench = Bench()
     for part in ("cpu", "memory", "disk", "temperature", "clock"):
         assert bench.look(part).level is api.Level.OK
 
 
-def test_a_burst_of_work_is_no_fault() -> None:
-    """CPU use is averaged over cpu_window, and high use is told only when the window is full."""
+def test_a_burst_of_cpu_load_is_not_a_fault() -> None:
+    """CPU usage is averaged over `cpu_window`, and high usage is reported only when the window is full."""
     bench = Bench(cpu_window="10s")
     levels = [bench.look("cpu", cpu_percent=100.0).level for _ in range(6)]
     assert levels == [api.Level.STALE] * 5 + [api.Level.ERROR]
 
 
-def test_a_single_busy_reading_vanishes_in_the_mean() -> None:
-    """One reading of five does not reach the limit."""
+def test_one_busy_sample_vanishes_in_the_mean() -> None:
+    """One sample of five does not reach the limit."""
     bench = Bench(cpu_window="10s")
     for _ in range(6):
         bench.look("cpu", cpu_percent=50.0)
     assert bench.look("cpu", cpu_percent=100.0).level is api.Level.OK
 
 
-def test_the_window_forgets() -> None:
-    """What lies before the window does not count."""
+def test_samples_before_the_window_do_not_count() -> None:
+    """Only the window determines the mean."""
     bench = Bench(cpu_window="10s")
     for _ in range(10):
         bench.look("cpu", cpu_percent=100.0)
@@ -72,14 +72,14 @@ def test_the_window_forgets() -> None:
     ],
 )
 def test_each_limit_has_its_condition(part: str, fields: dict[str, Any], level: api.Level, condition: str) -> None:
-    """WARN at the first limit, ERROR at the second, what to do in the summary."""
+    """WARN at the first limit, ERROR at the second, advice in the summary."""
     result = Bench().look(part, **fields)
     assert (result.level, result.condition) == (level, condition)
     assert result.brief and result.brief.isascii() and ":" in result.summary
 
 
-def test_the_worst_disk_counts_and_a_hung_one_is_not_known() -> None:
-    """A dead mount is STALE, and does not hide a full disk."""
+def test_the_worst_disk_counts_and_a_hung_one_is_stale() -> None:
+    """A dead mount does not hide a full disk."""
     hung = api.DiskFact("/mnt/nas", 0.0, 0, problem="the kernel did not answer within 1 s")
     assert Bench().look("disk", disks=(api.DiskFact("/", 50.0, 10**9), hung)).level is api.Level.STALE
     result = Bench().look("disk", disks=(hung, api.DiskFact("/", 99.0, 10**6)))
@@ -88,28 +88,28 @@ def test_the_worst_disk_counts_and_a_hung_one_is_not_known() -> None:
 
 
 def test_a_value_at_the_limit_does_not_flap() -> None:
-    """A level is left only 5 % below its limit."""
+    """A level ends only 5 % below its limit."""
     threshold = Threshold(warn=80.0, error=90.0)
     values = (79.0, 80.0, 79.0, 77.0, 75.0, 90.0, 89.0, 86.0, 85.0, 77.0, 75.0)
     expected = "OK WARN WARN WARN OK ERROR ERROR ERROR WARN WARN OK"
     assert " ".join(threshold.level(value).name for value in values) == expected
 
 
-def test_a_machine_that_tells_no_temperature_is_a_bypass() -> None:
-    """Silence of the machine is said, and is no fault."""
+def test_a_machine_without_temperature_sensors_is_a_bypass() -> None:
+    """The text says so; it is not a fault."""
     result = Bench().look("temperature", temperature_c=None, throttled=None)
     assert result.bypass and "does not report" in result.summary
 
 
-def test_throttling_in_the_past_is_only_said() -> None:
-    """It is over; the words remain for whoever reads the log."""
+def test_past_throttling_is_a_note() -> None:
+    """It is over; the text remains for readers of the log."""
     result = Bench().look("temperature", throttled=("under-voltage since boot",))
     assert result.level is api.Level.OK
     assert "under-voltage since boot" in result.summary
 
 
-def test_a_clock_step_is_told_for_a_while() -> None:
-    """It lasts one reading only, which nobody would see."""
+def test_a_clock_step_is_reported_for_a_limited_time() -> None:
+    """It is visible in one sample only, which would be easy to miss."""
     bench = Bench()
     bench.look("clock", clock_step_s=10.0)
     assert bench.look("clock", clock_step_s=0.0).brief == "clock jumped +10 s"
@@ -118,15 +118,15 @@ def test_a_clock_step_is_told_for_a_while() -> None:
 
 
 @pytest.mark.parametrize("synchronized", [True, False, None])
-def test_a_clock_without_time_source_is_only_said(synchronized: bool | None) -> None:
-    """In the field there often is none."""
+def test_a_clock_without_time_source_is_a_note(synchronized: bool | None) -> None:
+    """Vehicles in the field often have none."""
     result = Bench().look("clock", clock_synchronized=synchronized)
     assert result.level is api.Level.OK
     assert result.values["clock_synchronized"] is synchronized
 
 
-def test_a_machine_that_cannot_be_read_is_no_fault() -> None:
-    """CannotTell goes through, and all units are STALE."""
+def test_an_unreadable_machine_is_not_a_fault() -> None:
+    """CannotTell propagates, and all units are STALE."""
     bench = Bench()
     bench.host.fail("/proc is not mounted")
     with pytest.raises(api.CannotTell):
@@ -134,7 +134,7 @@ def test_a_machine_that_cannot_be_read_is_no_fault() -> None:
 
 
 class Stalled:
-    """The check on a machine whose tasks wait for memory or disks; each look is a second after the one before."""
+    """The check on a machine whose tasks wait for memory or disks; each check is a second after the previous one."""
 
     def __init__(self) -> None:
         (self.check,) = Host.build(testing.settings())
@@ -151,8 +151,8 @@ class Stalled:
         return found
 
 
-def test_disks_that_keep_the_computer_waiting_are_reported_after_a_while() -> None:
-    """With the share, its limit and what to do; a burst of writes is none, and a calm window ends it."""
+def test_disks_that_stall_the_machine_are_reported_after_a_while() -> None:
+    """With the share, its limit and advice; a burst of writes is not reported, and an idle window ends the fault."""
     bench = Stalled()
     assert {result.level for result in bench.looks(12, "host/io", io_stalled_percent=10.0)} == {api.Level.OK}
     assert {result.level for result in bench.looks(5, "host/io", io_stalled_percent=99.0)} == {api.Level.OK}
@@ -163,14 +163,14 @@ def test_disks_that_keep_the_computer_waiting_are_reported_after_a_while() -> No
     assert bench.looks(12, "host/io", io_stalled_percent=1.0)[-1].level is api.Level.OK
 
 
-def test_a_kernel_that_does_not_count_stalls_is_a_bypass() -> None:
-    """Raspberry Pi OS without `psi=1`: the slot does not turn yellow."""
+def test_a_kernel_without_psi_is_a_bypass() -> None:
+    """Raspberry Pi OS without `psi=1`: the slot is not yellow."""
     result = Stalled().looks(12, "host/io", io_stalled_percent=None)[-1]
     assert result.bypass and result.level is api.Level.OK and "psi=1" in result.summary
 
 
-def test_waiting_for_memory_is_reported_beside_how_much_is_used() -> None:
-    """A computer can have memory available and no room for what its programs need again and again."""
+def test_memory_stalls_are_reported_together_with_memory_usage() -> None:
+    """A machine can have memory available and still lack room for the working set of its programs."""
     bench = Stalled()
     result = bench.looks(12, "host/memory", memory_stalled_percent=45.0)[-1]
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "memory_pressure", "memory stalls 45 %")

@@ -1,4 +1,4 @@
-"""Slot 1: rules of the check of a MAVLink endpoint. Why a port is closed: test_command_path.py."""
+"""Slot 1: rules of the MAVLink endpoint check. Reasons for a closed port: test_command_path.py."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def changed(**fields: Any) -> api.LinkFact:
 
 
 def test_an_open_endpoint_is_ok() -> None:
-    """What goes over it and what is lost of each sender goes into the record."""
+    """The record has its traffic and the frame loss of each sender."""
     sender = api.SenderFact(1, 1, 0.2, 350, 2.5)
     result = run(check(), changed(senders=(sender,)))
     assert result.level is api.Level.OK
@@ -44,13 +44,13 @@ def test_an_open_endpoint_is_ok() -> None:
     assert {name: result.values[name] for name in expected} == expected
 
 
-def test_an_endpoint_that_was_not_tried_is_not_known() -> None:
-    """Its thread has just begun."""
+def test_an_endpoint_before_its_first_attempt_is_stale() -> None:
+    """Its thread has just started."""
     assert run(check(), None).level is api.Level.STALE
 
 
-def test_a_closed_endpoint_is_an_error_that_recovery_leaves_alone() -> None:
-    """It is opened again as soon as it can be, by itself."""
+def test_a_closed_endpoint_is_an_error_without_recovery() -> None:
+    """The endpoint reopens itself as soon as possible."""
     result = run(check(), CLOSED)
     assert (result.level, result.condition, result.brief, result.target) == (
         api.Level.ERROR,
@@ -61,8 +61,8 @@ def test_a_closed_endpoint_is_an_error_that_recovery_leaves_alone() -> None:
     assert TCP in result.summary
 
 
-def test_what_is_on_the_other_side_may_start_after_phm() -> None:
-    """An endpoint that was never open is waited for at first; one that was open and is lost is not."""
+def test_the_peer_of_an_endpoint_may_start_after_phm() -> None:
+    """An endpoint that was never open gets some time first; one that was open and is lost does not."""
     judge = check()
     assert run(judge, CLOSED, uptime_s=29.0).level is api.Level.STALE
     assert run(judge, CLOSED, uptime_s=31.0).level is api.Level.ERROR
@@ -71,8 +71,8 @@ def test_what_is_on_the_other_side_may_start_after_phm() -> None:
     assert run(judge, CLOSED, uptime_s=5.0).level is api.Level.ERROR
 
 
-def test_a_closed_endpoint_beside_others_is_named() -> None:
-    """With several endpoints the line says which."""
+def test_a_closed_endpoint_among_others_is_named() -> None:
+    """With several endpoints the line says which one."""
     result = run(check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}), CLOSED)
     assert result.brief == "link ground: refused"
 
@@ -94,13 +94,13 @@ def heard_by(gcs: str, pilot: str = "") -> testing.FakeLinks:
     ],
     ids=["all by the other", "no autopilot at all", "the autopilot not", "the ground not"],
 )
-def test_a_reserve_that_is_lost_is_a_warning(gcs: str, pilot: str, level: api.Level) -> None:
-    """An endpoint is missed when something that it leads to is not heard by another one."""
+def test_a_lost_redundant_endpoint_is_a_warning(gcs: str, pilot: str, level: api.Level) -> None:
+    """An endpoint counts as lost if another one does not receive all that it leads to."""
     assert run(check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}), CLOSED, heard_by(gcs, pilot)).level is level
 
 
-def test_an_endpoint_to_one_side_is_missed_for_that_side_alone() -> None:
-    """`leads_to` says which."""
+def test_an_endpoint_to_one_side_is_lost_for_that_side_only() -> None:
+    """`leads_to` selects the side."""
     judge = check(TCP, leads_to="ground")
     assert run(judge, CLOSED, heard_by("spare", "ground")).level is api.Level.WARN
     judge = check(TCP, leads_to="autopilot")
@@ -109,15 +109,15 @@ def test_an_endpoint_to_one_side_is_missed_for_that_side_alone() -> None:
     assert run(judge, CLOSED, heard_by("spare")).level is api.Level.ERROR
 
 
-def test_the_way_to_the_other_agents_is_missed_in_any_case() -> None:
-    """Ground and autopilot that are heard elsewhere are no reserve for it, and its name is in the operator's line."""
+def test_the_endpoint_to_the_other_agents_has_no_substitute() -> None:
+    """Ground station and autopilot on other endpoints do not replace it, and the operator's line has its name."""
     result = run(check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}, leads_to="peers"), CLOSED, heard_by("spare"))
     assert result.level is api.Level.ERROR
     assert result.brief.startswith("link ground:")
 
 
-def test_bytes_that_are_no_frames_are_an_error() -> None:
-    """The wrong speed of a port, or another protocol; a trickle proves nothing."""
+def test_bytes_without_frames_are_an_error() -> None:
+    """The wrong baud rate or another protocol; a few bytes prove nothing."""
     garbage = changed(rx_s=400.0, frames_s=0.0, bad_s=90.0)
     result = run(check(SERIAL), garbage)
     assert (result.level, result.condition) == (api.Level.ERROR, "link_garbled")
@@ -125,8 +125,8 @@ def test_bytes_that_are_no_frames_are_an_error() -> None:
     assert run(check(SERIAL), changed(rx_s=5.0, frames_s=0.0)).level is api.Level.OK
 
 
-def test_errors_on_the_line_are_a_warning() -> None:
-    """Framing errors and overruns, where the driver counts them."""
+def test_line_errors_are_a_warning() -> None:
+    """Framing errors and overruns, if the driver counts them."""
     result = run(check(SERIAL), changed(line=api.LineFact(3.0, 0.0, 0.0)))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "line_errors", "port: framing errors")
     result = run(check(SERIAL), changed(line=api.LineFact(0.0, 5.0, 0.0)))
@@ -139,7 +139,7 @@ def lossy(percent: float | None, system: int = 1, component: int = 1) -> api.Lin
 
 
 def test_lost_frames_of_the_neighbour_are_a_warning() -> None:
-    """Of the autopilot on its own port; the number keeps still, and at its limit the warning does not flap."""
+    """Of the autopilot on its own port; the number is stable, and at its limit the warning does not flap."""
     judge = check(SERIAL)
     result = run(judge, lossy(25.0))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "frames_lost", "port: 25% frames lost")
@@ -149,8 +149,8 @@ def test_lost_frames_of_the_neighbour_are_a_warning() -> None:
     assert run(judge, lossy(None)).level is api.Level.OK
 
 
-def test_gaps_of_others_are_told_in_the_record_alone() -> None:
-    """An autopilot and a router keep back what is not for PHM, which leaves gaps in the ground station's numbers."""
+def test_gaps_of_other_senders_are_only_recorded() -> None:
+    """An autopilot and a router hold back frames not meant for PHM, which leaves gaps in the ground station's sequence."""
     result = run(check(SERIAL), lossy(60.0, 255, 190))
     assert result.level is api.Level.OK
     assert result.values["loss_255_190_percent"] == 60.0
@@ -158,14 +158,14 @@ def test_gaps_of_others_are_told_in_the_record_alone() -> None:
 
 
 def test_behind_a_radio_the_neighbour_is_the_ground_station() -> None:
-    """A radio is as good as a cable: what the ground sends to it comes out here."""
+    """A radio is like a cable: what the ground station sends arrives here."""
     judge = check(SERIAL, leads_to="ground")
     assert run(judge, lossy(60.0, 255, 190)).brief == "port: 60% frames lost"
     assert run(judge, lossy(60.0, 255, 190), testing.FakeLinks(gcs_age_s=None)).level is api.Level.OK
 
 
-def test_a_router_that_is_back_is_given_time_to_be_heard() -> None:
-    """What was silent while the link was closed is no silence of the open one: opening it once more would cut off what comes."""
+def test_a_reconnected_router_gets_time_to_send() -> None:
+    """Silence while the link was closed does not count for the open one: reopening it would cut off incoming data."""
     clock, judge = testing.FakeClock(), check(leads_to="router")
     senders = tuple(api.SenderFact(system, 1, 20.0, 350, 0.0) for system in (1, 255))
     links = testing.FakeLinks()
@@ -188,16 +188,16 @@ def refused(times: int) -> api.LinkFact:
     return dataclasses.replace(CLOSED, failed=times)
 
 
-def test_a_router_that_is_gone_is_told_at_the_second_refusal() -> None:
-    """It was there for a while, and nobody listens any more; one refusal may be a restart."""
+def test_a_terminated_router_is_reported_at_the_second_refusal() -> None:
+    """It was open for a while, and no process listens any more; one refusal may be a restart."""
     judge, world = check(), testing.world(links=testing.FakeLinks(links=(WELL,)))
     judge.run(world)
     assert run(judge, refused(1)).settle_s is None
     assert (run(judge, refused(2)).level, run(judge, refused(2)).settle_s) == (api.Level.ERROR, 0.0)
 
 
-def test_a_router_that_comes_and_goes_is_waited_for() -> None:
-    """It was open for a moment only: whatever restarts it again and again is told no faster than before."""
+def test_a_router_that_comes_and_goes_gets_the_usual_time() -> None:
+    """It was open for a moment only: a restart loop is not reported any faster."""
     clock, links = testing.FakeClock(), testing.FakeLinks(links=(CLOSED,))
     judge, world = check(), testing.world(links=links, clock=clock)
     for link, after_s, settle_s in (
@@ -213,8 +213,8 @@ def test_a_router_that_comes_and_goes_is_waited_for() -> None:
         clock.advance(after_s)
 
 
-def test_another_error_than_a_refusal_is_waited_for() -> None:
-    """The network may be away for a moment."""
+def test_an_error_other_than_a_refusal_gets_the_usual_time() -> None:
+    """The network may be down for a moment."""
     judge = check()
     run(judge)
     lost = dataclasses.replace(CLOSED, error="the other side closed the connection", code=0, failed=3)

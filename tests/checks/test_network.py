@@ -29,38 +29,38 @@ def judge(engine: testing.FakeDocker, **entry: Any) -> api.Result:
 
 
 def test_containers_without_networks_have_no_unit() -> None:
-    """Nothing to judge, nothing built."""
+    """There is nothing to check."""
     assert list(Network.build(testing.settings(containers=[{"name": "ros_app"}]))) == []
 
 
-def test_a_connected_container_that_answers_is_ok() -> None:
-    """Attached to the network of this id, PHM beside it, address answering."""
+def test_a_connected_container_that_responds_is_ok() -> None:
+    """Attached to the network with this id, PHM attached too, and its address responds."""
     result = judge(docker(me=testing.container("phm", networks=on(address="172.20.0.2"))))
     assert result.level is api.Level.OK
     assert "172.20.0.3" in result.summary
 
 
-def test_a_container_off_its_network_is_disconnected() -> None:
-    """The ladder reconnects it."""
+def test_a_container_without_its_network_is_disconnected() -> None:
+    """Recovery reconnects it."""
     result = judge(docker(networks=()))
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "disconnected", "ros_app")
     assert result.brief == "ros_app not on swarm_net"
 
 
 def test_an_attachment_to_a_recreated_network_is_disconnected() -> None:
-    """Ids count: a network of the same name that was made anew is another network."""
+    """Ids count: a recreated network of the same name is another network."""
     result = judge(docker(networks=on(network_id="old-id")))
     assert result.condition == "disconnected"
     assert "removed and recreated" in result.summary
 
 
 def test_an_attachment_without_address_is_disconnected() -> None:
-    """A half-made endpoint carries nothing."""
+    """An incomplete endpoint carries no data."""
     assert judge(docker(networks=on(address=""))).condition == "disconnected"
 
 
-def test_a_network_that_does_not_exist_is_told_as_such() -> None:
-    """Connecting cannot help; the name that Compose made of it is offered."""
+def test_a_network_that_does_not_exist_has_its_own_condition() -> None:
+    """Connecting cannot help; the text suggests the name that Compose created."""
     engine = docker(networks=on(name=f"project_{NET}"))
     engine.networks.clear()
     result = judge(engine)
@@ -68,7 +68,7 @@ def test_a_network_that_does_not_exist_is_told_as_such() -> None:
     assert f"project_{NET}" in result.summary
 
 
-def test_phm_off_the_network_is_told_and_nothing_is_pinged() -> None:
+def test_phm_outside_of_the_network_is_reported_without_a_ping() -> None:
     """From another network a ping proves nothing."""
     engine = docker(me=testing.container("phm", networks=on(network_id="other")))
     engine.silent.add("172.20.0.3")
@@ -76,20 +76,20 @@ def test_phm_off_the_network_is_told_and_nothing_is_pinged() -> None:
 
 
 @pytest.mark.parametrize("me", [None, testing.container("phm", network_mode="host")])
-def test_phm_on_the_host_is_beside_every_network(me: api.ContainerFact | None) -> None:
-    """The host reaches bridge networks as it is."""
+def test_phm_with_host_networking_reaches_every_network(me: api.ContainerFact | None) -> None:
+    """The host reaches bridge networks directly."""
     assert judge(docker(me=me)).level is api.Level.OK
 
 
-def test_a_silent_address_is_an_error_after_two_questions() -> None:
-    """One lost echo is no fault, two are."""
+def test_a_silent_address_is_an_error_after_two_pings() -> None:
+    """One lost echo is not a fault, two are."""
     engine = docker()
     engine.silent.add("172.20.0.3")
     assert judge(engine).condition == "address_silent"
 
 
-def test_a_single_lost_echo_is_no_fault() -> None:
-    """The second question decides."""
+def test_one_lost_echo_is_not_a_fault() -> None:
+    """The second ping decides."""
 
     class Lossy(testing.FakeDocker):
         answers = iter([False, True])
@@ -101,7 +101,7 @@ def test_a_single_lost_echo_is_no_fault() -> None:
     assert judge(engine).level is api.Level.OK
 
 
-def test_an_address_is_not_asked_when_the_configuration_says_so() -> None:
+def test_an_address_is_not_pinged_if_the_configuration_disables_it() -> None:
     """Some containers drop pings on purpose."""
     engine = docker()
     engine.silent.add("172.20.0.3")
@@ -109,18 +109,18 @@ def test_an_address_is_not_asked_when_the_configuration_says_so() -> None:
 
 
 @pytest.mark.parametrize("mode", ["host", "container:vpn"])
-def test_a_container_without_networks_of_its_own_is_a_bypass(mode: str) -> None:
-    """There is no connection to judge, and reconnecting is impossible."""
+def test_a_container_without_its_own_networks_is_a_bypass(mode: str) -> None:
+    """It has no connection to check, and reconnecting is impossible."""
     assert judge(docker(network_mode=mode, networks=())).bypass
 
 
-def test_network_mode_none_is_an_error_that_reconnecting_cannot_mend() -> None:
-    """Docker refuses to connect such a container, so its condition has no ladder."""
+def test_network_mode_none_is_an_error_that_reconnecting_cannot_fix() -> None:
+    """Docker refuses to connect such a container, so its condition has no recovery steps."""
     assert judge(docker(network_mode="none", networks=on(name="none", network_id="n"))).condition == "no_network"
 
 
 def test_the_cause_gives_the_condition_when_several_networks_fail() -> None:
-    """Disconnected comes before silent, and both are told."""
+    """Disconnected comes before silent, and both are reported."""
     engine = docker()
     engine.networks["second"] = "id-2"
     engine.silent.add("172.20.0.3")
@@ -129,13 +129,13 @@ def test_the_cause_gives_the_condition_when_several_networks_fail() -> None:
     assert "second" in result.summary and "172.20.0.3" in result.summary
 
 
-def test_networks_of_a_stopped_container_are_not_judged() -> None:
-    """Docker drops endpoints when a container stops; that is no fault of the network."""
+def test_networks_of_a_stopped_container_are_stale() -> None:
+    """Docker removes endpoints when a container stops; the network is not at fault."""
     assert judge(docker(status="exited", networks=())).level is api.Level.STALE
 
 
-def test_a_silent_engine_is_no_network_fault() -> None:
-    """CannotTell goes through."""
+def test_a_silent_engine_is_not_a_network_fault() -> None:
+    """CannotTell propagates."""
     engine = docker()
     engine.fail()
     with pytest.raises(api.CannotTell):

@@ -24,13 +24,13 @@ from tests.fakes.nodes_bench import (
 )
 
 
-def test_no_nodes_no_check() -> None:
-    """Nothing to judge, nothing built."""
+def test_without_configured_nodes_no_check_is_built() -> None:
+    """There is nothing to check."""
     assert list(Nodes.build(testing.settings())) == []
 
 
 def test_a_listed_node_is_ok() -> None:
-    """Names match with and without their first slash."""
+    """Names match with and without the leading slash."""
     bench = Bench()
     result = bench.result()
     assert (result.level, result.summary) == (api.Level.OK, "Node agent_1/node_1 is running")
@@ -39,8 +39,8 @@ def test_a_listed_node_is_ok() -> None:
     assert unit == api.Unit(NODE, ("container/ros_app", "network/ros_app"), target="ros_app", grace_s=GRACE_S)
 
 
-def test_a_node_of_an_unknown_container_needs_none() -> None:
-    """With two containers and no word which one, there is nobody to blame or to restart, and no list of processes."""
+def test_a_node_without_a_known_container_depends_on_none() -> None:
+    """With two containers and no assignment there is no container to blame or restart, and no process list."""
     settings = testing.settings(containers=[{"name": "a"}, {"name": "b"}], ros={"nodes": [{"name": "/n"}]})
     (check,) = Nodes.build(settings)
     assert check.units == [api.Unit("nodes/n", grace_s=GRACE_S)]
@@ -49,7 +49,7 @@ def test_a_node_of_an_unknown_container_needs_none() -> None:
     assert docker.calls == docker.listings == 0
 
 
-def test_each_node_is_judged_for_itself() -> None:
+def test_each_node_has_its_own_result() -> None:
     """One dead node is one fault."""
     bench = Bench(nodes=[{"name": "/agent_1/node_1"}, {"name": "/agent_1/node_2"}])
     levels = {unit: result.level for unit, result in bench.results().items()}
@@ -59,8 +59,8 @@ def test_each_node_is_judged_for_itself() -> None:
 # ---------------------------------------------------------------- the graph
 
 
-def test_a_node_that_vanished_is_dead() -> None:
-    """Seen before, gone now, and for long enough that its container is not going with it."""
+def test_a_node_that_left_the_graph_is_dead() -> None:
+    """Seen before, missing now, and for long enough that its container is not stopping too."""
     bench = Bench()
     bench.processes(MAIN)
     bench.result()
@@ -73,8 +73,8 @@ def test_a_node_that_vanished_is_dead() -> None:
     assert "Missing node: agent_1/node_1; it is no longer running in ros_app: it is not in the graph" in result.summary
 
 
-def test_a_node_never_seen_never_started() -> None:
-    """The remedy is another: look at names and launch file."""
+def test_a_node_that_was_never_seen_never_started() -> None:
+    """The advice differs: check names and the launch file."""
     bench = Bench()
     bench.processes(MAIN)
     bench.ros.change(nodes={"/agent_1/nod_1": 1})
@@ -83,14 +83,14 @@ def test_a_node_never_seen_never_started() -> None:
     assert "/agent_1/nod_1" in result.summary
 
 
-def test_a_young_picture_proves_no_absence() -> None:
+def test_a_new_snapshot_proves_no_absence() -> None:
     """Discovery needs seconds to fill the graph."""
     bench = Bench()
     bench.ros.change(nodes={}, up_s=3.0)
     assert bench.result().level is api.Level.STALE
 
 
-def test_an_old_picture_proves_nothing() -> None:
+def test_an_outdated_snapshot_proves_nothing() -> None:
     """Neither presence nor absence."""
     bench = Bench()
     bench.ros.change(age_s=30.0)
@@ -99,8 +99,8 @@ def test_an_old_picture_proves_nothing() -> None:
     assert "30 s old" in result.summary or "its process 71 is running" in result.summary
 
 
-def test_no_picture_makes_every_node_stale() -> None:
-    """A dead ROS child is PHM's trouble."""
+def test_without_a_snapshot_every_node_is_stale() -> None:
+    """A dead ROS child process is PHM's own problem."""
     bench = Bench(nodes=[{"name": "/agent_1/node_1"}, {"name": "/agent_1/node_2"}])
     bench.processes()
     bench.ros.fail("the ROS child is being replaced")
@@ -108,8 +108,8 @@ def test_no_picture_makes_every_node_stale() -> None:
         assert (result.level, "the ROS child is being replaced" in result.summary) == (api.Level.STALE, True)
 
 
-def test_without_a_picture_a_process_that_ended_is_still_a_dead_node() -> None:
-    """The process list needs no ROS."""
+def test_without_a_snapshot_a_terminated_process_is_still_a_dead_node() -> None:
+    """The process list does not need ROS."""
     bench = Bench()
     bench.result()
     bench.ros.fail("the ROS child is being replaced")
@@ -119,8 +119,8 @@ def test_without_a_picture_a_process_that_ended_is_still_a_dead_node() -> None:
     assert "its process 71 has ended" in result.summary
 
 
-def test_a_node_that_a_young_picture_had_and_lost_is_dead() -> None:
-    """The warm-up protects nodes that were not found yet, not nodes that were found and are gone."""
+def test_a_node_that_a_new_snapshot_had_and_lost_is_dead() -> None:
+    """The warm-up applies to nodes that were not discovered yet, not to nodes that were discovered and are gone."""
     bench = Bench()
     bench.processes()
     bench.ros.change(up_s=2.0)
@@ -131,8 +131,8 @@ def test_a_node_that_a_young_picture_had_and_lost_is_dead() -> None:
     assert bench.result().level is api.Level.STALE
 
 
-def test_after_a_restart_of_the_ros_child_nothing_is_told_until_it_has_looked() -> None:
-    """Its picture is empty at first: neither the names nor the beacons of before count."""
+def test_after_a_restart_of_the_ros_child_nothing_is_reported_before_discovery() -> None:
+    """Its snapshot is empty at first: earlier names and beacons do not count."""
     bench = rated()
     bench.ros.change(beacons=beating())
     bench.after(3.0)
@@ -152,8 +152,8 @@ def test_after_a_restart_of_the_ros_child_nothing_is_told_until_it_has_looked() 
     assert levels == {api.Level.OK, api.Level.STALE}
 
 
-def test_a_node_listed_twice_is_told_only_after_the_lease() -> None:
-    """A restarted node is listed beside its old self until the lease ends."""
+def test_a_node_listed_twice_is_reported_only_after_the_lease() -> None:
+    """A restarted node is listed beside its stale entry until the lease expires."""
     bench = Bench()
     bench.result()
     bench.ros.change(nodes={NAME: 2})
@@ -167,8 +167,8 @@ def test_a_node_listed_twice_is_told_only_after_the_lease() -> None:
     assert (twice.condition, twice.brief) == ("node_duplicate", "node_1 runs twice")
 
 
-def test_a_node_with_two_processes_runs_twice_whatever_its_lease() -> None:
-    """Listed twice and two processes for a moment longer than a restart takes: certain, so it is an error, and the cause."""
+def test_a_node_with_two_processes_is_a_duplicate_regardless_of_its_lease() -> None:
+    """Listed twice with two processes for longer than a restart takes: certain, so it is an error, and the cause."""
     bench = Bench()
     bench.result()
     bench.ros.change(nodes={NAME: 2})
@@ -178,13 +178,13 @@ def test_a_node_with_two_processes_runs_twice_whatever_its_lease() -> None:
     assert (twice.level, twice.condition, twice.target) == (api.Level.ERROR, "node_duplicate", "ros_app")
     assert "2 processes" in twice.summary
     bench.ros.change(nodes={NAME: 1})
-    assert bench.after(5.0).condition == "node_duplicate", "a graph that is made anew may not list both yet"
+    assert bench.after(5.0).condition == "node_duplicate", "a graph that is being rebuilt may not list both yet"
     bench.processes(MAIN, ONE)
     assert bench.after(1.0).level is api.Level.OK
 
 
-def test_two_processes_that_both_beat_are_two_nodes_at_once() -> None:
-    """The graph, the list of processes and the beacons agree: no overlap of an old node with a new one looks so."""
+def test_two_processes_with_live_beacons_are_a_duplicate_immediately() -> None:
+    """Graph, process list and beacons agree, which never happens when a new node overlaps with an old one."""
     bench = Bench()
     bench.ros.change(beacons=beating())
     bench.after(12.0)
@@ -196,8 +196,8 @@ def test_two_processes_that_both_beat_are_two_nodes_at_once() -> None:
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_duplicate", "ros_app")
 
 
-def test_a_second_beacon_elsewhere_is_told_without_waiting_for_a_lease() -> None:
-    """The other one runs in no container of this agent, so nothing here is restarted for it."""
+def test_a_second_beacon_elsewhere_is_reported_without_waiting_for_a_lease() -> None:
+    """The other node runs in no container of this agent, so nothing here is restarted for it."""
     bench = Bench()
     bench.ros.change(nodes={NAME: 2}, beacons={NAME: replace(beating()[NAME], rivals=1)})
     result = bench.after(0.25)
@@ -205,8 +205,8 @@ def test_a_second_beacon_elsewhere_is_told_without_waiting_for_a_lease() -> None
     assert "two processes send beacons under its name" in result.summary
 
 
-def test_a_name_that_stays_behind_alone_is_no_second_node() -> None:
-    """The middleware never forgets some names; the ends of its topics are there once, and a second node would have them, too."""
+def test_a_leftover_name_is_not_a_second_node() -> None:
+    """The middleware keeps some names forever; its topic endpoints exist once, and a second node would have them, too."""
     bench = rated()
     bench.ros.change(nodes={NAME: 2})
     assert bench.after(2 * TWICE_S).level is api.Level.OK
@@ -216,8 +216,8 @@ def test_a_name_that_stays_behind_alone_is_no_second_node() -> None:
 
 
 @pytest.mark.parametrize(("listed", "pids"), [(2, (71,)), (1, (71, 99))])
-def test_one_sign_of_a_second_node_is_not_enough(listed: int, pids: tuple[int, ...]) -> None:
-    """A lease that has not ended, or a process that only looks like the node's."""
+def test_one_indication_of_a_second_node_is_not_enough(listed: int, pids: tuple[int, ...]) -> None:
+    """A lease that has not expired, or a process that only resembles the node's."""
     bench = Bench()
     bench.result()
     bench.ros.change(nodes={NAME: listed})
@@ -226,7 +226,7 @@ def test_one_sign_of_a_second_node_is_not_enough(listed: int, pids: tuple[int, .
 
 
 def test_a_name_that_lost_its_endpoints_is_not_alive() -> None:
-    """Where nobody knows the process; a node that never had the endpoints is the topic's affair."""
+    """If its process is unknown; endpoints that the node never had are reported by the topic."""
     bench = Bench(topics=[{"name": TOPIC, "publishers": [NAME]}])
     bench.processes()
     bench.ros.change(topics={TOPIC: api.TopicFact()})

@@ -1,4 +1,4 @@
-"""Slot 6: nodes after their container was started again."""
+"""Slot 6: nodes after a restart of their container."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from tests.fakes.nodes_bench import (
 )
 
 
-def test_what_was_seen_before_the_container_restarted_does_not_count() -> None:
-    """After a restart the node has to start anew; until grace is over nothing is told, then that it never did."""
+def test_observations_from_before_a_container_restart_do_not_count() -> None:
+    """After it the node must start again; nothing is reported until grace is over, then that it never started."""
     bench = Bench()
     bench.after(1.0)
     bench.restart_container(MAIN)
@@ -34,8 +34,8 @@ def test_what_was_seen_before_the_container_restarted_does_not_count() -> None:
     assert bench.after(2.0).brief == "node_1 never started"
 
 
-def test_a_node_that_died_in_a_later_life_is_dead() -> None:
-    """It was listed all the time over the restart of its container; it lived in the new life, too."""
+def test_a_node_that_died_in_a_later_generation_is_dead() -> None:
+    """It was listed throughout the container restart, and was alive afterwards, too."""
     bench = Bench()
     bench.after(1.0)
     bench.restart_container(MAIN, api.ProcessFact(81, 1, "S", 0.0, ONE.command))
@@ -50,7 +50,7 @@ def test_a_node_that_died_in_a_later_life_is_dead() -> None:
 
 
 def test_a_stale_graph_after_a_restart_raises_no_alarm() -> None:
-    """The old name stays listed, then goes before the new one comes: its process runs, so it is starting."""
+    """The old name stays listed, then disappears before the new one comes: its process runs, so it is starting."""
     bench = rated()
     bench.after(3.0)
     levels = []
@@ -68,7 +68,7 @@ def test_a_stale_graph_after_a_restart_raises_no_alarm() -> None:
 
 
 def test_a_stale_graph_after_a_restart_hides_no_dead_node() -> None:
-    """With a lease of 20 s the name stays; the process that was always found is not there."""
+    """With a lease of 20 s the name stays, but the process that was always found is missing."""
     bench = rated()
     bench.after(3.0)
     bench.restart_container(MAIN)
@@ -77,8 +77,8 @@ def test_a_stale_graph_after_a_restart_hides_no_dead_node() -> None:
     assert "no process in its container matches it" in result.summary
 
 
-def test_a_node_started_anew_beside_its_siblings_is_not_dead() -> None:
-    """Its process is another: the container goes on, the old name stays until its lease ends."""
+def test_a_node_restarted_beside_its_siblings_is_not_dead() -> None:
+    """It has a new process: the container keeps running, the old name stays until its lease expires."""
     bench = rated()
     bench.after(3.0)
     levels = []
@@ -93,8 +93,8 @@ def test_a_node_started_anew_beside_its_siblings_is_not_dead() -> None:
     assert api.Level.ERROR not in levels
 
 
-def test_a_process_that_is_gone_where_two_others_fit_is_no_death() -> None:
-    """One of them may be the node; which one is not known, so this evidence is missing."""
+def test_a_missing_process_with_two_candidates_does_not_prove_a_dead_node() -> None:
+    """One of them may be the node; which one is unknown, so there is no such evidence."""
     bench = Bench()
     bench.after(3.0)
     bench.processes(MAIN, *(api.ProcessFact(pid, 1, "S", 0.0, ONE.command) for pid in (91, 92)))
@@ -102,8 +102,8 @@ def test_a_process_that_is_gone_where_two_others_fit_is_no_death() -> None:
     assert (result.level, result.values["process"]) == (api.Level.OK, "71 ended")
 
 
-def test_what_is_told_as_bad_is_looked_at_until_it_is_well() -> None:
-    """A stopped node without a beacon and without a topic: nothing in the graph tells that it was let go."""
+def test_a_reported_node_is_checked_until_it_is_ok() -> None:
+    """A stopped node without beacon and topic: nothing in the graph shows that it was resumed."""
     bench = Bench()
     bench.after(20.0)
     bench.processes(MAIN, api.ProcessFact(71, 1, "T", 5.0, ONE.command))
@@ -112,8 +112,8 @@ def test_what_is_told_as_bad_is_looked_at_until_it_is_well() -> None:
     assert bench.after(SOON_S).level is api.Level.OK
 
 
-def test_a_node_that_comes_back_as_an_unknown_process_is_alive() -> None:
-    """Started by hand with other words: it is in the graph anew, and what became of its old process is past."""
+def test_a_node_that_returns_as_an_unknown_process_is_alive() -> None:
+    """Started manually with other arguments: it is in the graph again, and its old process no longer matters."""
     bench = Bench()
     bench.after(3.0)
     bench.processes(MAIN)
@@ -128,8 +128,8 @@ def test_a_node_that_comes_back_as_an_unknown_process_is_alive() -> None:
 @pytest.mark.parametrize(
     ("status", "condition"), [("exited", "node_missing"), ("paused", "node_hung"), ("restarting", "node_missing")]
 )
-def test_a_container_that_does_not_run_is_named(status: str, condition: str) -> None:
-    """The node needs its container, so this is told at the container; the evidence is in the text all the same."""
+def test_the_state_of_a_container_that_does_not_run_is_in_the_text(status: str, condition: str) -> None:
+    """The node depends on its container, which raises the alarm; the node's text has the evidence nevertheless."""
     bench = rated()
     bench.after(3.0)
     bench.docker.change("ros_app", status=status)
@@ -142,8 +142,8 @@ def test_a_container_that_does_not_run_is_named(status: str, condition: str) -> 
     assert bench.after(1.25).level is api.Level.OK
 
 
-def test_a_launcher_seen_before_its_nodes_is_not_kept_as_one_of_them() -> None:
-    """All there is with the node's name in the first moment; then the node comes, is killed, and the launcher lives on."""
+def test_a_launcher_seen_before_its_nodes_is_not_one_of_them() -> None:
+    """At first only the launcher has the node's name; then the node starts and is killed, and the launcher remains."""
     main = replace(MAIN, command='python -m sitl.application.app --graph [{"name": "node_1"}]')
     bench = rated()
     bench.processes(main)
@@ -156,20 +156,20 @@ def test_a_launcher_seen_before_its_nodes_is_not_kept_as_one_of_them() -> None:
     assert bench.result().brief == "node_1 dead"
 
 
-# ---------------------------------------------------------------- left out of a start
+# ---------------------------------------------------------------- missing after a start
 
 
 def born(bench: Bench, process: api.ProcessFact, ago_s: float) -> api.ProcessFact:
-    """The process as `ps` shows it that was started so long before now: its age in whole seconds."""
+    """The process as `ps` shows it, started `ago_s` before now: its age in whole seconds."""
     return replace(process, age_s=float(int(ago_s)))
 
 
 def restarted(
     bench: Bench, late_s: float = 0.0, sibling_s: float = 0.0, command: str = TWO.command
 ) -> Callable[[float], None]:
-    """Both nodes have lived, node_1 started `late_s` after node_2; now the container starts again, and node_2 comes after `sibling_s`.
+    """Let both nodes run, node_1 started `late_s` after node_2; restart the container, with node_2 after `sibling_s`.
 
-    Returns what is so at each moment of the new life.
+    Returns a function that updates the world to each moment after the restart.
     """
     for passed in range(40):
         bench.processes(MAIN, born(bench, ONE, 100 - late_s + passed / 4), born(bench, TWO, 100 + passed / 4))
@@ -186,18 +186,18 @@ def restarted(
 
 
 def first_bad(bench: Bench, each: Callable[[float], None], within_s: float = 30.0) -> tuple[float, api.Result]:
-    """When node_1 is told as bad, in seconds of the new life, and how."""
+    """When node_1 is reported as bad, in seconds after the restart, and its result."""
     for number in range(1, int(within_s * 4)):
         bench.clock.advance(0.25)
         each(number * 0.25)
         result = bench.result()
         if result.level.bad:
             return number * 0.25, result
-    raise AssertionError("it was never told")
+    raise AssertionError("node_1 was never reported")
 
 
-def test_a_node_left_out_of_a_start_is_told_before_grace_ends() -> None:
-    """Its sibling came as ever and it did not, long after it used to: certain, and told as what it is."""
+def test_a_node_missing_from_a_start_is_reported_before_grace_ends() -> None:
+    """Its sibling started as usual and it did not, long after its usual time: a conclusive result."""
     bench = pair()
     after_s, result = first_bad(bench, restarted(bench))
     assert 2.0 <= after_s <= 3.5
@@ -205,23 +205,23 @@ def test_a_node_left_out_of_a_start_is_told_before_grace_ends() -> None:
     assert "it was not started with its container in ros_app: no process" in result.summary
 
 
-def test_a_node_that_comes_late_as_ever_gets_its_time() -> None:
-    """Three times what it took before, and a second."""
+def test_a_node_that_usually_starts_late_gets_its_time() -> None:
+    """Three times as long as before, plus a second."""
     bench = pair()
     after_s, _ = first_bad(bench, restarted(bench, late_s=1.5))
     assert 5.5 <= after_s <= 7.0
 
 
-def test_the_clock_runs_from_the_first_node() -> None:
-    """What a container does before it starts any node takes as long as it takes."""
+def test_the_time_counts_from_the_first_node() -> None:
+    """What a container does before it starts any node may take any time."""
     bench = pair()
     after_s, _ = first_bad(bench, restarted(bench, sibling_s=3.0))
     assert 5.0 <= after_s <= 6.5
 
 
-def test_a_slow_start_gives_all_of_them_time() -> None:
-    """The loaded machine shows in the others: one comes 2 s after the first, so the third has 4 s, but for half a second
-    between two looks."""
+def test_a_slow_start_gives_all_nodes_more_time() -> None:
+    """The other nodes show the load: one starts 2 s after the first, so the third has 4 s, less half a second
+    between two checks."""
     names = ("agent_1/node_1", "agent_1/node_2", "agent_1/node_3")
     three = api.ProcessFact(73, 1, "S", 5.0, ONE.command.replace("node_1", "node_3"))
     bench = Bench(nodes=[{"name": name} for name in names])
@@ -239,8 +239,8 @@ def test_a_slow_start_gives_all_of_them_time() -> None:
 
 
 @pytest.mark.parametrize("why", ["the sibling is missing, too", "other commands start other nodes", "nothing is known"])
-def test_a_start_that_is_not_as_before_has_its_whole_grace(why: str) -> None:
-    """It may be a slow machine, a new version, or a node that was never there."""
+def test_an_unusual_start_has_its_full_grace(why: str) -> None:
+    """It may be a slow machine, a new version, or a node that never existed."""
     bench = pair()
     if why == "nothing is known":
         bench.processes(MAIN)
@@ -256,8 +256,8 @@ def test_a_start_that_is_not_as_before_has_its_whole_grace(why: str) -> None:
     assert not result.evidence.certain
 
 
-def test_a_node_alone_in_its_container_has_its_whole_grace() -> None:
-    """Nobody shows how quick this start is."""
+def test_the_only_node_of_a_container_has_its_full_grace() -> None:
+    """No other node shows how fast this start is."""
     bench = Bench()
     bench.after(3.0)
     bench.restart_container(MAIN)
@@ -266,8 +266,8 @@ def test_a_node_alone_in_its_container_has_its_whole_grace() -> None:
     assert after_s >= GRACE_S
 
 
-def test_a_node_of_the_life_before_that_is_still_heard_was_not_started_in_this_one() -> None:
-    """A container takes another's place while that one still runs: its beacon and its topic are of the past."""
+def test_a_node_of_the_previous_generation_that_still_sends_was_not_started_in_this_one() -> None:
+    """A container replaces another that still runs: its beacon and its topic are from the old one."""
     bench = rated(nodes=[{"name": "agent_1/node_1"}, {"name": "agent_1/node_2"}])
     bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1}, beacons=beating())
     bench.processes(MAIN, ONE, TWO)

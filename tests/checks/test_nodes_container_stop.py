@@ -19,8 +19,8 @@ from tests.fakes.nodes_bench import (
 
 
 @pytest.mark.parametrize("left", [(), (TWO,)])
-def test_who_is_missing_in_a_container_that_is_ending_is_not_dead(left: tuple[api.ProcessFact, ...]) -> None:
-    """Its first process was killed, the others go one by one, and the engine says that it runs for a second yet."""
+def test_a_node_missing_from_a_stopping_container_is_not_dead(left: tuple[api.ProcessFact, ...]) -> None:
+    """Its first process was killed, the others terminate one by one, and the engine still reports it as running."""
     bench = Contained()
     bench.processes(*left)
     bench.ros.change(nodes={})
@@ -32,15 +32,15 @@ def test_who_is_missing_in_a_container_that_is_ending_is_not_dead(left: tuple[ap
 
 
 def test_a_dead_node_beside_the_first_process_is_dead() -> None:
-    """The container does not end: one look is enough, as ever."""
+    """The container is not stopping: one check is enough, as usual."""
     bench = Contained()
     bench.processes(MAIN)
     bench.ros.change(nodes={})
     assert bench.after(1.0).condition == "node_missing"
 
 
-def test_a_new_life_ends_the_ending() -> None:
-    """The engine has restarted it: its new first process is another one."""
+def test_a_restart_ends_the_stop() -> None:
+    """The engine has restarted the container: its first process is new."""
     bench = Contained()
     bench.processes()
     bench.ros.change(nodes={})
@@ -51,8 +51,8 @@ def test_a_new_life_ends_the_ending() -> None:
     assert bench.after(1.0).level is api.Level.OK
 
 
-def test_an_engine_that_never_notices_the_end_hides_no_dead_node() -> None:
-    """A container that is said to run without its first process for longer than any end takes: its nodes are dead."""
+def test_an_engine_that_never_reports_the_stop_hides_no_dead_node() -> None:
+    """A container without its first process is reported as running for longer than any stop takes: its nodes are dead."""
     bench = Contained()
     bench.processes()
     bench.ros.change(nodes={})
@@ -60,8 +60,8 @@ def test_an_engine_that_never_notices_the_end_hides_no_dead_node() -> None:
     assert bench.after(QUIET_S).condition == "node_missing"
 
 
-def test_lists_that_never_show_the_first_process_prove_no_end() -> None:
-    """Where the engine's list has other numbers than its state, a missing process is a dead node."""
+def test_lists_that_never_had_the_first_process_prove_no_stop() -> None:
+    """If the engine's process list uses other pids than its state, a missing process is a dead node."""
     bench = Bench()
     bench.result()
     bench.processes()

@@ -21,8 +21,8 @@ from tests.fakes.nodes_bench import (
 
 
 @pytest.mark.parametrize(("made", "period_s"), [(rated, QUIET_S), (Bench, BLIND_S)])
-def test_while_all_is_well_the_engine_is_left_alone(made: Callable[[], Bench], period_s: float) -> None:
-    """With a topic or a beacon as a quick sign, the list of processes is asked for every QUIET_S alone."""
+def test_while_all_nodes_are_ok_the_engine_is_rarely_polled(made: Callable[[], Bench], period_s: float) -> None:
+    """With a topic or a beacon as a fast indicator, the process list is requested only every QUIET_S."""
     bench = made()
     bench.after(20.0)
     before = bench.docker.listings
@@ -30,8 +30,8 @@ def test_while_all_is_well_the_engine_is_left_alone(made: Callable[[], Bench], p
     assert bench.docker.listings - before == 60 // period_s
 
 
-def test_what_stays_in_doubt_is_asked_about_less_and_less() -> None:
-    """A topic that is silent for an hour must not cost a list of processes each second."""
+def test_a_lasting_doubt_is_polled_less_and_less() -> None:
+    """A topic that is silent for an hour must not cost one process list per second."""
     bench = rated()
     bench.after(3.0)
     before = bench.docker.listings
@@ -43,8 +43,8 @@ def test_what_stays_in_doubt_is_asked_about_less_and_less() -> None:
     assert bench.docker.listings - before == 100 // QUIET_S
 
 
-def test_a_jittering_topic_does_not_cost_a_list_each_time() -> None:
-    """It wavers and flows and wavers: that is one long doubt."""
+def test_a_jittering_topic_does_not_cost_a_process_list_each_time() -> None:
+    """It is late, recovers and is late again: one long doubt."""
     bench = rated()
     bench.after(120.0, lambda passed: bench.ros.change(topics=flowing(0.5 if passed % 1.0 else 0.0)))
     before = bench.docker.listings
@@ -52,8 +52,8 @@ def test_a_jittering_topic_does_not_cost_a_list_each_time() -> None:
     assert bench.docker.listings - before <= 100 // QUIET_S + 1
 
 
-def test_a_standing_doubt_hides_no_new_one() -> None:
-    """The topic has been silent for minutes, for reasons of its own; then the beacon wavers: looked into at once."""
+def test_a_lasting_doubt_hides_no_new_one() -> None:
+    """The topic has been silent for minutes for another reason; then the beacon is late: polled immediately."""
     bench = rated()
     bench.ros.change(beacons=beating())
     bench.after(300.0, lambda passed: bench.ros.change(topics=flowing(passed)))
@@ -63,8 +63,8 @@ def test_a_standing_doubt_hides_no_new_one() -> None:
     assert bench.result().brief == "node_1 dead"
 
 
-def test_an_old_name_beside_the_new_one_is_no_standing_doubt() -> None:
-    """It stays for a lease of 20 s; a node that dies meanwhile is seen as soon as ever."""
+def test_a_stale_name_beside_the_new_one_is_not_a_lasting_doubt() -> None:
+    """It stays for a lease of 20 s; a node that dies in that time is detected as fast as usual."""
     bench = rated()
     bench.ros.change(nodes={})
     bench.after(GRACE_S)
@@ -76,8 +76,8 @@ def test_an_old_name_beside_the_new_one_is_no_standing_doubt() -> None:
     assert bench.result().brief == "node_1 dead"
 
 
-def test_an_engine_that_hangs_is_asked_once_a_run() -> None:
-    """Each question may take its whole deadline, and the check has one, too."""
+def test_a_hung_engine_is_asked_once_per_run() -> None:
+    """Each request may take its full deadline, and the check has a deadline, too."""
     keys = ("one", "two", "three")
     settings = testing.settings(
         containers=[{"name": key} for key in keys],
@@ -100,8 +100,8 @@ def test_an_engine_that_hangs_is_asked_once_a_run() -> None:
         assert {result.level for result in results.values()} == {api.Level.OK}
 
 
-def test_a_list_that_grew_old_proves_nothing() -> None:
-    """Should the check be held up, what was seen before that does not count."""
+def test_an_outdated_process_list_proves_nothing() -> None:
+    """If the check is delayed, earlier observations do not count."""
     bench = Bench()
     bench.after(3.0)
     bench.processes(MAIN)

@@ -1,4 +1,4 @@
-"""Slot 6: what the process of a node and its beacon say about it."""
+"""Slot 6: what the process and the beacon of a node prove."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from tests.fakes.nodes_bench import (
 )
 
 
-def test_a_killed_node_is_dead_as_soon_as_its_topic_wavers() -> None:
-    """Still listed, silent for less than its limit: the list of processes is asked at once, and proves it."""
+def test_a_killed_node_is_dead_as_soon_as_its_topic_is_late() -> None:
+    """Still listed, silent for less than its limit: the process list is requested immediately and proves it."""
     bench = rated()
     bench.after(3.0)
     bench.processes(MAIN)
@@ -35,8 +35,8 @@ def test_a_killed_node_is_dead_as_soon_as_its_topic_wavers() -> None:
     assert ": its process 71 has ended; silent for 0.2 s: topic_1; " in result.summary
 
 
-def test_only_what_its_process_shows_is_conclusive() -> None:
-    """That a process has ended or is stopped was seen itself; that a node left the graph may come of lateness."""
+def test_only_evidence_from_its_process_is_conclusive() -> None:
+    """A terminated or stopped process was observed directly; a node may leave the graph because of a delay."""
     bench = rated()
     bench.after(3.0)
     assert not bench.result().evidence.conclusive
@@ -53,8 +53,8 @@ def test_only_what_its_process_shows_is_conclusive() -> None:
     assert (dead.condition, dead.evidence.conclusive) == ("node_missing", True)
 
 
-def test_a_killed_node_is_dead_as_soon_as_its_beacon_wavers() -> None:
-    """Two beats missed: a reason to look, and the look proves it."""
+def test_a_killed_node_is_dead_as_soon_as_its_beacon_is_late() -> None:
+    """Two missed heartbeats trigger a process list, which proves it."""
     bench = Bench()
     bench.ros.change(beacons=beating())
     bench.after(3.0)
@@ -64,8 +64,8 @@ def test_a_killed_node_is_dead_as_soon_as_its_beacon_wavers() -> None:
     assert bench.result().brief == "node_1 dead"
 
 
-def test_a_node_without_signs_is_looked_after_all_the_same() -> None:
-    """Killed, still listed for 20 s, no beacon, no topic: the list of processes is looked at every BLIND_S."""
+def test_a_node_without_signs_of_life_is_polled() -> None:
+    """Killed, still listed for 20 s, no beacon, no topic: the process list is requested every BLIND_S."""
     bench = Bench()
     bench.after(3.0)
     bench.processes(MAIN)
@@ -73,8 +73,8 @@ def test_a_node_without_signs_is_looked_after_all_the_same() -> None:
 
 
 @pytest.mark.parametrize("state", ["T", "t"])
-def test_a_stopped_node_hangs(state: str) -> None:
-    """SIGSTOP: the process is there, listed or not, and will not answer."""
+def test_a_stopped_node_is_hung(state: str) -> None:
+    """SIGSTOP: the process exists, listed or not, and does not respond."""
     bench = rated()
     bench.after(3.0)
     bench.processes(MAIN, api.ProcessFact(71, 1, state, 5.0, ONE.command))
@@ -93,7 +93,7 @@ def test_a_stopped_node_hangs(state: str) -> None:
 
 @pytest.mark.parametrize("state", ["R", "S"])
 def test_a_busy_node_is_not_dead(state: str) -> None:
-    """A callback that computes for 5 s, on the main thread or on another: its beacon and its topic fall silent."""
+    """A callback computes for 5 s, on the main thread or another one: its beacon and its topic fall silent."""
     bench = rated()
     bench.ros.change(beacons=beating())
     bench.after(3.0)
@@ -111,8 +111,8 @@ def test_a_busy_node_is_not_dead(state: str) -> None:
     assert bench.after(BUSY_S, lambda passed: busy(5.0 + passed)).condition == "node_busy"
 
 
-def test_an_executor_that_sleeps_hangs() -> None:
-    """A deadlock: the beacon beats and says so, the process sleeps. Not known before HANG_S, so that topics wait."""
+def test_a_sleeping_executor_is_hung() -> None:
+    """A deadlock: the beacon reports it, the process sleeps. Unknown before HANG_S, so that topics wait."""
     bench = rated()
     bench.ros.change(beacons=beating())
     bench.after(3.0)
@@ -130,16 +130,16 @@ def test_an_executor_that_sleeps_hangs() -> None:
     assert levels[int(2.5 * 4)] is api.Level.STALE
 
 
-def test_a_silent_topic_of_a_living_node_is_not_the_nodes_fault() -> None:
-    """Its process runs, it is listed: the topic is told, for itself."""
+def test_a_silent_topic_of_a_live_node_is_not_a_fault_of_the_node() -> None:
+    """Its process runs and it is listed: the topic has its own report."""
     bench = rated()
     bench.after(3.0)
     assert bench.after(60.0, lambda passed: bench.ros.change(topics=flowing(passed))).level is api.Level.OK
 
 
 @pytest.mark.parametrize("figures", ["lost", "never there", "no list"])
-def test_a_node_is_not_hung_without_figures_of_its_process(figures: str) -> None:
-    """The engine no longer says how much processor time it uses, as after one HTTP 500: it may be busy, and is not restarted."""
+def test_a_node_without_cpu_figures_of_its_process_is_not_hung(figures: str) -> None:
+    """The engine no longer reports the CPU time, as after one HTTP 500: the node may be busy and is not restarted."""
     bench = rated()
     bench.ros.change(beacons=beating())
     if figures == "never there":
@@ -165,8 +165,8 @@ def test_a_node_is_not_hung_without_figures_of_its_process(figures: str) -> None
     assert "node_unanswering" not in LADDERS
 
 
-def test_a_process_that_cannot_be_told_is_no_dead_one() -> None:
-    """An engine that lists nothing, refuses or is silent says nothing about nodes."""
+def test_an_unknown_process_is_not_a_dead_node() -> None:
+    """An engine that lists nothing, refuses or is silent proves nothing about nodes."""
     bench = rated()
     bench.after(3.0)
     del bench.docker.lists["ros_app"]
@@ -175,7 +175,7 @@ def test_a_process_that_cannot_be_told_is_no_dead_one() -> None:
 
 @pytest.mark.parametrize("gone", [True, False])
 def test_a_silent_engine_does_not_hide_a_dead_node(gone: bool) -> None:
-    """Then the graph decides alone."""
+    """Then only the graph decides."""
     bench = Bench()
     bench.docker.fail()
     bench.result()
@@ -184,8 +184,8 @@ def test_a_silent_engine_does_not_hide_a_dead_node(gone: bool) -> None:
     assert bench.after(1.0).level is (api.Level.ERROR if gone else api.Level.OK)
 
 
-def test_a_beacon_decides_where_the_process_is_not_known() -> None:
-    """Silent for three beats: its thread is its own, so the process is dead or stopped."""
+def test_without_a_known_process_the_beacon_decides() -> None:
+    """Silent for three periods: it has its own thread, so the process is dead or stopped."""
     bench = Bench()
     bench.processes(MAIN)
     bench.ros.change(beacons=beating())
@@ -197,8 +197,8 @@ def test_a_beacon_decides_where_the_process_is_not_known() -> None:
 
 
 @pytest.mark.parametrize("silent", ["beacon", "topic"])
-def test_a_late_child_silences_nobody(silent: str) -> None:
-    """When PHM's own child has not spoken for a while, nobody was heard: that is no silence of theirs, and costs no list."""
+def test_a_late_ros_child_makes_no_node_silent(silent: str) -> None:
+    """While PHM's own child process is late, no node is received: that is not their silence, and costs no list."""
     bench = rated()
     bench.processes(MAIN)
     bench.ros.change(beacons=beating() if silent == "beacon" else {}, topics=flowing() if silent == "topic" else {})
@@ -213,8 +213,8 @@ def test_a_late_child_silences_nobody(silent: str) -> None:
     assert bench.docker.listings == before
 
 
-def test_a_large_topic_that_is_listened_to_in_windows_does_not_waver() -> None:
-    """Between two windows nothing is heard: that is PHM's own doing and costs no list."""
+def test_a_large_topic_that_is_sampled_in_windows_is_not_late() -> None:
+    """Between two windows nothing is sampled: that is PHM's own doing and costs no list."""
     bench = rated()
     rate = api.RateFact(10.0, 2.0, limit_s=5.0, sample_bytes=1e6)
     bench.ros.change(topics={TOPIC: api.TopicFact((api.EndpointFact(NAME, ""),), (), rate)})
@@ -224,15 +224,15 @@ def test_a_large_topic_that_is_listened_to_in_windows_does_not_waver() -> None:
     assert bench.docker.listings - before <= 1
 
 
-def test_an_executor_that_is_not_watched_is_never_late() -> None:
-    """A beacon may be told not to watch it; what it says of its lateness then means nothing."""
+def test_an_unwatched_executor_is_never_late() -> None:
+    """A beacon may be configured not to watch it; then its lateness is meaningless."""
     bench = Bench()
     bench.ros.change(beacons={NAME: api.BeaconFact(0.1, 0.2, 60.0, "a", 100, turns=0)})
     assert bench.after(3.0).level is api.Level.OK
 
 
-def test_a_beacon_of_the_node_before_is_none_of_this_one() -> None:
-    """The node came into the graph anew, as another program without a beacon: the silence is that of its predecessor."""
+def test_a_beacon_of_the_previous_node_does_not_count() -> None:
+    """The node is in the graph again, as another program without a beacon: the silence is that of its predecessor."""
     bench = Bench()
     bench.processes(MAIN)
     bench.ros.change(beacons=beating())
@@ -249,8 +249,8 @@ def test_a_beacon_of_the_node_before_is_none_of_this_one() -> None:
     assert bench.after(2.0, silent).level is api.Level.OK
 
 
-def test_another_publisher_is_no_sign_of_life() -> None:
-    """A topic that flows from elsewhere says nothing about the node."""
+def test_another_publisher_is_not_a_sign_of_life() -> None:
+    """A topic with data from elsewhere proves nothing about the node."""
     bench = rated()
     bench.processes(MAIN)
     bench.after(1.0)

@@ -1,4 +1,4 @@
-"""Slot 6: no node of a container is reachable though all of their processes run."""
+"""Slot 6: no node of a container is reachable although all of its processes run."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tests.fakes.nodes_bench import (
 )
 
 
-def test_when_no_node_of_a_container_is_heard_though_all_run_nothing_is_restarted() -> None:
-    """Discovery between PHM and the container is cut; the nodes themselves may be well."""
+def test_when_no_node_of_a_container_is_received_though_all_run_nothing_is_restarted() -> None:
+    """Discovery between PHM and the container is broken; the nodes themselves may be OK."""
     bench = pair()
     bench.after(3.0)
     bench.ros.change(nodes={})
@@ -33,7 +33,7 @@ def test_when_no_node_of_a_container_is_heard_though_all_run_nothing_is_restarte
 
 
 def test_a_transport_that_hides_names_restarts_no_node() -> None:
-    """Names of nodes come as data: publishers are there, nobody is listed, and nobody was ever seen."""
+    """Node names arrive as data: publishers exist, but no node is listed or was ever seen."""
     bench = pair(topics=[{"name": TOPIC, "rate": 10, "publishers": [NAME]}])
     nameless = api.TopicFact((api.EndpointFact("", "std_msgs/msg/String"),), (), api.RateFact(None, None))
     bench.ros.change(nodes={}, topics={TOPIC: nameless})
@@ -41,8 +41,8 @@ def test_a_transport_that_hides_names_restarts_no_node() -> None:
     assert (result.condition, result.target) == ("node_unreachable", "")
 
 
-def test_a_node_whose_name_alone_was_lost_is_not_missing() -> None:
-    """Its topic has a publisher without a name: PHM has lost names and gets them with a new participant, so it waits for that."""
+def test_a_node_that_lost_only_its_name_is_not_missing() -> None:
+    """Its topic has a publisher without a name: PHM lost the names and gets them with a new participant, so it waits."""
     bench = Bench(topics=[{"name": TOPIC, "publishers": [NAME]}])
     named, nameless = (api.TopicFact((api.EndpointFact(node, "std_msgs/msg/String"),)) for node in (NAME, ""))
     bench.ros.change(topics={TOPIC: named})
@@ -57,17 +57,17 @@ def test_a_node_whose_name_alone_was_lost_is_not_missing() -> None:
     assert bench.after(UNNAMED_S + 1.0).condition == "node_missing"
 
 
-@pytest.mark.parametrize("why", ["one is heard", "one is listed", "one ended", "nobody knows the processes"])
-def test_a_node_is_dead_unless_all_of_its_container_run_unheard(why: str) -> None:
-    """One sign that the way is open, or one process that nobody knows, and a missing node is a missing node."""
+@pytest.mark.parametrize("why", ["one is received", "one is listed", "one ended", "the processes are unknown"])
+def test_a_node_is_dead_unless_all_nodes_of_its_container_run_unreachable(why: str) -> None:
+    """One received node, or one unknown process, and a missing node is a missing node."""
     bench = pair()
     bench.after(3.0)
     bench.ros.change(nodes={"/agent_1/node_2": 1} if why == "one is listed" else {})
-    if why == "one is heard":
+    if why == "one is received":
         bench.after(LOST_S + 1.0, lambda _: bench.ros.change(beacons={"/agent_1/node_2": beating()[NAME]}))
     if why == "one ended":
         bench.processes(MAIN, ONE)
-    if why == "nobody knows the processes":
+    if why == "the processes are unknown":
         del bench.docker.lists["ros_app"]
         bench.after(OLD_S)
     result = bench.after(LOST_S + 1.0)

@@ -1,4 +1,4 @@
-"""Slot 12: who is missed, and how several missed at once are one fault."""
+"""Slot 12: which agents are missing, and how several missing agents are one fault."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ def judge(peers: dict[int, PeerFact], agents: tuple[int, ...] = (2, 3, 4), **fie
     return dict(Peers(agents).run(testing.world(swarm=swarm)))
 
 
-def test_all_live() -> None:
+def test_all_agents_alive_is_ok() -> None:
     results = judge(dict.fromkeys((2, 3, 4), ALIVE))
     assert {result.level for result in results.values()} == {Level.OK}
     assert results[SWARM].summary == "4 of 4 agents of the swarm are alive"
 
 
-def test_one_that_is_lost_is_told_by_its_own_unit() -> None:
+def test_one_lost_agent_is_reported_by_its_own_unit() -> None:
     results = judge({2: ALIVE, 3: LOST, 4: ALIVE})
     assert (results["peers/A03"].level, results["peers/A03"].condition) == (Level.ERROR, "peer_lost")
     assert results["peers/A03"].brief == "A03 lost"
     assert results[SWARM].level is Level.OK
 
 
-def test_who_still_hears_the_lost_one_is_named() -> None:
+def test_agents_that_still_receive_the_lost_one_are_named() -> None:
     results = judge({2: ALIVE, 3: PeerFact("lost", 20.0, (4,), (1, 2)), 4: ALIVE})
     assert "no heartbeat received by A01 A02, here for 20 s, but still received by A04" in results["peers/A03"].summary
 
 
-def test_a_loss_is_conclusive_by_the_word_of_others() -> None:
-    """What this agent alone misses may be its own lateness."""
+def test_a_loss_is_conclusive_when_others_confirm_it() -> None:
+    """What only this agent misses may be caused by its own delay."""
     mine = PeerFact("lost", 20.0, (), (1,))
     results = judge({2: ALIVE, 3: LOST, 4: mine})
     assert [results[unit].evidence.conclusive for unit in ("peers/A03", "peers/A04")] == [True, False]
@@ -57,17 +57,17 @@ def test_a_loss_is_conclusive_by_the_word_of_others() -> None:
         (PeerFact("left", 70.0), Level.OK, ""),
     ],
 )
-def test_other_states(peer: PeerFact, level: Level, condition: str) -> None:
+def test_each_other_state_has_its_level_and_condition(peer: PeerFact, level: Level, condition: str) -> None:
     result = judge({2: ALIVE, 3: peer, 4: ALIVE})["peers/A03"]
     assert (result.level, result.condition) == (level, condition)
 
 
-def test_an_agent_that_nobody_ever_heard_is_missed_too() -> None:
-    """Configured, and not even known to the probe."""
+def test_a_configured_agent_that_was_never_received_is_missing() -> None:
+    """The probe does not know it either."""
     assert judge({2: ALIVE}, (2, 9))["peers/A09"].condition == "peer_never_seen"
 
 
-def test_a_split_is_one_fault_and_the_cause_of_the_single_ones() -> None:
+def test_a_split_is_one_fault_and_the_cause_of_the_single_losses() -> None:
     check = Peers((2, 3, 4))
     assert all(unit.needs == (SWARM,) for unit in check.units if unit.id != SWARM)
     result = judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM]
@@ -75,8 +75,8 @@ def test_a_split_is_one_fault_and_the_cause_of_the_single_ones() -> None:
     assert "A03 A04 disappeared together and A01 A02 are still reachable" in result.summary
 
 
-def test_those_that_come_back_one_by_one_are_not_told_each_time() -> None:
-    """Until they have been back for a while, and others have not."""
+def test_agents_that_return_one_by_one_are_not_reported_each_time() -> None:
+    """Not until they have been back for a while and the others have not."""
     check = Peers((2, 3, 4, 5))
 
     def brief(**states: PeerFact) -> str:
@@ -98,53 +98,53 @@ def test_those_that_come_back_one_by_one_are_not_told_each_time() -> None:
     assert brief(a3=LOST, a4=LOST, a5=back) == "split 3/5 lost A03 A04"
 
 
-def test_all_lost_at_once_is_ones_own_radio() -> None:
+def test_losing_all_agents_is_a_fault_of_the_own_radio() -> None:
     result = judge({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[SWARM]
     assert (result.condition, result.brief) == ("alone", "all peers lost")
 
 
-def test_who_hears_the_others_is_not_alone() -> None:
-    """Whatever these think of each other."""
+def test_an_agent_that_receives_others_is_not_isolated() -> None:
+    """Regardless of what these report of each other."""
     heard = PeerFact("lost", 1.0, (1,), (2, 3))
     assert judge({2: heard, 3: heard}, (2, 3))[SWARM].level is Level.OK
 
 
-def test_the_only_other_agent_lost_is_lost() -> None:
+def test_the_only_other_agent_lost_is_reported_as_lost() -> None:
     results = judge({2: LOST}, (2,))
     assert results[SWARM].level is Level.OK
     assert results["peers/A02"].level is Level.ERROR
 
 
-def test_an_id_used_twice_is_told_first() -> None:
+def test_a_duplicate_id_is_reported_first() -> None:
     result = judge({2: ALIVE}, duplicate_ids=(2,))[SWARM]
     assert (result.condition, result.brief) == ("id_clash", "A02 id used twice")
 
 
-def test_without_configuration_the_heard_ones_are_missed() -> None:
+def test_without_configuration_received_agents_are_expected() -> None:
     result = judge({2: ALIVE, 3: LOST}, ())[SWARM]
     assert (result.level, result.brief) == (Level.ERROR, "A03 lost")
 
 
-def test_without_configuration_a_heard_one_is_missed_no_sooner_than_a_configured_one() -> None:
-    """A view that is on its way may still say that it lives, or that several are lost."""
+def test_without_configuration_a_received_agent_is_lost_no_sooner_than_a_configured_one() -> None:
+    """A report that is still in transit may say that it is alive, or that several are lost."""
     fresh = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=1.0)
     assert judge({2: ALIVE, 3: fresh}, ())[SWARM].level is Level.OK
     lasting = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=SETTLE_S)
     assert judge({2: ALIVE, 3: lasting}, ())[SWARM].condition == "peer_partly"
 
 
-def test_what_several_share_is_told_at_once_and_single_agents_after_it() -> None:
+def test_a_common_loss_is_reported_immediately_and_single_agents_after_it() -> None:
     whole, *single = Peers((2, 3)).units
     assert (whole.settle_s, {unit.settle_s for unit in single}) == (0.0, {SETTLE_S})
 
 
-def test_alone_and_nobody_expected_is_well() -> None:
+def test_without_expected_agents_being_alone_is_ok() -> None:
     result = judge({}, ())[SWARM]
     assert result.level is Level.OK
     assert result.bypass
 
 
-def test_without_links_there_is_no_such_check() -> None:
+def test_without_links_no_check_is_built() -> None:
     assert Peers.build(testing.settings()) == []
     (check,) = Peers.build(
         testing.settings(mavlink={"endpoints": [{"url": "udpout:127.0.0.1:1"}]}, swarm={"agents": [1, 2, 2, 3]})

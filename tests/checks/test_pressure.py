@@ -1,4 +1,4 @@
-"""Slot 9: what a container is short of, by the counters of its cgroup or of the engine."""
+"""Slot 9: which resource a container lacks, by the counters of its cgroup or of the engine."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ STARVED = {"cpu_used_s": 0.03, "throttled_periods": 10, "throttled_s": 0.97, "cp
 
 
 class Bench:
-    """The check on one container; each look is a second after the one before."""
+    """The check on one container; each check is a second after the previous one."""
 
     def __init__(self, fact: api.PressureFact = FACT, **settings: Any) -> None:
         (self.check,) = Pressure.build(testing.settings(containers=[{"name": "ros_app"}], **settings))
@@ -45,7 +45,7 @@ class Bench:
         self.world = testing.world(clock=self.clock, pressure=self.pressure)
 
     def look(self, after_s: float = 1.0, **more: float) -> api.Result:
-        """Let `after_s` pass, in which counters rise by `more` a second (stalls: by their full time), and run the check."""
+        """Advance by `after_s`, during which counters rise by `more` per second (stalls: by their full time), and check."""
         self.clock.advance(after_s)
         fields: dict[str, Any] = {"at": self.clock.mono()}
         for name, rise in more.items():
@@ -75,8 +75,8 @@ def names(results: list[api.Result]) -> list[str]:
     return [result.level.name for result in results]
 
 
-def test_a_container_stopped_by_its_cpu_limit_is_reported_within_two_looks() -> None:
-    """The text names the resource, the limit and the number, and the line for the operator does, too."""
+def test_a_container_throttled_by_its_cpu_limit_is_reported_within_two_checks() -> None:
+    """The text has the resource, the limit and the measured value; the operator's line, too."""
     bench = Bench()
     bench.calm()
     results = bench.looks(2, **STARVED)
@@ -86,16 +86,16 @@ def test_a_container_stopped_by_its_cpu_limit_is_reported_within_two_looks() -> 
     assert results[-1].target == "ros_app"
 
 
-def test_a_limit_that_is_lifted_ends_the_fault_within_three_looks_and_without_a_warning() -> None:
-    """The level is left when the entire window is calm."""
+def test_a_removed_limit_ends_the_fault_within_three_checks_and_without_a_warning() -> None:
+    """The level ends when the entire window is calm."""
     bench = Bench()
     bench.calm()
     bench.looks(5, **STARVED)
     assert names(bench.looks(3, cpu_used_s=0.07)) == ["ERROR", "OK", "OK"]
 
 
-def test_a_fault_is_not_left_for_one_calm_second() -> None:
-    """What is starved in bursts is one fault, not several."""
+def test_one_calm_second_does_not_end_a_fault() -> None:
+    """A container throttled in bursts has one fault, not several."""
     bench = Bench()
     bench.calm()
     bench.looks(3, **STARVED)
@@ -115,31 +115,31 @@ def test_a_fault_is_not_left_for_one_calm_second() -> None:
         pytest.param({"io": 0.45}, id="a recorder writes"),
     ],
 )
-def test_what_a_busy_container_does_is_no_pressure(more: dict[str, float]) -> None:
-    """Measured on containers that did what they should."""
+def test_the_normal_load_of_a_busy_container_is_not_pressure(more: dict[str, float]) -> None:
+    """Measured on containers that worked properly."""
     bench = Bench()
     bench.calm()
     assert set(names(bench.looks(8, **more))) == {"OK"}
 
 
-def test_one_second_of_throttling_is_no_fault() -> None:
-    """As when a node starts to compute."""
+def test_one_second_of_throttling_is_not_a_fault() -> None:
+    """It happens when a node starts to compute."""
     bench = Bench()
     bench.calm()
     for _ in range(3):
         assert "ERROR" not in names([bench.look(0.4, **STARVED), *bench.looks(3)])
 
 
-def test_throttling_is_right_for_any_number_of_cpus() -> None:
-    """The stopped time is added up over the CPUs: four threads with 1.5 CPUs are stopped for 62 % of the time, not 250 %."""
+def test_the_throttled_share_is_correct_for_any_number_of_cpus() -> None:
+    """Throttled time is summed over the CPUs: four threads with 1.5 CPUs are throttled 62 % of the time, not 250 %."""
     bench = Bench(replace(FACT, cpu_limit=1.5))
     bench.calm()
     result = bench.looks(3, cpu_used_s=1.5, throttled_periods=10, throttled_s=2.5)[-1]
     assert "throttled 62 % of the time by its limit of 1.5 CPUs" in result.summary
 
 
-def test_a_container_that_others_keep_from_running_names_who_has_the_cpus() -> None:
-    """It has no limit of its own to blame."""
+def test_a_container_without_cpu_time_names_the_processes_that_use_it() -> None:
+    """It has no limit of its own that could be the cause."""
     bench = Bench(replace(FACT, cpu_limit=None))
     bench.calm()
     assert bench.pressure.consumers_asked == 0
@@ -151,7 +151,7 @@ def test_a_container_that_others_keep_from_running_names_who_has_the_cpus() -> N
 
 
 def test_programs_outside_of_containers_are_named_as_such() -> None:
-    """The probe gives them no name."""
+    """The probe has no container name for them."""
     bench = Bench(replace(FACT, cpu_limit=None))
     bench.pressure.taken = (api.ConsumerFact("", 1.83),)
     result = bench.looks(4, cpu=0.96)[-1]
@@ -159,8 +159,8 @@ def test_programs_outside_of_containers_are_named_as_such() -> None:
     assert result.brief == "ros_app waits 96% for CPU"
 
 
-def test_who_has_the_cpus_may_stay_unknown() -> None:
-    """A probe that cannot tell does not keep the fault from being reported."""
+def test_the_users_of_the_cpu_may_be_unknown() -> None:
+    """A probe that fails does not prevent the report."""
     bench = Bench(replace(FACT, cpu_limit=None))
     bench.calm()
     bench.pressure.consumers = lambda: (_ for _ in ()).throw(api.CannotTell("refused"))  # type: ignore[method-assign]
@@ -175,7 +175,7 @@ def test_throttled_time_does_not_count_as_waiting_for_others() -> None:
 
 
 def test_memory_that_is_read_back_from_disk_is_pressure() -> None:
-    """The limit is just above use: the kernel drops pages of the program, and reads them again."""
+    """The limit is slightly above usage: the kernel drops pages of the program and reads them again."""
     bench = Bench(replace(FACT, memory_bytes=64 * MIB))
     bench.calm()
     result = bench.looks(3, reread_pages=4000, io=0.25)[-1]
@@ -185,14 +185,14 @@ def test_memory_that_is_read_back_from_disk_is_pressure() -> None:
 
 
 def test_waiting_for_memory_is_pressure() -> None:
-    """The kernel's own measure, for what reads nothing back."""
+    """The kernel's own measure, for containers that read nothing back."""
     bench = Bench()
     bench.calm()
     assert bench.looks(3, memory=0.7)[-1].condition == "memory_pressure"
 
 
-def test_a_process_killed_for_lack_of_memory_is_reported_for_a_while() -> None:
-    """The container goes on without it."""
+def test_an_oom_kill_inside_the_container_is_reported_for_a_while() -> None:
+    """The container keeps running without that process."""
     bench = Bench()
     bench.calm()
     result = bench.look(oom_kills=1)
@@ -200,8 +200,8 @@ def test_a_process_killed_for_lack_of_memory_is_reported_for_a_while() -> None:
     assert names(bench.looks(int(KILL_REPORT_S)))[-1] == "OK"
 
 
-def test_a_container_that_only_waits_for_the_disk_is_pressure_after_five_seconds() -> None:
-    """A slow card; one long write is none."""
+def test_a_container_that_only_waits_for_the_disk_has_pressure_after_five_seconds() -> None:
+    """A slow SD card; one long write is not reported."""
     bench = Bench()
     bench.calm(7)
     results = bench.looks(7, io=0.97)
@@ -210,8 +210,8 @@ def test_a_container_that_only_waits_for_the_disk_is_pressure_after_five_seconds
     assert names(results[:2]) == ["OK", "OK"]
 
 
-def test_a_limit_of_processes_that_is_reached_is_reported_at_once() -> None:
-    """With the limit; near it is a warning."""
+def test_a_reached_limit_of_processes_is_reported_immediately() -> None:
+    """With the limit; a count just below it is a warning."""
     bench = Bench(replace(FACT, pids=20))
     result = bench.looks(2)[-1]
     assert (result.level, result.condition) == (api.Level.ERROR, "pids_limit")
@@ -228,8 +228,8 @@ def test_several_shortages_are_one_result_with_the_worst_first() -> None:
     assert result.condition == "cpu_throttled" and "19 processes" in result.summary
 
 
-def test_a_container_started_again_is_not_compared_with_its_life_before() -> None:
-    """Its counters begin at 0."""
+def test_counters_of_a_restarted_container_are_not_compared_with_earlier_ones() -> None:
+    """They start at 0."""
     bench = Bench()
     bench.calm()
     bench.looks(3, **STARVED)
@@ -238,15 +238,15 @@ def test_a_container_started_again_is_not_compared_with_its_life_before() -> Non
     assert bench.look().level is api.Level.OK
 
 
-def test_counters_that_go_back_are_another_life() -> None:
-    """Where the source shows no life."""
+def test_decreasing_counters_mean_a_restart() -> None:
+    """For a source that does not report the container's generation."""
     bench = Bench()
     bench.looks(3, **STARVED)
     bench.fact = replace(FACT, generation="life", cpu_used_s=0.0)
     assert bench.look().level is api.Level.STALE
 
 
-def test_an_answer_that_is_given_twice_counts_once() -> None:
+def test_a_repeated_sample_counts_once() -> None:
     """The engine is asked every 2 s, and the check runs every second."""
     bench = Bench()
     bench.calm()
@@ -254,8 +254,8 @@ def test_an_answer_that_is_given_twice_counts_once() -> None:
     assert bench.again().level is api.Level.ERROR
 
 
-def test_what_does_not_run_or_cannot_be_seen_is_a_bypass() -> None:
-    """The slot of a machine without a source does not turn yellow; an engine that does not answer is unknown."""
+def test_a_container_that_is_stopped_or_inaccessible_is_a_bypass() -> None:
+    """The slot of a machine without a source is not yellow; a silent engine makes it STALE."""
     bench = Bench()
     bench.pressure.put("ros_app", None)
     result = bench.check.run(bench.world)
@@ -268,7 +268,7 @@ def test_what_does_not_run_or_cannot_be_seen_is_a_bypass() -> None:
         bench.check.run(bench.world)
 
 
-def test_the_source_and_what_it_does_not_show_are_in_the_text() -> None:
+def test_the_text_names_the_source_and_its_missing_values() -> None:
     """`phm status` prints it."""
     bench = Bench(
         replace(FACT, source="engine statistics", not_seen=("waiting for CPU", "refused processes"), cpu=None)
@@ -279,7 +279,7 @@ def test_the_source_and_what_it_does_not_show_are_in_the_text() -> None:
 
 
 def test_each_configured_container_has_a_unit_unless_it_is_ignored() -> None:
-    """`pressure/<key>` needs its container, and starts with the grace of what runs in it."""
+    """`pressure/<key>` depends on its container and starts with the grace of what runs in it."""
     settings = testing.settings(
         containers=[{"name": "a"}, {"name": "b", "alias": "c"}, {"name": "d", "pressure": "ignore"}],
         ros={"grace": "9s"},
@@ -291,7 +291,7 @@ def test_each_configured_container_has_a_unit_unless_it_is_ignored() -> None:
     ]
 
 
-def test_limits_are_settings() -> None:
-    """As in `pressure:`."""
+def test_limits_are_configurable() -> None:
+    """In `pressure:`."""
     bench = Bench(pressure={"throttled": {"warn": "98%", "error": "99%"}, "waiting": {"warn": 99, "error": 100}})
     assert set(names(bench.looks(5, **STARVED)[2:])) == {"OK"}

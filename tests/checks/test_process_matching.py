@@ -1,4 +1,4 @@
-"""Which process is which node."""
+"""Which process belongs to which node."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ NODE = Wanted("/agent_1/node_1")
 
 
 def ps(*commands: str, parents: dict[int, int] | None = None) -> list[ProcessFact]:
-    """Processes 1, 2, ... with these commands."""
+    """Processes 1, 2, ... with these command lines."""
     return [ProcessFact(pid, (parents or {}).get(pid, 0), "S", 0.0, words) for pid, words in enumerate(commands, 1)]
 
 
 def found(node: Wanted, processes: list[ProcessFact]) -> int:
-    """The process of one node, 0 for none or several."""
+    """The pid of one node, 0 for none or several."""
     matches, _ = match([node], processes, {})
     return matches[node.name].process.pid if node.name in matches else 0
 
@@ -34,8 +34,8 @@ def found(node: Wanted, processes: list[ProcessFact]) -> int:
         "node_1",
     ],
 )
-def test_ways_to_be_known(command: str) -> None:
-    """By a remapped name, an option, or the bare name of the program."""
+def test_a_node_is_recognized_by_its_command_line(command: str) -> None:
+    """By a remapped name, an option, or the name of the program."""
     assert found(NODE, ps("/bin/init", command, "sleep 1")) == 2
 
 
@@ -54,35 +54,35 @@ def test_ways_to_be_known(command: str) -> None:
         "/ws/lib/pkg/node_1 --ros-args -r __node:=another",
     ],
 )
-def test_what_is_another(command: str) -> None:
-    """Part of a word, a launch file, a tool of ROS, another namespace, another name."""
+def test_other_processes_do_not_match(command: str) -> None:
+    """Part of a word, a launch file, a ROS tool, another namespace, another name."""
     assert found(NODE, ps("/bin/init", command)) == 0
 
 
-def test_a_node_in_the_root_namespace() -> None:
-    """It has no namespace, so a process with one is not its own."""
+def test_a_node_in_the_root_namespace_matches_no_process_with_a_namespace() -> None:
+    """The namespace belongs to another node."""
     assert found(Wanted("/node_1"), ps("x --name node_1 --namespace /agent_1")) == 0
     assert found(Wanted("/node_1"), ps("x --name node_1")) == 1
 
 
-def test_two_of_the_same_are_nobodys() -> None:
-    """What is not certain is not answered; the count is told."""
+def test_two_equal_processes_match_no_node() -> None:
+    """An ambiguous match is not returned; the count is."""
     processes = ps("x --name node_1", "x --name node_1")
     assert match([NODE], processes, {}) == ({}, {NODE.name: 2})
 
 
-def test_the_best_way_wins() -> None:
-    """A remapped name is surer than a word."""
+def test_the_most_specific_match_wins() -> None:
+    """A remapped name is more reliable than a word."""
     assert found(NODE, ps("cat /tmp/log/node_1", "x --ros-args -r __node:=node_1")) == 2
 
 
-def test_with_a_namespace_is_surer_than_without() -> None:
-    """Of several that fit, the one that says whose it is."""
+def test_a_match_with_namespace_is_preferred() -> None:
+    """Of several matches, the one with the namespace of the node."""
     assert found(NODE, ps("x --name node_1", "x --name node_1 --namespace /agent_1")) == 2
 
 
-def test_what_starts_a_node_is_not_the_node() -> None:
-    """An init, a shell and `ros2 run` carry the node's words, too: the innermost is meant, the others are remembered."""
+def test_the_program_that_starts_a_node_is_not_the_node() -> None:
+    """An init, a shell and `ros2 run` have the node's arguments, too: the innermost matches, the others are remembered."""
     words = "run pkg driver --ros-args -r __node:=node_1"
     processes = ps(
         f"/sbin/docker-init -- sh -c ros2 {words}",
@@ -96,20 +96,20 @@ def test_what_starts_a_node_is_not_the_node() -> None:
     assert matches[NODE.name].wrappers == {1, 2, 3}
 
 
-def test_what_started_it_is_not_taken_for_it_when_it_is_gone() -> None:
-    """A shell that starts the node again and again outlives it."""
+def test_the_parent_of_a_terminated_node_is_not_the_node() -> None:
+    """A shell that restarts the node in a loop outlives it."""
     processes = ps("sh -c while true; do driver --name node_1; done")
     assert match([NODE], processes, {NODE.name: {1}})[0] == {}
 
 
-def test_parents_in_a_circle_do_no_harm() -> None:
-    """Process lists come from outside."""
+def test_a_cycle_of_parents_is_harmless() -> None:
+    """Process lists are external input."""
     assert found(NODE, ps("x --name node_1", "sh", parents={1: 2, 2: 1})) == 0
     assert found(NODE, ps("x --name node_1", "sh", parents={1: 2, 2: 2})) == 1
 
 
-def test_one_process_for_two_nodes_is_nobodys_unless_the_user_says_so() -> None:
-    """Of two nodes of one short name one is dead; the process of the other is not its own. Composed nodes share one."""
+def test_one_process_for_two_nodes_matches_none_without_configuration() -> None:
+    """Of two nodes with one short name one is dead; the process is the other's. Composed nodes share one."""
     nodes = [Wanted("/a/node_1"), Wanted("/b/node_1")]
     processes = ps("/lib/pkg/node_1")
     assert match(nodes, processes, {}) == ({}, {"/a/node_1": 1, "/b/node_1": 1})
@@ -117,8 +117,8 @@ def test_one_process_for_two_nodes_is_nobodys_unless_the_user_says_so() -> None:
     assert {one.process.pid for one in match(shared, processes, {})[0].values()} == {1}
 
 
-def test_the_users_words_must_all_stand_in_it() -> None:
-    """Pieces of words are enough, and nothing else is tried."""
+def test_all_configured_words_must_occur() -> None:
+    """Substrings are enough, and nothing else is tried."""
     processes = ps("component_container --ros-args -r __node:=nav", "component_container -r __node:=vision", "node_1")
     assert found(Wanted("/agent_1/node_1", process=("component_", "__node:=nav")), processes) == 1
     assert found(Wanted("/agent_1/node_1", process=("component_",)), processes) == 0
@@ -128,8 +128,8 @@ def test_the_users_words_must_all_stand_in_it() -> None:
 GRAPH = 'python -m sitl.application.app --graph [{"name": "node_1"}, {"name": "node_2"}]'
 
 
-def test_a_launcher_that_names_its_nodes_is_none_of_them() -> None:
-    """One node was never started; the process that started the other one has both names among its words."""
+def test_a_launcher_with_names_of_its_nodes_is_not_a_node() -> None:
+    """One node was never started; the process that started the other has both names in its arguments."""
     nodes = [NODE, Wanted("/agent_1/node_2")]
     processes = ps(f"/sbin/docker-init -- {GRAPH}", GRAPH, "x --name node_2", parents={2: 1, 3: 2})
     matches, counts = match(nodes, processes, {})
@@ -138,20 +138,20 @@ def test_a_launcher_that_names_its_nodes_is_none_of_them() -> None:
 
 
 def test_a_node_that_starts_another_is_a_node() -> None:
-    """It does not name the other: it is known by its own name, as any."""
+    """It does not name the other: its own name identifies it, as usual."""
     nodes = [NODE, Wanted("/agent_1/camera")]
     matches, _ = match(nodes, ps("python3 node_1.py", "python3 camera.py", parents={2: 1}), {})
     assert {name: one.process.pid for name, one in matches.items()} == {NODE.name: 1, "/agent_1/camera": 2}
 
 
-def test_a_launcher_is_remembered_though_it_says_less() -> None:
-    """The node was known by an option, what started it by a word alone; both are remembered together."""
+def test_a_launcher_is_remembered_with_a_weaker_match() -> None:
+    """The node matched by an option, its launcher only by a word; both are remembered together."""
     matches, _ = match([NODE], ps(GRAPH, "x --name node_1", parents={2: 1}), {})
     assert (matches[NODE.name].process.pid, matches[NODE.name].wrappers, matches[NODE.name].way) == (2, {1}, 1)
     assert match([NODE], ps(GRAPH), {NODE.name: {1}}) == ({}, {NODE.name: 0})
 
 
-def test_what_fits_less_surely_than_before_is_not_the_node() -> None:
-    """In the next life of its container all numbers are others; that it had an option is known."""
+def test_a_weaker_match_than_before_is_not_the_node() -> None:
+    """After a container restart all pids differ, but the node is known to have an option."""
     assert found(NODE, ps(GRAPH)) == 1
     assert match([NODE], ps(GRAPH), {}, {NODE.name: 1}) == ({}, {NODE.name: 0})

@@ -1,4 +1,4 @@
-"""Slot 11: rules of the check of a telemetry radio."""
+"""Slot 11: rules of the telemetry radio check."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def changed(**fields: Any) -> api.RadioFact:
     return dataclasses.replace(WELL, **fields)
 
 
-def test_where_a_radio_is_looked_for() -> None:
-    """On links to the ground, unless it is off; on any link that requires one."""
+def test_a_radio_is_expected_on_ground_links() -> None:
+    """Unless it is `off`; a required radio is expected on any link."""
     entries = [
         {"url": "tcp:10.0.0.1:1", "name": "a"},
         {"url": "tcp:10.0.0.1:2", "name": "b", "radio": "off"},
@@ -42,8 +42,8 @@ def test_where_a_radio_is_looked_for() -> None:
     assert units == ["radio/a", "radio/d"]
 
 
-def test_a_radio_that_is_well_is_ok() -> None:
-    """Its numbers go into the record."""
+def test_a_working_radio_is_ok() -> None:
+    """Its numbers are in the record."""
     result = run(check(), WELL)
     assert result.level is api.Level.OK
     expected = {"rssi": 180, "remrssi": 175, "noise": 40, "remnoise": 45, "txbuf_percent": 98, "margin": 140.0}
@@ -51,8 +51,8 @@ def test_a_radio_that_is_well_is_ok() -> None:
     assert (result.values["rxerrors_s"], result.values["fixed_s"]) == (0.2, 0.1)
 
 
-def test_no_radio_ever_heard_is_not_judged() -> None:
-    """Unless it is required: then it is a fault, half a minute after the start."""
+def test_a_radio_that_was_never_received_is_a_fault_only_if_required() -> None:
+    """Then it is a fault, half a minute after the start."""
     assert run(check()).bypass
     result = run(check("required"))
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "radio_silent", "radio: no RADIO_STATUS")
@@ -63,7 +63,7 @@ def test_no_radio_ever_heard_is_not_judged() -> None:
 
 
 def test_a_silent_radio_is_an_error() -> None:
-    """Silence beyond radio_timeout is told with its length, as a number that keeps still."""
+    """Silence beyond `radio_timeout` is reported with its duration, as a stable number."""
     judge = check()
     result = run(judge, changed(age_s=6.0))
     assert (result.level, result.condition, result.brief) == (
@@ -75,14 +75,14 @@ def test_a_silent_radio_is_an_error() -> None:
     assert run(judge, changed(age_s=13.0)).brief == "radio: no RADIO_STATUS 13 s"
 
 
-def test_a_radio_is_given_its_own_pace() -> None:
-    """It answers PHM's heartbeats: where they are 10 s apart, its silence is known after 25 s."""
+def test_the_timeout_follows_the_period_of_the_radio() -> None:
+    """It responds to PHM's heartbeats: if they are 10 s apart, its silence is detected after 25 s."""
     assert run(check(), changed(age_s=24.0, due_s=10.0)).level is api.Level.OK
     assert run(check(), changed(age_s=26.0, due_s=10.0)).level is api.Level.ERROR
 
 
-def test_its_link_is_reopened_only_where_it_is_silent_as_a_whole() -> None:
-    """While other frames come, the port is well, and opening it again would help nobody."""
+def test_the_link_is_reopened_only_if_nothing_is_received_on_it() -> None:
+    """While other frames arrive, the port works, and reopening it would not help."""
     lost = changed(age_s=6.0)
     assert run(check(), lost).target == ""
     silent = dataclasses.replace(OPEN, rx_age_s=6.0)
@@ -91,8 +91,8 @@ def test_its_link_is_reopened_only_where_it_is_silent_as_a_whole() -> None:
     assert run(check("required"), link=never).target == "link:ground"
 
 
-def test_behind_a_closed_link_it_is_not_known() -> None:
-    """The link tells why."""
+def test_behind_a_closed_link_the_radio_is_stale() -> None:
+    """The link's own unit reports the cause."""
     assert run(check(), changed(age_s=60.0), link=api.LinkFact("ground", open=False)).level is api.Level.STALE
 
 
@@ -106,14 +106,14 @@ WEAK = [
 
 @pytest.mark.parametrize(("fields", "condition", "brief", "words"), WEAK, ids=[one[2] for one in WEAK])
 def test_a_poor_radio_link_is_a_warning(fields: dict[str, Any], condition: str, brief: str, words: str) -> None:
-    """Little signal over noise at either end, a full buffer, damaged packets."""
+    """Low signal-to-noise at either end, a full buffer, damaged packets."""
     result = run(check(), changed(**fields))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, condition, brief)
     assert words in result.summary
 
 
-def test_what_the_radio_does_not_know_is_not_judged() -> None:
-    """Radios that tell no noise, and a first report without a rate."""
+def test_values_that_the_radio_does_not_report_are_ignored() -> None:
+    """Radios without a noise value, and a first report without a rate."""
     silent = changed(margin=None, remmargin=None, rssi=None, noise=None, rxerrors_s=None, fixed_s=None)
     result = run(check(), silent)
     assert result.level is api.Level.OK
@@ -125,7 +125,7 @@ def test_what_the_radio_does_not_know_is_not_judged() -> None:
     [("margin", 14.0, 17.0, 20.0), ("txbuf", 19, 25, 31), ("rxerrors_s", 6.0, 4.0, 2.0)],
 )
 def test_a_value_at_its_limit_does_not_flap(name: str, bad: float, between: float, well: float) -> None:
-    """What was bad must become clearly better; what was well may be anywhere up to the limit."""
+    """A bad value must become clearly better; a good one may go up to the limit."""
     judge = check()
     assert run(judge, changed(**{name: between})).level is api.Level.OK
     assert run(judge, changed(**{name: bad})).level is api.Level.WARN
@@ -134,15 +134,15 @@ def test_a_value_at_its_limit_does_not_flap(name: str, bad: float, between: floa
     assert run(judge, changed(**{name: between})).level is api.Level.OK
 
 
-def test_the_limits_are_the_users() -> None:
-    """radio_margin, radio_errors and radio_timeout; 0 errors are not judged."""
+def test_limits_are_configurable() -> None:
+    """`radio_margin`, `radio_errors` and `radio_timeout`; a limit of 0 errors disables it."""
     assert run(check(radio_margin=5), changed(margin=12.0)).level is api.Level.OK
     assert run(check(radio_errors=0), changed(rxerrors_s=50.0)).level is api.Level.OK
     assert run(check(radio_timeout="20s"), changed(age_s=15.0)).level is api.Level.OK
 
 
-def test_two_radios_are_told_apart() -> None:
-    """With several endpoints each line names the one that is meant."""
+def test_two_radios_have_separate_lines() -> None:
+    """With several endpoints each line names its own."""
     entries = [{"url": f"tcp:10.0.0.1:{n}", "name": f"r{n}"} for n in (1, 2)]
     checks = list(Radio.build(testing.settings(mavlink={"endpoints": entries})))
     lost = dataclasses.replace(WELL, link="r2", age_s=6.0)

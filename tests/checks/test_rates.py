@@ -17,7 +17,7 @@ KEEPER = (api.EndpointFact("/agent_1/node_2", "std_msgs/msg/String", "reliable",
 
 
 class Bench:
-    """One topic with a rate, with the fakes at hand."""
+    """One topic with a rate, and the fakes it needs."""
 
     def __init__(self, rate: float | str = 1.0, **topic: Any) -> None:
         settings = testing.settings(
@@ -53,12 +53,12 @@ class Bench:
 
 
 def test_topics_without_a_rate_have_no_unit() -> None:
-    """Their flow is not judged."""
+    """Their rate is not checked."""
     assert list(Rates.build(testing.settings(ros={"topics": [{"name": NAME}]}))) == []
 
 
 def test_the_expected_rate_is_ok() -> None:
-    """Within the tolerance, limits included, in the manner of the paper's log."""
+    """Within the tolerance, limits included, in the format of the paper's log."""
     bench = Bench()
     assert bench.judge(0.999).summary == "agent_1/topic_1: 0.999"
     assert bench.judge(1.1).level is api.Level.OK
@@ -68,8 +68,8 @@ def test_the_expected_rate_is_ok() -> None:
 @pytest.mark.parametrize(
     ("topic", "limit_s"), [({"rate": 10.0}, 3.0), ({"rate": 0.1}, 30.0), ({"rate": 10.0, "silence": "7s"}, 7.0)]
 )
-def test_the_memory_of_a_topic_is_longer_than_its_silence(topic: dict[str, Any], limit_s: float) -> None:
-    """A topic that fell silent at a restart is found OK until `limit_s` at most, which must not end its grace."""
+def test_a_topic_is_remembered_for_longer_than_its_silence_limit(topic: dict[str, Any], limit_s: float) -> None:
+    """A topic that fell silent at a restart is OK for up to `limit_s`, which must not end its grace."""
     (unit,) = Bench(**topic).check.units
     assert unit.memory_s > limit_s + 0.5
 
@@ -83,8 +83,8 @@ def test_the_memory_of_a_topic_is_longer_than_its_silence(topic: dict[str, Any],
         (1.5, api.Level.ERROR, "rate_high"),
     ],
 )
-def test_a_rate_outside_the_tolerance_is_told(hz: float, level: api.Level, condition: str) -> None:
-    """Off by more than the tolerance is WARN, by more than twice that ERROR."""
+def test_a_rate_outside_the_tolerance_is_reported(hz: float, level: api.Level, condition: str) -> None:
+    """A deviation above the tolerance is WARN, above twice the tolerance ERROR."""
     result = Bench().twice(hz)
     assert (result.level, result.condition, result.target) == (level, condition, "ros_app")
     assert result.brief == f"topic_1 {hz:g} Hz, not 1"
@@ -98,8 +98,8 @@ def test_each_topic_has_its_own_limits(hz: float, level: api.Level) -> None:
     assert Bench(tolerance="10%", error_tolerance="50%").twice(hz).level is level
 
 
-def test_one_measurement_outside_is_not_told() -> None:
-    """What was told before stands until a second measurement agrees; an early second look is none."""
+def test_one_measurement_outside_is_not_reported() -> None:
+    """The previous report remains until a second measurement confirms it; an early second check does not count."""
     bench = Bench(10.0)
     bench.judge(10.0)
     assert bench.judge(5.0).level is api.Level.OK
@@ -112,14 +112,14 @@ def test_one_measurement_outside_is_not_told() -> None:
     assert bench.judge(5.0).level is api.Level.ERROR
 
 
-def test_where_one_sample_matters_the_second_measurement_shares_none_with_the_first() -> None:
-    """Three samples of a 1 Hz topic in a window: one odd period must not be told as a wrong rate."""
+def test_confirming_measurements_share_no_sample_if_single_samples_matter() -> None:
+    """Three samples of a 1 Hz topic in a window: one irregular period must not be reported as a wrong rate."""
     assert Bench(1.0).twice(0.5, CONFIRM_S).level is not api.Level.ERROR
     assert Bench(1.0).twice(0.5, WINDOW_S + 0.01).level is api.Level.ERROR
 
 
-def test_the_unevenness_of_a_publisher_is_no_wrong_rate() -> None:
-    """Only what is beyond it counts, on both limits; the sentence says so."""
+def test_the_jitter_of_a_publisher_is_not_a_wrong_rate() -> None:
+    """Only a deviation beyond it counts, on both limits; the text says so."""
     assert Bench(1.0).twice(0.75, error_hz=0.1).level is api.Level.OK
     result = Bench(1.0).twice(0.6, error_hz=0.1)
     assert result.level is api.Level.WARN
@@ -127,19 +127,19 @@ def test_the_unevenness_of_a_publisher_is_no_wrong_rate() -> None:
     assert Bench(1.0).twice(0.5, error_hz=0.1).level is api.Level.ERROR
 
 
-def test_a_slow_topic_whose_unevenness_is_not_known_yet_is_not_judged() -> None:
+def test_a_slow_topic_of_unknown_jitter_is_stale() -> None:
     """Its first three samples prove nothing; those of a fast one do."""
     assert Bench(1.0).twice(0.5, error_hz=None).level is api.Level.STALE
     assert Bench(10.0).twice(5.0, error_hz=None).level is api.Level.ERROR
 
 
-def test_a_first_measurement_outside_is_not_known_yet() -> None:
-    """Nothing was told before that could stand."""
+def test_a_first_measurement_outside_is_stale() -> None:
+    """There is no previous report that could remain."""
     assert Bench().judge(0.5).level is api.Level.STALE
 
 
 def test_a_rate_at_the_limit_does_not_flap() -> None:
-    """A level is left only well inside its limit."""
+    """A level ends only well inside its limit."""
     bench = Bench()
     assert bench.twice(0.85).level is api.Level.WARN
     levels = [bench.judge(hz).level for hz in (0.905, 0.895, 0.905, 0.895)]
@@ -154,27 +154,27 @@ def test_a_jittering_rate_keeps_its_brief() -> None:
     assert {bench.judge(hz).brief for hz in (0.51, 0.49, 0.5, 0.53)} == {"topic_1 0.5 Hz, not 1"}
 
 
-def test_silence_is_what_the_sampler_calls_silent() -> None:
-    """A rate of 0.0; the sentence says how long, and from when on it counts."""
+def test_the_sampler_decides_what_is_silent() -> None:
+    """A rate of 0.0; the text has the duration and the limit."""
     result = Bench().judge(hz=0.0, silent_s=1.8)
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "silent", "topic_1 silent")
     assert "Silent for 1.8 s, expected 1 Hz and no gap over 1.5 s" in result.summary
 
 
-def test_what_phm_itself_did_not_look_at_is_no_silence() -> None:
-    """The child is late, so its last picture grows old; it called nothing silent."""
+def test_a_delay_of_phm_itself_is_not_silence() -> None:
+    """The child is late, so its last snapshot grows old; it reported no silence."""
     assert Bench().judge(hz=1.0, silent_s=2.9, age_s=2.8).level is api.Level.OK
 
 
-def test_a_topic_never_received_is_an_error() -> None:
-    """Listed but not one sample: another fault than silence, often the transport."""
+def test_a_topic_without_any_sample_is_an_error() -> None:
+    """Listed, but not one sample: another fault than silence, often of the transport."""
     result = Bench().judge(silent_s=None)
     assert (result.level, result.condition) == (api.Level.ERROR, "not_received")
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
 
 
 class BlockedTransport:
-    """Three topics of three nodes, of which none is heard, unless a test says so."""
+    """Three topics of three nodes, none of which is received unless a test changes that."""
 
     def __init__(self) -> None:
         topics = [{"name": f"/agent_1/topic_{n}", "rate": rate} for n, rate in ((1, 1), (2, 10), (3, 0.01))]
@@ -185,7 +185,7 @@ class BlockedTransport:
         self.nodes = {1: "node_1", 2: "node_2", 3: "node_3"}
 
     def condition(self, **ros: Any) -> str:
-        """Of topic_1."""
+        """The condition of topic_1."""
         topics = {
             f"/agent_1/topic_{n}": api.TopicFact(
                 (api.EndpointFact(f"/agent_1/{self.nodes[n]}", "std_msgs/msg/String"),),
@@ -200,20 +200,20 @@ class BlockedTransport:
         return results[UNIT].condition
 
 
-def test_when_nothing_of_a_container_is_heard_the_transport_is_blocked() -> None:
-    """Two nodes are listed, long enough, and not one sample of either has ever come."""
+def test_when_no_data_of_a_container_arrives_the_transport_is_blocked() -> None:
+    """Two nodes have been listed for long enough, and not one sample of either was ever received."""
     assert BlockedTransport().condition() == "transport_blocked"
 
 
-def test_a_publisher_without_the_name_of_its_node_is_behind_a_blocked_transport() -> None:
-    """Names of nodes come as data; one publisher is enough then."""
+def test_a_publisher_without_node_name_is_behind_a_blocked_transport() -> None:
+    """Node names arrive as data; one such publisher is enough."""
     publisher = (api.EndpointFact("", "std_msgs/msg/String"),)
     result = Bench().see(api.TopicFact(publisher, (), api.RateFact(None, None)))
     assert (result.level, result.condition) == (api.Level.ERROR, "transport_blocked")
 
 
-def test_one_node_that_is_heard_clears_the_transport() -> None:
-    """Then a topic that never came is one that its node does not publish."""
+def test_one_received_node_clears_the_transport() -> None:
+    """Then a topic that never arrived is one that its node does not publish."""
     blocked = BlockedTransport()
     blocked.silent_s[2] = 0.1
     assert blocked.condition() == "not_received"
@@ -224,22 +224,22 @@ def test_a_beacon_clears_the_transport() -> None:
     assert BlockedTransport().condition(beacons={"/agent_1/node_2": api.BeaconFact(0.1, 1.0)}) == "not_received"
 
 
-def test_one_node_alone_may_have_nothing_to_say() -> None:
-    """A single node that does not publish is no proof of a blocked transport; nor is one that is not due yet."""
+def test_a_single_node_may_have_no_data_to_send() -> None:
+    """A single node that does not publish does not prove a blocked transport; nor does one that is not due yet."""
     blocked = BlockedTransport()
     blocked.nodes[2] = "node_1"
     assert blocked.condition(up_s=60.0) == "not_received"
 
 
-def test_a_slow_topic_is_waited_for() -> None:
+def test_a_slow_topic_gets_time() -> None:
     """Three periods of a 0.1 Hz topic are 30 s."""
     bench = Bench(0.1)
     assert bench.judge(silent_s=None, up_s=20.0).level is api.Level.STALE
     assert bench.judge(silent_s=None, up_s=31.0).condition == "not_received"
 
 
-def test_breaks_of_the_child_do_not_hide_a_slow_topic_for_ever() -> None:
-    """It has been listened for long enough; after a break discovery alone gets its grace."""
+def test_restarts_of_the_ros_child_do_not_hide_a_slow_topic_permanently() -> None:
+    """It has been awaited long enough; after a restart only discovery gets its grace."""
     bench = Bench(0.01)
     assert bench.judge(silent_s=None, up_s=20.0, listened_s=299.0).level is api.Level.STALE
     assert bench.judge(silent_s=None, up_s=2.0, listened_s=400.0).level is api.Level.STALE
@@ -247,15 +247,15 @@ def test_breaks_of_the_child_do_not_hide_a_slow_topic_for_ever() -> None:
 
 
 @pytest.mark.parametrize("problem", ["type unknown: x", "ambiguous: 9 publishers", "QoS mismatch: y"])
-def test_a_rate_that_cannot_be_told_is_stale(problem: str) -> None:
-    """No fault of the topic, and the reason is said."""
+def test_an_unknown_rate_is_stale(problem: str) -> None:
+    """The topic is not at fault, and the text has the reason."""
     result = Bench().judge(silent_s=None, problem=problem)
     assert result.level is api.Level.STALE
     assert problem in result.summary
 
 
 def test_a_rate_still_being_measured_is_stale() -> None:
-    """Two samples far enough apart have to be seen first."""
+    """Two samples far enough apart are needed first."""
     assert Bench().judge(hz=None).level is api.Level.STALE
 
 
@@ -263,14 +263,14 @@ def test_a_rate_still_being_measured_is_stale() -> None:
     ("publishers", "up_s", "level"),
     [(TALKER, 60.0, api.Level.OK), ((), 60.0, api.Level.ERROR), ((), 1.0, api.Level.STALE)],
 )
-def test_a_latched_topic_is_judged_by_its_publisher_alone(
+def test_a_latched_topic_is_checked_by_its_publisher_only(
     publishers: tuple[api.EndpointFact, ...], up_s: float, level: api.Level
 ) -> None:
     """`rate: 0` means published once: silence is normal."""
     assert Bench(0).see(api.TopicFact(publishers), up_s=up_s).level is level
 
 
-def test_a_latched_topic_tells_the_age_of_its_sample() -> None:
+def test_the_text_of_a_latched_topic_has_the_age_of_its_sample() -> None:
     """However old it is."""
     rate = api.RateFact(None, 700.0, samples=1, age_s=700.0)
     result = Bench(0).see(api.TopicFact(KEEPER, (), rate))
@@ -286,29 +286,29 @@ def test_a_latched_topic_tells_the_age_of_its_sample() -> None:
         (KEEPER + TALKER, 60.0, api.Level.OK),
     ],
 )
-def test_a_latched_sample_that_never_came_is_a_warning(
+def test_a_missing_latched_sample_is_a_warning(
     publishers: tuple[api.EndpointFact, ...], up_s: float, level: api.Level
 ) -> None:
-    """Only where the publishers keep it for whoever comes later must PHM have got it."""
+    """PHM must have received it only if the publishers keep it for late subscribers."""
     result = Bench(0).see(api.TopicFact(publishers, (), api.RateFact(None, None)), up_s=up_s)
     assert result.level is level
     assert (result.condition == "not_received") is (level is api.Level.WARN)
 
 
 def test_a_topic_without_a_sampler_is_stale() -> None:
-    """The child has not got to it yet."""
+    """The child has not subscribed to it yet."""
     assert Bench().see(api.TopicFact(TALKER)).level is api.Level.STALE
 
 
-def test_no_picture_makes_every_rate_stale() -> None:
-    """A dead ROS child is PHM's trouble."""
+def test_without_a_snapshot_every_rate_is_stale() -> None:
+    """A dead ROS child process is PHM's own problem."""
     bench = Bench()
     bench.ros.fail("the ROS child is silent")
     assert bench.see(api.TopicFact()).level is api.Level.STALE
 
 
-def test_a_rate_needs_its_topic() -> None:
-    """A topic that is not connected is told once."""
+def test_a_rate_depends_on_its_topic() -> None:
+    """A topic that is not connected is reported once."""
     (unit,) = Bench().check.units
     assert unit.needs == ("topics/agent_1/topic_1",)
     assert unit.settle_s == 2.0

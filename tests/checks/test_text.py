@@ -10,7 +10,7 @@ from phm_checks import _text
 
 @given(st.text(max_size=300), st.text(max_size=60))
 def test_a_brief_is_at_most_38_printable_ascii_characters(subject: str, words: str) -> None:
-    """Whatever names and words come from outside, the operator's line stays short and plain."""
+    """Whatever external names and texts contain, the operator's line stays short and plain."""
     text = _text.brief(subject, words)
     assert len(text) <= _text.BRIEF_MAX
     assert text.isascii() and (not text or text.isprintable())
@@ -26,7 +26,7 @@ def test_a_long_name_keeps_its_end_and_the_verdict() -> None:
 
 @given(st.text(max_size=2000))
 def test_cleaned_text_is_one_printable_line(text: str) -> None:
-    """Output of a container cannot break the log's one-line-per-event form."""
+    """Output of a container cannot break the log format of one line per event."""
     cleaned = _text.clean(text, 100)
     assert len(cleaned) <= 100
     assert cleaned.isprintable()
@@ -43,27 +43,27 @@ def test_cleaned_text_is_one_printable_line(text: str) -> None:
         ("/agent_1/node_1", "/agent_1/planner", False),
     ],
 )
-def test_names_one_edit_apart_are_near(first: str, second: str, near: bool) -> None:
-    """Dropped, changed, swapped and added characters are typing mistakes; equal names are none."""
+def test_names_one_edit_apart_are_similar(first: str, second: str, near: bool) -> None:
+    """Missing, changed, swapped and added characters are typing mistakes; equal names are not."""
     assert _text.one_edit_apart(first, second) is near
     assert _text.one_edit_apart(second, first) is near
 
 
-def test_a_node_in_another_namespace_is_offered() -> None:
-    """A forgotten namespace is the most common reason why a node is not found."""
+def test_a_node_in_another_namespace_is_suggested() -> None:
+    """A forgotten namespace is the most common reason for a missing node."""
     assert "/node_1" in _text.did_you_mean("/agent_1/node_1", ["/node_1", "/camera"])
     assert not _text.did_you_mean("/agent_1/node_1", ["/camera"])
 
 
-def test_a_jittering_number_keeps_still_in_text() -> None:
-    """A brief that changes at each reading would be sent to the ground at each reading."""
+def test_a_jittering_number_is_stable_in_text() -> None:
+    """A brief that changes with each sample would be sent to the ground with each sample."""
     steady = _text.StableNumber(share=0.05)
     assert [steady.show("cpu", value) for value in (92.0, 93.0, 90.0, 99.0)] == [92.0, 92.0, 92.0, 99.0]
     steady.forget("cpu")
     assert steady.show("cpu", 97.0) == 97.0
 
 
-def test_a_long_list_is_cut_and_says_so() -> None:
+def test_a_long_list_is_truncated_with_a_note() -> None:
     """A hundred missing files make one readable sentence."""
     assert _text.listed([f"f{i}" for i in range(9)]) == "f0, f1, f2, f3, f4 and 4 more"
     assert _text.listed([]) == "none"

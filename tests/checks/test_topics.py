@@ -15,7 +15,7 @@ UNIT = "topics/agent_1/topic_1"
 STRING = "std_msgs/msg/String"
 
 
-def end(node: str = "/agent_1/node_1", type_: str = STRING, *qos: str, **fields: Any) -> api.EndpointFact:
+def endpoint(node: str = "/agent_1/node_1", type_: str = STRING, *qos: str, **fields: Any) -> api.EndpointFact:
     return api.EndpointFact(node, type_, *qos, **fields)
 
 
@@ -32,39 +32,39 @@ def judge(check: api.Check, fact: api.TopicFact | None, **ros: Any) -> api.Resul
     return results[UNIT]
 
 
-PAIR = api.TopicFact((end(),), (end("/agent_1/node_2"),))
+PAIR = api.TopicFact((endpoint(),), (endpoint("/agent_1/node_2"),))
 
 
 def test_a_connected_topic_is_ok() -> None:
-    """All named ends are there and of the configured type."""
+    """All named endpoints exist and have the configured type."""
     check = build(type=STRING, publishers=["agent_1/node_1"], subscribers=["/agent_1/node_2"])
     assert judge(check, PAIR).level is api.Level.OK
 
 
-def test_a_topic_needs_its_nodes_and_their_container() -> None:
-    """A dead node is told once, at the node; the topic's evidence arrives earlier, so it settles first."""
+def test_a_topic_depends_on_its_nodes_and_their_container() -> None:
+    """A dead node is reported once, by its unit; the topic's evidence arrives earlier, so the topic settles first."""
     (unit,) = build(publishers=["/agent_1/node_1"], subscribers=["/agent_1/node_2"]).units
     assert unit.needs == ("container/ros_app", "network/ros_app", "nodes/agent_1/node_1", "nodes/agent_1/node_2")
     assert (unit.target, unit.settle_s, unit.grace_s) == ("ros_app", 1.5, 8.0)
 
 
 @pytest.mark.parametrize("fact", [None, api.TopicFact()])
-def test_a_topic_without_ends_is_missing(fact: api.TopicFact | None) -> None:
-    """Nobody knows it."""
+def test_a_topic_without_endpoints_is_missing(fact: api.TopicFact | None) -> None:
+    """No node publishes or subscribes to it."""
     result = judge(build(), fact)
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "topic_missing", "topic_1 missing")
 
 
-def test_a_topic_with_subscribers_alone_lacks_its_publisher() -> None:
-    """Any publisher will do when none is named, but one must be."""
-    assert judge(build(), api.TopicFact((), (end(),))).condition == "publisher_missing"
+def test_a_topic_with_subscribers_only_lacks_its_publisher() -> None:
+    """Any publisher is accepted if none is named, but one must exist."""
+    assert judge(build(), api.TopicFact((), (endpoint(),))).condition == "publisher_missing"
 
 
 @pytest.mark.parametrize(
     ("side", "condition"), [("publishers", "publisher_missing"), ("subscribers", "subscriber_missing")]
 )
-def test_a_named_end_that_is_lacking_is_told(side: str, condition: str) -> None:
-    """Another node in its place does not count, and a near name is offered."""
+def test_a_missing_named_endpoint_is_reported(side: str, condition: str) -> None:
+    """Another node in its place does not count, and a similar name is suggested."""
     result = judge(build(**{side: ["/agent_1/node_7"]}), PAIR)
     assert (result.level, result.condition) == (api.Level.ERROR, condition)
     assert "node_7" in result.brief and "Did you mean" in result.summary
@@ -73,8 +73,8 @@ def test_a_named_end_that_is_lacking_is_told(side: str, condition: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "left"), [("publisher", ((), PAIR.subscribers)), ("subscriber", (PAIR.publishers, ()))]
 )
-def test_an_end_that_a_running_node_gave_up_is_lost(kind: str, left: tuple[Any, Any]) -> None:
-    """It was there and its node still is: a restart of that node's container brings it back, so that is the target."""
+def test_an_endpoint_dropped_by_a_running_node_is_lost(kind: str, left: tuple[Any, Any]) -> None:
+    """It existed and its node still runs: a restart of that node's container restores it, so that is the target."""
     check = build(publishers=["/agent_1/node_1"], subscribers=["/agent_1/node_2"])
     nodes = {"/agent_1/node_1": 1, "/agent_1/node_2": 1}
     assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
@@ -83,8 +83,8 @@ def test_an_end_that_a_running_node_gave_up_is_lost(kind: str, left: tuple[Any, 
     assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
 
 
-def test_an_end_of_a_node_that_was_started_anew_is_missing() -> None:
-    """Its node was away since: it may be another version, and no restart helps against a mistake of the configuration."""
+def test_a_missing_endpoint_of_a_restarted_node_is_not_lost() -> None:
+    """Its node was away since: it may be another version, and no restart helps against a configuration mistake."""
     check = build(subscribers=["/agent_1/node_2"])
     nodes = {"/agent_1/node_2": 1}
     alone = api.TopicFact(PAIR.publishers)
@@ -108,13 +108,13 @@ ONE, TWO, THREE = "/agent_1/node_1", "/agent_1/node_2", "/agent_1/node_3"
         ({"publishers": ["/agent_1/node_10"]}, [INT, STRING], [], api.Level.WARN),
     ],
 )
-def test_another_type_than_the_configured_is_told_by_its_end(
+def test_a_wrong_type_is_reported_for_its_endpoint(
     topic: Any, out: list[str], into: list[str], level: api.Level
 ) -> None:
-    """ERROR where the configuration names the end or needs one publisher; a stranger of another type is a WARN."""
+    """ERROR if the configuration names the endpoint or needs a publisher; a wrong type at an unnamed endpoint is a WARN."""
     fact = api.TopicFact(
-        tuple(end(f"/agent_1/node_1{'0' * n}", kind) for n, kind in enumerate(out)),
-        tuple(end(TWO, kind) for kind in into),
+        tuple(endpoint(f"/agent_1/node_1{'0' * n}", kind) for n, kind in enumerate(out)),
+        tuple(endpoint(TWO, kind) for kind in into),
     )
     result = judge(build(type=STRING, **topic), fact)
     assert (result.level, result.condition) == (level, "type_wrong")
@@ -129,21 +129,23 @@ def test_another_type_than_the_configured_is_told_by_its_end(
         ({"subscribers": [TWO]}, api.Level.ERROR),
     ],
 )
-def test_mixed_types_are_an_error_for_a_pair_that_is_needed(topic: Any, level: api.Level) -> None:
-    """Which of them is wrong is not known; that a named subscriber is not served is."""
-    result = judge(build(**topic), api.TopicFact((end(),), (end(TWO, INT),)))
+def test_mixed_types_are_an_error_for_a_required_pair(topic: Any, level: api.Level) -> None:
+    """Which type is wrong is unknown, but the named subscriber receives nothing."""
+    result = judge(build(**topic), api.TopicFact((endpoint(),), (endpoint(TWO, INT),)))
     assert (result.level, result.condition) == (level, "type_wrong")
     assert f"{STRING} at publisher {ONE}, {INT} at subscriber {TWO}" in result.summary
 
 
-def test_two_publishers_of_different_type_are_told_without_a_subscriber() -> None:
-    """Whoever subscribes next is served by one of them alone."""
-    assert judge(build(), api.TopicFact((end(), end(TWO, INT)), ())).level is api.Level.WARN
+def test_two_publishers_of_different_type_are_reported_without_a_subscriber() -> None:
+    """The next subscriber would receive only one of them."""
+    assert judge(build(), api.TopicFact((endpoint(), endpoint(TWO, INT)), ())).level is api.Level.WARN
 
 
-def test_one_type_in_two_versions_is_told() -> None:
-    """The name is the same and the content is not: built against different versions of the package."""
-    fact = api.TopicFact((end(type_hash="RIHS01_aaaa"),), (end(TWO, type_hash="RIHS01_bbbb"), end(THREE)))
+def test_one_type_in_two_versions_is_reported() -> None:
+    """The name is equal but the definition is not: built with different versions of the package."""
+    fact = api.TopicFact(
+        (endpoint(type_hash="RIHS01_aaaa"),), (endpoint(TWO, type_hash="RIHS01_bbbb"), endpoint(THREE))
+    )
     result = judge(build(type=STRING, publishers=[ONE], subscribers=[TWO]), fact)
     assert (result.level, result.condition) == (api.Level.ERROR, "type_wrong")
     assert f"publisher {ONE} has RIHS01_aaaa, subscriber {TWO} has RIHS01_bbbb" in result.summary
@@ -173,9 +175,9 @@ ASKS = {"reliability": "reliable", "durability": "transient_local", "liveliness"
         ({"lease_s": 0.5, "deadline_s": 0.1}, {"lease_s": 1.0, "deadline_s": None}, ""),
     ],
 )
-def test_each_policy_is_judged_as_dds_does(offered: Any, asked: Any, words: str) -> None:
-    """Policy and both sides are named; offering as much or more fits; what is not told is not judged."""
-    result = judge(build(), api.TopicFact((end("/talker", **offered),), (end("/listener", **asked),)))
+def test_each_policy_is_checked_by_the_rules_of_dds(offered: Any, asked: Any, words: str) -> None:
+    """Policy and both sides are named; an offer of the same or more is compatible; unknown policies are ignored."""
+    result = judge(build(), api.TopicFact((endpoint("/talker", **offered),), (endpoint("/listener", **asked),)))
     assert result.level is (api.Level.WARN if words else api.Level.OK)
     assert words.format("/talker", "/listener") in result.summary
 
@@ -192,16 +194,16 @@ STRICT, LAX = {"reliability": "reliable"}, {"reliability": "best_effort"}
         ({"publishers": [ONE], "subscribers": [TWO]}, api.Level.ERROR),
     ],
 )
-def test_a_pair_that_the_configuration_needs_must_connect(topic: Any, level: api.Level) -> None:
-    """A subscriber that is named gets nothing: ERROR. A pair that nobody asked for: WARN."""
-    result = judge(build(**topic), api.TopicFact((end(**LAX),), (end(TWO, **STRICT),)))
+def test_a_required_pair_must_connect(topic: Any, level: api.Level) -> None:
+    """A named subscriber receives nothing: ERROR. A pair that the configuration does not name: WARN."""
+    result = judge(build(**topic), api.TopicFact((endpoint(**LAX),), (endpoint(TWO, **STRICT),)))
     assert (result.level, result.condition) == (level, "qos_mismatch")
     assert result.evidence.conclusive
 
 
-def test_a_named_subscriber_that_another_publisher_serves_is_a_warning() -> None:
-    """No publisher is named, so any one will do; where both are named, that pair must connect."""
-    fact = api.TopicFact((end(ONE, **LAX), end(THREE, **STRICT)), (end(TWO, **STRICT),))
+def test_a_named_subscriber_with_another_publisher_is_a_warning() -> None:
+    """No publisher is named, so any is accepted; if both are named, that pair must connect."""
+    fact = api.TopicFact((endpoint(ONE, **LAX), endpoint(THREE, **STRICT)), (endpoint(TWO, **STRICT),))
     assert judge(build(subscribers=[TWO]), fact).level is api.Level.WARN
     assert judge(build(publishers=[THREE], subscribers=[TWO]), fact).level is api.Level.WARN
     assert judge(build(publishers=[ONE, THREE], subscribers=[TWO]), fact).level is api.Level.ERROR
@@ -215,25 +217,25 @@ def test_a_named_subscriber_that_another_publisher_serves_is_a_warning() -> None
         ([LAX], [STRICT, LAX], "set at the subscriber best_effort"),
     ],
 )
-def test_what_to_change_is_said_for_the_end_that_stands_alone(out: list[Any], into: list[Any], change: str) -> None:
-    """If the publisher serves others, it is the subscriber that asks too much, and the other way round."""
+def test_the_advice_addresses_the_endpoint_that_differs(out: list[Any], into: list[Any], change: str) -> None:
+    """If the publisher serves others, the subscriber requests too much, and vice versa."""
     fact = api.TopicFact(
-        tuple(end(f"/out_{n}", **qos) for n, qos in enumerate(out)),
-        tuple(end(f"/in_{n}", **qos) for n, qos in enumerate(into)),
+        tuple(endpoint(f"/out_{n}", **qos) for n, qos in enumerate(out)),
+        tuple(endpoint(f"/in_{n}", **qos) for n, qos in enumerate(into)),
     )
     assert judge(build(), fact).summary.endswith(f"{change}.")
 
 
 def test_many_pairs_are_counted() -> None:
     """The text stays short."""
-    fact = api.TopicFact((end(**LAX),), tuple(end(f"/in_{n}", **STRICT) for n in range(9)))
+    fact = api.TopicFact((endpoint(**LAX),), tuple(endpoint(f"/in_{n}", **STRICT) for n in range(9)))
     assert judge(build(), fact).summary.endswith("And 6 more.")
 
 
-def test_ends_are_looked_through_again_when_they_changed() -> None:
-    """What was found out about the ends before does not outlive them."""
+def test_changed_endpoints_are_compared_again() -> None:
+    """Earlier results about the endpoints are discarded."""
     check = build()
-    bad, good = (api.TopicFact((end(**qos),), (end(TWO, **STRICT),)) for qos in (LAX, STRICT))
+    bad, good = (api.TopicFact((endpoint(**qos),), (endpoint(TWO, **STRICT),)) for qos in (LAX, STRICT))
     assert [judge(check, fact).level for fact in (bad, bad, good, bad)] == [
         api.Level.WARN,
         api.Level.WARN,
@@ -258,28 +260,32 @@ def uses(publishers: Any = (), subscribers: Any = ()) -> api.NameFact:
         ("/agent_1/topic_7", "one character different"),
     ],
 )
-def test_a_node_that_uses_an_almost_right_name_is_named(name: str, why: str) -> None:
-    """The node that is lacking publishes under another name: which node, which name, and what was meant."""
-    result = judge(build(publishers=[ONE]), api.TopicFact((), (end(TWO),)), others={name: uses([ONE])})
+def test_a_node_that_uses_a_similar_name_is_reported(name: str, why: str) -> None:
+    """The missing node publishes under another name: the text has the node, its name, and the configured name."""
+    result = judge(build(publishers=[ONE]), api.TopicFact((), (endpoint(TWO),)), others={name: uses([ONE])})
     assert result.condition == "publisher_missing"
     assert f"{ONE} publishes {name}, {why}: did you mean {NAME}?" in result.summary
 
 
-def test_an_almost_right_name_with_both_ends_is_no_hint_while_the_right_one_is_used() -> None:
-    """Somebody else's topic; but where nobody uses the right name, it may be this one."""
+def test_a_similar_name_with_both_endpoints_is_not_suggested_while_the_right_one_is_used() -> None:
+    """It is another topic; but if no node uses the right name, it may be this one."""
     others = {"/agent_1/topc_1": uses([THREE], ["/agent_1/node_4"])}
-    assert "did you mean" not in judge(build(publishers=[ONE]), api.TopicFact((), (end(TWO),)), others=others).summary
+    assert (
+        "did you mean" not in judge(build(publishers=[ONE]), api.TopicFact((), (endpoint(TWO),)), others=others).summary
+    )
     assert "did you mean" in judge(build(publishers=[ONE]), None, others=others).summary
 
 
-def test_a_near_name_of_another_node_is_a_hint_when_it_is_used_from_one_side() -> None:
+def test_a_similar_name_of_another_node_is_suggested_when_one_side_is_missing() -> None:
     """A subscription without a publisher beside a topic without its subscriber."""
-    result = judge(build(subscribers=[TWO]), api.TopicFact((end(),), ()), others={"/agent_1/topc_1": uses((), [THREE])})
+    result = judge(
+        build(subscribers=[TWO]), api.TopicFact((endpoint(),), ()), others={"/agent_1/topc_1": uses((), [THREE])}
+    )
     assert f"{THREE} subscribes to /agent_1/topc_1, one character different: did you mean {NAME}?" in result.summary
 
 
 def stray(name: str, fact: api.NameFact, seconds: float) -> api.Result:
-    """What a topic that is well is, `seconds` after a near name was first seen."""
+    """The result of a healthy topic, `seconds` after a similar name was first seen."""
     check, clock = build(), testing.FakeClock()
     ros = testing.FakeRos(topics={NAME: PAIR}, others={name: fact})
     world = testing.world(clock=clock, ros=ros)
@@ -290,8 +296,8 @@ def stray(name: str, fact: api.NameFact, seconds: float) -> api.Result:
     return results[UNIT]
 
 
-def test_a_subscription_that_nobody_feeds_on_an_almost_right_name_is_a_warning() -> None:
-    """Although the topic itself is well: nobody else would ever say so."""
+def test_a_subscription_without_publisher_on_a_similar_name_is_a_warning() -> None:
+    """Although the topic itself is OK: no other unit would report it."""
     result = stray("/agent_1/topc_1", uses((), [THREE]), 10.0)
     assert (result.level, result.condition) == (api.Level.WARN, "name_mistaken")
     assert f"{THREE} subscribes to /agent_1/topc_1, one character different: did you mean {NAME}?" in result.summary
@@ -310,23 +316,23 @@ def test_a_subscription_that_nobody_feeds_on_an_almost_right_name_is_a_warning()
         ("/agent_1/other", uses((), [THREE]), 99.0),
     ],
 )
-def test_what_may_be_on_purpose_is_no_warning(name: str, fact: api.NameFact, seconds: float) -> None:
-    """Not yet for long, fed, a publisher alone, another number, another agent, another name."""
+def test_an_intentional_similar_name_is_not_a_warning(name: str, fact: api.NameFact, seconds: float) -> None:
+    """Too recent, with a publisher, a publisher only, another number, another agent, another name."""
     assert stray(name, fact, seconds).level is api.Level.OK
 
 
-def test_a_young_picture_proves_no_absence() -> None:
+def test_a_new_snapshot_proves_no_absence() -> None:
     """Discovery needs seconds to fill the graph."""
     assert judge(build(), None, up_s=2.0).level is api.Level.STALE
 
 
-def test_an_old_picture_proves_nothing() -> None:
-    """A frozen graph is not judged."""
+def test_an_outdated_snapshot_proves_nothing() -> None:
+    """A frozen graph is not evaluated."""
     assert judge(build(), PAIR, age_s=30.0).level is api.Level.STALE
 
 
-def test_no_picture_makes_every_topic_stale() -> None:
-    """Without rclpy the rest of PHM goes on."""
+def test_without_a_snapshot_every_topic_is_stale() -> None:
+    """Without rclpy the rest of PHM keeps working."""
     ros = testing.FakeRos()
     ros.fail("rclpy is not installed")
     results = build().run(testing.world(ros=ros))
@@ -335,17 +341,17 @@ def test_no_picture_makes_every_topic_stale() -> None:
     assert "rclpy" in results[UNIT].summary
 
 
-def test_no_topics_no_check() -> None:
-    """Nothing to judge, nothing built."""
+def test_without_configured_topics_no_check_is_built() -> None:
+    """There is nothing to check."""
     assert list(Topics.build(testing.settings())) == []
 
 
-NAMELESS = end("")
+NAMELESS = endpoint("")
 
 
 @pytest.mark.parametrize("side", ["publishers", "subscribers"])
-def test_an_end_whose_node_is_not_known_is_not_taken_for_missing(side: str) -> None:
-    """It may be the one that is looked for: STALE with a sentence that is one, no alarm and no restart."""
+def test_an_endpoint_of_an_unknown_node_does_not_count_as_missing(side: str) -> None:
+    """It may be the expected one: STALE with a complete sentence, no alarm and no restart."""
     check = build(publishers=[ONE], subscribers=[TWO])
     nodes = {ONE: 1, TWO: 1}
     assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
@@ -357,15 +363,15 @@ def test_an_end_whose_node_is_not_known_is_not_taken_for_missing(side: str) -> N
     assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
 
 
-def test_a_list_of_ends_without_names_is_a_sentence() -> None:
-    """What has no name is called so: an empty place in a list is no text."""
-    found = api.TopicFact((end(""), end("", INT)))
+def test_a_list_of_unnamed_endpoints_is_a_sentence() -> None:
+    """An unnamed endpoint is called so instead of leaving a gap in the list."""
+    found = api.TopicFact((endpoint(""), endpoint("", INT)))
     assert "publisher (unnamed node)" in judge(build(), found).summary
     assert listed(["", "/a"]) == "(unnamed), /a" and listed([]) == "none"
 
 
-def test_data_that_flow_prove_a_publisher_that_is_not_listed() -> None:
-    """Samples that came after the last publisher had left the graph: the picture is wrong, and not the vehicle."""
+def test_received_data_prove_a_publisher_that_is_not_listed() -> None:
+    """Samples arrived after the last publisher had left the graph: the snapshot is wrong, not the vehicle."""
     clock = testing.FakeClock()
     check = build(publishers=[ONE])
     ros = testing.FakeRos(topics={NAME: PAIR}, nodes={ONE: 1})

@@ -1,4 +1,4 @@
-"""The command line: what each verb prints, how it ends, and what it costs to start."""
+"""The command line: output, exit code and start-up cost of each verb."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def invoke(*arguments: str, **environment: str) -> Result:
 def phm_process(
     *arguments: str, path: Path | None = None, environment: dict[str, str] | None = None, before: tuple[str, ...] = ()
 ) -> subprocess.CompletedProcess[str]:
-    """The real thing, in a process of its own; `path` goes before everything else on its module path."""
+    """The real program, in its own process; `path` is prepended to its module path."""
     places = [*([str(path)] if path else []), str(ROOT), str(ROOT / "checks")]
     return subprocess.run(
         [sys.executable, *before, "-m", "phm.cli", *arguments],
@@ -78,7 +78,7 @@ def phm_process(
 
 
 def running(run_dir: Path, *states: UnitState, alive: bool = True) -> StatusReporter:
-    """A status as a daemon in this process writes it, with one fault open and one healed."""
+    """A status as a daemon writes it, with one open and one resolved fault."""
     parts = context(
         Settings(run_dir=str(run_dir)),
         clock=SystemClock(),
@@ -98,7 +98,7 @@ def running(run_dir: Path, *states: UnitState, alive: bool = True) -> StatusRepo
 # ---------------------------------------------------------------- the group
 
 
-def test_help_of_each_verb_says_what_it_does_with_an_example() -> None:
+def test_the_help_of_each_verb_has_a_description_and_an_example() -> None:
     """The group's table agrees with the first line of each verb, and each verb shows an example."""
     for verb, line in VERBS.items():
         command = import_module(f"phm.cli.{verb.replace('-', '_')}").command
@@ -109,19 +109,19 @@ def test_help_of_each_verb_says_what_it_does_with_an_example() -> None:
         assert line in invoke("--help").output
 
 
-def test_version_is_the_packages(tmp_path: Path) -> None:
+def test_the_version_is_that_of_the_package(tmp_path: Path) -> None:
     """`-V` and `--version` print one line."""
     assert invoke("-V").output == invoke("--version").output == f"phm {phm.__version__}\n"
 
 
-def test_an_unknown_verb_is_an_error_of_usage() -> None:
-    """Exit code 2, and the word that was not understood."""
+def test_an_unknown_verb_is_a_usage_error() -> None:
+    """Exit code 2, and the unknown word."""
     result = invoke("fly")
     assert result.exit_code == 2
     assert "No such command 'fly'" in result.output
 
 
-def test_the_health_check_imports_next_to_nothing(tmp_path: Path) -> None:
+def test_the_health_check_imports_almost_nothing(tmp_path: Path) -> None:
     """`phm status --healthy` runs every few seconds on a Pi: no pydantic, Docker, MAVLink, YAML, rich or rclpy."""
     running(tmp_path, WELL)
     done = phm_process("status", "--healthy", "--run-dir", str(tmp_path), before=("-X", "importtime"))
@@ -135,8 +135,8 @@ def test_the_health_check_imports_next_to_nothing(tmp_path: Path) -> None:
     assert {name for name in ours if name.startswith("phm.")} <= lean
 
 
-def test_an_unforeseen_error_is_one_sentence() -> None:
-    """No traceback unless it is asked for, and exit code 70 (EX_SOFTWARE)."""
+def test_an_unexpected_error_is_one_sentence() -> None:
+    """No traceback unless requested, and exit code 70 (EX_SOFTWARE)."""
     script = "import phm.cli.status as s, phm.cli; s._look = lambda *a, **k: 1 / 0; phm.cli.main(['status'])"
     plain = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=False)
     assert plain.returncode == os.EX_SOFTWARE
@@ -156,7 +156,7 @@ def test_an_unforeseen_error_is_one_sentence() -> None:
 
 @pytest.fixture
 def plugin(tmp_path: Path) -> Path:
-    """A third-party package, as pip lays it out: verbs and checks, some of them broken."""
+    """A third-party package with the layout of pip: verbs and checks, some of them broken."""
     info = tmp_path / "acme-1.2.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme\nVersion: 1.2\n")
@@ -181,7 +181,7 @@ def plugin(tmp_path: Path) -> Path:
 
 
 def test_a_verb_of_another_package_is_found(plugin: Path) -> None:
-    """One entry point in `phm.verbs` is all it takes; the help names the package."""
+    """One entry point in `phm.verbs` is enough; the help names the package."""
     assert phm_process("land", path=plugin).stdout == "landing\n"
     shown = phm_process("--help", path=plugin).stdout
     assert "land" in shown
@@ -189,7 +189,7 @@ def test_a_verb_of_another_package_is_found(plugin: Path) -> None:
 
 
 def test_a_broken_verb_of_another_package_says_why(plugin: Path) -> None:
-    """The cause is told in one sentence, and our own verbs go on."""
+    """The cause is reported in one sentence, and our own verbs still work."""
     broken = phm_process("broken", path=plugin)
     assert broken.returncode == 1
     assert broken.stderr == (
@@ -203,8 +203,8 @@ def test_a_broken_verb_of_another_package_says_why(plugin: Path) -> None:
 # ---------------------------------------------------------------- checks
 
 
-def test_checks_lists_what_is_installed_and_what_is_broken(plugin: Path) -> None:
-    """Name, slot, layer, package and description; a check that cannot be loaded keeps its cause, exit code 1."""
+def test_checks_lists_installed_and_broken_checks(plugin: Path) -> None:
+    """Name, slot, layer, package and description; a check that cannot be loaded has its cause, exit code 1."""
     done = phm_process("checks", "--json", path=plugin)
     assert done.returncode == 1
     rows = {row["name"]: row for row in json.loads(done.stdout)}
@@ -222,8 +222,8 @@ def test_checks_lists_what_is_installed_and_what_is_broken(plugin: Path) -> None
     assert "not usable: module 'acme_missing' cannot be imported" in table
 
 
-def test_the_graph_of_needs_is_a_tree() -> None:
-    """Each unit stands once, below what it needs; as JSON with direct needs and everything that follows."""
+def test_the_dependency_graph_is_a_tree() -> None:
+    """Each unit is listed once, below its dependency; as JSON with direct and all transitive dependents."""
     shipped = ("checks", "--graph", "-c", str(ROOT / "config" / "phm.yaml"))
     lines = invoke(*shipped).stdout.splitlines()
     rows = json.loads(invoke(*shipped, "--json").stdout)
@@ -240,8 +240,8 @@ def test_the_graph_of_needs_is_a_tree() -> None:
     assert {unit.partition("/")[0] for unit in network["blocks"]} == {"nodes", "consensus", "topics", "rates"}
 
 
-def test_no_checks_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An installation that judges nothing must not look well."""
+def test_an_installation_without_checks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation that checks nothing must not look healthy."""
     monkeypatch.setattr("phm.checking.registry.find", lambda group, base: [])
     result = invoke("checks")
     assert result.exit_code == 1
@@ -252,7 +252,7 @@ def test_no_checks_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path) -> None:
-    """What an operator asks first stands first, and levels are words."""
+    """The most important information is first, and levels are words."""
     running(tmp_path, DEAD, BLOCKED, WELL)
     result = invoke("status", "--run-dir", str(tmp_path))
     assert result.exit_code == 0, result.output
@@ -279,8 +279,8 @@ def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path)
     assert places == sorted(places)
 
 
-def test_output_that_is_no_terminal_has_no_colour(tmp_path: Path) -> None:
-    """Pipes get plain text; a terminal gets colour unless NO_COLOR asks for none."""
+def test_output_without_a_terminal_has_no_colour(tmp_path: Path) -> None:
+    """Pipes get plain text; a terminal gets colour unless NO_COLOR is set."""
     running(tmp_path, DEAD)
     assert "\x1b" not in invoke("status", "--run-dir", str(tmp_path)).stdout
     forced = {"FORCE_COLOR": "1", "TERM": "xterm-256color"}
@@ -288,15 +288,15 @@ def test_output_that_is_no_terminal_has_no_colour(tmp_path: Path) -> None:
     assert "\x1b[1;31m" not in invoke("status", "--run-dir", str(tmp_path), NO_COLOR="1", **forced).stdout
 
 
-def test_text_from_outside_cannot_steer_the_terminal(tmp_path: Path) -> None:
-    """Escape sequences and markup in a summary are shown as they are."""
+def test_external_text_cannot_control_the_terminal(tmp_path: Path) -> None:
+    """Escape sequences and markup in a summary are shown literally."""
     running(tmp_path, unit("host", Slot.HOST, Level.WARN, "\x1b[2J[red]x[/red]\nSUCCESS"))
     shown = invoke("status", "--run-dir", str(tmp_path)).stdout
     assert r"\x1b[2J[red]x[/red]\nSUCCESS" in shown
 
 
 def test_status_as_json_adds_the_verdict(tmp_path: Path) -> None:
-    """The file as it is, and whether it is to be believed."""
+    """The unmodified file, and whether the daemon is healthy."""
     running(tmp_path, DEAD)
     seen = json.loads(invoke("status", "--json", "--run-dir", str(tmp_path)).stdout)
     assert (seen["agent"], seen["healthy"], seen["problem"]) == ("agent_1", True, "")
@@ -306,14 +306,14 @@ def test_status_as_json_adds_the_verdict(tmp_path: Path) -> None:
 
 
 def test_healthy_is_about_the_daemon_not_the_vehicle(tmp_path: Path) -> None:
-    """A sidecar that reports a dead node does its work: Docker must not restart it for that."""
+    """A sidecar that reports a dead node works: Docker must not restart it for that."""
     running(tmp_path, DEAD)
     result = invoke("status", "--healthy", PHM_RUN_DIR=str(tmp_path))
     assert (result.exit_code, result.stdout) == (0, "PHM is healthy: monitoring 1 units.\n")
 
 
-def test_a_stalled_engine_is_unhealthy(tmp_path: Path) -> None:
-    """A process that still writes but no longer checks is not well."""
+def test_a_stalled_scheduler_is_unhealthy(tmp_path: Path) -> None:
+    """A process that still writes but no longer checks is not OK."""
     running(tmp_path, alive=False)
     result = invoke("status", "--healthy", "--run-dir", str(tmp_path))
     assert result.exit_code == 1
@@ -343,8 +343,8 @@ sys.stdin.readline()
 """
 
 
-def test_what_a_killed_daemon_left_is_never_healthy(tmp_path: Path) -> None:
-    """After SIGKILL the file is still there and fresh, and `--healthy` says no all the same."""
+def test_the_status_of_a_killed_daemon_is_never_healthy(tmp_path: Path) -> None:
+    """After SIGKILL the file still exists and is recent, and `--healthy` fails nevertheless."""
     process = subprocess.Popen(
         [sys.executable, "-c", DAEMON, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -364,7 +364,7 @@ def test_what_a_killed_daemon_left_is_never_healthy(tmp_path: Path) -> None:
 
 
 def test_watch_shows_the_status_until_interrupted(tmp_path: Path) -> None:
-    """`--watch` prints again and again, and Ctrl-C is an orderly end."""
+    """`--watch` prints periodically, and Ctrl-C ends it cleanly."""
     status = running(tmp_path, DEAD)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
@@ -373,7 +373,7 @@ def test_watch_shows_the_status_until_interrupted(tmp_path: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # also where the tests themselves ignore it
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # also if the tests themselves ignore it
     ) as process:
         assert process.stdout is not None
         seen = 0
@@ -387,8 +387,8 @@ def test_watch_shows_the_status_until_interrupted(tmp_path: Path) -> None:
     assert (process.returncode, errors) == (0, "")
 
 
-def test_the_ways_to_show_exclude_each_other(tmp_path: Path) -> None:
-    """Two of --json, --healthy, --watch are an error of usage."""
+def test_output_options_exclude_each_other(tmp_path: Path) -> None:
+    """Two of --json, --healthy, --watch are a usage error."""
     assert invoke("status", "--json", "--healthy").exit_code == 2
 
 
@@ -396,7 +396,7 @@ def test_the_ways_to_show_exclude_each_other(tmp_path: Path) -> None:
 
 
 def with_daemon(monkeypatch: pytest.MonkeyPatch, **functions: Any) -> None:
-    """Settings without a file, and the daemon's functions replaced."""
+    """Settings without a file, and replaced functions of the daemon."""
     nothing = Configuration("phm.yaml", Settings(), {}, build_plan(Settings(), {}))
     monkeypatch.setattr("phm.runtime.configuration.read", lambda path, **more: nothing)
     for name, function in functions.items():
@@ -404,7 +404,7 @@ def with_daemon(monkeypatch: pytest.MonkeyPatch, **functions: Any) -> None:
 
 
 def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The keys of the issue, first of all; exit code 1 since a check says ERROR."""
+    """The documented keys first; exit code 1 since a check has level ERROR."""
     with_daemon(monkeypatch, run_once=lambda configuration: (DEAD, BLOCKED, WELL))
     result = invoke("once", "--json")
     assert result.exit_code == 1
@@ -417,7 +417,7 @@ def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Slots in order, level words, array; exit code 0 when nothing says ERROR, though something is not known."""
+    """Slots in order, level words, array; exit code 0 without ERROR, even if a unit is STALE."""
     with_daemon(monkeypatch, run_once=lambda configuration: (WELL, BLOCKED))
     result = invoke("once")
     assert result.exit_code == 0, result.output
@@ -425,16 +425,16 @@ def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "Status Array: [-, -, -, -, -, -, -, -]" in result.stdout
 
 
-def test_run_ends_with_the_daemons_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What `phm.runtime.service.run` returns is the exit code."""
+def test_run_ends_with_the_exit_code_of_the_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The return value of `phm.runtime.service.run` is the exit code."""
     with_daemon(monkeypatch)
     monkeypatch.setattr("phm.runtime.service.run", lambda configuration, read: 3)
-    monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process stays
+    monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process continues
     assert invoke("run").exit_code == 3
 
 
 @pytest.mark.parametrize("verb", ["run", "once"])
-def test_a_bad_configuration_ends_before_anything_is_opened(verb: str, tmp_path: Path) -> None:
+def test_an_invalid_configuration_ends_before_anything_is_opened(verb: str, tmp_path: Path) -> None:
     """Exit code 78, the problems on stderr, no traceback, nothing on stdout."""
     bad = tmp_path / "phm.yaml"
     bad.write_text("agent: {id: 51}\nintervall: 3\n")
@@ -446,7 +446,7 @@ def test_a_bad_configuration_ends_before_anything_is_opened(verb: str, tmp_path:
 
 
 def test_once_makes_a_real_pass(plugin: Path) -> None:
-    """A configuration, an installed third-party check and the real daemon: its unit stands in the report."""
+    """A configuration, an installed third-party check and the real daemon: the report has its unit."""
     (plugin / "phm.yaml").write_text("agent: {name: scout, id: 7}\ninterval: 20s\n")
     done = phm_process("once", "-c", str(plugin / "phm.yaml"), "--json", path=plugin)
     seen = json.loads(done.stdout)
@@ -457,7 +457,7 @@ def test_once_makes_a_real_pass(plugin: Path) -> None:
 
 
 class CyclicUnits(api.Check):
-    """A plug-in whose units need each other."""
+    """A plug-in whose units depend on each other."""
 
     name, slot, layer = "cyclic", api.Slot.USER_1, api.Layer.CUSTOM
 
@@ -482,7 +482,7 @@ def test_a_dependency_cycle_of_units_is_a_configuration_error(
     assert result.stderr.startswith(f"{file}: checks: dependency cycle: cyclic/")
 
 
-# ---------------------------------------------------------------- the page about it
+# ---------------------------------------------------------------- the reference page
 
 
 def test_the_page_names_every_verb_option_and_key(tmp_path: Path) -> None:

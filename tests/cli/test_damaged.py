@@ -1,4 +1,4 @@
-"""Damaged status files and logs: every verb that reads them answers with a sentence."""
+"""Damaged status files and logs: every verb that reads them reports the damage."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def places(value: Any) -> list[tuple[Any, Any]]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def intact(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """A status file as the daemon writes it."""
-    folder = tmp_path_factory.mktemp("whole")
+    folder = tmp_path_factory.mktemp("intact")
     running(folder, DEAD)
     document: dict[str, Any] = json.loads((folder / "status.json").read_text())
     return document
@@ -69,12 +69,10 @@ def answered(result: Result) -> None:
 
 @hypothesis(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_a_damaged_status_file_is_answered_with_a_sentence(
-    data: st.DataObject, whole: dict[str, Any], tmp_path: Path
-) -> None:
-    """`phm status` in each form, the image's health check and `phm faults` never end with an exception."""
+def test_a_damaged_status_file_is_reported(data: st.DataObject, intact: dict[str, Any], tmp_path: Path) -> None:
+    """`phm status` in each form, the image's healthcheck and `phm faults` never end with an exception."""
     (tmp_path / "log").mkdir(exist_ok=True)
-    (tmp_path / "status.json").write_text(json.dumps(damaged(data, whole)))
+    (tmp_path / "status.json").write_text(json.dumps(damaged(data, intact)))
     for words in (["status"], ["status", "--json"], ["status", "--healthy"]):
         answered(CliRunner().invoke(group, [*words, "--run-dir", str(tmp_path)]))
     faults = ["faults", "--log-dir", str(tmp_path / "log"), "--run-dir", str(tmp_path)]
@@ -83,10 +81,10 @@ def test_a_damaged_status_file_is_answered_with_a_sentence(
     assert status_file.main([str(tmp_path)]) in (0, 1)
 
 
-def test_every_text_of_a_status_file_can_be_printed(whole: dict[str, Any], tmp_path: Path) -> None:
-    """A lone surrogate, which no encoding knows, comes out as an escape, wherever it is."""
-    for number in range(len(places(whole))):
-        found = copy.deepcopy(whole)
+def test_every_text_of_a_status_file_can_be_printed(intact: dict[str, Any], tmp_path: Path) -> None:
+    """A lone surrogate, which no encoding supports, is printed as an escape sequence, wherever it is."""
+    for number in range(len(places(intact))):
+        found = copy.deepcopy(intact)
         holder, key = places(found)[number]
         if isinstance(holder[key], str):
             holder[key] = "\ud800"
@@ -106,7 +104,7 @@ def test_every_text_of_a_status_file_can_be_printed(whole: dict[str, Any], tmp_p
         "\x00" * 99,
     ],
 )
-def test_the_health_check_takes_no_damaged_file_for_a_running_daemon(text: str, tmp_path: Path) -> None:
+def test_a_damaged_file_is_never_healthy(text: str, tmp_path: Path) -> None:
     """One sentence, exit code 1."""
     (tmp_path / "status.json").write_text(text)
     result = CliRunner().invoke(group, ["status", "--healthy", "--run-dir", str(tmp_path)])
@@ -114,9 +112,9 @@ def test_the_health_check_takes_no_damaged_file_for_a_running_daemon(text: str, 
     assert status_file.main([str(tmp_path)]) == 1
 
 
-def test_half_a_character_is_printed_as_a_question_mark(whole: dict[str, Any], tmp_path: Path) -> None:
-    """No output can hold it, and PHM itself reports one for a file name that is not UTF-8."""
-    document = copy.deepcopy(whole)
+def test_a_lone_surrogate_is_printed_as_a_question_mark(intact: dict[str, Any], tmp_path: Path) -> None:
+    """No output can encode it, and PHM itself reports one for a file name that is not UTF-8."""
+    document = copy.deepcopy(intact)
     document["checks"][0]["summary"] = "\ud800.bin"
     (tmp_path / "status.json").write_text(json.dumps(document))
     assert status_file.read(str(tmp_path))["checks"][0]["summary"] == "?.bin"
@@ -127,9 +125,9 @@ def test_half_a_character_is_printed_as_a_question_mark(whole: dict[str, Any], t
         answered(CliRunner().invoke(group, [*words, "--run-dir", str(tmp_path)]))
 
 
-def test_what_is_damaged_is_named(whole: dict[str, Any], tmp_path: Path) -> None:
-    """The sentence names the place in the document, and what to expect."""
-    document = copy.deepcopy(whole)
+def test_the_damaged_key_is_named(intact: dict[str, Any], tmp_path: Path) -> None:
+    """The message has its location in the document, and the expected type."""
+    document = copy.deepcopy(intact)
     del document["checks"][0]["slot"]
     (tmp_path / "status.json").write_text(json.dumps(document))
     result = CliRunner().invoke(group, ["status", "--run-dir", str(tmp_path)])
@@ -139,10 +137,10 @@ def test_what_is_damaged_is_named(whole: dict[str, Any], tmp_path: Path) -> None
 
 @hypothesis(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_a_damaged_log_line_costs_its_own_event_alone(
+def test_a_damaged_log_line_affects_only_its_own_event(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """`phm faults` shows the faults of the other lines, whatever one line says."""
+    """`phm faults` shows the faults of the other lines, whatever one line contains."""
     folder = tmp_path_factory.mktemp("log")
     record(folder, *HEALED, *OPEN)
     file = folder / "log" / "phm.jsonl"
@@ -167,8 +165,10 @@ def test_a_damaged_log_line_costs_its_own_event_alone(
         ("action", "fault", {}),
     ],
 )
-def test_a_log_line_with_a_value_of_another_type(event: str, key: str, value: object, tmp_path: Path) -> None:
-    """It is read without that value, and everything else is shown."""
+def test_a_log_line_with_a_value_of_another_type_is_read_without_it(
+    event: str, key: str, value: object, tmp_path: Path
+) -> None:
+    """Everything else is shown."""
     record(tmp_path, *HEALED, *OPEN)
     file = tmp_path / "log" / "phm.jsonl"
     lines = [json.loads(line) for line in file.read_text().splitlines()]
@@ -178,8 +178,8 @@ def test_a_log_line_with_a_value_of_another_type(event: str, key: str, value: ob
     assert (result.exit_code, "ab12-2" in result.output) == (0, True), result.exception
 
 
-def test_a_shape_says_where_a_document_does_not_fit() -> None:
-    """Wrong types, missing keys and numbers that are not finite, each with its place; booleans are not numbers."""
+def test_a_shape_reports_where_a_document_does_not_match() -> None:
+    """Wrong types, missing keys and numbers that are not finite, each with its location; booleans are not numbers."""
     shape = {"a!": [{"n": float}], "t": TableShape(int)}
     assert mismatch({"a": [{"n": 1}, {}], "t": {"x": 1}, "more": object()}, shape) == ""
     assert mismatch({}, shape) == "a is missing"

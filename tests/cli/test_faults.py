@@ -1,4 +1,4 @@
-"""`phm faults`: what the log and the running daemon know of each fault, also without the daemon."""
+"""`phm faults`: faults of the log and of the running daemon, also without the daemon."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def as_json(folder: Path, *words: str) -> dict[str, Any]:
 
 
 def test_without_the_daemon_the_log_is_shown(tmp_path: Path) -> None:
-    """Open faults with what is advised, healed ones with who did it, and a word that PHM is not running."""
+    """Open faults with the recommended action, resolved ones with its cause, and a note that PHM is not running."""
     record(tmp_path, *HEALED, *OPEN)
     shown = invoke(tmp_path)
     assert shown.exit_code == 0
@@ -67,7 +67,7 @@ def test_without_the_daemon_the_log_is_shown(tmp_path: Path) -> None:
 
 
 def test_one_fault_is_shown_step_by_step(tmp_path: Path) -> None:
-    """Opened, blocks, each phase, closed: in that order."""
+    """Opened, blocked units, each phase, closed: in that order."""
     record(tmp_path, *HEALED)
     lines = invoke(tmp_path, "ab12-1").output.splitlines()
     steps = ["opened", "blocks", "restart advised", "restart approved", "restart started", "restart verified"]
@@ -76,8 +76,8 @@ def test_one_fault_is_shown_step_by_step(tmp_path: Path) -> None:
     assert "by restart after 4.5 s" in lines[found[-1] + 1]
 
 
-def test_the_running_daemon_says_what_is_open(tmp_path: Path) -> None:
-    """What the log leaves open and the daemon does not know is `unknown`; what only the daemon knows is listed."""
+def test_the_running_daemon_reports_open_faults(tmp_path: Path) -> None:
+    """A fault that is open in the log only is `unknown`; one that only the daemon knows is listed."""
     record(tmp_path, *OPEN)
     parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
     status = StatusReporter.build(parts)
@@ -89,14 +89,14 @@ def test_the_running_daemon_says_what_is_open(tmp_path: Path) -> None:
 
 
 def test_a_restored_fault_is_open_in_the_status(tmp_path: Path) -> None:
-    """The daemon was started again: the fault that it took up is among the open ones, with no new event."""
+    """The daemon was restarted: the fault that it restored is among the open ones, without a new event."""
     parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
     StatusReporter.build(replace(parts, restored=(opened(DEAD, "ab12-2").fault,))).tick()
     assert [entry["fault"] for entry in as_json(tmp_path)["faults"]] == ["ab12-2"]
 
 
-def test_what_was_given_up_is_listed_until_it_is_resolved(tmp_path: Path) -> None:
-    """However long ago, by `phm faults` and `phm status`, also after a restart of PHM, and with what is wrong by now."""
+def test_a_fault_without_recovery_is_listed_until_it_is_resolved(tmp_path: Path) -> None:
+    """Given up at any time, in `phm faults` and `phm status`, also after a restart of PHM, and with its current condition."""
     record(tmp_path, opened(DEAD, "ab12-1"), closed(DEAD, Outcome.ESCALATED, "", 9.0, "ab12-1"))
     events: list[Event] = []
     for number in range(30):
@@ -113,8 +113,8 @@ def test_what_was_given_up_is_listed_until_it_is_resolved(tmp_path: Path) -> Non
     assert "given up" in status and "Node n1 is hung" in status
 
 
-def test_an_open_fault_says_what_is_wrong_now(tmp_path: Path) -> None:
-    """Its condition has changed since it was opened."""
+def test_an_open_fault_has_its_current_condition(tmp_path: Path) -> None:
+    """It has changed since the fault was opened."""
     parts = context(Settings(run_dir=str(tmp_path / "run")), clock=SystemClock(), states=lambda: (DEAD,))
     now = replace(opened(DEAD, "ab12-1").fault, result=replace(DEAD.result, summary="Node n1 is hung"))
     status = StatusReporter.build(replace(parts, open_faults=lambda: (now,)))
@@ -123,8 +123,8 @@ def test_an_open_fault_says_what_is_wrong_now(tmp_path: Path) -> None:
     assert [fault["summary"] for fault in as_json(tmp_path)["faults"]] == ["Node n1 is hung"]
 
 
-def test_only_recent_ones_unless_all(tmp_path: Path) -> None:
-    """The last 20 closed faults; `--all` gives every one of the log."""
+def test_only_recent_faults_are_shown_unless_all_is_given(tmp_path: Path) -> None:
+    """The last 20 closed faults; `--all` shows every one of the log."""
     events: list[Event] = []
     for number in range(30):
         events += [opened(DEAD, f"f-{number}"), closed(DEAD, Outcome.RESOLVED, "itself", 1.0, f"f-{number}")]
@@ -134,21 +134,21 @@ def test_only_recent_ones_unless_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("words", "said"), [((), "no phm.jsonl"), (("zz",), "no phm.jsonl")])
-def test_without_a_log_it_says_so(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
+def test_a_missing_log_is_reported(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
     """One sentence, exit code 1."""
     result = invoke(tmp_path, *words)
     assert (result.exit_code, said in result.output) == (1, True)
 
 
-def test_an_unknown_fault_is_a_sentence(tmp_path: Path) -> None:
-    """Exit code 1, with what to ask instead."""
+def test_an_unknown_fault_is_reported(tmp_path: Path) -> None:
+    """Exit code 1, with the command that lists faults."""
     record(tmp_path, *OPEN)
     result = invoke(tmp_path, "zz")
     assert (result.exit_code, "`phm faults --all`" in result.output) == (1, True)
 
 
-def test_lines_of_others_do_no_harm() -> None:
-    """Events with parts missing or of another type, and an endless timeline: nothing is raised, everything is capped."""
+def test_unexpected_events_are_harmless() -> None:
+    """Events with missing parts or of another type, and an endless timeline: nothing raises, everything is limited."""
     strange: list[dict[str, Any]] = [
         {},
         {"event": "action"},

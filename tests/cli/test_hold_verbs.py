@@ -1,4 +1,4 @@
-"""`phm hold` and `phm release`: what reaches the daemon, and what comes back."""
+"""`phm hold` and `phm release`: the request to the daemon, and the response."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from tests.fakes.until import until
 
 
 class HoldService:
-    """Grants every hold but that of `nobody`, and notes what was asked for."""
+    """Grants every hold except that of `unknown`, and records the requests."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[Any, ...]] = []
 
     def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]:
-        if container == "nobody":
-            raise LookupError("there is no container 'nobody' in the configuration: app")
+        if container == "unknown":
+            raise LookupError("there is no container 'unknown' in the configuration: app")
         self.asked.append((container, for_s, reason, by))
         return f"{container} is on hold", {"container": container or None, "left_s": for_s}
 
@@ -65,7 +65,7 @@ def phm(folder: Path, *words: str) -> tuple[int, str]:
 def test_a_hold_reaches_the_daemon(
     holds: HoldService, tmp_path: Path, words: tuple[str, ...], asked: tuple[Any, ...]
 ) -> None:
-    """Seconds, the reason, and who asks, as the kernel knows it."""
+    """Seconds, the reason, and the user, as the kernel reports it."""
     assert phm(tmp_path, "hold", *words) == (0, f"{asked[0]} is on hold\n")
     assert holds.asked == [(*asked, "operator (uid 0)")]
 
@@ -77,23 +77,23 @@ def test_a_release_reaches_the_daemon(holds: HoldService, tmp_path: Path) -> Non
     assert holds.asked == [("app", "operator (uid 0)"), ("", "operator (uid 0)")]
 
 
-def test_a_refusal_is_said_with_its_reason(holds: HoldService, tmp_path: Path) -> None:
+def test_a_refusal_is_reported_with_its_reason(holds: HoldService, tmp_path: Path) -> None:
     """Exit code 1."""
-    code, said = phm(tmp_path, "hold", "nobody")
+    code, said = phm(tmp_path, "hold", "unknown")
     assert (code, "there is no container" in said) == (1, True)
-    code, said = phm(tmp_path, "hold", "nobody", "--json")
+    code, said = phm(tmp_path, "hold", "unknown", "--json")
     assert code == 1 and json.loads(said)["ok"] is False
 
 
 def test_json_has_the_hold_as_data(holds: HoldService, tmp_path: Path) -> None:
-    """What `phm status --json` lists, too."""
+    """`phm status --json` lists the same."""
     code, said = phm(tmp_path, "hold", "app", "--for", "5s", "--json")
     assert (code, json.loads(said)) == (0, {"ok": True, "text": "app is on hold", "container": "app", "left_s": 5.0})
 
 
 @pytest.mark.parametrize("length", ["10", "ten", "-5s", "5d", "nans", ""])
-def test_a_bad_duration_is_a_mistake_of_usage(holds: HoldService, tmp_path: Path, length: str) -> None:
-    """With what is allowed."""
+def test_a_bad_duration_is_a_usage_error(holds: HoldService, tmp_path: Path, length: str) -> None:
+    """With the allowed values."""
     code, said = phm(tmp_path, "hold", "app", "--for", length)
     assert (code, "10min" in said, holds.asked) == (2, True, [])
 
@@ -111,8 +111,8 @@ def test_a_bad_duration_is_a_mistake_of_usage(holds: HoldService, tmp_path: Path
         {"do": "release", "container": "app", "reason": ""},
     ],
 )
-def test_a_request_that_is_none_changes_nothing(holds: HoldService, tmp_path: Path, request_: dict[str, Any]) -> None:
-    """Missing, further or wrong keys are refused, also a name that the asker gives to himself."""
+def test_an_invalid_request_changes_nothing(holds: HoldService, tmp_path: Path, request_: dict[str, Any]) -> None:
+    """Missing, additional or wrong keys are rejected, as well as a self-declared user name."""
     with pytest.raises(wire.Refused):
         wire.ask(str(tmp_path), request_)
     assert holds.asked == []
@@ -120,7 +120,7 @@ def test_a_request_that_is_none_changes_nothing(holds: HoldService, tmp_path: Pa
 
 
 def test_status_shows_what_is_on_hold(tmp_path: Path) -> None:
-    """Until when, how long that is, by whom and why; `--json` has it as data."""
+    """Until when, the remaining time, by which user and why; `--json` has it as data."""
     hold = {
         "container": "app",
         "source": "operator",

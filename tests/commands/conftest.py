@@ -1,4 +1,4 @@
-"""Commands that reach a real container use the containers of tests/probes/docker."""
+"""Tests with a real container use the fixtures of tests/probes/docker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The contract of commands: which numbers mean what, and what may be done by whom."""
+"""The contract of commands: what each number means, and who may do what."""
 
 from __future__ import annotations
 
@@ -90,31 +90,31 @@ UNKNOWN = [
 
 
 @pytest.mark.parametrize(("command", "first", "second", "wanted", "needed"), KNOWN)
-def test_each_command_means_one_thing(
+def test_each_command_has_one_meaning(
     command: int, first: float, second: float, wanted: Request, needed: Permission
 ) -> None:
-    """The table of the contract, and the word that allows it."""
+    """The table of the contract, and the permission that each command needs."""
     assert parse(command, (first, second)) == wanted
     assert required_permission(wanted) is needed
 
 
 @pytest.mark.parametrize("given_", WRONG)
 def test_parameters_outside_of_the_contract_are_wrong(given_: tuple[int, float, float]) -> None:
-    """Nothing is rounded and nothing guessed."""
+    """Nothing is rounded or guessed."""
     with pytest.raises(InvalidParameters, match=r"param[12] must be"):
         parse(given_[0], given_[1:])
 
 
 @pytest.mark.parametrize("given_", UNKNOWN)
-def test_what_the_contract_does_not_name_is_unknown(given_: tuple[int, float, float]) -> None:
-    """Commands of the autopilot above all: arming (400 is it) and rebooting (246)."""
+def test_commands_that_the_contract_does_not_name_are_unknown(given_: tuple[int, float, float]) -> None:
+    """Especially those of the autopilot: arming (400) and rebooting (246)."""
     with pytest.raises(UnknownCommand):
         parse(given_[0], given_[1:])
 
 
 @given(st.one_of(st.integers(0, 65535), st.sampled_from([511, 512, 31010])), FLOATS, FLOATS)
-def test_any_numbers_are_understood_or_refused(command: int, first: float, second: float) -> None:
-    """No bit pattern raises anything else, and what is understood is within the contract."""
+def test_any_numbers_are_accepted_or_rejected(command: int, first: float, second: float) -> None:
+    """No bit pattern raises anything, and every accepted command is within the contract."""
     try:
         wanted = parse(command, (first, second))
     except (UnknownCommand, InvalidParameters):
@@ -128,7 +128,7 @@ def test_any_numbers_are_understood_or_refused(command: int, first: float, secon
 @pytest.mark.parametrize(
     ("name", "expected"), [("ab12-17", 17), ("ab-1-3", 3), ("F1", None), ("ab-", None), ("ab-1x", None), ("-", None)]
 )
-def test_a_faults_number_is_what_stands_behind_its_dash(name: str, expected: int | None) -> None:
+def test_the_number_of_a_fault_is_the_part_behind_its_dash(name: str, expected: int | None) -> None:
     """An id of another form has no number."""
     assert fault_number(name) == expected
 
@@ -137,8 +137,8 @@ def asked(command: int, first: float, second: float, *, signed: bool = False, br
     return Command(command, (first, second), 0, 255, 190, "radio", signed, broadcast)
 
 
-def test_a_command_is_done_if_its_word_is_allowed_and_it_is_signed_where_signing_is_on() -> None:
-    """Every known command x every set of allowed words x signed or not x signing on or off x to all or to us."""
+def test_a_command_is_accepted_with_permission_and_required_signature() -> None:
+    """Every known command x every set of permissions x signed or not x signing on or off x to all or to us."""
     done = 0
     sets = [frozenset(chosen) for size in range(6) for chosen in itertools.combinations(sorted(WORDS), size)]
     for (command, first, second, wanted, needed), allowed, signed, signing, broadcast in itertools.product(
@@ -160,10 +160,10 @@ def test_a_command_is_done_if_its_word_is_allowed_and_it_is_signed_where_signing
 
 
 @pytest.mark.parametrize("given_", UNKNOWN)
-def test_unknown_commands_are_answered_only_when_they_were_meant_for_us_alone(
+def test_unknown_commands_are_answered_only_if_addressed_to_us(
     given_: tuple[int, float, float],
 ) -> None:
-    """To all components: the answer is another one's to give."""
+    """For a broadcast the acknowledgement is the task of another component."""
     authorization = authorize(asked(*given_), WORDS, signing=False)
     assert isinstance(authorization, Deny)
     assert authorization.result is CommandResult.UNSUPPORTED
@@ -179,7 +179,7 @@ def test_wrong_parameters_are_denied(given_: tuple[int, float, float]) -> None:
     assert "param" in authorization.why
 
 
-def test_only_our_system_is_addressed_and_our_component_or_all() -> None:
+def test_only_our_system_and_our_component_or_all_components_are_addressed() -> None:
     """Every pair of ids, against system 7 component 193."""
     found = {(s, c) for s in range(256) for c in range(256) if is_addressed_to(s, c, 7, 193)}
     assert found == {(7, 193), (7, 0)}

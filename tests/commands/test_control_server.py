@@ -1,4 +1,4 @@
-"""The control socket: three requests, for two users, and nothing else gets anywhere."""
+"""The control socket: its requests, for two users, and robust against any input."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.fakes.until import until
 
 
 class Daemon:
-    """A control socket with what it was asked for."""
+    """A control socket with the requests it received."""
 
     def __init__(self, run_dir: Path, holds: HoldController | None = None) -> None:
         self.run_dir = run_dir
@@ -73,8 +73,8 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
     made.control.close()
 
 
-def test_it_is_for_its_owner_and_goes_away(daemon: Daemon) -> None:
-    """Mode 0600, no other name beside it, removed at the end; a leftover is replaced."""
+def test_the_socket_is_private_and_removed_at_the_end(daemon: Daemon) -> None:
+    """Mode 0600, no other name beside it; a leftover socket is replaced."""
     path = daemon.run_dir / wire.NAME
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert [entry.name for entry in daemon.run_dir.iterdir()] == [wire.NAME]
@@ -88,8 +88,8 @@ def test_it_is_for_its_owner_and_goes_away(daemon: Daemon) -> None:
     assert not path.exists()
 
 
-def test_the_verbs_ask_and_tell(daemon: Daemon) -> None:
-    """`phm approve` and `phm note`: 0 with what will be done, 1 with a sentence."""
+def test_the_verbs_send_requests_and_print_the_response(daemon: Daemon) -> None:
+    """`phm approve` and `phm note`: exit code 0 with the planned action, 1 with a reason."""
     assert daemon.phm("approve", "ab12-1") == (0, "approved: restart app\n")
     code, said = daemon.phm("approve", "zz")
     assert (code, "open: ab12-1" in said) == (1, True)
@@ -98,7 +98,7 @@ def test_the_verbs_ask_and_tell(daemon: Daemon) -> None:
 
 
 def test_without_a_daemon_the_verbs_say_so(tmp_path: Path, daemon: Daemon) -> None:
-    """No folder, no socket, and a socket that nobody serves any more: one sentence, exit code 1."""
+    """No directory, no socket, and a socket without a server: one sentence, exit code 1."""
     for run_dir in (tmp_path / "none", tmp_path):
         result = CliRunner().invoke(group, ["approve", "x", "--run-dir", str(run_dir)])
         assert (result.exit_code, "PHM is not running" in result.output) == (1, True)
@@ -128,7 +128,7 @@ def test_without_a_daemon_the_verbs_say_so(tmp_path: Path, daemon: Daemon) -> No
         b"x" * 10_000,
     ],
 )
-def test_nonsense_is_answered_with_an_error_and_let_go(daemon: Daemon, line: bytes) -> None:
+def test_an_invalid_request_gets_an_error_and_is_closed(daemon: Daemon, line: bytes) -> None:
     """One error, the connection closed, and the next one is served."""
     with daemon.connect() as stream:
         data = b""
@@ -137,14 +137,14 @@ def test_nonsense_is_answered_with_an_error_and_let_go(daemon: Daemon, line: byt
             while chunk := stream.recv(4096):
                 data += chunk
         except ConnectionError:
-            pass  # closed with more than it wanted to read
+            pass  # closed before it read everything
     assert not data or json.loads(data)["ok"] is False
     assert daemon.notes == []
     until(daemon.serves, "the server to answer")
 
 
-def test_random_bytes_never_end_it(daemon: Daemon) -> None:
-    """Torn, mixed and endless requests: it goes on answering."""
+def test_random_bytes_never_end_the_server(daemon: Daemon) -> None:
+    """Truncated, mixed and endless requests: it keeps responding."""
     chance = random.Random(3)
     for _ in range(100):
         with daemon.connect() as stream:
@@ -160,12 +160,12 @@ def test_random_bytes_never_end_it(daemon: Daemon) -> None:
                 for piece in chance.choices(pieces, k=chance.randrange(8)):
                     stream.sendall(piece)
             except OSError:
-                continue  # it had enough
+                continue  # the server closed early
     until(daemon.serves, "the server to answer")
 
 
-def test_few_connections_at_a_time(daemon: Daemon) -> None:
-    """Whoever comes when all are taken is told so; once one is free, the next is served."""
+def test_the_number_of_connections_is_limited(daemon: Daemon) -> None:
+    """A connection above the limit gets an error; when one is closed, the next is served."""
     held = [daemon.connect() for _ in range(MAX_CONNECTIONS)]
     for stream in held:
         stream.sendall(b'{"do": "ping"}\n')
@@ -177,15 +177,15 @@ def test_few_connections_at_a_time(daemon: Daemon) -> None:
     until(daemon.serves, "the server to answer")
 
 
-def test_only_root_and_its_own_user_may_ask(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel says who is at the other end."""
+def test_only_root_and_the_own_user_are_accepted(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel identifies the user of the peer."""
     monkeypatch.setattr("phm.commands.control_server._user", lambda peer: os.geteuid() + 12345)
     with pytest.raises(wire.Refused, match="only root"):
         daemon.ping()
 
 
-def test_a_run_dir_that_cannot_be_made_is_a_problem(tmp_path: Path) -> None:
-    """Told in `phm status`; nothing else is hurt."""
+def test_a_run_directory_that_cannot_be_created_is_a_problem(tmp_path: Path) -> None:
+    """`phm status` shows it; everything else works."""
     (tmp_path / "file").write_text("")
     control = ControlServer(str(tmp_path / "file" / "run"))
     control.start()

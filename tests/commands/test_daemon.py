@@ -1,4 +1,4 @@
-"""The whole daemon with a key: what the ground asks reaches the checks, faults and recovery, and is in the log."""
+"""The complete daemon with a key: ground commands reach checks, faults and recovery, and are logged."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat
 from tests.fakes.until import until
 
 KEY = bytes(range(1, 33))
-# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+# With its default dialect pymavlink starts with MAVLink 1, and loses its key when it first receives MAVLink 2.
 mavutil.set_dialect("common")
 
 
 class Agent:
-    """PHM as agent 7 with one container that no engine knows, and a ground station with the key."""
+    """PHM as agent 7 with one container that no engine has, and a ground station with the key."""
 
     def __init__(self, folder: Path) -> None:
         key, port = folder / "key", free_port()
@@ -60,7 +60,7 @@ class Agent:
         self.daemon.stop()
 
     def ask(self, command: int, first: float, second: float = 0) -> list[Any]:
-        """What came, up to the acknowledgement and a moment more."""
+        """The messages received until shortly after the acknowledgement."""
         came: list[Any] = []
         again, end = 0, time.monotonic() + LIMIT_S
         while time.monotonic() < end:
@@ -84,15 +84,17 @@ def agent(tmp_path: Path) -> Iterator[Agent]:
     made.close()
 
 
-def test_a_command_reaches_what_it_is_for(agent: Agent) -> None:
-    """Checks, a fault's details, a restart that the container has not opted in to; each is signed and in the log."""
+def test_a_command_reaches_its_handler(agent: Agent) -> None:
+    """Checks, details of a fault, a restart that the container has not opted in to; each is signed and logged."""
     assert agent.ask(31010, 1)[-1].result == mavlink.MAV_RESULT_ACCEPTED, agent.notes()
     until(agent.daemon.pipeline.open_faults, "the fault of the engine")
     fault = agent.daemon.pipeline.open_faults()[0]
     came = agent.ask(512, 385, int(fault.id.rpartition("-")[2]))
     assert came[-1].result == mavlink.MAV_RESULT_ACCEPTED
-    told = [message for message in came if message.get_type() == "TUNNEL"]  # before or behind the acknowledgement
-    detail = (told or [until(lambda: agent.ground.recv_match(type="TUNNEL", blocking=True, timeout=0.5), "details")])[0]
+    details = [message for message in came if message.get_type() == "TUNNEL"]  # before or behind the acknowledgement
+    detail = (
+        details or [until(lambda: agent.ground.recv_match(type="TUNNEL", blocking=True, timeout=0.5), "details")]
+    )[0]
     part = tunnel.decode(bytes(detail.payload[: detail.payload_length]))
     assert isinstance(part, tunnel.FaultDetail)
     assert (part.fault, detail.get_signed()) == (fault.id, True)
@@ -105,7 +107,7 @@ def test_a_command_reaches_what_it_is_for(agent: Agent) -> None:
     until(lambda: "---- COMMAND: accepted" in log.read_text(), "the line in the log")
 
 
-def test_what_was_heard_is_kept_before_it_is_obeyed(agent: Agent) -> None:
-    """The file of the signing time names the ground station's stream."""
+def test_the_signing_time_is_saved_before_a_command_is_executed(agent: Agent) -> None:
+    """Its file has the stream of the ground station."""
     agent.ask(31010, 1)
     assert "[9, 255, 190, " in (agent.folder / "state" / NAME).read_text()

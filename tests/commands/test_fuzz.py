@@ -1,4 +1,4 @@
-"""Hostile bytes on the way from the parser to the command: nothing is done, nothing is raised, nothing is changed."""
+"""Hostile bytes from the parser to the command handler: no action, no exception, no change of state."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HARD = hypothesis_settings(max_examples=300, deadline=None, suppress_health_chec
 
 
 class Scene:
-    """Everything between the bytes of one link and what a command may do; all is allowed, and signing is on unless told."""
+    """Everything from the bytes of a link to the command; all is permitted, and signing is on unless disabled."""
 
     def __init__(self, *, signs: bool = True) -> None:
         self.clock, self.did, self.acks, self.heard = FakeClock(utc=NOW), [], [], 0  # type: ignore[var-annotated]
@@ -80,13 +80,13 @@ class Scene:
         self.handler.turn()
 
     def state(self) -> tuple[object, ...]:
-        """What hostile bytes must not change."""
+        """The state that hostile bytes must not change."""
         return dict(self.signing._streams), self.signing._time, dict(self.handler._repeats), list(self.did)
 
-    def obeys(self) -> bool:
-        """Whether a true command still gets through, behind whatever came."""
+    def accepts_valid_command(self) -> bool:
+        """Whether a valid command is still accepted after any input."""
         before = len(self.did)
-        # A parser may wait for the rest of a frame that was announced: the longest has 280 bytes.
+        # A parser may wait for the rest of an announced frame: the longest has 280 bytes.
         for n in range(40):
             self.clock.advance(3.0)
             frame = command(ticks(self.clock.utc()) + n)
@@ -101,7 +101,7 @@ def command(time: int, *, key: bytes = KEY) -> bytes:
     return sign(Sender(255, 190).frame(RESTART), time, key=key)
 
 
-def test_the_true_command_is_obeyed() -> None:
+def test_a_valid_command_is_executed() -> None:
     """Without this the rest of the file would prove nothing."""
     scene = Scene()
     scene.feed(command(ticks(NOW)))
@@ -111,19 +111,19 @@ def test_the_true_command_is_obeyed() -> None:
 @HARD
 @given(st.binary(max_size=2000), st.booleans(), st.booleans())
 def test_noise_does_nothing(data: bytes, datagram: bool, signs: bool) -> None:
-    """Also with signing off; and the link goes on to work."""
+    """Also with signing off; and the link still works."""
     scene = Scene(signs=signs)
     before = scene.state()
     scene.feed(data, datagram=datagram)
     assert scene.state() == before
-    assert scene.obeys()
+    assert scene.accepts_valid_command()
 
 
 @HARD
 @given(st.lists(st.tuples(st.integers(0, 62), st.integers(0, 255)), min_size=1, max_size=8), st.booleans())
 @example([(2, 1)], False)
-def test_a_signed_command_that_was_changed_is_not_obeyed(changes: list[tuple[int, int]], datagram: bool) -> None:
-    """Whichever bytes are turned, flags, lengths and the signature's own among them."""
+def test_a_modified_signed_command_is_not_executed(changes: list[tuple[int, int]], datagram: bool) -> None:
+    """Whichever bytes are changed, including flags, lengths and the signature."""
     frame = bytearray(command(ticks(NOW)))
     original = bytes(frame)
     for at, value in changes:
@@ -139,8 +139,8 @@ def test_a_signed_command_that_was_changed_is_not_obeyed(changes: list[tuple[int
 
 @HARD
 @given(st.data())
-def test_a_command_with_a_right_checksum_and_a_wrong_signature_is_not_obeyed(data: st.DataObject) -> None:
-    """The forger knows the standard: any payload, any time, any link id, any sender, his own key or none."""
+def test_a_command_with_valid_checksum_and_wrong_signature_is_not_executed(data: st.DataObject) -> None:
+    """The attacker knows the standard: any payload, any time, any link id, any sender, another key or none."""
     scene = Scene()
     before = scene.state()
     numbers = st.integers(0, 255)
@@ -164,13 +164,13 @@ def test_a_command_with_a_right_checksum_and_a_wrong_signature_is_not_obeyed(dat
         scene.feed(frame)
     assert scene.state() == before
     assert 0 not in scene.acks
-    assert scene.obeys()
+    assert scene.accepts_valid_command()
 
 
 @HARD
 @given(st.lists(st.integers(1, 62), min_size=1, max_size=5), st.binary(max_size=300))
-def test_a_command_that_was_cut_short_is_not_obeyed(cuts: list[int], noise: bytes) -> None:
-    """Whatever comes behind it; and the true one after it is."""
+def test_a_truncated_command_is_not_executed(cuts: list[int], noise: bytes) -> None:
+    """Whatever follows it; and a valid one after that is."""
     scene = Scene()
     before = scene.state()
     whole = command(ticks(NOW))
@@ -187,8 +187,8 @@ def test_a_command_that_was_cut_short_is_not_obeyed(cuts: list[int], noise: byte
 @given(
     st.lists(st.integers(1, 64), max_size=20), st.binary(max_size=100).filter(lambda data: not {0xFD, 0xFE} & set(data))
 )
-def test_a_true_command_is_obeyed_once_however_it_is_cut(sizes: list[int], noise: bytes) -> None:
-    """In any pieces, and among bytes that begin no frame."""
+def test_a_fragmented_valid_command_is_executed_once(sizes: list[int], noise: bytes) -> None:
+    """In any fragments, and among bytes that start no frame."""
     scene = Scene()
     stream = noise + command(ticks(NOW))
     for size in [*sizes, len(stream)]:
@@ -199,8 +199,8 @@ def test_a_true_command_is_obeyed_once_however_it_is_cut(sizes: list[int], noise
 
 @HARD
 @given(st.integers(0, 2**32 - 1))
-def test_replaying_does_nothing(seed: int) -> None:
-    """A recording of true frames, again and in any order, cut and changed."""
+def test_a_replay_does_nothing(seed: int) -> None:
+    """A recording of valid frames, repeated in any order, cut and modified."""
     rng = random.Random(seed)
     scene, now = Scene(), ticks(NOW)
     frames = [sign(Sender(255, 190).frame(heartbeat()), now), command(now + 1), command(now + 2), command(now + 3)]
@@ -217,8 +217,8 @@ def test_replaying_does_nothing(seed: int) -> None:
 
 @HARD
 @given(st.lists(st.tuples(st.integers(0, 255), st.integers(0, 255), st.integers(0, 255)), max_size=300))
-def test_a_flood_leaves_room_for_the_true_command(floods: list[tuple[int, int, int]]) -> None:
-    """Unsigned commands under any sender, the ground station's too."""
+def test_a_flood_leaves_room_for_a_valid_command(floods: list[tuple[int, int, int]]) -> None:
+    """Unsigned commands of any sender, including the ground station's identity."""
     scene = Scene()
     for system, component, again in floods:
         message = mavlink.MAVLink_command_long_message(7, 193, 31010, again, 3, 1, 0, 0, 0, 0, 0)

@@ -21,12 +21,12 @@ from phm.transport.mavlink import MavlinkHub
 from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat
 from tests.fakes.until import until
 
-# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+# With its default dialect pymavlink starts with MAVLink 1, and loses its key when it first receives MAVLink 2.
 mavutil.set_dialect("common")
 
 
-class Aboard:
-    """A hub of agent 7 with its handler, listening by UDP; `did` is what was done."""
+class Agent:
+    """A hub of agent 7 with its handler, listening on UDP; `did` has the executed commands."""
 
     def __init__(self, port: int, key: Path | None = None) -> None:
         chosen = settings(
@@ -66,10 +66,10 @@ class Aboard:
 
 
 @pytest.fixture
-def aboard() -> Iterator[tuple[Aboard, list[Any]]]:
+def agent_and_stations() -> Iterator[tuple[Agent, list[Any]]]:
     """The agent, and two ground stations, 255 and 254, on its link."""
     port = free_port()
-    agent = Aboard(port)
+    agent = Agent(port)
     grounds = [
         mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=n, source_component=190)
         for n in (255, 254)
@@ -81,10 +81,10 @@ def aboard() -> Iterator[tuple[Aboard, list[Any]]]:
 
 
 def ask(ground: Any, command: int, first: float, second: float = 0, *, wanted: str = "COMMAND_ACK") -> Any:
-    """Ask as a ground station does, again until acknowledged; the message of the wanted type that came to the asker."""
+    """Send until acknowledged, as a ground station does; return the message of the wanted type for this sender."""
     ours = ground.mav.srcSystem
     while ground.recv_match(blocking=False) is not None:
-        pass  # what an earlier question has left
+        pass  # left over from an earlier command
     ground.mav.send(heartbeat(kind=mavlink.MAV_TYPE_GCS))
     for again in range(round(LIMIT_S / 2)):
         ground.mav.command_long_send(7, 193, command, again, first, second, 0, 0, 0, 0, 0)
@@ -100,9 +100,9 @@ def ask(ground: Any, command: int, first: float, second: float = 0, *, wanted: s
     raise AssertionError(f"no {wanted} for command {command}")
 
 
-def test_a_ground_station_asks_and_is_answered(aboard: tuple[Aboard, list[Any]]) -> None:
-    """Status, a restart, something that is not allowed, and something that is not ours."""
-    agent, (ground, _other) = aboard
+def test_a_ground_station_gets_an_acknowledgement(agent_and_stations: tuple[Agent, list[Any]]) -> None:
+    """Status, a restart, a command without permission, and one for another component."""
+    agent, (ground, _other) = agent_and_stations
     assert ask(ground, 512, 253, wanted="STATUSTEXT").text == "A07 STALE --------"
     assert ask(ground, 512, 390, wanted="ONBOARD_COMPUTER_STATUS").cpu_cores == [255] * 8
     results = [ask(ground, *command).result for command in ((31010, 3, 1), (31010, 1), (400, 1))]
@@ -110,9 +110,9 @@ def test_a_ground_station_asks_and_is_answered(aboard: tuple[Aboard, list[Any]])
     assert agent.did == ["app"]
 
 
-def test_the_acknowledgement_names_its_asker(aboard: tuple[Aboard, list[Any]]) -> None:
-    """Both stations are answered on one link; each sees which answer is its own."""
-    _agent, grounds = aboard
+def test_the_acknowledgement_names_its_receiver(agent_and_stations: tuple[Agent, list[Any]]) -> None:
+    """Both stations get an answer on one link, and each can identify its own."""
+    _agent, grounds = agent_and_stations
     for ground in grounds:
         ack = ask(ground, 512, 253)
         assert (ack.target_component, ack.get_srcSystem(), ack.get_srcComponent()) == (190, 7, 193)
@@ -125,12 +125,12 @@ Sign = Callable[..., Any]
 
 
 @pytest.fixture
-def signed(tmp_path: Path) -> Iterator[tuple[Aboard, Sign]]:
-    """The agent with a key, and a maker of ground stations: with this key, or without any."""
+def signed(tmp_path: Path) -> Iterator[tuple[Agent, Sign]]:
+    """The agent with a key, and a factory of ground stations: with this key, or without any."""
     path, port = tmp_path / "key", free_port()
     path.write_bytes(KEY)
     path.chmod(0o600)
-    agent, grounds = Aboard(port, path), []
+    agent, grounds = Agent(port, path), []
 
     def ground(key: bytes | None = None) -> Any:
         made = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255, source_component=190)
@@ -145,8 +145,8 @@ def signed(tmp_path: Path) -> Iterator[tuple[Aboard, Sign]]:
     agent.close()
 
 
-def test_a_signed_command_is_obeyed_and_its_answer_is_signed(signed: tuple[Aboard, Sign]) -> None:
-    """pymavlink's own receiver takes nothing that is not rightly signed; the link id is the configured one."""
+def test_a_signed_command_is_executed_and_its_answer_is_signed(signed: tuple[Agent, Sign]) -> None:
+    """pymavlink's own receiver rejects anything without a valid signature; the link id is the configured one."""
     agent, ground = signed
     ack = ask(ground(KEY), 31010, 3, 1)
     assert (ack.result, ack.get_signed(), ack.get_link_id()) == (mavlink.MAV_RESULT_ACCEPTED, True, 4)
@@ -154,8 +154,8 @@ def test_a_signed_command_is_obeyed_and_its_answer_is_signed(signed: tuple[Aboar
     assert until(lambda: agent.notes, "the note")[0].endswith("signed: app")
 
 
-def test_an_unsigned_command_is_denied_where_signing_is_on(signed: tuple[Aboard, Sign]) -> None:
-    """Whatever it asks for; a ground station without the key can still read the answer."""
+def test_an_unsigned_command_is_denied_if_signing_is_on(signed: tuple[Agent, Sign]) -> None:
+    """Whatever it requests; a ground station without the key can still read the answer."""
     agent, ground = signed
     station = ground()
     for command in ((31010, 3, 1), (512, 253)):
@@ -163,8 +163,8 @@ def test_an_unsigned_command_is_denied_where_signing_is_on(signed: tuple[Aboard,
     assert agent.did == []
 
 
-def test_a_command_signed_with_another_key_is_not_even_answered(signed: tuple[Aboard, Sign]) -> None:
-    """It is counted, and told as a problem; the true ground station is not shut out by it."""
+def test_a_command_signed_with_another_key_gets_no_answer(signed: tuple[Agent, Sign]) -> None:
+    """It is counted and reported as a problem; it does not lock out the real ground station."""
     agent, ground = signed
     forger = ground(bytes(32))
     forger.mav.signing.timestamp = 2**47  # years ahead
@@ -179,8 +179,8 @@ def test_a_command_signed_with_another_key_is_not_even_answered(signed: tuple[Ab
     assert ask(ground(KEY), 31010, 3, 1).result == mavlink.MAV_RESULT_ACCEPTED
 
 
-def test_a_recorded_command_is_not_obeyed_again(signed: tuple[Aboard, Sign]) -> None:
-    """Byte for byte the same frame, later."""
+def test_a_recorded_command_is_not_executed_again(signed: tuple[Agent, Sign]) -> None:
+    """The identical frame, later."""
     agent, ground = signed
     station = ground(KEY)
     recorded: list[bytes] = []

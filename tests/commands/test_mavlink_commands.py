@@ -1,4 +1,4 @@
-"""The handler as a whole without sockets: a command in, an acknowledgement to its asker out, and what it did."""
+"""The complete handler without sockets: a command in, an acknowledgement to its sender out, and the action taken."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def fault(number: int, opened: float, words: str = "node_1 is dead") -> Fault:
 
 
 class Scene:
-    """Agent 7 and what its handler may reach; `did` is what was done, `notes` what was logged."""
+    """Agent 7 with the services of its handler; `did` has the actions, `notes` the logged texts."""
 
     def __init__(self, *allowed: str, signs: bool = False) -> None:
         self.clock, self.sent, self.did, self.notes = FakeClock(), [], [], []  # type: ignore[var-annotated]
@@ -102,7 +102,7 @@ class Scene:
         assert set(ids) == {75, 76}
 
     def ask(self, message: Any, *, link: str = "radio", signed: bool = False, by: Sender | None = None) -> list[Any]:
-        """The messages that follow."""
+        """The messages sent in response."""
         heard = (by or self.ground).received(message)
         heard._signed = signed
         self.sent.clear()
@@ -133,22 +133,22 @@ def test_a_command_int_is_a_command_too() -> None:
 
 
 @pytest.mark.parametrize("to", [(8, 193), (7, 1), (0, 0), (0, 193), (7, 194)])
-def test_what_is_for_others_is_not_answered(to: tuple[int, int]) -> None:
-    """Another system, another component, or all systems."""
+def test_commands_for_others_are_not_answered(to: tuple[int, int]) -> None:
+    """For another system, another component, or all systems."""
     scene = Scene(*ALL)
     assert scene.ask(long(31010, 3, 1, to=to)) == []
     assert (scene.did, scene.notes) == ([], [])
 
 
-def test_our_own_identity_commands_nothing() -> None:
-    """Whoever uses it, the echo of a router above all."""
+def test_a_command_from_our_own_identity_is_ignored() -> None:
+    """From any sender, especially an echo of a router."""
     scene = Scene(*ALL)
     assert scene.ask(long(31010, 1), by=Sender(7, 193)) == []
     assert scene.did == []
 
 
 def test_the_default_only_reads() -> None:
-    """The shipped setting denies whatever acts, and notes who asked."""
+    """The shipped setting denies every action, and logs the sender."""
     scene = Scene(*settings().mavlink.commands)
     for operation in (1, 2, 3):
         assert scene.result(long(31010, operation, 1)) is CommandResult.DENIED
@@ -159,8 +159,8 @@ def test_the_default_only_reads() -> None:
     )
 
 
-def test_with_signing_only_signed_commands_are_obeyed() -> None:
-    """Reading is a command too; and what is obeyed is remembered first."""
+def test_with_signing_only_signed_commands_are_executed() -> None:
+    """Reading is a command too; and an accepted signing time is saved first."""
     scene = Scene(*ALL, signs=True)
     assert scene.result(long(31010, 1)) is CommandResult.DENIED
     assert scene.result(long(512, 253)) is CommandResult.DENIED
@@ -170,14 +170,14 @@ def test_with_signing_only_signed_commands_are_obeyed() -> None:
 
 
 def test_the_status_line_is_sent_on_request() -> None:
-    """One line with the array, on the link that asked."""
+    """One line with the array, on the link of the request."""
     line, ack = Scene("status").ask(long(512, 253))
     assert (line.severity, line.text) == (6, "A07 OK --------")
     assert ack.result == CommandResult.ACCEPTED
 
 
 def test_a_heartbeat_on_request_has_the_status_word() -> None:
-    """As the periodic one; not more than one a second, since the budget does not hold heartbeats back."""
+    """Like the periodic one; one per second at most, since the budget does not limit heartbeats."""
     scene = Scene("status")
     heartbeat, _ack = scene.ask(long(512, 0))
     assert status_word.decode(heartbeat.custom_mode) == {Slot.HOST: Level.OK}
@@ -185,8 +185,8 @@ def test_a_heartbeat_on_request_has_the_status_word() -> None:
     assert scene.result(long(512, 0)) is CommandResult.TEMPORARILY_REJECTED
 
 
-def test_the_computers_figures_are_those_of_the_host_check() -> None:
-    """What is not known is marked as not known."""
+def test_the_figures_of_the_computer_are_those_of_the_host_check() -> None:
+    """Unknown values are marked as unknown."""
     computer, _ack = Scene("status").ask(long(512, 390))
     assert computer.cpu_combined == [42, *[255] * 9]
     assert computer.temperature_core == [127] * 8
@@ -199,7 +199,7 @@ def test_the_computers_figures_are_those_of_the_host_check() -> None:
 
 
 def test_disks_and_fans_are_those_of_the_host_check() -> None:
-    """As the check itself reports them, in MiB and revolutions a minute; a disk that hangs is not among them."""
+    """As the check reports them, in MiB and rpm; a hung disk is omitted."""
     disks = (
         DiskFact("/", 75.0, 5 * 2**30, total_bytes=20 * 2**30),
         DiskFact("/nas", 0.0, 0, problem="it hangs"),
@@ -216,8 +216,8 @@ def test_disks_and_fans_are_those_of_the_host_check() -> None:
     assert computer.fan_speed == [1200, 0, 2**15 - 2, 2**15 - 1]
 
 
-def test_nothing_is_said_of_checks_that_have_stalled() -> None:
-    """The dead man's switch holds for requests, too."""
+def test_stalled_checks_are_not_reported() -> None:
+    """The dead man's switch applies to requests, too."""
     scene = Scene("status")
     scene.lives = False
     sent = scene.ask(long(512, 0))
@@ -225,24 +225,24 @@ def test_nothing_is_said_of_checks_that_have_stalled() -> None:
     assert sent[0].result == CommandResult.FAILED
 
 
-def told(sent: list[Any]) -> tuple[str, str]:
-    """Fault id and text of the details among what was sent."""
+def details_of(sent: list[Any]) -> tuple[str, str]:
+    """Fault id and text of the details among the sent messages."""
     parts = [tunnel.decode(bytes(m.payload[: m.payload_length])) for m in sent if m.get_type() == "TUNNEL"]
     assert all(isinstance(part, tunnel.FaultDetail) for part in parts)
     assert [part.part for part in parts] == list(range(parts[0].parts))
     return parts[0].fault, b"".join(part.text for part in parts).decode()
 
 
-def test_the_details_of_a_fault_come_in_parts_to_the_asker() -> None:
-    """The newest open one, or one by its number; the others' numbers stand in it; long texts are cut at the contract's end."""
+def test_the_details_of_a_fault_are_sent_in_parts_to_the_requester() -> None:
+    """The newest open fault, or one by number; the numbers of the others are listed; long texts are truncated."""
     scene = Scene("details")
     scene.faults = (fault(3, 5.0), fault(17, 9.0, "x" * 5000))
-    assert told(scene.ask(long(512, 385, 3))) == (
+    assert details_of(scene.ask(long(512, 385, 3))) == (
         "ab12-3",
         "nodes/node_1: node_1 is dead; open since 01:46:40 UTC; blocks topics; other open faults: 17",
     )
     sent = scene.ask(long(512, 385))
-    name, text = told(sent)
+    name, text = details_of(sent)
     assert name == "ab12-17"
     assert len(sent) == tunnel.MAX_PARTS + 1
     assert text.startswith("nodes/node_1: xxx")
@@ -251,7 +251,7 @@ def test_the_details_of_a_fault_come_in_parts_to_the_asker() -> None:
 
 
 def test_checks_are_run_at_most_every_two_seconds() -> None:
-    """Asking more often is not refused for good."""
+    """A more frequent request is refused only temporarily."""
     scene = Scene("check")
     assert scene.result(long(31010, 1)) is CommandResult.ACCEPTED
     assert scene.result(long(31010, 1)) is CommandResult.TEMPORARILY_REJECTED
@@ -272,8 +272,8 @@ def test_a_fault_is_approved_by_its_number() -> None:
     assert scene.did == ["approve ab12-17"]
 
 
-def test_a_container_is_restarted_by_its_place() -> None:
-    """From 1, as it stands in the configuration."""
+def test_a_container_is_restarted_by_its_position() -> None:
+    """Counted from 1, in the order of the configuration."""
     scene = Scene("restart")
     assert scene.result(long(31010, 3, 2)) is CommandResult.ACCEPTED
     assert scene.did == ["restart db for 255/190"]
@@ -281,8 +281,8 @@ def test_a_container_is_restarted_by_its_place() -> None:
 
 
 @pytest.mark.parametrize(("raised", "result"), [(Later("armed"), 1), (RuntimeError("no"), 4), (KeyError(), 4)])
-def test_what_cannot_be_done_is_said_with_its_reason(raised: Exception, result: int) -> None:
-    """Not now, or not at all."""
+def test_an_impossible_action_is_refused_with_its_reason(raised: Exception, result: int) -> None:
+    """Temporarily or permanently."""
     scene = Scene("restart")
     scene.raises = raised
     assert scene.result(long(31010, 3, 1)) == result
@@ -290,8 +290,8 @@ def test_what_cannot_be_done_is_said_with_its_reason(raised: Exception, result: 
     assert len(scene.notes) == 1
 
 
-def test_a_command_that_comes_again_is_answered_and_not_done_again() -> None:
-    """The acknowledgement was lost: the ground asks with a higher confirmation."""
+def test_a_repeated_command_is_answered_and_not_executed_again() -> None:
+    """The acknowledgement was lost: the ground repeats it with a higher confirmation."""
     scene = Scene("restart")
     for again in range(3):
         assert scene.result(long(31010, 3, 1, again=again)) is CommandResult.ACCEPTED
@@ -300,8 +300,8 @@ def test_a_command_that_comes_again_is_answered_and_not_done_again() -> None:
     assert len(scene.did) == 2
 
 
-def test_a_message_is_sent_again_and_again_until_it_is_not_wanted() -> None:
-    """SET_MESSAGE_INTERVAL, on the link that asked."""
+def test_a_message_is_sent_periodically_until_it_is_disabled() -> None:
+    """SET_MESSAGE_INTERVAL, on the link of the request."""
     scene = Scene("status")
 
     def lines(seconds: int) -> int:
@@ -321,8 +321,8 @@ def test_a_message_is_sent_again_and_again_until_it_is_not_wanted() -> None:
     assert lines(20) == 0
 
 
-def test_the_newest_faults_details_may_come_again_and_again() -> None:
-    """To who asked, while a fault is open; it is `details` that must be allowed for it."""
+def test_the_details_of_the_newest_fault_may_be_sent_periodically() -> None:
+    """To the requester, while a fault is open; this needs the permission `details`."""
     scene = Scene("details")
     assert scene.result(long(511, 385, 1e7)) is CommandResult.ACCEPTED
     assert Scene("status").result(long(511, 385, 1e7)) is CommandResult.DENIED
@@ -343,8 +343,8 @@ def test_the_newest_faults_details_may_come_again_and_again() -> None:
     assert details(10) == ["ab12-17"]
 
 
-def test_a_flood_is_bounded_and_told_once() -> None:
-    """What is too much is dropped unread."""
+def test_a_flood_is_bounded_and_reported_once() -> None:
+    """Commands above the limit are dropped unread."""
     scene = Scene("status")
     for n in range(1000):
         scene.handler.hear(scene.ground.received(long(512, 253, n)), "radio")
@@ -355,8 +355,8 @@ def test_a_flood_is_bounded_and_told_once() -> None:
     ]
 
 
-def test_a_flood_that_is_refused_leaves_the_rest_of_the_log() -> None:
-    """A few lines a minute at most, whoever sends and whatever the result; what was counted adds up."""
+def test_a_flood_of_refused_commands_does_not_fill_the_log() -> None:
+    """A few lines per minute at most, for any sender and result; the counts add up."""
     scene = Scene("status")
     for n in range(10 * 60):
         scene.clock.advance(0.1)
@@ -369,8 +369,8 @@ def test_a_flood_that_is_refused_leaves_the_rest_of_the_log() -> None:
     assert max(map(len, scene.notes)) < 250
 
 
-def test_a_command_that_acts_is_logged_in_any_flood() -> None:
-    """So is each one that is signed, with its reason."""
+def test_an_executed_command_is_logged_in_any_flood() -> None:
+    """So is each signed one, with its reason."""
     scene = Scene("restart", signs=False)
     for n in range(30):
         scene.clock.advance(0.5)
@@ -386,7 +386,7 @@ def test_a_command_that_acts_is_logged_in_any_flood() -> None:
 
 
 def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
-    """However many of these wait, and for an answer's place on the link, too."""
+    """Regardless of how many of these wait, also for the place of its answer on the link."""
     scene = Scene("restart", signs=True)
     for n in range(MAX_WAITING + 10):
         scene.clock.advance(1.0)
@@ -402,8 +402,8 @@ def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
     assert scene.urgencies[0] < min(scene.urgencies[1:])
 
 
-def test_the_desk_answers_from_its_own_thread() -> None:
-    """`hear` only queues; the thread ends when it is told to."""
+def test_the_handler_answers_from_its_own_thread() -> None:
+    """`hear` only queues; `close` ends the thread."""
     scene = Scene("status")
     scene.handler.start()
     scene.handler.hear(scene.ground.received(long(512, 253)), "radio")

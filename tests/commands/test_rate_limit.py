@@ -1,4 +1,4 @@
-"""How much may be asked, and that nothing is done twice."""
+"""Limits for requests, and protection against duplicates."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ ASKED = Command(31010, (3.0, 1.0), 0, 255, 190, "radio", False)
 
 
 def test_a_sender_has_a_burst_and_then_a_rate() -> None:
-    """Ten at once, then two a second."""
+    """Ten immediately, then two per second."""
     gate = CommandRateLimiter()
     assert sum(gate.allow("radio", 255, 190, False, 0.0) for _ in range(100)) == SENDER_BURST
     assert sum(gate.allow("radio", 255, 190, False, 1.0) for _ in range(100)) == SENDER_RATE
 
 
-def test_who_signs_cannot_be_crowded_out_by_those_who_do_not() -> None:
-    """A flood with made-up senders, our ground station's among them, leaves signed commands their whole burst."""
+def test_unsigned_commands_cannot_displace_signed_ones() -> None:
+    """A flood of forged senders, including our ground station's identity, leaves signed commands their full burst."""
     gate = CommandRateLimiter()
     names = [(255, 190)] * 100 + [(n % 256, n // 256) for n in range(5000)]
     assert sum(gate.allow("radio", *name, False, 0.0) for name in names) == ALL_BURST
@@ -39,8 +39,8 @@ def test_who_signs_cannot_be_crowded_out_by_those_who_do_not() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.integers(0, 255), st.floats(0, 0.2)), max_size=400))
-def test_whoever_asks_the_whole_is_bounded(floods: list[tuple[int, int, float]]) -> None:
-    """Over any time not more than burst + rate x time are let in, and memory stays bounded."""
+def test_the_total_rate_is_bounded_for_any_senders(floods: list[tuple[int, int, float]]) -> None:
+    """Over any time no more than burst + rate x time is allowed, and memory stays bounded."""
     gate, now, let = CommandRateLimiter(), 0.0, 0
     for system, component, pause in floods:
         now += pause
@@ -49,8 +49,8 @@ def test_whoever_asks_the_whole_is_bounded(floods: list[tuple[int, int, float]])
     assert len(gate._senders) <= MAX_SENDERS
 
 
-def test_a_command_that_comes_again_has_its_first_result() -> None:
-    """A rising confirmation is the same command; also by another link."""
+def test_a_repeated_command_has_its_first_result() -> None:
+    """A rising confirmation is the same command, also by another link."""
     memory = CommandDedup()
     memory.record(ASKED, b"one", CommandResult.ACCEPTED, 0.0)
     again = replace(ASKED, confirmation=1, link="other")
@@ -61,8 +61,8 @@ def test_a_command_that_comes_again_has_its_first_result() -> None:
     assert memory.previous_result(replace(again, signed=True), b"five", 1.0) is None
 
 
-def test_the_very_same_frame_is_a_copy_and_another_one_a_new_command() -> None:
-    """With confirmation 0 only a copy by another way is the same."""
+def test_an_identical_frame_is_a_copy_and_another_one_a_new_command() -> None:
+    """With confirmation 0 only a copy by another route is the same."""
     memory = CommandDedup()
     memory.record(ASKED, b"one", CommandResult.FAILED, 0.0)
     assert memory.previous_result(replace(ASKED, link="other"), b"one", COPY_S) is CommandResult.FAILED
@@ -70,21 +70,21 @@ def test_the_very_same_frame_is_a_copy_and_another_one_a_new_command() -> None:
     assert memory.previous_result(ASKED, b"two", 0.1) is None
 
 
-def test_what_was_lost_the_first_time_is_done_when_it_comes_again() -> None:
-    """A confirmation above 0 of a command that never arrived is a command."""
+def test_a_repetition_of_a_lost_command_is_executed() -> None:
+    """With a confirmation above 0 a command is new if the earlier ones never arrived."""
     assert CommandDedup().previous_result(replace(ASKED, confirmation=3), b"one", 0.0) is None
 
 
-def test_the_memory_is_bounded() -> None:
-    """The oldest is forgotten."""
+def test_memory_is_bounded() -> None:
+    """The oldest entry is forgotten."""
     memory = CommandDedup()
     for n in range(1000):
         memory.record(replace(ASKED, params=(3.0, float(n))), b"", CommandResult.ACCEPTED, 0.0)
     assert len(memory._done[False]) == MAX_DONE
 
 
-def test_unsigned_commands_make_no_signed_one_forgotten() -> None:
-    """Its acknowledgement was lost; asked again after a flood of others, it is not done twice."""
+def test_unsigned_commands_displace_no_signed_one() -> None:
+    """Its acknowledgement was lost; repeated after a flood of others, it is not executed twice."""
     memory, signed = CommandDedup(), replace(ASKED, signed=True)
     memory.record(signed, b"one", CommandResult.ACCEPTED, 0.0)
     for n in range(10 * MAX_DONE):

@@ -1,4 +1,4 @@
-"""Recorded commands, played again over a real socket with pymavlink's own frames."""
+"""Recorded commands, replayed over a real socket with pymavlink's own frames."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from phm.transport.mavlink_signing import EPOCH_S, NAME, TICKS
 from tests.fakes.mavlink import LIMIT_S, free_port, heartbeat
 from tests.fakes.until import until
 
-# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+# With its default dialect pymavlink starts with MAVLink 1, and loses its key when it first receives MAVLink 2.
 mavutil.set_dialect("common")
 KEY = bytes(range(1, 33))
 RESTART, STATUS = (31010, 3, 1), (512, 253, 0)
 MAV = mavlink
-Start = Callable[..., "Aboard"]
+Start = Callable[..., "Agent"]
 Ask = Callable[..., "Ground"]
 
 
 class SetClock(SystemClock):
-    """The machine's clocks, its date set by the test."""
+    """The machine's clocks, with a date set by the test."""
 
     ahead_s = 0.0
 
@@ -39,8 +39,8 @@ class SetClock(SystemClock):
         return super().utc() + self.ahead_s
 
 
-class Aboard:
-    """Agent 7 with a key, listening by UDP; `did` is what was done."""
+class Agent:
+    """Agent 7 with a key, listening on UDP; `did` has the executed commands."""
 
     def __init__(self, key: Path, state: Path | None, clock: SetClock, *, synchronized: bool | None = None) -> None:
         self.port = free_port()
@@ -92,7 +92,7 @@ class Aboard:
 
 
 class Ground:
-    """A ground station with the key whose clock the test sets; it can record a command instead of sending it."""
+    """A ground station with the key and a clock set by the test; it can record a command instead of sending it."""
 
     def __init__(self, port: int, utc: float) -> None:
         self.link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255, source_component=190)
@@ -103,14 +103,14 @@ class Ground:
         self.link.mav.signing.timestamp = round((utc - EPOCH_S) * TICKS)
 
     def record(self, command: int, first: float, second: float) -> bytes:
-        """The frame of a command, as it would have left."""
+        """The frame of a command, as it would have been sent."""
         message = MAV.MAVLink_command_long_message(7, 193, command, 0, first, second, 0, 0, 0, 0, 0)
         frame: bytes = message.pack(self.link.mav)
         self.link.mav.seq = (self.link.mav.seq + 1) % 256
         return frame
 
     def play(self, frame: bytes) -> int:
-        """The result with which it is acknowledged."""
+        """The result of its acknowledgement."""
         while self.link.recv_match(blocking=False) is not None:
             pass
         self.link.write(frame)
@@ -132,11 +132,11 @@ def key(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def start(key: Path) -> Iterator[Start]:
-    """Starts agents, and closes them at the end."""
-    made: list[Aboard] = []
+    """Start agents, and close them at the end."""
+    made: list[Agent] = []
 
-    def begin(state: Path | None, clock: SetClock, **named: Any) -> Aboard:
-        made.append(Aboard(key, state, clock, **named))
+    def begin(state: Path | None, clock: SetClock, **named: Any) -> Agent:
+        made.append(Agent(key, state, clock, **named))
         return made[-1]
 
     yield begin
@@ -146,10 +146,10 @@ def start(key: Path) -> Iterator[Start]:
 
 @pytest.fixture
 def ask() -> Iterator[Ask]:
-    """Makes ground stations of an agent, and closes them at the end."""
+    """Create ground stations of an agent, and close them at the end."""
     made: list[Ground] = []
 
-    def begin(agent: Aboard, utc: float) -> Ground:
+    def begin(agent: Agent, utc: float) -> Ground:
         made.append(Ground(agent.port, utc))
         return made[-1]
 
@@ -159,7 +159,7 @@ def ask() -> Iterator[Ask]:
 
 
 def test_a_delayed_command_of_a_known_sender_is_too_old(start: Start, ask: Ask, tmp_path: Path) -> None:
-    """It was kept from arriving, and is newer than all that was heard of its sender; six hours later it is denied."""
+    """It was withheld, and is newer than everything received from its sender; six hours later it is denied."""
     clock = SetClock()
     agent = start(tmp_path, clock)
     ground = ask(agent, clock.utc())
@@ -176,7 +176,7 @@ def test_a_delayed_command_of_a_known_sender_is_too_old(start: Start, ask: Ask, 
 
 
 def test_a_slow_radio_makes_no_command_too_old(start: Start, ask: Ask, tmp_path: Path) -> None:
-    """Seconds on the way, and clocks that differ by seconds, are allowed."""
+    """Seconds of latency, and clocks that differ by seconds, are allowed."""
     clock = SetClock()
     agent = start(tmp_path, clock)
     ground = ask(agent, clock.utc() - 5.0)
@@ -184,8 +184,8 @@ def test_a_slow_radio_makes_no_command_too_old(start: Start, ask: Ask, tmp_path:
     assert agent.did == ["255/190"]
 
 
-def test_a_command_whose_time_cannot_be_kept_is_refused(start: Start, ask: Ask, tmp_path: Path) -> None:
-    """It could be obeyed again after a restart of PHM; what only reads changes nothing, and is answered."""
+def test_a_command_whose_time_cannot_be_saved_is_refused(start: Start, ask: Ask, tmp_path: Path) -> None:
+    """It could be executed again after a restart of PHM; a read-only request changes nothing and is answered."""
     (tmp_path / "file").write_text("")
     clock = SetClock()
     agent = start(tmp_path / "file", clock)
@@ -201,7 +201,7 @@ def test_a_command_whose_time_cannot_be_kept_is_refused(start: Start, ask: Ask, 
 
 
 def test_without_a_clock_a_recorded_command_changes_nothing(start: Start, ask: Ask, tmp_path: Path) -> None:
-    """A year-old frame sets our time, so what it asks for waits until the clock is set; then the recorded frame is old."""
+    """A year-old frame sets our time, so its action waits until the clock is set; then the recorded frame is old."""
     clock = SetClock()
     true_utc = clock.utc()
     clock.ahead_s = -true_utc  # 1970
@@ -222,7 +222,7 @@ def test_without_a_clock_a_recorded_command_changes_nothing(start: Start, ask: A
 
 
 def test_after_a_restart_without_a_clock_commands_wait(start: Start, ask: Ask, tmp_path: Path) -> None:
-    """The time that was kept is older than now, and what was recorded since is newer than it."""
+    """The saved time is in the past, and commands recorded since are newer than it."""
     clock = SetClock()
     true_utc = clock.utc()
     agent = start(tmp_path, clock)
@@ -237,8 +237,8 @@ def test_after_a_restart_without_a_clock_commands_wait(start: Start, ask: Ask, t
     assert again.did == []
 
 
-def test_a_synchronized_clock_is_right_whatever_is_heard(start: Start, ask: Ask, tmp_path: Path) -> None:
-    """A ground station whose clock is ahead is obeyed: nobody can have recorded what has not been signed yet."""
+def test_a_synchronized_clock_overrides_received_times(start: Start, ask: Ask, tmp_path: Path) -> None:
+    """A ground station whose clock is ahead is accepted: frames that are not signed yet cannot have been recorded."""
     clock = SetClock()
     agent = start(tmp_path, clock, synchronized=True)
     ground = ask(agent, clock.utc() + 3600.0)

@@ -1,4 +1,4 @@
-"""The ground has real containers restarted and started: the command over UDP, the engine's doing, the proof, the line about its end."""
+"""Restart and start of real containers by the ground: the command over UDP, the action, its verification, the result line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.fakes.until import until
 
 APPROVE, RESTART = 2, 3
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
-# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+# With its default dialect pymavlink starts with MAVLink 1, and loses its key when it first receives MAVLink 2.
 mavutil.set_dialect("common")
 
 
@@ -54,7 +54,7 @@ class Agent:
         self.daemon.stop()
 
     def until(self, wanted: Callable[[], Any], what: str) -> None:
-        """Reads what comes meanwhile, and lets the agent know that a ground station is there."""
+        """Read incoming messages while waiting, and send heartbeats of a ground station."""
         until(wanted, what, lambda: self.lines, step=self._receive)
 
     def _receive(self) -> None:
@@ -66,7 +66,7 @@ class Agent:
             self.answer = message.result
 
     def ask(self, operation: int, number: int) -> int:
-        """The result with which this is acknowledged."""
+        """The result of the acknowledgement."""
         self.answer: int | None = None
         self.ground.mav.command_long_send(7, 193, 31010, 0, operation, number, 0, 0, 0, 0, 0)
         self.until(lambda: self.answer is not None, "the acknowledgement")
@@ -83,8 +83,8 @@ def started(container: Any) -> str:
     return str(container.attrs["State"]["StartedAt"])
 
 
-def test_a_restart_that_the_ground_asks_for_is_done_proven_and_told(real: Any, tmp_path: Path) -> None:
-    """The container lives anew, the other one as before, no fault is opened, and the ground reads the end."""
+def test_a_restart_requested_by_the_ground_is_executed_verified_and_reported(real: Any, tmp_path: Path) -> None:
+    """The container is restarted, the other one unchanged, no fault is opened, and the ground receives the result."""
     containers = {"app": real.container(RUN), "other": real.container(RUN)}
     agent = Agent(tmp_path, {key: container.name for key, container in containers.items()})
     before = {key: started(container) for key, container in containers.items()}
@@ -102,8 +102,8 @@ def test_a_restart_that_the_ground_asks_for_is_done_proven_and_told(real: Any, t
     assert phases == ["started", "done", "verified"]
 
 
-def test_what_is_advised_is_approved_by_the_number_in_its_line(real: Any, tmp_path: Path) -> None:
-    """All that the operator needs stands in the line: the container is started at his word, and not before."""
+def test_a_recommended_action_is_approved_by_the_number_in_its_line(real: Any, tmp_path: Path) -> None:
+    """The line has everything that the operator needs: the container is started by approval, and not before."""
     container = real.container(RUN)
     agent = Agent(tmp_path, {"app": container.name}, mode="advise")
     try:

@@ -1,4 +1,4 @@
-"""Signing: what is believed, what a forger can do (nothing), and what outlives PHM."""
+"""Signing: which frames are accepted, that an attacker can do nothing, and what survives a restart of PHM."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def ticks(utc: float) -> int:
 
 
 def sign(frame: bytes, time: int, *, key: bytes = KEY, link: int = 5) -> bytes:
-    """An unsigned frame of MAVLink 2 as somebody with this key signs it, written from the standard and not from our code."""
+    """An unsigned MAVLink 2 frame, signed with this key; written from the standard and independent of our code."""
     length = frame[1]
     head = bytes((frame[0], length, 1, *frame[3:10]))
     payload = frame[10 : 10 + length]
@@ -55,7 +55,7 @@ def sign(frame: bytes, time: int, *, key: bytes = KEY, link: int = 5) -> bytes:
     return body + hashlib.sha256(key + body).digest()[:6]
 
 
-def beat(time: int, *, key: bytes = KEY, link: int = 5, sender: tuple[int, int] = (255, 190)) -> bytes:
+def heartbeat_frame(time: int, *, key: bytes = KEY, link: int = 5, sender: tuple[int, int] = (255, 190)) -> bytes:
     return sign(Sender(*sender).frame(heartbeat()), time, key=key, link=link)
 
 
@@ -72,8 +72,8 @@ def test_a_key_is_32_bytes_or_their_hexadecimal_digits(tmp_path: Path, data: byt
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o610, 0o660, 0o666])
-def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> None:
-    """With what to do about it."""
+def test_a_key_that_others_can_read_is_rejected(tmp_path: Path, mode: int) -> None:
+    """The error says what to do."""
     path = tmp_path / "key"
     path.write_bytes(KEY)
     path.chmod(mode)
@@ -82,7 +82,7 @@ def test_a_key_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> Non
 
 
 @pytest.mark.parametrize("data", [b"", b"x" * 31, b"x" * 33, b"0" * 63, b"g" * 64, b"\xff" * 64, b"0" * 5000])
-def test_what_is_no_key_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_an_invalid_key_is_rejected(tmp_path: Path, data: bytes) -> None:
     """The content is never shown."""
     path = tmp_path / "key"
     path.write_bytes(data)
@@ -91,54 +91,54 @@ def test_what_is_no_key_is_refused(tmp_path: Path, data: bytes) -> None:
         read_key(str(path))
 
 
-def test_a_key_that_cannot_be_read_is_told(tmp_path: Path) -> None:
-    """Absent, a folder, a pipe that nobody writes."""
+def test_an_unreadable_key_is_reported(tmp_path: Path) -> None:
+    """Missing, a directory, a pipe without a writer."""
     os.mkfifo(tmp_path / "pipe", 0o600)
     for name in ("absent", ".", "pipe"):
         with pytest.raises(InvalidKey, match=r"^mavlink\.signing\.key"):
             read_key(str(tmp_path / name))
 
 
-# ---------------------------------------------------------------- what comes in
+# ---------------------------------------------------------------- incoming frames
 
 
-def test_a_signed_frame_is_good_once() -> None:
-    """The same again is old, and so is an older one; a newer one is good."""
+def test_a_signed_frame_is_accepted_once() -> None:
+    """An identical or older frame is old; a newer one is accepted."""
     signing, now = Signing(KEY, at()), ticks(NOW)
-    assert signing.check(beat(now)) is SignatureResult.GOOD
-    assert signing.check(beat(now)) is SignatureResult.OLD
-    assert signing.check(beat(now - 1)) is SignatureResult.OLD
-    assert signing.check(beat(now + 1)) is SignatureResult.GOOD
+    assert signing.check(heartbeat_frame(now)) is SignatureResult.GOOD
+    assert signing.check(heartbeat_frame(now)) is SignatureResult.OLD
+    assert signing.check(heartbeat_frame(now - 1)) is SignatureResult.OLD
+    assert signing.check(heartbeat_frame(now + 1)) is SignatureResult.GOOD
 
 
-def test_a_forged_time_poisons_nothing() -> None:
-    """A frame from the far future with a wrong hash leaves the true sender believed, and our own time as it was."""
+def test_a_forged_time_changes_nothing() -> None:
+    """A frame from the far future with a wrong hash affects neither the real sender nor our own time."""
     signing, now = Signing(KEY, at()), ticks(NOW)
-    assert signing.check(beat(now)) is SignatureResult.GOOD
+    assert signing.check(heartbeat_frame(now)) is SignatureResult.GOOD
     before = (dict(signing._streams), signing._time)
-    forged = bytearray(beat(now + 1))
+    forged = bytearray(heartbeat_frame(now + 1))
     forged[-12:-6] = (LAST - 1).to_bytes(6, "little")
     assert signing.check(forged) is SignatureResult.FORGED
-    assert signing.check(beat(LAST - 1, key=OTHER)) is SignatureResult.FORGED
+    assert signing.check(heartbeat_frame(LAST - 1, key=OTHER)) is SignatureResult.FORGED
     assert (signing._streams, signing._time) == before
-    assert signing.check(beat(now + 1)) is SignatureResult.GOOD
+    assert signing.check(heartbeat_frame(now + 1)) is SignatureResult.GOOD
     assert "wrong signature" in signing.problem()
 
 
-def test_pymavlink_itself_is_poisoned_by_it() -> None:
-    """Why the check is ours: the day this fails, pymavlink has mended it."""
+def test_pymavlink_itself_accepts_a_forged_time() -> None:
+    """This is why PHM has its own check: when this test fails, pymavlink has been fixed."""
     theirs = mavlink.MAVLink(None)
     theirs.signing.secret_key = KEY
     with pytest.raises(mavlink.MAVError):
-        theirs.decode(bytearray(beat(LAST - 1, key=OTHER)))
+        theirs.decode(bytearray(heartbeat_frame(LAST - 1, key=OTHER)))
     with pytest.raises(mavlink.MAVError):
-        theirs.decode(bytearray(beat(ticks(NOW))))
+        theirs.decode(bytearray(heartbeat_frame(ticks(NOW))))
 
 
 @given(st.integers(0, 8 * 46 - 1))
 def test_every_bit_of_a_frame_is_covered(bit: int) -> None:
-    """Whichever bit is turned, the frame is not good, and nothing is remembered of it."""
-    frame = bytearray(beat(ticks(NOW)))
+    """With any bit inverted, the frame is rejected and leaves no trace."""
+    frame = bytearray(heartbeat_frame(ticks(NOW)))
     bit %= 8 * len(frame)
     frame[bit // 8] ^= 1 << bit % 8
     signing = Signing(KEY, at())
@@ -147,42 +147,45 @@ def test_every_bit_of_a_frame_is_covered(bit: int) -> None:
 
 
 def test_a_new_sender_may_be_a_minute_late_and_no_more() -> None:
-    """What was recorded yesterday of somebody not heard since is not believed."""
+    """A frame recorded yesterday from a sender not received since is rejected."""
     signing, now = Signing(KEY, at()), ticks(NOW)
-    assert signing.check(beat(now - 59 * TICKS, link=1)) is SignatureResult.GOOD
-    assert signing.check(beat(now - 61 * TICKS, link=2)) is SignatureResult.OLD
-    assert signing.check(beat(now - 61 * TICKS, sender=(254, 190))) is SignatureResult.OLD
+    assert signing.check(heartbeat_frame(now - 59 * TICKS, link=1)) is SignatureResult.GOOD
+    assert signing.check(heartbeat_frame(now - 61 * TICKS, link=2)) is SignatureResult.OLD
+    assert signing.check(heartbeat_frame(now - 61 * TICKS, sender=(254, 190))) is SignatureResult.OLD
 
 
 def test_a_companion_without_a_clock_takes_the_time_of_the_ground() -> None:
-    """It starts in 1970, believes its operator, and signs with a time that the operator believes."""
+    """It starts in 1970, accepts its operator, and signs with a time that the operator accepts."""
     signing, now = Signing(KEY, at(0.0)), ticks(NOW)
-    assert signing.check(beat(now)) is SignatureResult.GOOD
+    assert signing.check(heartbeat_frame(now)) is SignatureResult.GOOD
     assert signing.stamp() == now + 1
 
 
-def test_the_end_of_time_is_not_believed() -> None:
-    """Our own time would follow and could not go on: 48 bits."""
+def test_the_end_of_time_is_rejected() -> None:
+    """Our own time would follow and could not advance: 48 bits."""
     signing = Signing(KEY, at())
-    assert signing.check(beat(LAST + 1)) is SignatureResult.OLD
-    assert signing.check(beat(2**48 - 1)) is SignatureResult.OLD
+    assert signing.check(heartbeat_frame(LAST + 1)) is SignatureResult.OLD
+    assert signing.check(heartbeat_frame(2**48 - 1)) is SignatureResult.OLD
     assert signing.stamp() == ticks(NOW)
 
 
 def test_senders_are_bounded() -> None:
-    """The one that was heard longest ago is forgotten; what it said then is not believed any more after a minute."""
+    """The sender received longest ago is forgotten; its old frames are rejected after a minute."""
     clock = at()
     signing = Signing(KEY, clock)
-    first = beat(ticks(NOW), link=0, sender=(1, 1))
+    first = heartbeat_frame(ticks(NOW), link=0, sender=(1, 1))
     assert signing.check(first) is SignatureResult.GOOD
     clock.advance(120.0)
     for n in range(MAX_STREAMS):
-        assert signing.check(beat(ticks(NOW + 120) + n, link=n % 256, sender=(2 + n // 256, 1))) is SignatureResult.GOOD
+        assert (
+            signing.check(heartbeat_frame(ticks(NOW + 120) + n, link=n % 256, sender=(2 + n // 256, 1)))
+            is SignatureResult.GOOD
+        )
     assert len(signing._streams) == MAX_STREAMS
     assert signing.check(first) is SignatureResult.OLD
 
 
-# ---------------------------------------------------------------- what goes out
+# ---------------------------------------------------------------- outgoing frames
 
 
 def test_times_only_rise() -> None:
@@ -196,8 +199,8 @@ def test_times_only_rise() -> None:
     assert given_out[-1] == ticks(clock.utc())
 
 
-def test_a_sender_that_is_up_for_long_is_believed_by_a_fresh_receiver() -> None:
-    """The time is refreshed before each frame; pymavlink's own receiver judges."""
+def test_a_sender_with_a_long_uptime_is_accepted_by_a_new_receiver() -> None:
+    """The time is refreshed before each frame; pymavlink's own receiver decides."""
     clock = at()
     codec = Codec(7, 193, lambda number: True, Signer(Signing(KEY, clock), 3, unsigned_of("vehicle")))
     codec.pack(heartbeat())
@@ -213,7 +216,7 @@ def test_a_sender_that_is_up_for_long_is_believed_by_a_fresh_receiver() -> None:
     "message", [heartbeat(), text("A07 OK 11111111"), mavlink.MAVLink_tunnel_message(0, 0, 46193, 1, [1, *[0] * 127])]
 )
 def test_a_signature_is_13_bytes_and_the_budget_counts_them(message: Any) -> None:
-    """`size` is what `pack` gives."""
+    """`size` equals the length of `pack`."""
     plain = Codec(7, 193, lambda number: True)
     signed = Codec(7, 193, lambda number: True, Signer(Signing(KEY, at()), 0, unsigned_of("vehicle")))
     assert plain.size(message) == len(plain.pack(message))
@@ -228,7 +231,7 @@ TUNNEL = mavlink.MAVLink_tunnel_message(0, 0, 46193, 1, [1, *[0] * 127])
 
 
 def heard(mode: str, *frames: bytes) -> tuple[list[tuple[str, bool]], dict[str, int]]:
-    """Types of the messages that are passed on, whether they count as signed; and what was refused."""
+    """Types of the forwarded messages with their signed flag, and the counts of rejected ones."""
     codec = Codec(7, 193, lambda number: True, Signer(Signing(KEY, at()), 0, unsigned_of(mode)))
     parser = codec.parser()
     messages = [message for frame in frames for message in parser.feed(frame)]
@@ -244,8 +247,8 @@ def heard(mode: str, *frames: bytes) -> tuple[list[tuple[str, bool]], dict[str, 
         ("none", ["RADIO_STATUS", "COMMAND_LONG"]),
     ],
 )
-def test_what_is_believed_without_a_signature(mode: str, passed: list[str]) -> None:
-    """Commands are passed on as unsigned, so that they are refused with an answer."""
+def test_messages_accepted_without_a_signature_depend_on_the_mode(mode: str, passed: list[str]) -> None:
+    """Commands are forwarded as unsigned, so that they are refused with an answer."""
     sender = Sender(255, 190)
     types, refused = heard(mode, *(sender.frame(each) for each in (heartbeat(), RADIO, TUNNEL, COMMAND)))
     assert types == [(name, False) for name in passed]
@@ -253,8 +256,8 @@ def test_what_is_believed_without_a_signature(mode: str, passed: list[str]) -> N
 
 
 @pytest.mark.parametrize("mode", ["vehicle", "all", "none"])
-def test_what_is_signed_is_passed_on_as_such_and_a_copy_of_a_command_is_not(mode: str) -> None:
-    """A copy of what is also believed unsigned is passed on as unsigned."""
+def test_a_signed_message_is_forwarded_as_such_and_a_copy_of_a_command_is_not(mode: str) -> None:
+    """A copy of a message that is also accepted unsigned is forwarded as unsigned."""
     sender, now = Sender(255, 190), ticks(NOW)
     signed = [sign(sender.frame(each), now + n) for n, each in enumerate((heartbeat(), TUNNEL, COMMAND))]
     types, refused = heard(mode, *signed, *signed)
@@ -264,35 +267,35 @@ def test_what_is_signed_is_passed_on_as_such_and_a_copy_of_a_command_is_not(mode
 
 
 @pytest.mark.parametrize("mode", ["vehicle", "all", "none"])
-def test_what_is_signed_with_another_key_is_never_passed_on(mode: str) -> None:
+def test_a_message_signed_with_another_key_is_never_forwarded(mode: str) -> None:
     """Not as unsigned, either."""
     sender = Sender(255, 190)
     forged = [sign(sender.frame(each), ticks(NOW), key=OTHER) for each in (heartbeat(), RADIO, TUNNEL, COMMAND)]
     assert heard(mode, *forged) == ([], {"forged": 4, "old": 0, "unsigned": 0})
 
 
-# ---------------------------------------------------------------- over a restart
+# ---------------------------------------------------------------- across a restart
 
 
-def test_a_recorded_command_is_not_believed_after_a_restart(tmp_path: Path) -> None:
-    """Who was heard is kept; also by a PHM that was killed, if it was saved before the command was obeyed."""
+def test_a_recorded_command_is_rejected_after_a_restart(tmp_path: Path) -> None:
+    """Senders are saved; also by a PHM that was killed, if it was saved before the command was executed."""
     first = Signing(KEY, at(), str(tmp_path))
-    recorded = beat(ticks(NOW))
+    recorded = heartbeat_frame(ticks(NOW))
     assert first.check(recorded) is SignatureResult.GOOD
     first.save()
     assert Signing(KEY, at(NOW + 5), str(tmp_path)).check(recorded) is SignatureResult.OLD
     assert Signing(KEY, at(NOW + 5)).check(recorded) is SignatureResult.GOOD
 
 
-def test_a_companion_without_a_clock_goes_on_where_it_was(tmp_path: Path) -> None:
-    """What may have been given out between the last save and the end is left out."""
+def test_a_companion_without_a_clock_continues_with_its_saved_time(tmp_path: Path) -> None:
+    """Times that may have been used between the last save and the end are skipped."""
     first = Signing(KEY, at(0.0), str(tmp_path))
-    assert first.check(beat(ticks(NOW))) is SignatureResult.GOOD
+    assert first.check(heartbeat_frame(ticks(NOW))) is SignatureResult.GOOD
     first.save()
     assert Signing(KEY, at(0.0), str(tmp_path)).stamp() == ticks(NOW) + SAVE_S * TICKS + 1
 
 
-def test_restarts_one_after_the_other_do_not_run_ahead_of_a_good_clock(tmp_path: Path) -> None:
+def test_consecutive_restarts_do_not_run_ahead_of_a_good_clock(tmp_path: Path) -> None:
     """A hundred restarts, a second apart."""
     for n in range(100):
         signing = Signing(KEY, at(NOW + n), str(tmp_path))
@@ -320,7 +323,7 @@ def test_restarts_one_after_the_other_do_not_run_ahead_of_a_good_clock(tmp_path:
         json.dumps({"time": 2**48, "streams": []}).encode(),
     ],
 )
-def test_a_damaged_file_is_told_and_the_clock_counts(tmp_path: Path, damage: bytes) -> None:
+def test_a_damaged_file_is_reported_and_the_clock_counts(tmp_path: Path, damage: bytes) -> None:
     """And is replaced by the next save."""
     (tmp_path / NAME).write_bytes(damage)
     signing = Signing(KEY, at(), str(tmp_path))
@@ -331,8 +334,8 @@ def test_a_damaged_file_is_told_and_the_clock_counts(tmp_path: Path, damage: byt
     assert Signing(KEY, at(), str(tmp_path)).problem() == ""
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
-    """Signing goes on."""
+def test_a_directory_without_write_access_is_reported(tmp_path: Path) -> None:
+    """Signing continues."""
     (tmp_path / "file").write_text("")
     signing = Signing(KEY, at(), str(tmp_path / "file"))
     signing.save()
@@ -340,11 +343,11 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     assert signing.stamp() == ticks(NOW)
 
 
-def test_the_file_is_small_and_for_its_owner(tmp_path: Path) -> None:
-    """And does not hold the key."""
+def test_the_file_is_small_and_private(tmp_path: Path) -> None:
+    """And does not contain the key."""
     signing = Signing(KEY, at(), str(tmp_path))
     for n in range(MAX_STREAMS):
-        signing.check(beat(ticks(NOW) + n, link=n % 256, sender=(1 + n // 256, 1)))
+        signing.check(heartbeat_frame(ticks(NOW) + n, link=n % 256, sender=(1 + n // 256, 1)))
     signing.save()
     file = tmp_path / NAME
     assert len(json.loads(file.read_bytes())["streams"]) == KEPT_STREAMS

@@ -1,4 +1,4 @@
-"""`phm run` with a key that cannot be used ends like any bad configuration, before anything is opened."""
+"""`phm run` with an unusable key ends like any invalid configuration, before anything is opened."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from phm.cli import group
 
 
 @pytest.mark.parametrize(("mode", "said"), [(0o644, "others than its owner"), (None, "cannot be read")])
-def test_a_key_that_cannot_be_used_ends_with_78(tmp_path: Path, mode: int | None, said: str) -> None:
-    """One sentence that says what to do; PHM never speaks unsigned where it was told to sign."""
+def test_an_unusable_key_ends_with_exit_code_78(tmp_path: Path, mode: int | None, said: str) -> None:
+    """One sentence that says what to do; PHM never sends unsigned frames if signing is configured."""
     key, config = tmp_path / "key", tmp_path / "phm.yaml"
     if mode is not None:
         key.write_bytes(bytes(32))

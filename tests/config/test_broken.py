@@ -1,4 +1,4 @@
-"""Broken configurations by the dozen: each is refused with the line, the key, what is wrong and what is allowed."""
+"""Invalid configurations: each is rejected with the line, the key, the mistake and the allowed values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ENVIRON = {"WORD": "abc", "NUMBER": "300", "EMPTY": ""}
 
 
 class Broken(NamedTuple):
-    """What stands in the file, and what must be said about it: line, key, words in this order."""
+    """The text of a file, and the expected problem: line, key, words in this order."""
 
     name: str
     text: str
@@ -26,7 +26,7 @@ class Broken(NamedTuple):
 
 
 def refused(text: str, **environ: str) -> tuple[Problem, ...]:
-    """All problems of a text that must be refused."""
+    """All problems of a text that must be rejected."""
     with pytest.raises(ConfigError) as caught:
         loads(
             text, "phm.yaml", environ={**ENVIRON, **environ}, known_checks=CHECKS, known_actions=ACTIONS,
@@ -60,7 +60,7 @@ BROKEN = [
         "ros.diagnostics.watch[0].timeout", ("0.5",),
     ),
     # what recovery needs
-    Broken("after nobody", ONE + "    after: [ap]\n", 3, "containers[0].after[0]", ("unknown container 'ap'", "did you mean 'app'?")),
+    Broken("after unknown", ONE + "    after: [ap]\n", 3, "containers[0].after[0]", ("unknown container 'ap'", "did you mean 'app'?")),
     Broken("after itself", ONE + "    after: [app]\n", 3, "containers[0].after[0]", ("cannot start after itself",)),
     Broken(
         "after an alias", ONE + "    after: [two]\n  - {name: two, alias: second}\n", 3, "containers[0].after[0]",
@@ -115,7 +115,7 @@ BROKEN = [
     Broken("two documents", "interval: 5\n---\ninterval: 6\n", 2, "", ("second document", "keep one")),
     Broken("tag", "agent:\n  name: !!python/name:os.system x\n", 2, "", ("tag", "not supported")),
     Broken("local tag", "interval: !secret x\n", 1, "", ("tag '!secret'",)),
-    Broken("undefined alias", "agent:\n  name: *nobody\n", 2, "", ("undefined alias 'nobody'", "quotes")),
+    Broken("undefined alias", "agent:\n  name: *missing\n", 2, "", ("undefined alias 'missing'", "quotes")),
     Broken("control character", "agent:\n  name: a\x01b\n", 2, "", ("'\\x01'", "not allowed")),
     Broken("impossible escape", 'agent:\n  name: "\\UFFFFFFFF"\n', 2, "", ("invalid escape sequence",)),
     Broken("half a character", 'agent:\n  name: "\\uD800"\n', 2, "agent.name", ("text that is valid Unicode",)),
@@ -170,7 +170,7 @@ BROKEN = [
     Broken("endpoint", "mavlink:\n  endpoints:\n    - url: serial:1\n", 3, "mavlink.endpoints[0].url", ("udpout:HOST",)),
     Broken("port", "mavlink:\n  endpoints:\n    - url: tcp:h:99999\n", 3, "mavlink.endpoints[0].url", ("1 to 65535",)),
     # variables
-    Broken("unset variable", "agent:\n  name: ${NOBODY}\n", 2, "agent.name", ("${NOBODY} is not set", ":-default")),
+    Broken("unset variable", "agent:\n  name: ${MISSING}\n", 2, "agent.name", ("${MISSING} is not set", ":-default")),
     Broken("unclosed variable", "agent:\n  name: ${WORD\n", 2, "agent.name", ("never closed",)),
     Broken("variable in braces", "agent: {id: ${NUMBER}}\n", 1, "", ("inside [] and {}", "quotes")),
     Broken("odd variable", "agent:\n  name: ${WORD:?no}\n", 2, "agent.name", ("'${WORD:?no}' is not a variable",)),
@@ -284,8 +284,8 @@ BROKEN = [
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda broken: broken.name)
-def test_a_mistake_is_told_once_with_its_place(broken: Broken) -> None:
-    """A file with one mistake gives one problem, which has its line, its key, and what is allowed."""
+def test_a_mistake_is_reported_once_with_its_location(broken: Broken) -> None:
+    """A file with one mistake has one problem, with its line, its key, and the allowed values."""
     problems = refused(broken.text)
     assert [(problem.file, problem.line, problem.key) for problem in problems] == [
         ("phm.yaml", broken.line, broken.key)
@@ -296,10 +296,10 @@ def test_a_mistake_is_told_once_with_its_place(broken: Broken) -> None:
         start = problems[0].message.index(word, start)
 
 
-def test_all_mistakes_are_told_at_once_in_order_of_lines() -> None:
-    """Mistakes of YAML keys, types, variables, names and pairs in one file are all in the one error."""
+def test_all_mistakes_are_reported_together_in_order_of_lines() -> None:
+    """One error has the mistakes of YAML keys, types, variables, names and pairs of one file."""
     text = (
-        "agent: {id: '${NOBODY}'}\n"
+        "agent: {id: '${MISSING}'}\n"
         "intervall: 5\n"
         "containers: [{name: a}, {name: a}, {files: [{path: b}]}]\n"
         "host: {temperature_warn: 99C, disks: /}\n"
@@ -316,7 +316,7 @@ def test_all_mistakes_are_told_at_once_in_order_of_lines() -> None:
 
 
 def test_a_problem_is_printed_as_file_line_key_and_sentence() -> None:
-    """The printed form is `file:line: key: message`, one problem a line."""
+    """The printed form is `file:line: key: message`, one problem per line."""
     with pytest.raises(ConfigError) as caught:
         loads("log:\n  files: 0\n  sync: 1\n", "config/phm.yaml", environ={})
     assert str(caught.value).splitlines() == [
@@ -330,29 +330,29 @@ def test_a_problem_is_printed_as_file_line_key_and_sentence() -> None:
     [("soon", "'soon' is not a duration"), ("0.1", "allowed is 1 to 3600 seconds"), ("5 Hz", "wrong unit 'Hz'")],
 )
 def test_a_wrong_interval_in_the_environment_is_named_as_such(value: str, words: str) -> None:
-    """PHM_INTERVAL is judged like the key, and the problem says that the environment is at fault."""
+    """PHM_INTERVAL is validated like the key, and the problem names the environment variable."""
     (problem,) = refused("interval: 5\n", PHM_INTERVAL=value)
     assert str(problem).startswith("environment PHM_INTERVAL: interval: ")
     assert words in problem.message
 
 
-def test_an_alias_bomb_is_refused() -> None:
-    """Nine lines that unfold to a billion values are refused after a bounded amount of work."""
+def test_an_alias_bomb_is_rejected() -> None:
+    """Nine lines that expand to a billion values are rejected after a bounded amount of work."""
     lines = ["checks:", "  host:", "    options:", "      a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
     lines += [f"      a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 10)}]" for level in range(1, 9)]
     (problem,) = refused("\n".join(lines))
     assert "more than 20000 values" in problem.message
 
 
-def test_a_file_that_grows_by_its_variables_is_refused() -> None:
+def test_a_file_that_grows_by_its_variables_is_rejected() -> None:
     """A long variable, repeated, cannot fill the memory."""
     text = "checks:\n  host:\n    options:\n" + "".join(f"      k{n}: ${{LONG}}\n" for n in range(3000))
     problems = refused(text, LONG="x" * 4096)
     assert all("after expansion of its variables" in problem.message for problem in problems)
 
 
-def test_a_message_stays_on_one_line_and_short() -> None:
-    """Whatever stands in the file, a problem is one printable line, so that it cannot fake another."""
+def test_a_message_is_short_and_on_one_line() -> None:
+    """Whatever the file contains, a problem is one printable line, so that it cannot fake another."""
     problems = refused('agent:\n  name: "a\\nphm.yaml:1: fine"\n  "x\\ny\\e[31m": 1\n  id: "' + "z" * 5000 + '"\n')
     for problem in problems:
         assert str(problem).isprintable()

@@ -1,4 +1,4 @@
-"""The files in config/: every key documented with its true default and range, examples good, schema fresh."""
+"""The files in config/: every key documented with its default and range, examples valid, schema up to date."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ QUOTED = re.compile(r"`([^`]*)`")
 
 @dataclass(frozen=True)
 class Entry:
-    """One key of phm.yaml: its path without indexes and names of checks, and the prose above it."""
+    """One key of phm.yaml: its path without indexes and names of checks, and the comment above it."""
 
     path: tuple[str, ...]
     prose: str
 
 
 def entries(text: str) -> list[Entry]:
-    """All keys of the file, also those that are commented out (`#key:`), by their indentation."""
+    """All keys of the file, including commented ones (`#key:`), by their indentation."""
     found: list[Entry] = []
     stack: list[tuple[int, str]] = []
     prose: list[str] = []
@@ -86,12 +86,12 @@ def is_section(field: FieldInfo) -> bool:
 
 
 def annotated(kind: Any, extras: list[Any]) -> Any:
-    """`Annotated[kind, *extras]`, which Python 3.10 cannot write."""
+    """`Annotated[kind, *extras]`, which Python 3.10 cannot express."""
     return operator.getitem(Annotated, (kind, *extras)) if extras else kind
 
 
 def value_of(written: str, field: FieldInfo) -> Any:
-    """What a value in the prose means: read as YAML, then by the field's own type."""
+    """A value in a comment: parsed as YAML, then by the field's own type."""
     tree = parse(f"x: {written}", "prose", Expander({}))
     assert not tree.problems
     kind: Any = field.annotation
@@ -100,14 +100,14 @@ def value_of(written: str, field: FieldInfo) -> Any:
     return TypeAdapter(kind).validate_python(tree.data["x"])
 
 
-def test_every_key_of_the_model_is_in_phm_yaml_and_no_other() -> None:
+def test_phm_yaml_has_exactly_the_keys_of_the_model() -> None:
     """Keys of the documented file and of the models are the same set."""
     assert set(DOCUMENTED) == set(FIELDS)
 
 
 @pytest.mark.parametrize("path", FIELDS, ids=".".join)
-def test_a_key_is_documented_with_its_true_default(path: tuple[str, ...]) -> None:
-    """The prose above a key explains it and states the model's default, or that it is required."""
+def test_a_key_is_documented_with_its_default(path: tuple[str, ...]) -> None:
+    """The comment above a key explains it and states the model's default, or that it is required."""
     field, prose = FIELDS[path], DOCUMENTED[path]
     assert len(prose) > 10
     if is_section(field):
@@ -124,8 +124,8 @@ RANGED = [path for path, field in FIELDS.items() if bound(field, "ge", "gt", "le
 
 
 @pytest.mark.parametrize("path", RANGED, ids=".".join)
-def test_a_number_is_documented_with_its_true_range(path: tuple[str, ...]) -> None:
-    """The prose states the lowest and the highest value that the model allows."""
+def test_a_number_is_documented_with_its_range(path: tuple[str, ...]) -> None:
+    """The comment states the lowest and the highest value that the model allows."""
     field, allowed = FIELDS[path], DOCUMENTED[path].partition("Allowed: ")[2].partition("Default")[0]
     limits = [limit for limit in (bound(field, "ge", "gt"), bound(field, "le", "lt")) if limit is not None]
     stated = [
@@ -138,7 +138,7 @@ def test_a_number_is_documented_with_its_true_range(path: tuple[str, ...]) -> No
 
 
 def _kind(field: FieldInfo) -> Any:
-    """The field's type without its range: only the unit is left."""
+    """The field's type without its range: only the unit remains."""
     base = next((part for part in get_args(field.annotation) if part is not type(None)), field.annotation)
     while get_origin(base) is Annotated:
         base = get_args(base)[0]
@@ -150,8 +150,8 @@ CHOICES = [path for path, field in FIELDS.items() if field.annotation is bool or
 
 
 @pytest.mark.parametrize("path", CHOICES, ids=".".join)
-def test_a_choice_is_documented_with_all_it_allows(path: tuple[str, ...]) -> None:
-    """The prose lists exactly the words that the model takes."""
+def test_a_choice_is_documented_with_all_allowed_values(path: tuple[str, ...]) -> None:
+    """The comment lists exactly the words that the model accepts."""
     field, allowed = FIELDS[path], DOCUMENTED[path].partition("Allowed: ")[2].partition("Default")[0]
     words = ["true", "false"] if field.annotation is bool else _words(field.annotation)
     assert QUOTED.findall(allowed) == words
@@ -163,7 +163,7 @@ def _words(annotation: Any) -> list[str]:
 
 
 def test_every_commented_key_may_be_uncommented() -> None:
-    """With all `#key:` and `#- key:` set, the file still fits the models."""
+    """With all `#key:` and `#- key:` set, the file is still valid."""
     text = re.sub(r"^( *)#(?=(?:- )?[a-z_0-9]+:)", r"\1", (CONFIG / "phm.yaml").read_text(), flags=re.MULTILINE)
     tree = parse(text, "phm.yaml", Expander({}))
     assert not tree.problems
@@ -171,8 +171,8 @@ def test_every_commented_key_may_be_uncommented() -> None:
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
-def test_a_shipped_file_is_good_by_the_command(path: Path) -> None:
-    """`phm validate` accepts each file that we ship, with the installed checks, and exits 0."""
+def test_a_shipped_file_is_valid(path: Path) -> None:
+    """`phm validate` accepts each shipped file, with the installed checks, and exits 0."""
     done = CliRunner().invoke(command, ["-c", str(path)], env={"PHM_INTERVAL": ""})
     assert done.exit_code == 0, done.output
     assert done.stdout.startswith(f"{path}: valid, agent ")
@@ -180,7 +180,7 @@ def test_a_shipped_file_is_good_by_the_command(path: Path) -> None:
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
 def test_a_shipped_file_fits_the_schema_before_variables_are_expanded(path: Path) -> None:
-    """An editor that uses the schema shows no error in our files."""
+    """An editor with the schema shows no error in our files."""
     data = parse(path.read_text().replace("${", "$${"), path.name, Expander({})).data
     jsonschema.Draft202012Validator(json.loads((CONFIG / "phm.schema.json").read_text())).validate(data)
 
@@ -197,8 +197,8 @@ def test_a_shipped_file_fits_the_schema_before_variables_are_expanded(path: Path
         {"checks": {"a": {"perod": 1}}},
     ],
 )
-def test_the_schema_refuses_what_the_models_refuse(data: dict[str, Any]) -> None:
-    """An editor that uses the schema shows these mistakes."""
+def test_the_schema_rejects_what_the_models_reject(data: dict[str, Any]) -> None:
+    """An editor with the schema shows these mistakes."""
     validator = jsonschema.Draft202012Validator(schema.schema())
     jsonschema.Draft202012Validator.check_schema(schema.schema())
     assert not validator.is_valid(data)
@@ -213,8 +213,8 @@ def test_the_schema_describes_every_key() -> None:
             assert value.get("description") or section_of_its_own.get("description"), name
 
 
-def test_the_schema_file_is_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`--check` accepts the committed file and refuses another one with the command that helps."""
+def test_the_schema_file_is_up_to_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--check` accepts the committed file and rejects another one with the command that fixes it."""
     assert schema.main(["--check"]) == 0
     stale = tmp_path / "phm.schema.json"
     stale.write_text("{}")
@@ -225,8 +225,8 @@ def test_the_schema_file_is_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert schema.main(["--check", str(stale)]) == 0
 
 
-def test_one_file_serves_a_whole_swarm() -> None:
-    """The variables of phm.yaml reach names, numbers, nodes, topics and the endpoint."""
+def test_one_file_serves_an_entire_swarm() -> None:
+    """The variables of phm.yaml set names, numbers, nodes, topics and the endpoint."""
     environ = {
         "PHM_AGENT": "scout_7",
         "PHM_AGENT_ID": "7",
@@ -247,14 +247,14 @@ def test_one_file_serves_a_whole_swarm() -> None:
     assert read.mavlink.autopilot
 
 
-def test_what_phm_yaml_sets_is_the_default_where_the_application_needs_nothing_else() -> None:
-    """Sections about PHM itself only repeat defaults, so copying the file changes nothing unseen."""
+def test_values_in_phm_yaml_equal_the_defaults_except_for_the_application() -> None:
+    """Sections about PHM itself repeat the defaults, so copying the file changes nothing unnoticed."""
     read, plain = load(CONFIG / "phm.yaml", environ={}), loads("{}", environ={})
     for section in ("agent", "interval", "host", "recovery", "log", "docker", "run_dir"):
         assert getattr(read, section) == getattr(plain, section), section
 
 
-def test_every_pattern_of_the_models_has_words() -> None:
+def test_every_pattern_of_the_models_has_a_description() -> None:
     """No message shows a regular expression."""
     patterns = {
         entry.pattern for field in FIELDS.values() for entry in metadata(field) if getattr(entry, "pattern", None)
@@ -267,7 +267,7 @@ def test_every_pattern_of_the_models_has_words() -> None:
 
 
 def test_the_field_of_a_path_is_found_through_lists_and_mappings() -> None:
-    """Ranges and units in messages come from the field that a path ends at."""
+    """Ranges and units in messages come from the last field of a path."""
     assert field_at(("containers", 0, "files", 1, "path")) is FIELDS["containers", "files", "path"]
     assert field_at(("checks", "nodes", "period")) is FIELDS["checks", "period"]
     assert field_at(("ros", "topics", 2, "publishers", 0)) is FIELDS["ros", "topics", "publishers"]

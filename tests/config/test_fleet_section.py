@@ -1,4 +1,4 @@
-"""The section `fleet`: what is refused, and what is said about it."""
+"""The section `fleet`: rejected values and their messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROUTER = "  connect: [tcp/router:7447]\n"
 
 
 def refused(text: str) -> dict[str, tuple[int, str]]:
-    """Line and sentence by key, of a text that must be refused."""
+    """Line and message by key, of a text that must be rejected."""
     with pytest.raises(ConfigError) as caught:
         loads(text, "phm.yaml", environ={})
     return {problem.key: (problem.line, problem.message) for problem in caught.value.problems}
@@ -41,15 +41,15 @@ def refused(text: str) -> dict[str, tuple[int, str]]:
         ("agent: {name: 'a$*'}\n" + ON + ROUTER, 1, "agent.name", "letters, digits"),
     ],
 )
-def test_a_fleet_that_cannot_work_is_refused(text: str, line: int, key: str, words: str) -> None:
-    """With its line, its key, and what is allowed; names that are no part of a key expression among them."""
+def test_an_impossible_fleet_is_rejected(text: str, line: int, key: str, words: str) -> None:
+    """With its line, its key, and the allowed values; this includes names that a key expression cannot contain."""
     problems = refused(text)
     assert problems[key][0] == line
     assert words in problems[key][1]
 
 
-def test_a_missing_package_is_said_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the extra, a configuration that wants it names what to install."""
+def test_a_missing_package_is_reported_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the extra, a configuration that needs it names the package to install."""
     real = importlib.util.find_spec
 
     def without(name: str, *rest: Any) -> Any:
@@ -62,8 +62,8 @@ def test_a_missing_package_is_said_with_its_remedy(monkeypatch: pytest.MonkeyPat
     assert loads("fleet: {enabled: false}\n", "phm.yaml", environ={}).fleet == Settings().fleet
 
 
-def test_what_can_work_is_taken() -> None:
-    """A client by TLS, and a peer that listens."""
+def test_a_possible_fleet_is_accepted() -> None:
+    """A TLS client, and a listening peer."""
     client = loads(
         ON + "  connect: ['tls/[::1]:7447']\n  tls: {ca: /ca.pem, certificate: /a.pem, key: /a.key}\n", "f", environ={}
     )

@@ -1,4 +1,4 @@
-"""What a good file becomes, which file is read, and files that cannot be read at all."""
+"""The settings of a valid file, the choice of the file, and files that cannot be read."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NAMES = ("host", "nodes")
     ],
 )  # fmt: skip
 def test_plain_scalars_follow_yaml_1_2(text: str, value: object) -> None:
-    """Switches, times and dates stay text, numbers with an exponent are numbers, long runs of digits stay text."""
+    """on/off, times and dates stay text, numbers with an exponent are numbers, long runs of digits stay text."""
     found = resolve(text)
     assert found == value
     assert type(found) is type(value)
@@ -54,62 +54,62 @@ def test_variables_are_expanded_before_types_are_decided(text: str, name: str, n
     ("text", "value"),
     [("$${A}", "${A}"), ("a$b", "a$b"), ("$A", "$A"), ("'${OTHER}'", "${A}"), ("${NONE:-}", None), ("$$${A}", "$${A}")],
 )
-def test_escapes_and_dollars(text: str, value: object) -> None:
-    """`$${` is a literal `${`, other dollars are nothing special, and what a variable holds is not expanded again."""
+def test_escapes_and_dollar_signs_are_literal(text: str, value: object) -> None:
+    """`$${` is a literal `${`, other dollar signs are literal, and values of variables are not expanded again."""
     read = loads(f"checks:\n  host:\n    options:\n      x: {text}\n", environ={"A": "drone", "OTHER": "${A}"})
     assert read.checks["host"].options["x"] == value
 
 
 def test_quantities_with_units_become_seconds_bytes_and_hertz() -> None:
-    """The model's units reach through the file, strictly typed values beside them."""
+    """The units of the model apply to values of the file, beside strictly typed values."""
     read = loads("interval: 2min\nlog: {max_size: 1MiB}\nhost: {cpu: {warn: 50%, error: 60}}\n", environ={})
     assert (read.interval, read.log.max_size, read.host.cpu.warn) == (120.0, 2.0**20, 50.0)
 
 
-def test_anchors_save_repetition() -> None:
-    """An alias stands for its anchor, as YAML says."""
+def test_anchors_avoid_repetition() -> None:
+    """An alias is replaced by its anchor, as in YAML."""
     read = loads("host:\n  cpu: &limits {warn: 1, error: 2}\n  disk: *limits\n", environ={})
     assert read.host.disk == read.host.cpu
 
 
 @pytest.mark.parametrize(("value", "interval"), [("5", 5.0), ("1min", 60.0), (" ", 20.0), ("", 20.0)])
 def test_the_environment_overrides_the_interval(value: str, interval: float) -> None:
-    """PHM_INTERVAL wins over the file, with units; blank is as if it were not set."""
+    """PHM_INTERVAL has priority over the file, with units; a blank value counts as unset."""
     assert loads("interval: 20s\n", environ={"PHM_INTERVAL": value}).interval == interval
 
 
-def test_a_node_may_be_without_a_container_when_several_are_configured() -> None:
-    """Its container is then not known, and nothing is restarted for it."""
+def test_a_node_may_have_no_container_when_several_are_configured() -> None:
+    """Its container is unknown then, and nothing is restarted for it."""
     read = loads("containers: [{name: a}, {name: b}]\nros: {nodes: [{name: /n}]}\n", environ={})
     assert read.container_of_node("/n") == ""
 
 
-def test_a_topic_may_name_any_node_while_no_nodes_are_listed() -> None:
+def test_a_topic_may_name_any_node_if_no_nodes_are_listed() -> None:
     """Without `ros.nodes` there is nothing to compare publishers with."""
     read = loads("ros: {topics: [{name: /t, publishers: [/n], subscribers: [/m]}]}\n", environ={})
     assert read.ros.topics[0].publishers == ["/n"]
 
 
 def test_needs_may_name_a_check_or_one_unit_of_the_check_itself() -> None:
-    """All nodes may need one node; that is no circle."""
+    """All nodes may depend on one node without a cycle."""
     text = "checks:\n  nodes:\n    needs: [host, nodes/a/one]\n"
     read = loads(text, environ={}, known_checks=NAMES, units_of=lambda settings: (("nodes/a/one",), {"nodes": ()}))
     assert read.checks["nodes"].needs == ["host", "nodes/a/one"]
 
 
-def test_a_need_of_a_check_that_is_off_closes_no_circle() -> None:
-    """A check that is not run waits for nobody."""
+def test_a_dependency_of_a_disabled_check_closes_no_cycle() -> None:
+    """A check that does not run has no dependencies."""
     text = "checks:\n  host: {needs: [nodes]}\n  nodes: {needs: [host], enabled: false}\n"
     assert not loads(text, environ={}, known_checks=NAMES).checks["nodes"].enabled
 
 
-def test_names_are_not_judged_without_knowing_what_is_installed() -> None:
-    """`known_checks=None` leaves names of checks alone, e.g. on a ground station."""
+def test_names_are_not_validated_without_the_installed_checks() -> None:
+    """`known_checks=None` ignores names of checks, e.g. on a ground station."""
     assert "anything" in loads("checks: {anything: {}}\n", environ={}).checks
 
 
 def test_a_byte_order_mark_and_windows_line_ends_are_harmless(tmp_path: Path) -> None:
-    """Files from Windows editors are read, with the right lines."""
+    """Files from Windows editors are read, with the right line numbers."""
     path = tmp_path / "phm.yaml"
     path.write_bytes(b"\xef\xbb\xbfinterval: 5\r\nlog:\r\n  files: 0\r\n")
     with pytest.raises(ConfigError, match=r"phm\.yaml:3: log\.files: "):
@@ -117,7 +117,7 @@ def test_a_byte_order_mark_and_windows_line_ends_are_harmless(tmp_path: Path) ->
 
 
 def unreadable(folder: Path, kind: str) -> Path:
-    """A path that holds no configuration, of one kind."""
+    """A path without a readable configuration, of one kind."""
     path = folder / "phm.yaml"
     match kind:
         case "directory":
@@ -146,8 +146,8 @@ def unreadable(folder: Path, kind: str) -> Path:
         ("loop", 0, "cannot be read"), ("below a file", 0, "file not found"),
     ],
 )  # fmt: skip
-def test_a_file_that_cannot_be_read_is_one_sentence(tmp_path: Path, kind: str, line: int, words: str) -> None:
-    """Whatever is at the path, there is one problem that says what, and nothing waits."""
+def test_a_file_that_cannot_be_read_is_one_problem(tmp_path: Path, kind: str, line: int, words: str) -> None:
+    """Whatever is at the path, there is one problem with the reason, and nothing blocks."""
     path = unreadable(tmp_path, kind)
     with pytest.raises(ConfigError) as caught:
         load(path, environ={})
@@ -156,8 +156,8 @@ def test_a_file_that_cannot_be_read_is_one_sentence(tmp_path: Path, kind: str, l
     assert words in problem.message
 
 
-def test_a_forbidden_file_says_who_may_not_read_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Root may read anything, so here the system call itself is what refuses."""
+def test_a_denied_permission_names_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Root may read anything, so here the system call itself is replaced."""
 
     def refuse(*_: object, **__: object) -> int:
         raise PermissionError(13, "Permission denied")
@@ -167,10 +167,10 @@ def test_a_forbidden_file_says_who_may_not_read_it(monkeypatch: pytest.MonkeyPat
         load("secret.yaml", environ={})
 
 
-def test_the_default_file_is_the_installed_one_else_that_of_the_repository(
+def test_the_default_file_is_the_installed_one_or_that_of_the_repository(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A path that is given wins; without one, /etc/phm/phm.yaml, else config/phm.yaml."""
+    """A given path has priority; without one, /etc/phm/phm.yaml, else config/phm.yaml."""
     installed = tmp_path / "phm.yaml"
     # By name: the package's attribute `load` is the function, not the module.
     monkeypatch.setattr(importlib.import_module("phm.config.load"), "INSTALLED", installed)
@@ -192,7 +192,7 @@ yaml_like = st.recursive(
 
 
 def outcome(text: str) -> Settings | tuple[Problem, ...]:
-    """The only two outcomes there are; any other exception fails the test."""
+    """The only two outcomes; any other exception fails the test."""
     try:
         return loads(
             text,
@@ -206,7 +206,7 @@ def outcome(text: str) -> Settings | tuple[Problem, ...]:
 
 
 def settings_or_problems(text: str) -> None:
-    """Settings, or at least one problem, each of which is one line that can be printed."""
+    """Settings, or at least one problem, each of which is one printable line."""
     found = outcome(text)
     if isinstance(found, Settings):
         return
@@ -220,14 +220,14 @@ def settings_or_problems(text: str) -> None:
 @settings(max_examples=300, deadline=None)
 @given(st.text(alphabet=st.characters(), max_size=200))
 def test_any_text_gives_settings_or_problems(text: str) -> None:
-    """No text, whatever it is, ends in another exception."""
+    """No text ends in another exception."""
     settings_or_problems(text)
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.text(alphabet="ab:-{}[]\"'\\U${}&*!|>%?@`#,\n \t~0.eE", max_size=120))
-def test_any_soup_of_yaml_signs_gives_settings_or_problems(text: str) -> None:
-    """Nor does text made of the signs that mean something in YAML."""
+def test_any_mix_of_yaml_characters_gives_settings_or_problems(text: str) -> None:
+    """Nor does text made of the special characters of YAML."""
     settings_or_problems(text)
 
 
@@ -243,7 +243,7 @@ def test_any_structure_gives_settings_or_problems(data: object) -> None:
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_in_the_file_give_settings_or_problems(tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
-    """Nor do bytes that are no text."""
+    """Nor do bytes that are not text."""
     path = tmp_path_factory.getbasetemp() / "phm-any.yaml"
     path.write_bytes(raw)
     try:

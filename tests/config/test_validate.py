@@ -1,4 +1,4 @@
-"""The command `phm validate` and the reading that it shares with `phm run`."""
+"""The command `phm validate` and the loading that it shares with `phm run`."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ GOOD = "containers: [{name: app}]\nros: {nodes: [{name: /a/one}]}\n"
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    """A good configuration that a test may change."""
+    """A valid configuration that a test may change."""
     path = tmp_path / "phm.yaml"
     path.write_text(GOOD)
     return path
 
 
-def test_a_good_file_is_summed_up_in_one_line(file: Path) -> None:
-    """Exit 0 and one line that says what the file makes."""
+def test_a_valid_file_is_summarized_in_one_line(file: Path) -> None:
+    """Exit code 0 and one line with the number of units."""
     done = CliRunner().invoke(command, [str(file)], env={"PHM_INTERVAL": "5s"})
     assert done.exit_code == 0
     assert done.stdout.startswith(f"{file}: valid, agent agent_1 (id 1), every 5 s: ")
@@ -35,8 +35,8 @@ def test_a_good_file_is_summed_up_in_one_line(file: Path) -> None:
     assert done.stderr == ""
 
 
-def test_a_bad_file_ends_with_78_and_every_problem(file: Path) -> None:
-    """Problems go to stderr, one a line, with their number at the end."""
+def test_an_invalid_file_ends_with_78_and_every_problem(file: Path) -> None:
+    """Problems go to stderr, one per line, with their number at the end."""
     file.write_text(GOOD + "log: {files: 0}\nchecks: {nods: {}}\nrecovery: {ladders: {exited: [restrat]}}\n")
     done = CliRunner().invoke(command, ["-c", str(file)])
     assert done.exit_code == 78
@@ -48,8 +48,8 @@ def test_a_bad_file_ends_with_78_and_every_problem(file: Path) -> None:
     assert lines[3] == "3 problems"
 
 
-def test_json_holds_the_same(file: Path) -> None:
-    """With --json all goes to stdout as one object, good or bad."""
+def test_json_has_the_same_contents(file: Path) -> None:
+    """With --json everything goes to stdout as one object, valid or not."""
     good = json.loads(CliRunner().invoke(command, ["--json", str(file)]).stdout)
     assert good["ok"]
     assert good["problems"] == []
@@ -64,7 +64,7 @@ def test_json_holds_the_same(file: Path) -> None:
 
 
 def test_units_are_counted_and_needs_may_name_them(file: Path) -> None:
-    """The units come from the installed checks, so a need may name one of them and nothing else."""
+    """The units come from the installed checks, so a dependency may name one of them and nothing else."""
     file.write_text(GOOD + "checks: {host: {needs: [nodes/a/one]}}\n")
     assert "nodes/a/one" in {unit.id for unit in read(str(file), {}).units["nodes"]}
     file.write_text(GOOD + "checks: {host: {needs: [nodes/a/two]}}\n")
@@ -72,15 +72,15 @@ def test_units_are_counted_and_needs_may_name_them(file: Path) -> None:
         read(str(file), {})
 
 
-def test_a_circle_through_the_needs_of_installed_checks_is_refused(file: Path) -> None:
-    """A node needs its container; a container that needs nodes closes the circle."""
+def test_a_cycle_of_installed_checks_is_rejected(file: Path) -> None:
+    """A node depends on its container; a container that depends on nodes closes the cycle."""
     file.write_text(GOOD + "checks:\n  container:\n    needs: [nodes]\n")
     with pytest.raises(ConfigError, match=r"phm\.yaml:5: checks\.container\.needs\[0\]: dependency cycle: container"):
         read(str(file), {})
 
 
 def test_a_check_that_cannot_be_built_is_named(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plug-in that refuses its options is a problem of the configuration, until it is switched off."""
+    """A plug-in that rejects its options is a problem of the configuration, unless it is disabled."""
 
     class Picky(api.Check):
         name, slot, layer = "picky", api.Slot.USER_1, api.Layer.CUSTOM

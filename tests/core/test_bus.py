@@ -1,4 +1,4 @@
-"""The bus: bounded, counted, and never waiting."""
+"""The bus: bounded, counted, and without blocking."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def note(text: str) -> Note:
     return Note(AT, "PHM", text)
 
 
-def test_events_arrive_in_order_and_only_of_the_kinds_asked_for() -> None:
-    """A subscriber sees what it named, in the order of publishing."""
+def test_events_arrive_in_order_and_only_of_requested_kinds() -> None:
+    """A subscriber gets the kinds that it named, in the order of publishing."""
     bus, seen = Bus(SystemClock()), []
     bus.subscribe("log", seen.append, kinds=(Note,))
     bus.publish(ReportStarted(AT, 1))
@@ -29,8 +29,8 @@ def test_events_arrive_in_order_and_only_of_the_kinds_asked_for() -> None:
     assert len(seen) == 3
 
 
-def test_a_slow_subscriber_delays_nobody_and_loses_the_oldest_counted() -> None:
-    """Publishing never waits; the newest is worth more than the oldest."""
+def test_a_slow_subscriber_delays_no_other_and_loses_the_oldest_events() -> None:
+    """Publishing never waits, losses are counted, and the newest event matters more than the oldest."""
     bus, gate, seen = Bus(SystemClock()), threading.Event(), []
 
     def slow(event: Event) -> None:
@@ -48,8 +48,8 @@ def test_a_slow_subscriber_delays_nobody_and_loses_the_oldest_counted() -> None:
     assert [event.text for event in seen if isinstance(event, Note)] == ["first", "7", "8", "9"]
 
 
-def test_with_a_key_the_newest_of_each_key_is_kept() -> None:
-    """Recovery never misses how things stand now."""
+def test_with_a_key_the_newest_event_of_each_key_is_kept() -> None:
+    """Recovery never misses the current state of a fault."""
     bus, gate, seen = Bus(SystemClock()), threading.Event(), []
 
     def slow(event: Event) -> None:
@@ -66,8 +66,8 @@ def test_with_a_key_the_newest_of_each_key_is_kept() -> None:
     assert [event.text for event in seen if isinstance(event, Note)] == ["x", "b1", "a3"]
 
 
-def test_a_subscriber_that_raises_is_counted_and_goes_on() -> None:
-    """A reporter is a plug-in: its errors are its own affair, and visible."""
+def test_a_subscriber_that_raises_is_counted_and_continues() -> None:
+    """A reporter is a plug-in: its errors affect only itself and are visible."""
     bus, seen = Bus(SystemClock()), []
 
     def handler(event: Event) -> None:
@@ -83,7 +83,7 @@ def test_a_subscriber_that_raises_is_counted_and_goes_on() -> None:
 
 
 def test_ticks_come_every_period_without_events() -> None:
-    """A reporter's heartbeat does not depend on anything happening."""
+    """The heartbeat of a reporter does not depend on events."""
     clock = testing.FakeClock()
     bus, ticks = Bus(clock), []
     bus.subscribe("beat", lambda event: None, tick=lambda: ticks.append(clock.mono()), period_s=2.0)

@@ -1,4 +1,4 @@
-"""Names that say which class is meant."""
+"""Unique names of classes."""
 
 from __future__ import annotations
 

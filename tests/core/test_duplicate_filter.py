@@ -13,7 +13,7 @@ def test_a_key_is_remembered_with_its_value_for_its_time() -> None:
     assert seen.get("a", 5.1) is None
 
 
-def test_adding_a_key_again_starts_its_time_again() -> None:
+def test_adding_a_key_again_restarts_its_time() -> None:
     seen: DuplicateFilter[str, int] = DuplicateFilter(10, keep_s=5.0)
     seen.add("a", 1, 0.0)
     seen.add("a", 2, 4.0)

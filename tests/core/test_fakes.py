@@ -9,8 +9,8 @@ import pytest
 from phm import api, testing
 
 
-def test_a_thread_sleeps_until_the_fake_clock_is_moved() -> None:
-    """And not a moment longer: the test owns time."""
+def test_a_thread_sleeps_until_the_fake_clock_advances() -> None:
+    """And no longer: the test controls the time."""
     clock, seen = testing.FakeClock(), list[float]()
 
     def sleep_thrice() -> None:
@@ -28,8 +28,8 @@ def test_a_thread_sleeps_until_the_fake_clock_is_moved() -> None:
     assert clock.sleepers == 0
 
 
-def test_an_event_wakes_a_sleeper_without_time_passing() -> None:
-    """As threading.Event.wait does, and it says so by its value."""
+def test_an_event_wakes_a_sleeper_without_passing_time() -> None:
+    """As threading.Event.wait does, with the same return value."""
     clock, event, woken = testing.FakeClock(), threading.Event(), list[bool]()
     thread = threading.Thread(target=lambda: woken.append(clock.wait(event, None)), name="phm-test-event", daemon=True)
     thread.start()
@@ -40,7 +40,7 @@ def test_an_event_wakes_a_sleeper_without_time_passing() -> None:
 
 
 def test_only_utc_jumps() -> None:
-    """Setting the clock moves UTC alone, and the monotonic clock never goes back."""
+    """Setting the clock changes only UTC, and the monotonic clock never goes back."""
     clock = testing.FakeClock()
     clock.jump_utc(-5.0)
     assert (clock.stamp().mono, clock.stamp().utc) == (1000.0, 1_700_000_000.0 - 5.0)
@@ -48,14 +48,14 @@ def test_only_utc_jumps() -> None:
         clock.advance(-1.0)
 
 
-def test_sleepers_that_do_not_come_are_an_error() -> None:
-    """A test that waits for a thread that died must fail, not hang."""
+def test_missing_sleepers_are_an_error() -> None:
+    """A test that waits for a dead thread must fail instead of hanging."""
     with pytest.raises(TimeoutError, match="expected 1"):
         testing.FakeClock().wait_for_sleepers(1, timeout_s=0.01)
 
 
-def test_a_fake_fails_and_works_again_as_told() -> None:
-    """A text becomes CannotTell, an exception is raised as it is."""
+def test_a_fake_fails_and_works_again_on_request() -> None:
+    """A text becomes CannotTell; an exception is raised unchanged."""
     docker = testing.FakeDocker(testing.container("ros_app"))
     docker.fail("no answer")
     with pytest.raises(api.CannotTell, match="no answer"):

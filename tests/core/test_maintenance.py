@@ -27,7 +27,7 @@ def utc(text: str) -> float:
     ],
 )
 def test_a_window_is_open_until_its_end(window: str, now: str, left_s: float) -> None:
-    """Days are those of the beginning, so that a window may last over midnight."""
+    """Days are those of the start, so that a window may span midnight."""
     found = parse(window).open_at(utc(now))
     assert found is not None and found[1] == left_s
 
@@ -44,12 +44,12 @@ def test_a_window_is_open_until_its_end(window: str, now: str, left_s: float) ->
     ],
 )
 def test_a_window_is_closed_otherwise(window: str, now: str) -> None:
-    """Also by a clock that was never set."""
+    """Also with a clock that was never set."""
     assert parse(window).open_at(utc(now)) is None
 
 
 def test_two_occurrences_have_different_names() -> None:
-    """An occurrence that was released stays closed, the next one opens."""
+    """A released occurrence stays closed, the next one opens."""
     window = parse("02:00-04:00")
     first, same, second = (window.open_at(utc(f"2026-11-{day}")) for day in ("22T02:10", "22T03:50", "23T02:10"))
     assert first and same and second and first[0] == same[0] != second[0]
@@ -69,7 +69,7 @@ def test_two_occurrences_have_different_names() -> None:
         "sun- 02:00-04:00",
     ],
 )
-def test_what_is_no_window_is_refused(text: str) -> None:
-    """With what is allowed."""
+def test_an_invalid_window_is_rejected(text: str) -> None:
+    """The error says what is allowed."""
     with pytest.raises(ValueError, match="HH:MM-HH:MM"):
         parse(text)

@@ -1,4 +1,4 @@
-"""PHM's own priority: what is permitted is set, what is not is reported and harms nothing."""
+"""PHM's own priority: it is set if permitted, and otherwise reported without harm."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def run(script: str) -> str:
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_threads_that_are_started_later_have_it() -> None:
-    """It is set before there are threads: the heart, the links and the ROS child inherit it."""
+def test_threads_that_are_started_later_inherit_it() -> None:
+    """It is set before there are threads: main loop, links and the ROS child process inherit it."""
     nice = min(19, os.getpriority(os.PRIO_PROCESS, 0) + 1)
     assert run(INHERITED) == f"{nice} {nice}"
 
 
-def test_what_is_not_permitted_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """PHM runs on with the priority that it has, and says what to do."""
+def test_a_denied_priority_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PHM runs on with its current priority and says what to do."""
 
     def refuse(which: int, who: int, nice: int) -> None:
         raise PermissionError
@@ -54,11 +54,11 @@ def test_what_is_not_permitted_is_a_sentence(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_by_default_nothing_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever started PHM with a priority meant it."""
+    """A priority from outside is kept."""
     monkeypatch.setattr(os, "setpriority", None)
     assert apply(ProcessSettings()).problem == ""
 
 
-def test_the_ros_child_goes_first_where_memory_is_used_up() -> None:
-    """The daemon replaces it; nothing replaces the daemon but Docker."""
+def test_the_ros_child_is_killed_first_when_memory_runs_out() -> None:
+    """The daemon replaces it; only Docker replaces the daemon."""
     assert run(CHILD) == "True"

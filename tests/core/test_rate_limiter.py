@@ -36,7 +36,7 @@ def test_no_more_than_burst_plus_rate_times_time_is_allowed(pauses: list[float])
     assert allowed <= 7.0 + 3.0 * now + 1e-6
 
 
-def test_a_clock_that_goes_back_earns_nothing() -> None:
+def test_a_clock_that_goes_back_adds_no_tokens() -> None:
     bucket = TokenBucket(0.0, 10.0)
     bucket.refill(5.0, 100.0, 100.0)
     assert not bucket.take()

@@ -1,4 +1,4 @@
-"""Time in which PHM itself did not run is no silence of anyone else."""
+"""Time in which PHM itself did not run does not count as silence of others."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.fakes.until import until
 
 
 def starved(clock: FakeClock, seconds: float, share: float = 0.8) -> None:
-    """PHM runs now and then, and waits for the rest of the time."""
+    """PHM runs from time to time, and waits for a CPU in between."""
     for _ in range(round(seconds / PERIOD_S)):
         clock.advance((1 - share) * PERIOD_S)
         clock.be_late(share * PERIOD_S)
@@ -37,8 +37,8 @@ def starved(clock: FakeClock, seconds: float, share: float = 0.8) -> None:
 # ---------------------------------------------------------------- the measurement
 
 
-def test_lateness_is_what_the_measuring_thread_was_too_late() -> None:
-    """Sleeping is not late; what is beyond the announced moment is, but for the noise of timers."""
+def test_lateness_is_the_delay_of_the_measuring_thread() -> None:
+    """Sleeping is not late; time beyond the announced moment is, except timer noise."""
     lateness = SchedulingDelay()
     lateness.expect(10.0)
     lateness.came(10.0 + NOISE_S / 2)
@@ -50,8 +50,8 @@ def test_lateness_is_what_the_measuring_thread_was_too_late() -> None:
     assert lateness.late_s(15.0, 20.0) == 0.0
 
 
-def test_any_thread_sees_a_pause_before_the_measuring_thread_does() -> None:
-    """After a pause the answer is the same whichever thread runs first, and the pause counts once."""
+def test_any_thread_knows_a_pause_before_the_measuring_thread_does() -> None:
+    """After a pause the result does not depend on which thread runs first, and the pause counts once."""
     lateness = SchedulingDelay()
     lateness.expect(10.0)
     assert lateness.late_s(0.0, 15.0) == pytest.approx(5.0)
@@ -65,7 +65,7 @@ def test_without_a_measurement_nothing_is_late() -> None:
 
 
 def test_the_longest_pause_counts_in_full_and_all_others_up_to_the_deadline_itself() -> None:
-    """After a pause everyone has its time again; a PHM that is starved for good at most doubles a deadline."""
+    """After a pause every sender has its full time again; a permanently starved PHM doubles a deadline at most."""
     clock = FakeClock()
     since = clock.mono()
     clock.be_late(60.0)
@@ -90,7 +90,7 @@ print(clock.late_s(began), flush=True)
 
 
 def test_a_process_that_was_stopped_knows_for_how_long() -> None:
-    """SIGSTOP for 3 s: so much, but for one period of the measurement, counts as not run."""
+    """SIGSTOP for 3 s counts as not run, except for one period of the measurement."""
     with subprocess.Popen(
         [sys.executable, "-c", PAUSED], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
     ) as process:
@@ -111,8 +111,8 @@ def test_a_process_that_was_stopped_knows_for_how_long() -> None:
 # ---------------------------------------------------------------- each timeout
 
 
-def test_a_check_is_overdue_only_by_time_in_which_phm_ran() -> None:
-    """A run that could not go on because PHM was not scheduled is not reported; one that hangs is."""
+def test_only_time_in_which_phm_ran_makes_a_check_overdue() -> None:
+    """A run that waited because PHM was not scheduled is not reported; a hung one is."""
     clock = FakeClock()
     found: list[CheckRun] = []
 
@@ -136,7 +136,7 @@ def test_a_check_is_overdue_only_by_time_in_which_phm_ran() -> None:
 
 @pytest.mark.parametrize("late", ["paused", "starved"])
 def test_an_autopilot_is_not_lost_while_phm_does_not_run(late: str) -> None:
-    """Neither by its timeout nor by its cadence; its silence in the time in which PHM runs is still a loss."""
+    """Neither by its timeout nor by its adaptive timeout; silence while PHM runs is still a loss."""
     clock = FakeClock()
     pilot = AutopilotState(3.5, clock.late_s)
     for _ in range(130):
@@ -160,7 +160,7 @@ def test_an_autopilot_is_not_lost_while_phm_does_not_run(late: str) -> None:
 
 
 def test_a_starved_phm_still_reports_a_lost_autopilot_after_twice_the_timeout() -> None:
-    """However little PHM runs, a real loss is not hidden for ever."""
+    """However rarely PHM runs, a real loss is not hidden permanently."""
     clock = FakeClock()
     pilot = AutopilotState(3.5, clock.late_s)
     pilot.heartbeat(clock.mono(), heartbeat(kind=2, autopilot=3), "fc")
@@ -174,8 +174,8 @@ def test_a_starved_phm_still_reports_a_lost_autopilot_after_twice_the_timeout() 
     assert fact.silent_s > 3.5
 
 
-def test_pauses_that_were_phms_own_are_no_habit_of_a_sender() -> None:
-    """Else a sender that was steady would be missed late for an hour after each starvation."""
+def test_pauses_of_phm_do_not_raise_the_limit_of_a_sender() -> None:
+    """Otherwise the loss of a regular sender would be detected late for an hour after each starvation."""
     clock = FakeClock()
     cadence = AdaptiveTimeout(10.0)
     for _ in range(130):
@@ -189,7 +189,7 @@ def test_pauses_that_were_phms_own_are_no_habit_of_a_sender() -> None:
 
 
 def test_a_router_is_not_silent_while_phm_does_not_run() -> None:
-    """The age of what came by a link counts without the time in which PHM did not run."""
+    """The age of a link's data excludes the time in which PHM did not run."""
     clock = FakeClock()
     flow = LinkStats((7, 193), clock.late_s)
     flow.sample(clock.mono(), Traffic(10, 0, 1, 0, {(7, 1): (1, 0)}))
@@ -202,7 +202,7 @@ def test_a_router_is_not_silent_while_phm_does_not_run() -> None:
 
 
 def test_peers_are_not_lost_while_phm_does_not_run() -> None:
-    """Neither alone nor together; those that stay silent while PHM runs are."""
+    """Neither alone nor together; peers that stay silent while PHM runs are."""
     clock = FakeClock()
     peers = Peers(1, 2.0, (2, 3, 4), clock.late_s)
     for _ in range(60):
@@ -224,8 +224,8 @@ def test_peers_are_not_lost_while_phm_does_not_run() -> None:
     assert LOST_PERIODS * 2.0 < 15.0
 
 
-def test_a_call_is_not_cut_for_time_in_which_phm_did_not_run() -> None:
-    """The answer may wait in the socket; a call that is not answered while PHM runs is cut."""
+def test_a_call_is_not_aborted_for_time_in_which_phm_did_not_run() -> None:
+    """The response may wait in the socket; a call without a response while PHM runs is aborted."""
     clock = FakeClock()
     watchdog = CallDeadlines(clock, "phm-test-deadlines")
     near, far = socket.socketpair()
@@ -240,8 +240,8 @@ def test_a_call_is_not_cut_for_time_in_which_phm_did_not_run() -> None:
     watchdog.close()
 
 
-def test_the_system_clock_measures_once_asked() -> None:
-    """Before that nothing counts as late; the measuring thread announces when it will be back."""
+def test_the_system_clock_measures_after_the_first_request() -> None:
+    """Before that nothing counts as late; the measuring thread announces its next wake-up."""
     clock = SystemClock()
     assert clock.late_s(0.0) == 0.0
     clock.measure()

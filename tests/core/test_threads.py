@@ -1,4 +1,4 @@
-"""A limit of processes: what cannot start a thread is consistent, says so, and goes on when there is room again."""
+"""A limit of processes: without a new thread the state is consistent and reported, and recovers when there is room."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LIMIT_S = 20.0
 
 
 class Full:
-    """While `full`, no thread whose name begins so can be started, as at a limit of processes."""
+    """While `full`, no thread whose name has this prefix can be started, as at a limit of processes."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.full = False
@@ -56,7 +56,7 @@ def limit(monkeypatch: pytest.MonkeyPatch) -> Iterator[Full]:
 
 
 def test_a_thread_that_cannot_be_started_waits_and_is_reported(limit: Full) -> None:
-    """`retry` starts it as soon as there is room; until then the problem names it and what to do."""
+    """`retry` starts it as soon as possible; until then the problem names it and what to do."""
     ran = threading.Event()
     limit.full = True
     assert not threads.start(threading.Thread(target=ran.set, name="phm-x", daemon=True))
@@ -68,7 +68,7 @@ def test_a_thread_that_cannot_be_started_waits_and_is_reported(limit: Full) -> N
 
 
 def test_a_second_start_of_one_thread_is_an_error() -> None:
-    """Only a thread that was never started waits: a mistake of ours is not hidden."""
+    """Only a thread that was never started waits: our own mistake is not hidden."""
     thread = threading.Thread(target=lambda: None)
     threads.start(thread)
     thread.join()
@@ -77,7 +77,7 @@ def test_a_second_start_of_one_thread_is_an_error() -> None:
 
 
 def test_events_wait_for_the_thread_of_their_subscriber(limit: Full) -> None:
-    """Nothing is lost that came before the thread, and closing without one does not raise."""
+    """Events from before the thread are not lost, and closing without a thread does not raise."""
     bus, seen = Bus(testing.FakeClock()), list[Event]()
     limit.full = True
     bus.subscribe("late", seen.append)
@@ -90,8 +90,8 @@ def test_events_wait_for_the_thread_of_their_subscriber(limit: Full) -> None:
     bus.close(0.1)
 
 
-def test_a_check_without_a_thread_runs_when_there_is_room(limit: Full) -> None:
-    """The other checks run meanwhile, and stopping does not raise."""
+def test_a_check_without_a_thread_runs_later(limit: Full) -> None:
+    """The other checks run in the meantime, and stopping does not raise."""
     clock, batches = testing.FakeClock(), list[CheckRun]()
     checks = [Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b")]
     engine = CheckScheduler(
@@ -118,8 +118,8 @@ def test_a_fault_opened_at_the_limit_is_recovered_later(limit: Full, worlds: lis
     assert world.runs == ["restart"]
 
 
-def test_an_action_that_cannot_have_a_thread_is_no_attempt(limit: Full, worlds: list[World]) -> None:  # noqa: F811
-    """It costs nothing of the budget, however often, and nothing of it stays in hand."""
+def test_an_action_without_a_thread_is_not_an_attempt(limit: Full, worlds: list[World]) -> None:  # noqa: F811
+    """It does not count against the budget, however often, and leaves no lock behind."""
     world = make(worlds)
     limit.full, limit.names = True, "phm-act-"
     world.fail()
@@ -132,8 +132,8 @@ def test_an_action_that_cannot_have_a_thread_is_no_attempt(limit: Full, worlds: 
     assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
 
 
-def test_a_call_into_the_kernel_is_refused_and_works_again(limit: Full) -> None:
-    """No call is left to a thread that does not exist."""
+def test_a_blocking_call_is_rejected_and_works_again(limit: Full) -> None:
+    """No call is assigned to a thread that does not exist."""
     worker = BlockingCallWorker("disk")
     limit.full = True
     for _ in range(2):
@@ -143,8 +143,8 @@ def test_a_call_into_the_kernel_is_refused_and_works_again(limit: Full) -> None:
     assert worker.call(lambda: 1, LIMIT_S) == 1
 
 
-def test_a_name_is_looked_up_again_after_the_limit(limit: Full) -> None:
-    """A look-up that could not begin is not one under way."""
+def test_a_name_is_resolved_again_after_the_limit(limit: Full) -> None:
+    """A look-up that could not start is not in progress."""
     resolver = Resolver("127.0.0.1", 80, socket.SOCK_STREAM)
     limit.full = True
     assert resolver.ask().is_set()
@@ -155,8 +155,8 @@ def test_a_name_is_looked_up_again_after_the_limit(limit: Full) -> None:
     assert resolver.answer()[1] == ("127.0.0.1", 80)
 
 
-def test_a_guard_that_could_not_be_started_is_started_again() -> None:
-    """`problem` stands as long as there is none."""
+def test_a_watchdog_that_could_not_be_started_is_retried() -> None:
+    """`problem` reports it as long as it does not run."""
     guard = DaemonWatchdog(("/nonexistent",))
     guard.start()
     assert guard.problem
@@ -179,7 +179,7 @@ def quiet(tmp_path: Path, **more: Any) -> Any:
 
 
 def test_a_daemon_that_starts_at_the_limit_becomes_complete(limit: Full, tmp_path: Path) -> None:
-    """Every thread comes when there is room, the companion says what is missing meanwhile, and it stops in order."""
+    """Every thread starts when possible, the companion unit reports what is missing, and the stop is orderly."""
     limit.full = True
     daemon = Daemon(quiet(tmp_path))
     daemon.start()
@@ -190,8 +190,10 @@ def test_a_daemon_that_starts_at_the_limit_becomes_complete(limit: Full, tmp_pat
     assert daemon.stop() == ()
 
 
-def test_ros_is_started_whatever_joining_a_network_comes_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An answer of the engine that nobody foresaw is noted, and the ROS child is started all the same."""
+def test_ros_is_started_whatever_the_result_of_joining_a_network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An unexpected response of the engine is logged, and the ROS child is started nevertheless."""
     app = {"name": "app", "networks": ["n"]}
     daemon = Daemon(quiet(tmp_path, containers=[app]))
     started, notes = threading.Event(), list[str]()

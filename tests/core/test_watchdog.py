@@ -1,4 +1,4 @@
-"""The guard over the daemon, with real processes and a short look; and what tells that PHM had not ended in good order."""
+"""The watchdog of the daemon, with real processes and a short period; and the detection of an unclean shutdown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.core import watchdog as guard_module
+from phm.core import watchdog as watchdog_module
 from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, DaemonWatchdog, state_of, watch
 from phm.runtime.shutdown_marker import ShutdownMarker
 from tests.fakes.until import until
@@ -23,7 +23,7 @@ LIMIT_S = 20.0
 
 
 class Watched:
-    """A process that sleeps, and a guard over it; `kills` has what was sent. Nothing beats but what the test writes."""
+    """A sleeping process with a watchdog; `kills` has the sent signals. Only the test writes heartbeats."""
 
     def __init__(self, look_s: float = LOOK_S) -> None:
         self.process = subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)"])
@@ -50,24 +50,24 @@ def watched() -> Iterator[Watched]:
     made.close()
 
 
-def test_a_stopped_daemon_is_let_go_on_and_not_ended(watched: Watched) -> None:
-    """SIGSTOP: SIGCONT after a few looks, so that it loses nothing of what it knew."""
+def test_a_stopped_daemon_is_resumed_and_not_killed(watched: Watched) -> None:
+    """SIGSTOP: SIGCONT after a few samples, so that it loses none of its state."""
     assert STOPPED_LOOKS < SILENT_LOOKS
     os.kill(watched.process.pid, signal.SIGSTOP)
-    until(lambda: watched.kills, "the guard's first step")
+    until(lambda: watched.kills, "the watchdog's first step")
     os.write(watched.pipe, b".")
     assert watched.kills[0] == signal.SIGCONT
     until(lambda: state_of(watched.process.pid) != "T", "going on")
 
 
-def test_a_daemon_that_does_not_beat_is_ended(watched: Watched) -> None:
-    """It lives and nothing comes: Docker starts what has ended."""
+def test_a_daemon_without_heartbeats_is_killed(watched: Watched) -> None:
+    """It runs and sends nothing: Docker restarts a terminated container."""
     assert watched.process.wait(LIMIT_S) == -signal.SIGKILL
     assert watched.kills == [signal.SIGKILL]
 
 
-def test_a_daemon_that_beats_is_left_alone() -> None:
-    """As long as bytes come nothing is done, for longer than silence is borne."""
+def test_a_daemon_with_heartbeats_is_left_alone() -> None:
+    """As long as bytes arrive nothing is done, for longer than the tolerated silence."""
     look_s = 0.2
     watched = Watched(look_s)
     try:
@@ -79,10 +79,10 @@ def test_a_daemon_that_beats_is_left_alone() -> None:
         watched.close()
 
 
-def played(
-    monkeypatch: pytest.MonkeyPatch, states: str, *, beats: int = 0, left_alone: str = "t"
+def simulate(
+    monkeypatch: pytest.MonkeyPatch, states: str, *, heartbeat_every: int = 0, left_alone: str = "t"
 ) -> list[tuple[int, str]]:
-    """What a guard does, and at which glance, that finds the daemon in one of `states` at each; a beat every `beats` glances."""
+    """What a watchdog does, and at which sample, when the daemon is in one of `states` at each; `heartbeat_every`: their period."""
     far, pipe = os.pipe()
     seen: list[str] = []
     done: list[tuple[int, str]] = []
@@ -92,97 +92,102 @@ def played(
             os.close(pipe)
             return ""
         seen.append(states[len(seen)])
-        if beats and len(seen) % beats == 0:
+        if heartbeat_every and len(seen) % heartbeat_every == 0:
             os.write(pipe, b".")
         return seen[-1]
 
-    monkeypatch.setattr(guard_module, "state_in", look)
+    monkeypatch.setattr(watchdog_module, "state_in", look)
     watch(
         far,
         os.getpid(),
         lambda pid, number: done.append((len(seen), signal.Signals(number).name)),
         0.0,
-        on_resume=lambda: done.append((len(seen), "told")),
+        on_resume=lambda: done.append((len(seen), "reported")),
         left_alone=left_alone,
     )
     os.close(far)
     return done
 
 
-def test_a_stop_is_seen_in_a_fraction_of_a_second_and_told_before_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within one look at the beat, so that no heartbeat of 2 s is missed; told first, so that the first beat after it knows."""
+def test_a_stop_is_detected_in_a_fraction_of_a_second_and_reported_before_the_resume(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Before the next heartbeat check, so that no heartbeat of 2 s is missed; reported first, so that the daemon knows."""
     assert STOPPED_LOOKS < GLANCES
-    assert played(monkeypatch, "SS" + "T" * STOPPED_LOOKS + "SS", beats=GLANCES) == [(4, "told"), (4, "SIGCONT")]
+    assert simulate(monkeypatch, "SS" + "T" * STOPPED_LOOKS + "SS", heartbeat_every=GLANCES) == [
+        (4, "reported"),
+        (4, "SIGCONT"),
+    ]
 
 
-def test_who_stops_it_and_lets_it_go_on_at_once_is_let_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Single glances that find it stopped, however many."""
-    assert played(monkeypatch, "TS" * 5 * GLANCES, beats=GLANCES) == []
+def test_a_daemon_that_is_stopped_and_resumed_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any number of single samples find it stopped."""
+    assert simulate(monkeypatch, "TS" * 5 * GLANCES, heartbeat_every=GLANCES) == []
 
 
 @pytest.mark.parametrize(("states", "left_alone"), [("t", "t"), ("T", "tT")], ids=["debugger", "terminal"])
-def test_a_daemon_that_somebody_else_has_is_let_alone(
+def test_a_daemon_under_other_control_is_left_alone(
     monkeypatch: pytest.MonkeyPatch, states: str, left_alone: str
 ) -> None:
-    """A debugger, or in a terminal the shell: neither let go on nor ended, however long."""
-    assert played(monkeypatch, states * 3 * SILENT_LOOKS * GLANCES, left_alone=left_alone) == []
+    """A debugger, or the shell in a terminal: neither resumed nor killed, at any time."""
+    assert simulate(monkeypatch, states * 3 * SILENT_LOOKS * GLANCES, left_alone=left_alone) == []
 
 
-def test_a_starved_daemon_is_let_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One beat in almost as long as silence is borne; with no beat at all it is ended, and not a glance earlier."""
+def test_a_starved_daemon_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One heartbeat in almost the tolerated silence; without any it is killed, and not a sample earlier."""
     most = SILENT_LOOKS * GLANCES
-    assert played(monkeypatch, "R" * 5 * most, beats=most - GLANCES) == []
-    assert played(monkeypatch, "D" * 5 * most) == [(most, "SIGKILL")]
+    assert simulate(monkeypatch, "R" * 5 * most, heartbeat_every=most - GLANCES) == []
+    assert simulate(monkeypatch, "D" * 5 * most) == [(most, "SIGKILL")]
 
 
 BEATING = """
 import time
 from phm.core.watchdog import DaemonWatchdog
-guard = DaemonWatchdog()
-guard.start()
-print("beats", flush=True)
-while not guard.beat():
+watchdog = DaemonWatchdog()
+watchdog.start()
+print("running", flush=True)
+while not watchdog.beat():
     time.sleep(0.02)
-print("was let go on", flush=True)
-guard.close()
+print("resumed", flush=True)
+watchdog.close()
 """
 
 
-def test_a_daemon_that_was_let_go_on_knows_it() -> None:
-    """With the guard as it runs: stopped, continued by it, and told so."""
+def test_a_resumed_daemon_knows_it() -> None:
+    """With the complete watchdog: stopped, then resumed with a report by it."""
     with subprocess.Popen([sys.executable, "-c", BEATING], stdout=subprocess.PIPE, stdin=subprocess.DEVNULL) as daemon:
         limit = threading.Timer(LIMIT_S, daemon.kill)
         limit.start()
         try:
             assert daemon.stdout is not None
-            assert daemon.stdout.readline() == b"beats\n"
+            assert daemon.stdout.readline() == b"running\n"
             daemon.send_signal(signal.SIGSTOP)
-            assert daemon.stdout.readline() == b"was let go on\n"
+            assert daemon.stdout.readline() == b"resumed\n"
             assert daemon.wait() == 0
         finally:
             limit.cancel()
             daemon.kill()
 
 
-def test_the_guard_goes_with_the_daemon() -> None:
+def test_the_watchdog_ends_with_the_daemon() -> None:
     """Closed pipe, no process left."""
-    guard = DaemonWatchdog()
-    guard.start()
-    process = guard._process
+    watchdog = DaemonWatchdog()
+    watchdog.start()
+    process = watchdog._process
     assert process is not None
-    guard.beat()
-    guard.close()
-    guard.close()
+    watchdog.beat()
+    watchdog.close()
+    watchdog.close()
     assert process.wait(LIMIT_S) == 0
-    assert guard.problem == ""
+    assert watchdog.problem == ""
 
 
-def test_a_guard_that_cannot_start_or_dies_is_a_problem_and_no_crash(monkeypatch: pytest.MonkeyPatch) -> None:
-    """PHM runs without it and says so; switched off it is no problem."""
-    guard = DaemonWatchdog(("/nonexistent/python",))
-    guard.start()
-    guard.beat()
-    assert "cannot be started" in guard.problem
+def test_a_watchdog_that_cannot_start_or_dies_is_a_reported_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PHM runs without it and reports it; a disabled one is not reported."""
+    watchdog = DaemonWatchdog(("/nonexistent/python",))
+    watchdog.start()
+    watchdog.beat()
+    assert "cannot be started" in watchdog.problem
     dead = DaemonWatchdog((sys.executable, "-S", "-c", ""))
     dead.start()
 
@@ -199,8 +204,8 @@ def test_a_guard_that_cannot_start_or_dies_is_a_problem_and_no_crash(monkeypatch
     assert off.problem == ""
 
 
-def test_an_end_without_a_word_is_known_at_the_next_start(tmp_path: Path) -> None:
-    """Not at the first start, not after an orderly end, not after a power cut of the machine."""
+def test_an_unclean_shutdown_is_known_at_the_next_start(tmp_path: Path) -> None:
+    """Not at the first start, not after a clean shutdown, not after a power failure of the machine."""
     assert not ShutdownMarker(str(tmp_path), "boot-1").begin()
     assert ShutdownMarker(str(tmp_path), "boot-1").begin()
     assert not ShutdownMarker(str(tmp_path), "boot-2").begin()
@@ -208,8 +213,8 @@ def test_an_end_without_a_word_is_known_at_the_next_start(tmp_path: Path) -> Non
     assert not ShutdownMarker(str(tmp_path), "boot-2").begin()
 
 
-def test_without_a_folder_to_write_to_nothing_is_said(tmp_path: Path) -> None:
-    """Cannot tell: somebody else tells about the folder."""
+def test_without_a_writable_directory_there_is_no_statement(tmp_path: Path) -> None:
+    """There is no evidence; another unit reports the directory."""
     file = tmp_path / "file"
     file.touch()
     end = ShutdownMarker(str(file / "below"), "boot-1")

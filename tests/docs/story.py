@@ -1,7 +1,7 @@
 """The example of the documents: one node of the shipped configuration is killed, and PHM restarts its container.
 
-The real checks, tracker, logs and status reporter run on fakes of the world and a fake clock, so each run is the same.
-Only the steps of recovery are written here, with the sentences that the code uses.
+The real checks, tracker, logs and status reporter run on fakes and a fake clock, so each run is the same.
+Only the steps of recovery are written here, with the sentences of the code.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ NETWORK = Attachment("phm_net", "id-of-phm_net", "172.20.0.2")
 
 @dataclass(frozen=True)
 class Story:
-    """What the run left: the text log, the record, and the status file while the fault was open and at the end."""
+    """The results of the run: the text log, the record, and the status file while the fault was open and at the end."""
 
     text_log: tuple[str, ...]
     record: tuple[Mapping[str, Any], ...]
@@ -51,7 +51,7 @@ class Story:
 
 
 class _Events:
-    """A bus whose events are handed over by `flush`: the pipeline publishes while it holds its lock."""
+    """A bus that delivers its events in `flush`: the pipeline publishes while it holds its lock."""
 
     def __init__(self) -> None:
         self.reporters: list[Any] = []
@@ -62,7 +62,7 @@ class _Events:
         self._waiting.append(event)
 
     def flush(self) -> None:
-        """Hand over what was published."""
+        """Deliver the published events."""
         events, self._waiting = self._waiting, []
         for event in events:
             if isinstance(event, FaultOpened):
@@ -73,7 +73,7 @@ class _Events:
 
 
 class _Agent:
-    """The shipped configuration on fakes of the world."""
+    """The shipped configuration on fakes."""
 
     def __init__(self, folder: Path) -> None:
         self.settings = shipped(folder)
@@ -105,7 +105,7 @@ class _Agent:
         self.events.reporters = [self.log, self.status]
 
     def run(self, seconds: float) -> None:
-        """Let time pass; all checks run in each step."""
+        """Advance the time; all checks run in each step."""
         for _ in range(round(seconds / STEP_S)):
             self.clock.advance(STEP_S)
             self._look()
@@ -128,7 +128,7 @@ class _Agent:
         return cast("Mapping[str, Any]", json.loads(path.read_text("utf-8")))
 
     def _look(self) -> None:
-        """What the probes find now."""
+        """Update the facts of the probes."""
         self.pressure.put(TARGET, PressureFact(self.clock.mono(), "cgroup v2"))
         silent_s = self.clock.mono() - self.silent_since
         self.ros.change(
@@ -177,7 +177,7 @@ def shipped(folder: Path) -> Settings:
 
 @cache
 def play() -> Story:
-    """Play the story."""
+    """Run the story."""
     with TemporaryDirectory() as name:
         return _play(Path(name))
 

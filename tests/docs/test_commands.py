@@ -65,7 +65,7 @@ GENERATED = {"docker/agent.env", "docker/compose.override.yaml"}
 
 
 def simple_commands(line: str) -> list[list[str]]:
-    """The words of each program that a line of shell starts; redirections and assignments left out."""
+    """The words of each program that a line of shell starts, without redirections and assignments."""
     lexer = shlex.shlex(line, posix=True, punctuation_chars="|&;()<>")
     lexer.whitespace_split, lexer.commenters = True, ""
     found: list[list[str]] = [[]]
@@ -94,7 +94,7 @@ def console_lines() -> list[tuple[str, str]]:
 
 
 def inline_lines() -> list[tuple[str, str]]:
-    """Each command that stands in backticks in the text."""
+    """Each command in backticks in the text."""
     found = []
     for page in pages():
         text = re.sub(r"^ *```.*?^ *```$", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
@@ -103,7 +103,7 @@ def inline_lines() -> list[tuple[str, str]]:
 
 
 def problem(words: list[str]) -> str:
-    """Why the command cannot be run; empty: it can."""
+    """Why the command cannot be run, or an empty string."""
     program, arguments = words[0], words[1:]
     missing = [word for word in words if FILES.match(word) and word not in GENERATED and not (ROOT / word).exists()]
     if missing:
@@ -126,7 +126,7 @@ def problem(words: list[str]) -> str:
 
 
 def of_phm(arguments: list[str]) -> str:
-    """Whether click takes these arguments: verb and options, not their values."""
+    """Whether click accepts these arguments: verb and options, not their values."""
     if not arguments or arguments[0] in ("--help", "-h", "-V", "--version") or arguments[0].isupper():
         return ""
     verb, given = arguments[0], [word for word in arguments[1:] if word != "..."]
@@ -160,5 +160,5 @@ def test_a_command_in_the_text_can_be_run(place: str, line: str) -> None:
 
 
 def test_the_verbs_of_the_group_are_the_documented_ones() -> None:
-    """A verb that does not exist is refused, so that the tests above mean something."""
+    """An unknown verb is rejected, so the tests above are effective."""
     assert of_phm(["statsu"]) and of_phm(["status", "--no-such-option"]) and not of_phm(["status", "--watch"])

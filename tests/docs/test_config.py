@@ -1,4 +1,4 @@
-"""YAML of the documents: a configuration of PHM passes `phm validate`, a Compose file parses.
+"""YAML of the documents: a configuration of PHM passes `phm validate`, a Compose file can be parsed.
 
 A block whose keys are sections of phm.yaml is a configuration. With `agent` or `containers` it must be valid unchanged;
 without them it is a fragment, valid when it is added to `MINIMAL`.
@@ -66,7 +66,7 @@ ENVIRONMENT = {"PHM_AGENT": "agent_3", "PHM_AGENT_ID": "3"}
 
 
 def kind(block: Block) -> str:
-    """What the block is, by its top-level keys."""
+    """The kind of the block, by its top-level keys."""
     keys = set(yaml.safe_load(block.text))
     if keys <= SECTIONS:
         return "configuration"
@@ -77,7 +77,7 @@ def kind(block: Block) -> str:
 
 @pytest.mark.parametrize("block", blocks("yaml"), ids=str)
 def test_a_yaml_block_is_valid(block: Block, tmp_path: Path) -> None:
-    """It is accepted by the program that reads it, with and without the environment."""
+    """The program that reads it accepts it, with and without the environment."""
     what = kind(block)
     assert what in ("configuration", "compose", "other")
     if what == "configuration":

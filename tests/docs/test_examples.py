@@ -1,4 +1,4 @@
-"""Generated examples and pictures of the documents are what the code makes now."""
+"""Generated examples and pictures of the documents match the code."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ AGAIN = "run `PYTHONPATH=.:checks .venv/bin/python -m tests.docs.examples`"
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(examples.ROOT)))
 def test_examples_are_up_to_date(page: Path) -> None:
-    """Each marked block contains what the code prints."""
+    """Each marked block contains the output of the code."""
     text = page.read_text("utf-8")
     assert text == examples.updated(text), AGAIN
 
 
 @pytest.mark.parametrize("name", examples.SHOWN)
 def test_pictures_are_up_to_date(name: str) -> None:
-    """Each picture shows what the code prints, and a document shows the picture."""
+    """Each picture shows the output of the code, and a document shows the picture."""
     assert (examples.PICTURES / name).read_text("utf-8") == examples.SHOWN[name](), AGAIN
     assert any(f"pictures/{name}" in page.read_text("utf-8") for page in examples.pages())
 
 
 def test_each_example_is_used() -> None:
-    """No example is made in vain, and no document names one that does not exist."""
+    """No example is unused, and no document names one that does not exist."""
     used = {match[1] for page in PAGES for match in examples.MARK.findall(page.read_text("utf-8"))}
     assert used == set(examples.EXAMPLES)

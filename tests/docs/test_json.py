@@ -1,4 +1,4 @@
-"""JSON, Python and TOML of the documents: it parses, and names what exists."""
+"""JSON, Python and TOML of the documents: it can be parsed, and its names exist."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def test_a_json_block_has_the_keys_of_the_code(block: Block) -> None:
 
 
 @pytest.mark.parametrize("block", blocks("python"), ids=str)
-def test_a_python_block_imports_what_exists(block: Block) -> None:
-    """It parses, and each name that it takes from phm, or from an alias of it, is there."""
+def test_a_python_block_imports_existing_names(block: Block) -> None:
+    """It can be parsed, and each name from phm, or from an alias of it, exists."""
     tree = ast.parse(block.text)
     modules: dict[str, Any] = {}
     for node in ast.walk(tree):

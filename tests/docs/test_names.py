@@ -1,4 +1,4 @@
-"""Conditions, actions, kinds and layers that the documents name exist in the code, and its messages are quoted correctly."""
+"""Conditions, actions, kinds and layers in the documents exist in the code, and its messages are quoted correctly."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def constants() -> frozenset[str]:
 
 @cache
 def messages() -> re.Pattern[str]:
-    """Everything that the code can say, as one expression: literals with any text where it inserts a value."""
+    """All messages of the code as one expression: literals, with any text for inserted values."""
     found: set[str] = set()
     for tree in _trees():
         for node in ast.walk(tree):
@@ -84,7 +84,7 @@ def test_names_in_tables_exist(header: str) -> None:
 
 
 def test_each_action_is_described() -> None:
-    """docs/reference/recovery.md names every action that is installed, and `docs` no phase that does not exist."""
+    """docs/reference/recovery.md names every installed action, and `docs` no phase that does not exist."""
     text = (ROOT / "docs" / "reference" / "recovery.md").read_text("utf-8")
     base: type = Action
     for found in registry.find(registry.ACTIONS, base):
@@ -105,7 +105,7 @@ def quoted() -> list[tuple[str, str, str]]:
 
 
 @pytest.mark.parametrize(("place", "kind", "message"), quoted())
-def test_a_quoted_log_line_can_be_written(place: str, kind: str, message: str) -> None:
+def test_a_quoted_log_line_is_a_message_of_the_code(place: str, kind: str, message: str) -> None:
     """Its kind exists, and its message contains one that the code has."""
     assert kind in KINDS, place
     assert messages().search(message), f"{place}: no message of the code is in {message!r}"

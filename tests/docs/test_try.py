@@ -1,4 +1,4 @@
-"""scripts/try works as the README promises: without Docker, and nothing is left behind."""
+"""scripts/try works as described in the README: without Docker, and it leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LIMIT_S = 120
 
 
 def free_base() -> int:
-    """A port below a range of free ones, most likely."""
+    """A port below a range of ports that are probably free."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

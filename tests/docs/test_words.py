@@ -1,4 +1,4 @@
-"""The word gate finds what it is meant to find, and its list is sound."""
+"""The word gate finds the listed words, and its list is valid."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_word_is_found_in_text_and_in_names(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["food", "barfoo", "foo-fighter", "defoo"])
 def test_a_part_of_a_word_is_not_found(text: str) -> None:
-    """Nor what an exception permits."""
+    """Nor text that an exception permits."""
     assert RULES.hits("a.py", text) == []
 
 
@@ -58,8 +58,8 @@ def test_a_phrase_is_found_across_lines() -> None:
     assert len(GATE.Rules(LIST.replace("foo(?:s|ed)?", "other")).hits("a.py", "# in the\n    # foo of")) == 1
 
 
-def test_an_exception_of_a_path_counts_there_alone() -> None:
-    """`path` is the beginning of a file's path."""
+def test_an_exception_of_a_path_counts_only_there() -> None:
+    """`path` is the prefix of a file's path."""
     assert RULES.hits("docs/a.md", "| foo |") == [] and len(RULES.hits("a.md", "| foo |")) == 1
 
 

@@ -1,20 +1,20 @@
-"""A simulated agent for the tracker: what each unit would report, when, and who repairs it.
+"""A simulated agent for the tracker: what each unit would report, when, and which action repairs it.
 
-Truth changes at one moment; its evidence reaches the units later or, for dependents, even earlier than the
-cause's own. The bounds below are the promises that the tracker's guarantee rests on; everything else (which check
-runs when, how long a run takes, which wake-ups are lost) is random.
+A fault begins at one moment; its evidence reaches the units later or, for dependents, even earlier than that of the
+cause. The bounds below are the assumptions of the tracker's guarantee; everything else (which check runs when, how long
+a run takes, which wake-ups are lost) is random.
 
-- A cause is seen by any run of its own check that looks at or after the moment of the fault. Its event may be lost.
+- A cause is detected by any run of its own check that starts at or after the moment of the fault. Its event may be lost.
 - Nodes are judged dead from 0.05 s (they say goodbye up to 0.25 s before, and their check waits for 0.3 s) to 2 s after
   the fault (the lease of `config/fastdds.xml` ends).
 - The endpoints of a topic disappear from 1 s before to 1 s after their node; `settle_s` of topics is 1.5 s.
-- A topic is silent 0.5 s after the fault at the earliest; `settle_s` of rates is 2 s, so it is never told before its node
-  is seen missing. One whose node has gone on since it fell silent may be told at once: its death did not silence it.
+- A topic is silent 0.5 s after the fault at the earliest; `settle_s` of rates is 2 s, so it is never reported before its
+  node is known to be missing. If its node has been alive since, it may be reported immediately: no death caused it.
 - After a repair nodes are back within 5 s, topics 1 s and rates 3 s later: each within its grace of 8 s. A killed node
-  may stay listed for another second after its container has started again (a ghost).
-- Pressure shows starvation no later than the first of its symptoms, in any run of its check that looks from then on; the
-  machine's does so up to 1.5 s after that of a container which waits for its cores. Symptoms are gone 4.5 s after its end.
-  The health check probes in its own time, says when it did, and begins anew with each life of the container.
+  may stay listed for another second after its container has started again (a stale name).
+- Pressure shows starvation no later than the first of its symptoms, in any run of its check that starts from then on; the
+  machine's does so up to 1.5 s after that of a container which waits for CPUs. Symptoms are gone 4.5 s after its end.
+  The healthcheck probes on its own schedule, reports when it did, and restarts with each start of the container.
 - A run takes 0.2 s at most, a wake-up that is not lost is served within 0.9 s.
 """
 
@@ -79,7 +79,7 @@ FIXES = {
 LOST = "lost"
 """Not a cause: nodes that a repair has left cut off."""
 BY_ENGINE = ("container/", "health/", "files/", "network/")
-"""Units that nobody can tell anything about while the engine does not answer."""
+"""Units whose state is unknown while the engine does not respond."""
 
 
 @cache
@@ -97,7 +97,7 @@ def targeted() -> frozenset[str]:
 
 @dataclass(slots=True)
 class Bad:
-    """A span in which `unit` is seen as bad; `back_s` after the repair it is well."""
+    """A span in which `unit` is reported as bad; `back_s` after the repair it is OK."""
 
     unit: str
     begin: float
@@ -111,7 +111,7 @@ class Bad:
 
 @dataclass(frozen=True, slots=True)
 class Life:
-    """The container has been started `at`, by whom its id and its restart count tell."""
+    """The container was started `at`; its id and its restart count show who started it."""
 
     at: float
     number: int
@@ -121,18 +121,18 @@ class Life:
 
 @dataclass(slots=True)
 class World:
-    """What is true when: spans in which units are bad, lives of the container, and the faults that nobody has repaired."""
+    """The truth over time: spans in which units are bad, generations of the container, and faults without repair."""
 
     random: Random
     bad: dict[str, list[Bad]] = field(default_factory=dict)
     active: dict[str, list[Bad]] = field(default_factory=dict)
-    ghosts: list[tuple[float, float]] = field(default_factory=list)
+    stale_names: list[tuple[float, float]] = field(default_factory=list)
     lives: list[Life] = field(default_factory=lambda: [Life(float("-inf"), 0)])
     sure: bool = True
     """Whether checks find evidence that cuts settling short."""
 
     def inject(self, kind: str, at: float) -> None:
-        """Make a primary fault true at `at`, with all its consequences."""
+        """Begin a primary fault `at`, with all its consequences."""
         unit, condition = CAUSES[kind]
         rnd, spans = self.random, []
         family, _, number = kind.partition("_")
@@ -158,7 +158,7 @@ class World:
         for n in TOPICS:
             ends = [m for m in (n, n % 3 + 1) if m in nodes]  # its publisher and its subscriber
             if ends:
-                # The needs of a topic are all its nodes: evidence may precede the first of them, not its cause's settling.
+                # A topic depends on all its nodes: evidence may precede the first of them, not its cause's settling.
                 begin = min(gone[m] for m in ends) + rnd.uniform(-1.0, 1.0)
                 topic_back = max(back[m] for m in ends) + rnd.uniform(0.0, 1.0)
                 yield Bad(TOPICS[n], begin, "publisher_missing", topic_back)
@@ -167,7 +167,7 @@ class World:
                     yield Bad(RATES[n], silent, "silent", topic_back + rnd.uniform(0.0, 3.0))
 
     def _symptoms(self, at: float, kind: str) -> Iterable[Bad]:
-        """Some of those that starvation explains, each at its own moment."""
+        """Some of the symptoms that starvation explains, each at its own moment."""
         rnd = self.random
         may = [(unit, rnd.choice(("silent", "rate_low"))) for unit in RATES.values()]
         may += [(unit, rnd.choice(("node_hung", "node_missing", "node_unanswering"))) for unit in NODES.values()]
@@ -175,7 +175,7 @@ class World:
         may += [("health/ros_app", "unhealthy")]
         if kind == "overload":
             for unit, condition in LINKS:
-                if rnd.random() < 0.6:  # for a while only: PHM leaves out the time in which it was late itself
+                if rnd.random() < 0.6:  # for a while only: PHM excludes the time in which it was late itself
                     begin = at + rnd.choice((0.0, rnd.uniform(0.0, 6.0)))
                     yield Bad(unit, begin, condition, 0.0, begin + rnd.uniform(0.5, UNREAD_S - 5.0))
             if rnd.random() < 0.7:
@@ -185,23 +185,23 @@ class World:
                 yield Bad(unit, at + rnd.choice((0.0, rnd.uniform(0.0, 6.0))), condition, rnd.uniform(0.2, 4.5))
 
     def repair(self, kind: str, at: float) -> None:
-        """The primary fault is no more; its consequences go one after the other."""
+        """End the primary fault; its consequences end one after the other."""
         for span in self.active.pop(kind, ()):
             span.end = min(span.end, max(span.begin, at + span.back_s))
         if kind in ("container", "paused"):
-            self.ghosts.append((at, at + self.random.uniform(0.0, 1.0)))
+            self.stale_names.append((at, at + self.random.uniform(0.0, 1.0)))
 
     def repair_in_part(self, kind: str, at: float) -> None:
-        """The cause itself is no more; what follows from it stays lost until the container is restarted."""
+        """End the cause; its consequences stay lost until the container is restarted."""
         cause, *rest = self.active.pop(kind)
         cause.end = max(cause.begin, at)
         if rest:
             self.active.setdefault(LOST, []).extend(rest)
 
     def restart(self, at: float, by: str = "phm") -> float:
-        """Somebody stops the container and starts it, or makes a new one; when it runs again.
+        """Stop and start the container, or recreate it; return when it runs again.
 
-        by: phm, hand, policy (the engine's own, after the process has ended) or recreate.
+        by: phm, hand, policy (by the engine, after the process has terminated) or recreate.
         """
         up = at + self.random.uniform(0.2, 1.0)
         for kind in ("container", "paused", LOST):
@@ -219,7 +219,7 @@ class World:
         self.lives.append(Life(at, last.number + 1, last.made + (by == "recreate"), restarts))
 
     def fact(self, at: float) -> ContainerFact:
-        """What the engine says about the container."""
+        """What the engine reports about the container."""
         life = self._life(at)
         status = next(
             (span.condition for span in self.bad.get(f"container/{TARGET}", ()) if span.covers(at)), "running"
@@ -237,12 +237,12 @@ class World:
         return max([self._life(at).at, *ends])
 
     def result(self, unit: str, at: float) -> Result:
-        """What a run of the unit's check finds at `at`."""
+        """The result of a run of the unit's check at `at`."""
         if unit.startswith(BY_ENGINE) and self._is_bad("engine", at):
             return Result(Level.STALE, "the engine does not answer")
         if unit in ("network/ros_app", "health/ros_app", "pressure/ros_app") and self._is_bad("container/ros_app", at):
             return Result(Level.STALE, "not judged while the container does not run")
-        if self._is_ghost(unit, at):
+        if self._is_stale_name(unit, at):
             return OK
         evidence = Evidence(generation=self.fact(at).generation if unit == f"container/{TARGET}" else "")
         target = TARGET if unit in targeted() else ""
@@ -259,7 +259,7 @@ class World:
             evidence = replace(evidence, conclusive=True)
         condition = span.condition
         sure = 0.0 if self._surely_silent(span) else None
-        # The engine's probes come every few seconds: the newest was at one of the moments, or began this one.
+        # The engine's probes come every few seconds: the newest was at one of the moments, or started this one.
         age_s = (at - span.begin) % 30.0 if unit.startswith("health/") else 0.0
         return Result(
             Level.ERROR,
@@ -278,14 +278,14 @@ class World:
         return any(spans[0] is span for kind, spans in self.active.items() if kind in unexplained and spans)
 
     def _surely_silent(self, span: Bad) -> bool:
-        """The node has shown that it goes on since; every second node has nothing to show it with."""
+        """The node has been alive since; every second node has no evidence of that."""
         primary = self.sure and any(span in spans for kind, spans in self.active.items() if kind.startswith("silent"))
         return primary and int(span.begin * 1000) % 2 == 0
 
-    def _is_ghost(self, unit: str, at: float) -> bool:
-        """Listed from memory; what was missing already before the container ended leaves none."""
+    def _is_stale_name(self, unit: str, at: float) -> bool:
+        """Still listed; a node that was missing before the container stopped leaves no stale name."""
         missing = any(span.covers(at) for spans in self.active.values() for span in spans if span.unit == unit)
-        listed = any(begin <= at < end for begin, end in self.ghosts)
+        listed = any(begin <= at < end for begin, end in self.stale_names)
         return listed and not missing and unit.startswith(("nodes/", "topics/"))
 
     def _is_bad(self, unit: str, at: float) -> bool:
@@ -300,7 +300,7 @@ class World:
 
 
 class Sim:
-    """Engine, tracker and clock in one thread. `events` is what the bus would carry."""
+    """Scheduler, tracker and clock in one thread. `events` has what the bus would publish."""
 
     def __init__(self, seed: int, *, warm: bool = True, wakes_lost: float = 0.3) -> None:
         self.settings, self.plan = shipped()
@@ -313,7 +313,7 @@ class Sim:
         self.watch: list[Callable[[], None]] = []
         self.wakes_lost = wakes_lost
         self.held: str = ""
-        self.afresh: list[str] = []
+        self.reset_units: list[str] = []
         self.granted: dict[str, float] = {entry.unit.id: 0.0 for entry in self.plan.tracked}
         self.well_from: dict[str, float] = {}
         self.sure: dict[str, float] = {}
@@ -332,7 +332,7 @@ class Sim:
         return Stamp(1e9 + self.now, self.now)
 
     def _warm_up(self) -> None:
-        """Everything has been well for long enough that grace is over."""
+        """Let everything be OK for long enough that grace is over."""
         for _ in range(2):
             for unit in self._of_unit:
                 self._observe(unit, OK, self.now)
@@ -344,7 +344,7 @@ class Sim:
     # ------------------------------------------------------------ time
 
     def run(self, seconds: float) -> None:
-        """Let time pass; every result and every tick in its place."""
+        """Advance the time, with every result and every tick in its order."""
         end = self.now + seconds
         while self.now < end - 1e-9:
             tick = self.now + TICK_S
@@ -366,7 +366,7 @@ class Sim:
             self._assert_visible()
 
     def _assert_visible(self) -> None:
-        """A unit in ERROR always has a fault that an operator sees, open or given up."""
+        """A unit in ERROR always has a fault that an operator can see, open or given up."""
         seen = {fault.unit for fault in (*self.tracker.open_faults(), *self.tracker.given_up())}
         hidden = [
             state.unit for state in self.tracker.states() if state.level is Level.ERROR and state.unit not in seen
@@ -405,7 +405,7 @@ class Sim:
         self._next[index] = min(self._next[index], after) if self._next[index] != float("inf") else after
 
     def ask(self, unit: str) -> None:
-        """Have the unit's check run, as the executor does to verify."""
+        """Run the unit's check, as the executor does to verify."""
         self._wake(self._of_unit[unit], 0.1)
 
     # ------------------------------------------------------------ tracker
@@ -420,11 +420,11 @@ class Sim:
 
     def take(self, step: Effects) -> None:
         for event in step.events:
-            self.hear(event)
+            self.publish(event)
         self.wake(step.rerun, 0.9)
 
-    def hear(self, event: Event) -> None:
-        """One event for the bus."""
+    def publish(self, event: Event) -> None:
+        """Publish one event."""
         self.events.append((self.now, event))
         if isinstance(event, FaultOpened):
             self._opened(event)
@@ -438,19 +438,19 @@ class Sim:
             self._wake(self._of_unit[unit], within_s)
 
     def grant(self, units: Iterable[str]) -> None:
-        """From now on these units have grace: what was seen of them before must not be told."""
+        """From now on these units have grace: earlier observations must not be reported."""
         for unit in units:
             self.granted[unit] = self.now
             self.well_from.pop(unit, None)
 
     def _opened(self, event: FaultOpened) -> None:
-        """What must hold for every alarm, whoever asks."""
+        """Assert what holds for every alarm."""
         unit, grace_s = event.fault.unit, self._graces[event.fault.unit]
         since = self.granted[unit]
         assert event.fault.result.level is Level.ERROR
-        assert not self.held or unit not in self.touched, f"{unit} told while an action is at work"
-        assert since == 0.0 or self.tracker.last_started(unit) >= since, f"{unit} told by old evidence"
-        assert self.now - since >= grace_s or self.sure.get(unit, -1.0) >= since, f"{unit} told within its grace"
+        assert not self.held or unit not in self.touched, f"{unit} reported during an action"
+        assert since == 0.0 or self.tracker.last_started(unit) >= since, f"{unit} reported by old evidence"
+        assert self.now - since >= grace_s or self.sure.get(unit, -1.0) >= since, f"{unit} reported within its grace"
 
     # ------------------------------------------------------------ questions
 
@@ -462,11 +462,11 @@ class Sim:
     def closed(self) -> list[FaultClosed]:
         return [event for _, event in self.events if isinstance(event, FaultClosed)]
 
-    def told(self, level: Level) -> set[str]:
+    def units_at(self, level: Level) -> set[str]:
         return {state.unit for state in self.tracker.states() if state.level is level}
 
     def root(self, unit: str) -> str:
-        """The end of the chain of `blocked_by` that begins at `unit`."""
+        """The end of the chain of `blocked_by` that starts at `unit`."""
         for _ in range(len(self._of_unit)):
             above = self.tracker.state(unit).blocked_by
             if not above:

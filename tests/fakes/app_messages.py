@@ -1,6 +1,6 @@
-"""A package of messages that only the application has: in a folder of its own, laid out as colcon's merged `install/`.
+"""A message package that only the application has, in its own directory with the layout of colcon's merged `install/`.
 
-PHM's own environment has no sensor_msgs; `environ` gives it to one process. The folder is made once, from the locked
+PHM's own environment has no sensor_msgs; `environ` adds it to one process. The directory is created once, from the locked
 wheel, for any distribution and any Python, and kept in .cache.
 """
 
@@ -27,7 +27,7 @@ OTHER_DISTRIBUTION = {"jazzy": "kilted", "kilted": "jazzy"}[OWN_DISTRIBUTION]
 
 
 def install(distribution: str, python: str = OWN_PYTHON) -> Path:
-    """The folder with sensor_msgs of `jazzy` or `kilted` for a version of Python such as 3.12."""
+    """The directory with sensor_msgs of `jazzy` or `kilted` for a version of Python such as 3.12."""
     lock = ROOT / "scripts" / "locks" / f"app-{distribution}.lock"
     digest = hashlib.sha256(lock.read_bytes()).hexdigest()[:12]
     folder = ROOT / ".cache" / f"app-{distribution}-{python}-{digest}"
@@ -35,15 +35,15 @@ def install(distribution: str, python: str = OWN_PYTHON) -> Path:
         folder.parent.mkdir(exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
             _unpack(_download(lock, python, Path(scratch)), python, Path(scratch, "install"))
-            with suppress(OSError):  # another process that tests was quicker, and its folder is the same
+            with suppress(OSError):  # another test process was faster, and its directory is the same
                 Path(scratch, "install").rename(folder)
     assert folder.is_dir()
     return folder
 
 
 def environ(base: Mapping[str, str], folder: Path, python: str = OWN_PYTHON) -> dict[str, str]:
-    """`base`, as it is after `source install/setup.bash`, for a process with wheels of ROS of its own."""
-    # What the ROS wheels set for the process that runs the tests, and only in the first process of all.
+    """`base`, as after `source install/setup.bash`, for a process with its own ROS wheels."""
+    # Variables that the ROS wheels set for the test process, and only in the first process of all.
     libraries = [part for part in base.get("LD_LIBRARY_PATH", "").split(os.pathsep) if part]
     others = [part for part in libraries if not Path(part).is_relative_to(sys.prefix)]
     modules = [str(folder / "lib" / f"python{python}" / "site-packages"), base.get("PYTHONPATH", "")]
@@ -55,7 +55,7 @@ def environ(base: Mapping[str, str], folder: Path, python: str = OWN_PYTHON) -> 
 
 
 def isolated(merged: Path, folder: Path, python: str = OWN_PYTHON) -> Path:
-    """The same as colcon lays it out by default on Debian: a prefix for each package, modules under local/."""
+    """The default layout of colcon on Debian: a prefix for each package, modules under local/."""
     prefix = folder / PACKAGE
     modules = prefix / "local" / "lib" / f"python{python}" / "dist-packages"
     shutil.copytree(merged / "lib" / f"python{python}" / "site-packages", modules)
@@ -77,7 +77,7 @@ def _download(lock: Path, python: str, scratch: Path) -> Path:
 
 
 def _unpack(wheel: Path, python: str, folder: Path) -> None:
-    """What pip would do with a prefix; pip itself does so for its own Python alone."""
+    """Unpack like pip with a prefix; pip itself does so only for its own Python."""
     modules = folder / "lib" / f"python{python}" / "site-packages"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(modules)

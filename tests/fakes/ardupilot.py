@@ -1,8 +1,8 @@
-"""An ArduPilot SITL as far as its sockets go, playing a session: it behaves as a real one was measured to (docs/development/sitl.md).
+"""The sockets of an ArduPilot SITL that plays a session: it behaves as measured on a real one (docs/development/sitl.md).
 
-It begins when somebody connects to serial port 0, opens serial port 1 only then, sends the session's frames to both as they are,
-and keeps what it is sent. A session is a telemetry log (`.tlog`), as MAVProxy and ground stations record them: for each
-frame eight bytes of time, microseconds since 1970 with the highest byte first, and then the frame.
+It starts when a client connects to serial port 0, opens serial port 1 only then, sends the session's frames to both unchanged,
+and keeps received frames. A session is a telemetry log (`.tlog`), as MAVProxy and ground stations record them: for each
+frame eight bytes of time, big-endian microseconds since 1970, and then the frame.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def read(file: Path) -> list[tuple[int, bytes]]:
 
 
 class ArduPilot:
-    """`serial_0` is there at once, `serial_1` when it has booted; `heard` by serial port."""
+    """`serial_0` is open from the start, `serial_1` after booting; `heard` has the received frames by serial port."""
 
     def __init__(self, session: Path) -> None:
         self._frames = [frame for _, frame in read(session)]
@@ -69,15 +69,15 @@ class ArduPilot:
 
 
 def decoded(frame: bytes) -> Any:
-    """What pymavlink makes of one frame."""
+    """The frame, decoded by pymavlink."""
     return (parser().parse_buffer(frame) or [None])[0]
 
 
 def record(file: Path, system: int) -> None:
     """A session as a copter on the ground sends it after a ground station has connected, in the form of a recording.
 
-    Not a recording: values and kinds are those that were measured on ArduCopter 4.7-dev (HEARTBEAT with base_mode 81, 217 when
-    armed; banner and frame as STATUSTEXT; kinds that only ArduPilot's own dialect knows).
+    Not a recording: values and types were measured on ArduCopter 4.7-dev (HEARTBEAT with base_mode 81, 217 when
+    armed; banner and frame as STATUSTEXT; message types of ArduPilot's own dialect).
     """
     mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
     boot_ms, entries = 4000, []
@@ -100,7 +100,7 @@ def record(file: Path, system: int) -> None:
 
 
 def _foreign(mav: Any, system: int) -> bytes:
-    """MEMINFO (152) of ArduPilot's dialect, which the common one does not know. Its checksum has CRC_EXTRA 208."""
+    """MEMINFO (152) of ArduPilot's dialect, which is not in the common one. Its checksum has CRC_EXTRA 208."""
     from pymavlink.generator.mavcrc import x25crc
 
     payload = struct.pack("<HHI", 0, 65535, 131072).rstrip(b"\0")

@@ -1,4 +1,4 @@
-"""Trials made by hand: what a test says happened, in seconds after the injection at 100."""
+"""Trials for tests: events with their times, in seconds after the injection at 100."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def line(after: float, text: str, system: int = 3) -> Line:
 
 
 def trial(**more: Any) -> Trial:
-    """A good one: a node is killed, told after 0.4 s, heard after 0.9 s, healed after 4 s."""
+    """A successful one: a node is killed, detected after 0.4 s, on the ground after 0.9 s, recovered after 4 s."""
     given: dict[str, Any] = {
         "injections": [injection()],
         "alarms": [alarm(0.4, closed=T0 + 4, outcome="resolved", by="restart")],

@@ -1,4 +1,4 @@
-"""Services for commands that do nothing, of which a test replaces some."""
+"""Command services without effect; a test replaces those that it needs."""
 
 from __future__ import annotations
 

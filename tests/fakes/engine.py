@@ -1,4 +1,4 @@
-"""A Docker Engine that tests command: real HTTP/1.1 on a unix socket, with faults on demand.
+"""A Docker Engine under the control of tests: real HTTP/1.1 on a unix socket, with faults on demand.
 
 with FakeEngine(tmp_path / "engine.sock") as fake:
     fake.containers["ros_app"] = container("ros_app", health="healthy", networks=["swarm"])
@@ -38,7 +38,7 @@ def container(
     files: Mapping[str, bytes] | None = None,
     **state: Any,
 ) -> dict[str, Any]:
-    """A container as GET /containers/x/json shows it. `networks` maps names to ids (default ``id-of-NAME``);
+    """A container as GET /containers/x/json returns it. `networks` maps names to ids (default ``id-of-NAME``);
     `files` maps paths to content, for the archive route; further keywords go into State.
     """
     given = networks if isinstance(networks, Mapping) else {network: f"id-of-{network}" for network in networks}
@@ -79,7 +79,7 @@ class Server(socketserver.ThreadingUnixStreamServer):
     fake: FakeEngine
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Clients that hang up are part of the game; a defect of the fake is kept for whoever wonders."""
+        """Clients may disconnect at any time; a defect of the fake is kept for debugging."""
         error = sys.exc_info()[1]
         if error is not None and not isinstance(error, ConnectionError):
             self.fake.errors.append(error)
@@ -87,7 +87,7 @@ class Server(socketserver.ThreadingUnixStreamServer):
 
 
 class FakeEngine:
-    """See the module. `calls` holds the last 1000 requests as ``METHOD /path``, without the version."""
+    """See the module. `calls` has the last 1000 requests as ``METHOD /path``, without the version."""
 
     def __init__(self, path: Path | str, *, api: str = "1.41", minimum: str = "1.24") -> None:
         self.path, self.url = str(path), f"unix://{path}"
@@ -157,7 +157,7 @@ class FakeEngine:
             self.changed.notify_all()
 
     def set(self, name: str, *, silently: bool = False, **state: Any) -> None:
-        """Change a container's state: status=, exit_code=, health=. Emits what the engine would, unless `silently`."""
+        """Change a container's state: status=, exit_code=, health=. Emits the events of a real engine, unless `silently`."""
         entry = self.containers[name]
         action = ""
         if "status" in state:
@@ -179,7 +179,7 @@ class FakeEngine:
         self.emit("container", action, entry["Id"], name=name, **entry["Config"]["Labels"], **code, **attributes)
 
     def wait(self, condition: Callable[[FakeEngine], bool], timeout_s: float = 10.0) -> bool:
-        """Until something that the engine does makes `condition` true."""
+        """Wait until an activity of the engine makes `condition` true."""
         with self.changed:
             return self.changed.wait_for(lambda: condition(self), timeout_s)
 

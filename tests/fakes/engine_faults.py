@@ -22,7 +22,7 @@ class Hang(Fault):
 
 @dataclass(frozen=True)
 class Trickle(Fault):
-    """Answer with the right bytes, one every `every_s` seconds; `endless` pads so that it takes a minute."""
+    """Send the right bytes, one every `every_s` seconds; `endless` pads so that it takes a minute."""
 
     every_s: float = 0.05
     endless: bool = True
@@ -46,7 +46,7 @@ class Garbage(Fault):
 
 @dataclass(frozen=True)
 class NoHttp(Fault):
-    """Something else than HTTP."""
+    """Something other than HTTP."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ class Truncate(Fault):
 
 @dataclass(frozen=True)
 class Oversize(Fault):
-    """A JSON answer of `size` bytes, in pieces."""
+    """A JSON response of `size` bytes, in pieces."""
 
     size: int = 64 << 20
 
 
 @dataclass(frozen=True)
 class DropStream(Fault):
-    """Event streams end at once: those that are open and those that are opened while it lasts."""
+    """Event streams end immediately: open ones and new ones, as long as the fault lasts."""

@@ -1,4 +1,4 @@
-"""The HTTP side of the fake Docker Engine: its routes and their answers."""
+"""The HTTP side of the fake Docker Engine: its routes and their responses."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Handler(BaseHTTPRequestHandler):
     # ------------------------------------------------------------ faults
 
     def _broken(self) -> bool:
-        """Whether the fault that is set took the request; Trickle only changes how bytes are sent."""
+        """Whether the current fault handled the request; Trickle only changes how bytes are sent."""
         fault = self.fake.fault
         self.trickle = None
         if fault is None or fault.route not in self.route:
@@ -126,7 +126,7 @@ class Handler(BaseHTTPRequestHandler):
             if time.monotonic() > until or self.fake.stopping:
                 return
 
-    # ------------------------------------------------------------ answers
+    # ------------------------------------------------------------ responses
 
     def _send(self, code: int, body: bytes, headers: Mapping[str, str] | None = None) -> None:
         if self.trickle is not None and self.trickle.endless:

@@ -1,7 +1,7 @@
-"""The real recovery around the simulated agent: executor, worker, policy and proof; only what actions do is simulated.
+"""The real recovery around the simulated agent: executor, worker, policy and verification, with simulated effects.
 
-Recovery's threads run in turn with the simulation: at each tick the clock moves, and the simulation waits until they all
-sleep again. So an example is the same each time it is run.
+Threads of recovery alternate with the simulation: at each tick the clock moves, and the simulation waits until they all
+sleep again. So an example is reproducible.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ KINDS = {kind.name: kind for kind in (Start, Restart, Unpause, Reconnect, JoinNe
 
 @dataclass(frozen=True, slots=True)
 class Acted:
-    """An action that was at work from `began` to `ended`, before its proof; whether that was to help."""
+    """An action that ran from `began` to `ended`, before its verification; whether it was meant to help."""
 
     action: str
     unit: str
@@ -56,7 +56,7 @@ class SimClock(FakeClock):
 
 
 class SimPipeline(Pipeline):
-    """The real one on the simulation's tracker. Notes what is held, and what has grace since a hold has ended."""
+    """The real one on the simulation's tracker. Records held units, and units with grace since the end of a hold."""
 
     def __init__(self, sim: Sim, bus: Bus, clock: SimClock) -> None:
         super().__init__(sim.tracker, bus, clock)
@@ -73,26 +73,26 @@ class SimPipeline(Pipeline):
 
     def clear_given_up(self, *units: str) -> None:
         given_up = {fault.unit for fault in self.given_up()}.intersection(units)
-        self._sim.afresh += sorted(given_up)
+        self._sim.reset_units += sorted(given_up)
         self._sim.grant(given_up)
         super().clear_given_up(*units)
 
 
 class SimBus:
-    """Hands events to recovery at the next tick."""
+    """Delivers events to recovery at the next tick."""
 
     def __init__(self, sim: Sim) -> None:
         self._sim = sim
 
     def publish(self, event: Event) -> None:
-        self._sim.hear(event)
+        self._sim.publish(event)
 
 
 class Healer:
-    """Recovery for the one container. `helps` is the probability that an action does what it is for; `in_part` that one
-    which does, and is not the last of its ladder, leaves behind what it was to bring back.
+    """Recovery for the one container. `helps` is the probability that an action has its effect; `in_part` that an effective
+    action which is not the last of its ladder restores only a part.
 
-    `acted` holds the actions in order. Asserts when one begins: none other is at work, the budget is kept, and nothing
+    `acted` has the actions in order. Asserts for each new action: no other is running, the budget is kept, and nothing
     flight-critical is touched while armed.
     """
 
@@ -132,11 +132,11 @@ class Healer:
         sim.watch.append(self._turn)
 
     def stop(self) -> None:
-        """End recovery's threads."""
+        """End the threads of recovery."""
         self._executor.stop()
         self._clock.advance(1e6)
 
-    # ------------------------------------------------------------ taking turns
+    # ------------------------------------------------------------ alternating threads
 
     def _turn(self) -> None:
         self._clock.follow(self.sim)
@@ -155,10 +155,10 @@ class Healer:
             time.sleep(0)
 
     def _publish(self, event: Event) -> None:
-        """Said by the worker's own thread: from STARTED until it knows what came of it, the action's thread must rest, too."""
+        """Called by the worker's own thread: from STARTED until it knows the result, the action's thread must sleep, too."""
         if isinstance(event, ActionEvent):
             self._at_work = event.phase is Phase.STARTED
-        self.sim.hear(event)
+        self.sim.publish(event)
 
     def _wake(self, units: Iterable[str], reason: str) -> None:
         self.sim.wake(units, 0.9 if reason == "confirm" else 0.1)
@@ -169,7 +169,7 @@ class Healer:
             ArmedState.ARMED if armed else ArmedState.DISARMED, "the autopilot is " + ("armed" if armed else "disarmed")
         )
 
-    # ------------------------------------------------------------ what actions do
+    # ------------------------------------------------------------ effects of actions
 
     def _action(self, kind: type[Action]) -> type[Action]:
         healer = self
@@ -198,7 +198,7 @@ class Healer:
         self.acted.append(Acted(action, fault.unit, began, sim.now, helps))
 
     def _begins(self, fault: Fault) -> None:
-        """Whatever is not as it must be is raised in the simulation's own thread: recovery survives what an action raises."""
+        """Raise violations in the simulation's own thread: recovery survives exceptions of actions."""
         now = self.sim.now
         self.begun.append(now)
         recent = [began for began in self.begun if began > now - self.rules.window]

@@ -14,7 +14,7 @@ LIMIT_S = 15.0
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
-    """A port of loopback that nobody uses now."""
+    """A port of loopback that is not in use."""
     with socket.socket(socket.AF_INET, kind) as sock:
         sock.bind(("127.0.0.1", 0))
         return int(sock.getsockname()[1])
@@ -31,7 +31,7 @@ def text(words: str, severity: int = 6) -> Any:
 
 
 class Sender:
-    """Another MAVLink program: packs frames with an identity and a sequence of its own."""
+    """Another MAVLink program: packs frames with its own identity and sequence."""
 
     def __init__(self, system: int, component: int) -> None:
         self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
@@ -42,12 +42,12 @@ class Sender:
         return packed
 
     def received(self, message: Any) -> Any:
-        """The message as a receiver decodes it."""
+        """The message, decoded as by a receiver."""
         return mavlink.MAVLink(None).decode(bytearray(self.frame(message)))
 
 
 class FakePort:
-    """A `MavlinkPort` that remembers what was sent, and lets the test play what is heard."""
+    """A `MavlinkPort` that records sent messages, and receives what the test injects."""
 
     def __init__(self) -> None:
         self.sent: list[Any] = []
@@ -82,13 +82,13 @@ class FakePort:
                 callback(message, "test")
 
     def lines(self) -> list[tuple[int, str]]:
-        """Severity and text of the STATUSTEXTs since the last call; forgets everything."""
+        """Severity and text of the STATUSTEXTs since the last call; clears them."""
         found = [(message.severity, message.text) for message in self.sent if message.get_type() == "STATUSTEXT"]
         self.sent.clear()
         return found
 
     def heartbeats(self) -> list[Any]:
-        """HEARTBEATs since the last call; forgets everything."""
+        """HEARTBEATs since the last call; clears them."""
         found = [message for message in self.sent if message.get_type() == "HEARTBEAT"]
         self.sent.clear()
         return found

@@ -1,4 +1,4 @@
-"""A radio network of agents on loopback: each has a UDP port of the mesh as its endpoint; who hears whom is set by the test."""
+"""A radio network of agents on loopback: each has a UDP port of the mesh as its endpoint; a test sets which agents receive each other."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ GROUND_S = 0.5
 
 
 class Mesh:
-    """Members are told apart by a name, so that two agents may use one id. Datagrams go as they came, to all that hear.
+    """Members are identified by a name, so that two agents may use one id. Datagrams are forwarded unchanged to all receivers.
 
-    `apart`: groups that do not hear each other. `deaf`: members that the ground station does not reach, nor they it.
-    `ground` False: there is no ground station. `lines`: sender and text of each STATUSTEXT that it read.
+    `apart`: groups that do not receive each other. `no_gcs`: members without contact to the ground station.
+    `ground` False: there is no ground station. `lines`: sender and text of each STATUSTEXT that it received.
     """
 
     def __init__(self, members: Iterable[str]) -> None:
         self.apart: tuple[frozenset[str], ...] = ()
-        self.deaf: frozenset[str] = frozenset()
+        self.no_gcs: frozenset[str] = frozenset()
         self.ground = True
         self.lines: list[tuple[int, str]] = []
         self.payloads: list[tuple[int, bytes]] = []
@@ -54,17 +54,17 @@ class Mesh:
             for sock in select.select(list(of), [], [], 0.05)[0]:
                 with contextlib.suppress(OSError):
                     data, self._heard_at[of[sock]] = sock.recvfrom(65535)
-                    self._pass_on(of[sock], data)
+                    self._forward(of[sock], data)
             if self.ground and time.monotonic() >= due:
                 due = time.monotonic() + GROUND_S
-                self._send(self._gcs.frame(heartbeat(kind=mavlink.MAV_TYPE_GCS)), set(of.values()) - self.deaf)
+                self._send(self._gcs.frame(heartbeat(kind=mavlink.MAV_TYPE_GCS)), set(of.values()) - self.no_gcs)
 
-    def _pass_on(self, sender: str, data: bytes) -> None:
+    def _forward(self, sender: str, data: bytes) -> None:
         hears = set(self._sockets) - {sender}
         if self.apart:
             hears &= next((group for group in self.apart if sender in group), frozenset())
         self._send(data, hears)
-        if self.ground and sender not in self.deaf:
+        if self.ground and sender not in self.no_gcs:
             for message in self._decoder.parse_buffer(data) or []:
                 if message.get_type() == "STATUSTEXT":
                     self.lines.append((message.get_srcSystem(), message.text))

@@ -18,7 +18,7 @@ MAIN = api.ProcessFact(70, 0, "S", 1.0, "python -m sitl.application.app")
 
 
 def flowing(silent_s: float = 0.0) -> dict[str, api.TopicFact]:
-    """The node's topic at 10 Hz, silent for so long."""
+    """The node's topic at 10 Hz, silent for `silent_s`."""
     rate = api.RateFact(10.0, silent_s, limit_s=1.0)
     return {TOPIC: api.TopicFact((api.EndpointFact(NAME, "std_msgs/msg/String"),), (), rate)}
 
@@ -28,7 +28,7 @@ def beating(age_s: float = 0.1, late_s: float = 0.0) -> dict[str, api.BeaconFact
 
 
 class Bench:
-    """One node in one container, with the fakes at hand. Its process is listed, it has no beacon and no topic."""
+    """One node in one container, with its fakes. Its process is listed, it has no beacon and no topic."""
 
     def __init__(
         self, *, nodes: list[dict[str, Any]] | None = None, topics: list[dict[str, Any]] | None = None, **ros: Any
@@ -54,7 +54,7 @@ class Bench:
         return self.results()[NODE]
 
     def after(self, seconds: float, each: Callable[[float], None] = lambda passed: None) -> api.Result:
-        """Let time pass as it does, four runs a second; `each` gets how much has passed before each of them."""
+        """Advance the time with four runs per second; before each, `each` is called with the elapsed time."""
         result = self.result()
         for number in range(1, round(seconds / 0.25) + 1):
             self.clock.advance(0.25)

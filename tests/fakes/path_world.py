@@ -1,7 +1,7 @@
-"""An agent's way to the ground as a small simulation: who speaks, through what, and what PHM's link checks make of it.
+"""A simulated path from an agent to the ground: which endpoints send, by which hops, and the results of PHM's link checks.
 
-GCS, radio and autopilot send as they do in the air (1 Hz, in answer to PHM's heartbeats, 1 Hz); what is broken is passed
-on by nobody. The real checks judge the facts, the real tracker tells, on a clock that the test moves.
+GCS, radio and autopilot send as in flight (1 Hz, in response to PHM's heartbeats, 1 Hz); a broken hop forwards
+nothing. The real checks evaluate the facts, the real tracker publishes, on a clock that the test advances.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ PILOT, GCS, RADIO = (1, 1), (255, 190), (51, 68)
 
 
 class PathWorld:
-    """One endpoint, `ground`, by which all is heard, unless `mavlink` says else. Set what is `down`, then `run`.
+    """One endpoint, `ground`, which leads to everything unless `mavlink` differs. Set what is `down`, then `run`.
 
-    down: of `gcs`, `radio`, `link`, `router`, `pilot`. A pilot that is down passes nothing on, if the endpoint leads to both.
+    down: of `gcs`, `radio`, `link`, `router`, `pilot`. A pilot that is down forwards nothing, if the endpoint leads to both.
     """
 
     def __init__(
@@ -57,11 +57,11 @@ class PathWorld:
     # ------------------------------------------------------------ time
 
     def run(self, seconds: float) -> None:
-        """Let time pass: who is up speaks, checks run when they are due or asked for."""
+        """Advance the time: working endpoints send, checks run when they are due or triggered."""
         for _ in range(round(seconds / STEP_S)):
             self.clock.advance(STEP_S)
             self._speak()
-            self._tell_facts()
+            self._update_facts()
             self._rerun({unit for check in self._due_checks() for unit in self._units(check)})
             self._rerun(self._take(self.tracker.tick(self.clock.stamp())))
 
@@ -74,7 +74,7 @@ class PathWorld:
         return due
 
     def _rerun(self, units: set[str]) -> None:
-        """Run the checks of these units, and those that the tracker then asks for, a few times over."""
+        """Run the checks of these units, and those that the tracker then requests, a few times over."""
         for _ in range(5):
             checks = [entry.check for entry in self.plan.scheduled if units & set(self._units(entry.check))]
             units = set()
@@ -101,7 +101,7 @@ class PathWorld:
         self.events += step.events
         return step.rerun
 
-    # ------------------------------------------------------------ who speaks
+    # ------------------------------------------------------------ senders
 
     def _speak(self) -> None:
         now = self.clock.mono() - 1000.0
@@ -119,7 +119,7 @@ class PathWorld:
             carriers |= {"radio"} | ({"pilot"} if self.leads_to == "both" else set())
         return not carriers & self.down and name not in self.never
 
-    def _tell_facts(self) -> None:
+    def _update_facts(self) -> None:
         now = self.clock.mono()
         ages = {who: now - at for who, at in self._heard.items()}
         self.links.gcs_age, self.links.gcs_link = ages.get(GCS), "ground"
@@ -142,11 +142,11 @@ class PathWorld:
             ),
         )
 
-    # ------------------------------------------------------------ what was told
+    # ------------------------------------------------------------ published states
 
     @property
     def alarms(self) -> list[str]:
-        """Faults in the order in which they were opened: unit and brief."""
+        """Opened faults in their order: unit and brief."""
         faults = [event.fault for event in self.events if isinstance(event, FaultOpened)]
         return [f"{fault.unit}: {fault.result.brief}" for fault in faults]
 
@@ -157,16 +157,16 @@ class PathWorld:
 
     @property
     def warnings(self) -> list[str]:
-        """Units and briefs told as WARN, in order."""
+        """Units and briefs published as WARN, in order."""
         states = [event.state for event in self.events if isinstance(event, Transition)]
         return [f"{state.unit}: {state.result.brief}" for state in states if state.level is api.Level.WARN]
 
     def blocked(self) -> dict[str, str]:
-        """Unit -> the unit that blocks it, now."""
+        """Unit -> the unit that blocks it now."""
         return {state.unit: state.blocked_by for state in self.tracker.states() if state.blocked_by}
 
     def bad(self) -> set[str]:
-        """Units that are told as WARN or ERROR now."""
+        """Units that are published as WARN or ERROR now."""
         return {state.unit for state in self.tracker.states() if state.level.bad}
 
     def text(self, unit: str) -> str:

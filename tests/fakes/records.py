@@ -1,4 +1,4 @@
-"""Records of the model for tests of reporters and of the command line, short to write."""
+"""Records for tests of reporters and of the command line, short to write."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Nodes with a beacon that misbehave as told, for tests: a real process with real executors.
+"""Nodes with a beacon that misbehave on request, for tests: a real process with real executors.
 
     python tests/fakes/ros_beaconed.py NAME... [--executor single|multi] [--hello TOPIC] [--hang callback|own] ...
 
-SIGUSR1 hangs a callback of the first node for good, asleep (`--hang own`: in a callback group of its own); SIGUSR2
-destroys the first node and makes it anew. `--hello` has the process greet, and listen, on another topic than everyone
-else: it is then heard by PHM and not by its neighbours.
+SIGUSR1 hangs a callback of the first node permanently, asleep (`--hang own`: in its own callback group); SIGUSR2
+destroys the first node and creates it again. `--hello` has the process announce itself, and listen, on a topic of its
+own: PHM receives it and its neighbours do not.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ LOOK_S = 0.05
 
 
 class Nodes:
-    """The nodes of this process, what signals have asked for, and the lock that nobody ever releases."""
+    """The nodes of this process, pending requests of signals, and a lock that is never released."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self._options = options
         self.hang = self.renew = False
-        self._for_ever = threading.Lock()
-        self._for_ever.acquire()
+        self._never_released = threading.Lock()
+        self._never_released.acquire()
         multi = options.executor == "multi"
         self.executor: Any = MultiThreadedExecutor(num_threads=3) if multi else SingleThreadedExecutor()
         self._nodes = [self._make(name) for name in options.names]
@@ -41,7 +41,7 @@ class Nodes:
         signal.signal(signal.SIGUSR2, lambda *_: setattr(self, "renew", True))
 
     def work(self) -> None:
-        """Between two turns of the executor."""
+        """Handle requests between two iterations of the executor."""
         if self.renew:
             self.renew = False
             self.executor.remove_node(self._nodes[0])
@@ -64,7 +64,7 @@ class Nodes:
 
     def _perhaps_hang(self) -> None:
         if self.hang:
-            self._for_ever.acquire()
+            self._never_released.acquire()
 
 
 def _steady() -> Any:

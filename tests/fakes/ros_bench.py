@@ -1,4 +1,4 @@
-"""Real nodes and a real child, on loopback, each test in a ROS domain of its own."""
+"""Real nodes and a real child process, on loopback, each test in its own ROS domain."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _open: list[Bench] = []
 
 
 def claim_domain() -> tuple[int, IO[bytes]]:
-    """A ROS domain that no other test of this machine uses while the file is open: the kernel lets go of it with the process."""
+    """A ROS domain that no other test on this machine uses while the file is open: the kernel releases it with the process."""
     for turn in itertools.islice(_turns, DOMAINS):
         domain = FIRST_DOMAIN + turn % DOMAINS
         lock = Path(tempfile.gettempdir(), f"phm-ros-domain-{domain}.lock").open("ab")  # noqa: SIM115 (it outlives this)
@@ -70,13 +70,13 @@ class Bench:
         self._closing.callback(_open.remove, self)
 
     def node(self, name: str, *arguments: str, module: str = "sitl.application.node") -> subprocess.Popen[bytes]:
-        """A demo node in /agent_1 with the short-lease profile that we ship."""
+        """A demo node in /agent_1 with the shipped short-lease profile."""
         environ = {**self.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml")}
         command = [sys.executable, "-m", module, "--name", name, "--namespace", "/agent_1", *arguments]
         return self._keep(subprocess.Popen(command, env=environ))
 
     def source(self, hz: float, path: Path) -> None:
-        """A publisher that writes to `path` what it really published; see `ros_source`."""
+        """A publisher that writes its publications to `path`; see `ros_source`."""
         script = ROOT / "tests" / "fakes" / "ros_source.py"
         self._keep(subprocess.Popen([sys.executable, str(script), str(hz), str(path)], env=self.environ))
 
@@ -112,7 +112,7 @@ class Bench:
         return probe
 
     def state(self) -> str:
-        """What a test that waited in vain has in front of it: the domain, its processes, what each probe knows and why not more."""
+        """The state for the message of a failed test: domain, processes, what each probe knows and why it knows no more."""
         lines = [f"ROS domain {self.domain}; /dev/shm has {len(os.listdir('/dev/shm'))} files; notes: {self.notes}"]
         for process in self._processes:
             code = process.poll()
@@ -140,7 +140,7 @@ class Bench:
 
 
 def seen(probe: RosSupervisor, condition: Callable[[RosFact], Any], what: str, limit_s: float = 60.0) -> Any:
-    """Wait until a picture satisfies `condition`; STALE moments are waited out."""
+    """Wait until a snapshot satisfies `condition`; ignores STALE moments."""
 
     def look() -> Any:
         try:
@@ -152,7 +152,7 @@ def seen(probe: RosSupervisor, condition: Callable[[RosFact], Any], what: str, l
 
 
 def stale(probe: RosSupervisor) -> str:
-    """The sentence with which the probe cannot tell, or empty when it can."""
+    """The reason why the probe cannot tell, or an empty string when it can."""
     try:
         probe.look()
     except CannotTell as error:

@@ -1,9 +1,9 @@
-"""A real node with a beacon whose timer callback computes for some seconds when it is told to by SIGUSR1, as a busy planner
-does, or, with `--asleep`, waits so long, as one does that waits for an answer that never comes.
+"""A real node with a beacon whose timer callback computes for some seconds on SIGUSR1, like a busy planner, or, with
+`--asleep`, waits that long, as for a response that never comes.
 
     python -m tests.fakes.ros_busy --name node_1 --namespace /agent_1 --seconds 5
 
-Publishes std_msgs/String on topic_1 at 10 Hz from the same executor, so that the topic is silent meanwhile.
+Publishes std_msgs/String on topic_1 at 10 Hz from the same executor, so that the topic is silent in that time.
 """
 
 from __future__ import annotations

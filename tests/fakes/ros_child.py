@@ -1,12 +1,12 @@
-"""A ROS child without ROS, for tests of its supervision: speaks the protocol and misbehaves as told.
+"""A ROS child without ROS, for tests of its supervision: implements the protocol and misbehaves on request.
 
     python tests/fakes/ros_child.py BEHAVIOUR [FOLDER]
 
-Behaviours: `good`; `garbage` (good, between lines that are no messages); `long` (good, after a line of
-several megabytes); `blind` (a picture, then nothing but such lines);
-`exit` (a picture, then code 3); `mute` (a picture, then nothing); `never` (nothing at all);
-`crash` (SIGSEGV after a picture); `twice` (good, and lists its node twice); `ghost` (the same, in the first child alone);
-`stubborn` (good, and ignores its closed input); `deaf` (good, and never reads).
+Behaviours: `good`; `garbage` (good, between lines that are not messages); `long` (good, after a line of
+several megabytes); `blind` (a snapshot, then only such lines);
+`exit` (a snapshot, then code 3); `mute` (a snapshot, then nothing); `never` (nothing at all);
+`crash` (SIGSEGV after a snapshot); `twice` (good, and lists its node twice); `stale_name` (the same, in the first child only);
+`stubborn` (good, and ignores its closed input); `no_input` (good, and never reads).
 FOLDER gets a file per start.
 """
 
@@ -26,14 +26,14 @@ def main(behaviour: str, folder: str = "") -> int:
     if folder:
         Path(folder, str(os.getpid())).touch()
     first = not folder or len(list(Path(folder).iterdir())) == 1
-    times = 2 if behaviour == "twice" or (behaviour == "ghost" and first) else 1
+    times = 2 if behaviour == "twice" or (behaviour == "stale_name" and first) else 1
     if behaviour == "never":
         return _wait_for_end()
     if behaviour == "long":
         _write(b"x" * 3_000_000 + b"\n")
     began_s = time.monotonic()
     while True:
-        _graph_message(wanted, time.monotonic() - began_s, times)
+        _snapshot(wanted, time.monotonic() - began_s, times)
         if behaviour == "blind":
             return _blind()
         if behaviour == "garbage":
@@ -45,7 +45,7 @@ def main(behaviour: str, folder: str = "") -> int:
             return _wait_for_end()
         elif behaviour == "crash":
             os.kill(os.getpid(), signal.SIGSEGV)
-        if behaviour == "deaf":
+        if behaviour == "no_input":
             time.sleep(0.05)
             continue
         readable, _, _ = select.select([0], [], [], 0.05)
@@ -53,7 +53,7 @@ def main(behaviour: str, folder: str = "") -> int:
             return 0
 
 
-def _graph_message(wanted: dict[str, object], up_s: float, times: int) -> None:
+def _snapshot(wanted: dict[str, object], up_s: float, times: int) -> None:
     topics = wanted["topics"]
     assert isinstance(topics, list)
     empty: list[object] = [[], [], None]

@@ -1,7 +1,7 @@
-"""Speaks on the beacons' topic with what it heard there, ten times a second; `python tests/fakes/ros_copycat.py NAME HOW`.
+"""Copies received messages on the beacons' topic, ten times a second; `python tests/fakes/ros_copycat.py NAME HOW`.
 
-HOW: `copy` sends the newest beacon of NAME again, with its identity, as one whose executor hangs. `crowd` sends two messages as
-large as a beacon may be, each of 50 nodes that hear 50 others, all with the longest names there are.
+HOW: `copy` sends the newest beacon of NAME again, with its identity, as one with a hung executor. `crowd` sends two messages of
+the maximum size of a beacon, each of 50 nodes that receive 50 others, all with the longest names allowed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def crowd(turn: int) -> list[str]:
 
 
 def copied(heard: Any, name: str) -> list[str]:
-    """The beacon again, late by much."""
+    """A copy of the beacon, very late."""
     said = json.loads(heard.msg)
     if name not in said["nodes"] or said["nodes"][name]["late_s"] == 99.0:
         return []

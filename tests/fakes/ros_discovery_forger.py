@@ -1,12 +1,12 @@
-"""Publishes forged samples on the topic with which rmw tells names of nodes, `ros_discovery_info`, twice a second.
+"""Publishes forged samples on the topic with node names of the rmw layer, `ros_discovery_info`, twice a second.
 
 python tests/fakes/ros_discovery_forger.py COUNT [BAD]
 
-A node of its own exists, `/elsewhere/forger`, which has an endpoint. Its participant claims COUNT nodes in `/x`, and one whose
-name is no UTF-8 where BAD is given: `node`, or `topic`, which gives that name to the publisher of /agent_1/topic_1 too;
+Its own node is `/elsewhere/forger`, which has an endpoint. Its participant claims COUNT nodes in `/x`, and with BAD one
+whose name is not UTF-8: `node`, or `topic`, which gives that name to the publisher of /agent_1/topic_1 too;
 with `name` a topic has such a name instead.
 
-rclpy offers no way to this topic, which has no `rt/` before its name: it is reached through rmw's C functions.
+rclpy does not support this topic, which has no `rt/` prefix: it is accessed through rmw's C functions.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _Quality(ctypes.Structure):
 
 
 class _Options(ctypes.Structure):
-    """rmw_publisher_options_t, with room for what later versions may add."""
+    """rmw_publisher_options_t, with room for additions of later versions."""
 
     _fields_ = (("payload", ctypes.c_void_p), ("unique", ctypes.c_int), ("room", ctypes.c_byte * 64))
 
@@ -64,7 +64,7 @@ class _Bytes(ctypes.Structure):
 
 
 def forged_publisher(node: Any, topic: bytes = TOPIC) -> Any:
-    """A function that publishes bytes as a sample of this topic of DDS, by default the discovery topic."""
+    """A function that publishes bytes as a sample of this DDS topic, by default the discovery topic."""
     rcl, rmw = ctypes.CDLL("librcl.so"), ctypes.CDLL("librmw_fastrtps_cpp.so")
     support = ctypes.CDLL("librmw_dds_common__rosidl_typesupport_c.so")
     type_support = (

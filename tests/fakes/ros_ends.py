@@ -1,4 +1,4 @@
-"""A real node with endpoints of any quality of service, until it is ended.
+"""A real node with endpoints of any quality of service, until it is terminated.
 
     python tests/fakes/ros_ends.py NODE SIDE:TOPIC[:POLICY=VALUE,...] ...
 

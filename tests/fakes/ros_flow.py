@@ -1,4 +1,4 @@
-"""Publishers and a queue without ROS: what looks once a tick would find of publications at given times."""
+"""Publishers and a queue without ROS: what a poll per tick would find of publications at given times."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def even(
     size: int = 100,
     delay_s: float = 0.0,
 ) -> list[Publication]:
-    """One publisher without jitter. offset_s: its clock against ours. The first is published a period after `start_s`."""
+    """One publisher without jitter. offset_s: its clock relative to ours. The first is published a period after `start_s`."""
     return [
         Publication(
             start_s + count / hz + delay_s,
@@ -81,7 +81,7 @@ def even(
 def looks(
     publications: Iterable[Publication], start_s: float, end_s: float, depth: int = 1, tick_s: float = TICK_S
 ) -> Iterator[tuple[float, list[Sample]]]:
-    """Each look and what a queue of `depth` holds then."""
+    """Each poll and the contents of a queue of `depth` at that time."""
     coming = deque(sorted(publications, key=lambda publication: publication.received_s))
     for number in range(1, round((end_s - start_s) / tick_s) + 1):
         now_s = start_s + number * tick_s
@@ -101,7 +101,7 @@ def feed(
     listening: Listening = ALONE,
     tick_s: float = TICK_S,
 ) -> RateFact:
-    """The meter after all looks."""
+    """The estimator after all polls."""
     facts = [
         meter.look(now_s, samples, replace(listening, complete=len(samples) < depth))
         for now_s, samples in looks(publications, start_s, end_s, depth, tick_s)
@@ -110,12 +110,12 @@ def feed(
 
 
 def quiet(meter: RateEstimator, start_s: float, seconds: float, listening: Listening = ALONE) -> RateFact:
-    """The meter after looks that find nothing."""
+    """The estimator after polls without data."""
     return feed(meter, (), start_s, start_s + seconds, listening=listening)
 
 
 def silent_from(meter: RateEstimator, publications: Sequence[Publication], start_s: float, end_s: float) -> list[float]:
-    """When the verdict of silence began, each time."""
+    """The times at which the verdict of silence began."""
     began, before = [], False
     for now_s, samples in looks(publications, start_s, end_s):
         silent = meter.look(now_s, samples).hz == 0.0

@@ -1,9 +1,9 @@
-"""A real publisher of several topics at once, each at its own rate; runs where the application runs.
+"""A real publisher of several topics, each at its own rate; runs where the application runs.
 
     python tests/fakes/ros_flows.py NODE FILE TOPIC:HZ[:OPTION...]...
 
-Publishes std_msgs/String until it is ended. HZ 0 publishes once. Options: a number is the size of a message in bytes,
-`latched` is transient local, `sim` has the node use the (absent) simulated time, `partition` puts it in one of its own.
+Publishes std_msgs/String until it is terminated. HZ 0 publishes once. Options: a number is the size of a message in bytes,
+`latched` is transient local, `sim` has the node use the (absent) simulated time, `partition` sets a separate DDS partition.
 Each line of FILE is `COUNT SECONDS SUBSCRIPTIONS` of one publication of the first topic.
 """
 

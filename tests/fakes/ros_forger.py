@@ -1,4 +1,4 @@
-"""Sends what is no beacon on the beacons' topic, forged ones of NAME, and greetings of nobody, ten a second.
+"""Sends invalid beacons, forged beacons of NAME, and announcements of unknown nodes on the beacons' topic, ten a second.
 
 python tests/fakes/ros_forger.py NAME
 """
@@ -33,9 +33,9 @@ def main(name: str) -> int:
         '{"witness":1e999}',
     ]
     hello = node.create_publisher(Log, HELLO, 10)
-    nobody = {"witness": "nobody", "period_s": 1.0, "nodes": {"/nan": float("nan"), "/no name": 0, "/late": 1e300}}
+    unknown = {"witness": "unknown", "period_s": 1.0, "nodes": {"/nan": float("nan"), "/no name": 0, "/late": 1e300}}
     while rclpy.ok():
-        for text in (*texts, json.dumps(nobody)):
+        for text in (*texts, json.dumps(unknown)):
             hello.publish(Log(name=HELLO_FORMAT, msg=text))
         for text in texts:
             publisher.publish(Log(name=BEACON_FORMAT, msg=text))

@@ -1,8 +1,8 @@
-"""A real publisher that writes down when it published what, so that a measured rate is compared with the truth.
+"""A real publisher that records its publications, so that a measured rate is compared with the truth.
 
     python tests/fakes/ros_source.py HZ FILE
 
-Publishes std_msgs/String on /agent_1/topic_1 as node /agent_1/source until it is ended; each line of FILE is
+Publishes std_msgs/String on /agent_1/topic_1 as node /agent_1/source until it is terminated; each line of FILE is
 `COUNT SECONDS` of one publication.
 """
 

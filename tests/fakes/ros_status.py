@@ -1,10 +1,10 @@
-"""A real node that speaks or hears diagnostics, in the very form of diagnostic_updater.
+"""A real node that sends or receives diagnostics, in the format of diagnostic_updater.
 
-    python tests/fakes/ros_status.py say NODE < lines of JSON
-    python tests/fakes/ros_status.py hear NODE > lines of JSON
+    python tests/fakes/ros_status.py say NAME < lines of JSON
+    python tests/fakes/ros_status.py hear NAME > lines of JSON
 
-`say`: each line is a list of `[name, level, message, hardware_id, {key: value}]` and is published ten times a second, in place of
-the line before, as one array, reliable and with a queue of one. `hear` prints each array it gets: `[frame_id, [...as above]]`.
+`say`: each line is a list of `[name, level, message, hardware_id, {key: value}]` and is published ten times a second, replacing
+the previous line, as one array, reliable and with a queue of one. `hear` prints each array it gets: `[frame_id, [...as above]]`.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ def _status(name: str, level: int, message: str, hardware_id: str, values: dict[
 
 def hear(node: Node) -> None:
     def take(array: DiagnosticArray) -> None:
-        told = [
+        statuses = [
             [s.name, s.level[0], s.message, s.hardware_id, {pair.key: pair.value for pair in s.values}]
             for s in array.status
         ]
-        sys.stdout.write(json.dumps([array.header.frame_id, told]) + "\n")
+        sys.stdout.write(json.dumps([array.header.frame_id, statuses]) + "\n")
         sys.stdout.flush()
 
     node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)

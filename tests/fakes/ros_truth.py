@@ -1,4 +1,4 @@
-"""What a publisher wrote down of what it really published, so that a measured rate is compared with the truth."""
+"""The recorded publications of a publisher, so that a measured rate is compared with the truth."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from phm.facts import RateFact
 
 
 def true_rate(path: Path, window_s: float) -> float:
-    """In Hz over the last `window_s`, on however busy a machine. path: lines of `COUNT SECONDS`."""
+    """In Hz over the last `window_s`, on a machine under any load. path: lines of `COUNT SECONDS`."""
     lines = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
-    sent = [(int(words[0]), float(words[1])) for words in lines[:-1]]  # the last line may be half written
+    sent = [(int(words[0]), float(words[1])) for words in lines[:-1]]  # the last line may be incomplete
     count, at_s = sent[-1]
     first = next(entry for entry in sent if at_s - entry[1] <= window_s)
     return (count - first[0]) / (at_s - first[1])
 
 
 def within_2_percent(rate: RateFact | None, path: Path) -> bool:
-    """Whether a rate that was measured over at least 2 s is the true one."""
+    """Whether a rate measured over at least 2 s is the true one."""
     if rate is None or rate.hz is None or rate.window_s < 2.0:
         return False
     return rate.hz == pytest.approx(true_rate(path, rate.window_s), rel=0.02)

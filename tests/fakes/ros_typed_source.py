@@ -3,8 +3,8 @@
     python tests/fakes/ros_typed_source.py HZ FILE [garbage]
 
 Node /agent_1/source publishes sensor_msgs Range on /agent_1/plain, Imu on /agent_1/nested and Image, with 20 kB of
-data, on /agent_1/unbounded until it is ended; each line of FILE is `COUNT SECONDS` of one publication of all three. With
-`garbage` what it sends is no message of these types. FILE.readers gets the type hashes of who subscribes to the second.
+data, on /agent_1/unbounded until it is terminated; each line of FILE is `COUNT SECONDS` of one publication of all three. With
+`garbage` its data are invalid for these types. FILE.readers gets the type hashes of the subscribers of the second topic.
 """
 
 from __future__ import annotations

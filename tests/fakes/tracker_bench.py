@@ -1,4 +1,4 @@
-"""A tracker with a hand-driven clock, and small graphs of units for it."""
+"""A tracker with a manual clock, and small graphs of units for it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BAD = error("broken", brief="broken", condition="broken")
 
 @dataclass
 class Bench:
-    """A tracker with a hand-driven clock that collects events."""
+    """A tracker with a manual clock that collects events."""
 
     tracked: list[TrackedUnit]
     now: float = 100.0

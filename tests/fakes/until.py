@@ -1,4 +1,4 @@
-"""The wait of all tests: poll something observable, with a limit that only bounds a failing test."""
+"""The wait of all tests: poll an observable condition, with a limit that only bounds a failing test."""
 
 from __future__ import annotations
 

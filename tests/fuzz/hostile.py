@@ -1,4 +1,4 @@
-"""Hostile data: any JSON, a true document with parts exchanged, and bytes that were cut, flipped or repeated."""
+"""Hostile data: any JSON, a valid document with replaced parts, and bytes that were cut, flipped or repeated."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ DEEP = [b"[" * 50_000, *(b'{"Id": ' + b"[" * depth + b"]" * depth + b"}" for dep
 
 @st.composite
 def damaged(draw: st.DrawFn, document: Any) -> Any:
-    """The document with up to four of its parts exchanged, removed or doubled."""
+    """The document with up to four of its parts replaced, removed or duplicated."""
     made = copy.deepcopy(document)
     for _ in range(draw(st.integers(1, 4))):
         if not isinstance(made, (dict, list)) or not made:
@@ -68,7 +68,7 @@ def _exchange(draw: st.DrawFn, place: Any, key: Any) -> None:
 
 
 def written(document: Any) -> bytes:
-    """As JSON; NaN and infinities stay, as a careless writer leaves them."""
+    """As JSON; NaN and infinities stay, as in sloppy writers."""
     try:
         return json.dumps(document).encode("utf-8", "surrogatepass")
     except (RecursionError, ValueError):  # too deep, or a number too long for its digits
@@ -77,7 +77,7 @@ def written(document: Any) -> bytes:
 
 @st.composite
 def torn(draw: st.DrawFn, data: bytes) -> bytes:
-    """The bytes with some of them cut off, exchanged, put in or repeated."""
+    """The bytes with some of them removed, replaced, inserted or repeated."""
     made = bytearray(data)
     for _ in range(draw(st.integers(1, 4))):
         at = draw(st.integers(0, len(made)))
@@ -96,7 +96,7 @@ def torn(draw: st.DrawFn, data: bytes) -> bytes:
 
 
 def messages(document: Any) -> st.SearchStrategy[bytes]:
-    """Bytes that are to be read as JSON: this document damaged, any JSON, and this document torn."""
+    """Bytes to be parsed as JSON: this document damaged, any JSON, and this document with damaged bytes."""
     return (
         st.sampled_from(DEEP)
         | damaged(document).map(written)

@@ -34,7 +34,7 @@ def main() -> int:
     unknown = sorted(set(options.only) - TARGETS.keys())
     if unknown:
         parser.error(f"there is no target {', '.join(unknown)}; there are: {', '.join(TARGETS)}")
-    logging.disable()  # what the code under test says of hostile data is not the subject
+    logging.disable()  # log messages about hostile data are not tested
     chosen = [target for name, target in TARGETS.items() if not options.only or name in options.only]
     share_s = options.minutes * 60 / len(chosen)
     failures = {target.name: _fuzz(target, share_s, options.seed) for target in chosen}
@@ -46,7 +46,7 @@ def main() -> int:
 
 
 def _fuzz(target: Target, share_s: float, only_seed: int | None) -> int:
-    """Rounds until the time is over; how many found a failure."""
+    """Run rounds until the time is over; return how many failed."""
     end, found = time.monotonic() + share_s, 0
     while found < MAX_FAILURES:
         number = random.SystemRandom().getrandbits(32) if only_seed is None else only_seed
@@ -56,14 +56,14 @@ def _fuzz(target: Target, share_s: float, only_seed: int | None) -> int:
             if isinstance(error, (KeyboardInterrupt, SystemExit)):
                 raise
             found += 1
-            _tell(target, number, error)
+            _report(target, number, error)
         if only_seed is not None or time.monotonic() >= end:
             break
     click.echo(f"{target.name}: {target.cases} cases, {found} failures", err=True)
     return found
 
 
-def _tell(target: Target, number: int, error: BaseException) -> None:
+def _report(target: Target, number: int, error: BaseException) -> None:
     click.echo(f"\n{target.name} FAILED; again: scripts/fuzz --only '{target.name}' --seed {number}")
     click.echo("".join(traceback.format_exception(error)))
 

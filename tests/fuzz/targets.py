@@ -1,6 +1,6 @@
-"""What a fuzz target is: a check that takes whatever its strategies make. Each is one small file beside this one.
+"""The definition of a fuzz target: a check that accepts all data of its strategies. Each is a small file in this directory.
 
-pytest runs a few hundred cases of each; `scripts/fuzz MINUTES` runs them for as long as it is told, with new seeds.
+pytest runs a few hundred cases of each; `scripts/fuzz MINUTES` runs them for that time, with new seeds.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _QUIET = list(HealthCheck)
 
 @dataclass
 class Target:
-    """cases: how many it was given so far in this process."""
+    """cases: how many it has run so far in this process."""
 
     name: str
     check: Callable[..., None]
@@ -29,7 +29,7 @@ class Target:
     cases: int = 0
 
     def run(self, number: int, cases: int) -> None:
-        """Give it so many cases made from a seed. Raises what the check raises, with the smallest case that does in its notes."""
+        """Run that many cases generated from a seed. Raises the error of the check, with its smallest case in the notes."""
 
         def counted(**made: Any) -> None:
             self.cases += 1
@@ -48,7 +48,7 @@ class Target:
 
 
 def folder() -> str:
-    """A folder for what a target keeps for all its cases, gone with the process."""
+    """A directory for files that a target shares between its cases, removed with the process."""
     made = tempfile.mkdtemp(prefix="phm-fuzz-")
     atexit.register(shutil.rmtree, made, ignore_errors=True)
     return made
@@ -58,7 +58,7 @@ TARGETS: dict[str, Target] = {}
 
 
 def fuzzed(name: str, **strategies: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Makes a target of a check, and a test of it."""
+    """Turn a check into a target and a test."""
 
     def wrap(check: Callable[..., None]) -> Callable[..., None]:
         TARGETS[name] = Target(name, check, strategies)

@@ -1,4 +1,4 @@
-"""The control socket: whatever is sent, each answer is one JSON object a line, and the next one who asks is served."""
+"""The control socket: for any request each response line is one JSON object, and the next client is served."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _said(daemon: Daemon, lines: list[bytes]) -> bytes:
 
 @fuzzed("control socket", lines=st.lists(LINES, max_size=4))
 def test_any_request_is_answered_and_the_next_one_served(lines: list[bytes]) -> None:
-    """Carried out or refused in words, also when the other end is gone already."""
+    """Executed or refused with a reason, even if the client is gone already."""
     daemon = _daemon()
     daemon.notes.clear()
     for line in _said(daemon, lines).splitlines():

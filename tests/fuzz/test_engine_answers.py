@@ -1,4 +1,4 @@
-"""What the Docker Engine, or whatever has its socket, answers: inspect, processes, events, tar, and HTTP itself."""
+"""Responses of the Docker Engine, or of any other server on its socket: inspect, processes, events, tar, and HTTP itself."""
 
 from __future__ import annotations
 
@@ -69,10 +69,10 @@ TAR = pack("folder/file", FileCopy(b"words" * 300, 0o755, 1, 2), 1_800_000_000.0
 
 
 @fuzzed("inspect", answer=damaged(INSPECT) | JSON)
-def test_any_inspect_answer_is_a_fact_or_none(answer: Any) -> None:
-    """A fact whose parts have their types, or CannotTell; and the comparison of two moments takes it."""
+def test_any_inspect_response_is_a_fact_or_none(answer: Any) -> None:
+    """A fact whose parts have their types, or CannotTell; and the comparison of two states accepts it."""
     if not isinstance(answer, dict):
-        return  # the client lets only objects through
+        return  # the client accepts only objects
     with contextlib.suppress(CannotTell):
         fact = container_fact(answer)
         assert isinstance(fact, ContainerFact)
@@ -90,33 +90,37 @@ FOUND: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("answer", FOUND)
-def test_lists_that_are_none_are_empty(answer: dict[str, Any]) -> None:
-    """In a part of the answer that nobody needs."""
+def test_invalid_lists_are_empty(answer: dict[str, Any]) -> None:
+    """In a part of the response that is not needed."""
     assert container_fact(answer).id == ID
 
 
 @pytest.mark.parametrize("answer", [{**TOP, "Processes": 7}, {**TOP, "Titles": ["PID", []]}])
-def test_a_process_list_of_another_shape_is_refused(answer: dict[str, Any]) -> None:
-    """With CannotTell, as any answer that makes no sense."""
+def test_a_process_list_of_another_shape_is_rejected(answer: dict[str, Any]) -> None:
+    """With CannotTell, as any invalid response."""
     with pytest.raises(CannotTell):
         processes(answer)
 
 
 @fuzzed("process list", answer=damaged(TOP) | JSON)
 def test_any_process_list_is_facts_or_none(answer: Any) -> None:
-    """Numbers that are none, rows of another length, titles that are no list."""
+    """Invalid numbers, rows of another length, titles that are not a list."""
     if isinstance(answer, dict):
         with contextlib.suppress(CannotTell):
             assert all(fact.pid > 0 for fact in processes(answer))
 
 
 @fuzzed("events", said=st.lists(st.sampled_from([EVENT, NETWORK_EVENT]).flatmap(damaged) | JSON, max_size=6))
-def test_any_event_is_told_or_passed_over(said: list[Any]) -> None:
-    """What is told has the words of a configured container or network, and memory stays bounded."""
-    told: list[DockerEvent] = []
+def test_any_event_is_published_or_ignored(said: list[Any]) -> None:
+    """A published event is about a configured container or network, and memory stays bounded."""
+    published: list[DockerEvent] = []
     chosen = settings(containers=[{"name": "app", "networks": ["net"]}, {"label": "a=b"}])
     watch = ContainerWatcher(
-        cast(DockerEngine, SimpleNamespace(timeout_s=1.0)), chosen.containers, chosen.docker, FakeClock(), told.append
+        cast(DockerEngine, SimpleNamespace(timeout_s=1.0)),
+        chosen.containers,
+        chosen.docker,
+        FakeClock(),
+        published.append,
     )
     for raw in said:
         if isinstance(raw, dict):
@@ -125,7 +129,7 @@ def test_any_event_is_told_or_passed_over(said: list[Any]) -> None:
 
 
 class _Pieces:
-    """A response as far as the tar reader uses it."""
+    """The part of a response that the tar reader uses."""
 
     def __init__(self, data: bytes, size: int) -> None:
         self._data, self._size = data, size
@@ -159,8 +163,8 @@ WHOLE = [
 ]  # fmt: skip
 
 
-class _Stranger:
-    """Listens in the place of the engine and says the same to everybody, whatever is asked."""
+class _FakeServer:
+    """Listens in place of the engine and sends the same response to every request."""
 
     def __init__(self) -> None:
         self.says = b""
@@ -180,15 +184,15 @@ class _Stranger:
 
 
 @cache
-def _stranger() -> tuple[_Stranger, DockerEngine]:
-    made = _Stranger()
+def _fake_server() -> tuple[_FakeServer, DockerEngine]:
+    made = _FakeServer()
     return made, DockerEngine(f"unix://{made.path}", timeout_s=20)
 
 
 @pytest.mark.parametrize("says", [_http(b"[1]"), _http(DEEP[0])])
-def test_an_answer_that_is_no_object_is_an_error_of_the_engine(says: bytes) -> None:
-    """It is not left to the check that asked, nor is one that is nested deeper than can be read."""
-    stranger, engine = _stranger()
+def test_a_response_that_is_not_an_object_is_an_error_of_the_engine(says: bytes) -> None:
+    """It does not reach the check, nor does one that is nested too deeply to be parsed."""
+    stranger, engine = _fake_server()
     stranger.says = says
     for ask in (engine.inspect, engine.inspect_network, engine.top):
         with pytest.raises(CannotTell):
@@ -221,9 +225,9 @@ CALLS: list[Callable[[DockerEngine], object]] = [
     | st.binary(max_size=300),
     call=st.sampled_from(range(len(CALLS))),
 )
-def test_any_answer_ends_as_a_value_or_an_error_of_the_engine(says: bytes, call: int) -> None:
-    """Of the family that checks and recovery know."""
-    stranger, engine = _stranger()
+def test_any_response_ends_as_a_value_or_an_error_of_the_engine(says: bytes, call: int) -> None:
+    """One of the exceptions that checks and recovery know."""
+    stranger, engine = _fake_server()
     stranger.says = says
     with contextlib.suppress(CannotTell):
         CALLS[call](engine)

@@ -1,4 +1,4 @@
-"""The port of `phm gcs --serve`: whatever is sent, in whatever pieces, the next client gets its snapshot."""
+"""The port of `phm gcs --serve`: after any data, in any fragments, the next client gets its snapshot."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _server() -> GcsServer:
 
 
 def _read(server: GcsServer, pieces: list[bytes]) -> bytes:
-    """All that comes until the server ends the connection or has said its first line."""
+    """All data until the server closes the connection or has sent its first line."""
     answer = b""
     with socket.create_connection(server.address, LIMIT_S) as client, contextlib.suppress(OSError):
         for piece in pieces:
@@ -54,7 +54,7 @@ def _read(server: GcsServer, pieces: list[bytes]) -> bytes:
     cuts=st.lists(st.integers(0, 300), max_size=4),
 )
 def test_any_request_gets_an_answer_and_the_next_client_its_snapshot(asked: bytes, cuts: list[int]) -> None:
-    """A known status, the news, or the end of the connection."""
+    """A known status, the events, or the end of the connection."""
     server, ends = _server(), sorted({*cuts, 0, len(asked)})
     pieces = [asked[start:end] for start, end in pairwise(ends)]
     answer = _read(server, pieces)

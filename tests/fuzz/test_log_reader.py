@@ -1,4 +1,4 @@
-"""The log and the status file on a ground computer: torn, foreign and hostile lines."""
+"""The log and the status file on a ground computer: truncated, foreign and hostile lines."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ LINES = st.sampled_from(EVENTS).flatmap(messages) | st.sampled_from(EVENTS).map(
 
 @fuzzed("log reader", lines=st.lists(LINES, max_size=8))
 def test_any_log_is_read(lines: list[bytes]) -> None:
-    """Each line that is an object is an event, episodes can be printed as text and as strict JSON, and nothing raises."""
+    """Each line that is an object is an event, faults can be printed as text and as strict JSON, and nothing raises."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "phm.jsonl").write_bytes(b"\n".join(lines))
         events = list(json_log.read(folder))

@@ -1,4 +1,4 @@
-"""The pipe between the daemon and its ROS child, whose process has read what strangers sent."""
+"""The pipe between the daemon and its ROS child, which processes untrusted data."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STREAMS = st.sampled_from(SENT).flatmap(lambda line: messages(json.loads(line)))
 
 @fuzzed("ROS pipe", line=STREAMS)
 def test_any_line_is_a_message_or_a_protocol_error(line: bytes) -> None:
-    """In both directions; what is a message can be written again."""
+    """In both directions; a valid message can be written again."""
     with contextlib.suppress(pipe.ProtocolError):
         message = pipe.decode(line)
         assert pipe.decode(pipe.encode(message)) == message
@@ -52,8 +52,8 @@ def test_any_line_is_a_message_or_a_protocol_error(line: bytes) -> None:
         max_size=12,
     ),
 )
-def test_lines_are_the_same_however_the_stream_is_cut(pieces: list[bytes]) -> None:
-    """No line is longer than the limit, and each that is too long is counted."""
+def test_lines_do_not_depend_on_the_fragments_of_the_stream(pieces: list[bytes]) -> None:
+    """No line is longer than the limit, and each longer one is counted."""
     cut, whole = LineSplitter(), LineSplitter()
     lines = [line for piece in pieces for line in cut.add(piece)]
     stream = b"".join(pieces)

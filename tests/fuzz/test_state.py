@@ -1,4 +1,4 @@
-"""`state.json` after power cuts, failing disks and other hands."""
+"""`state.json` after power failures, disk errors and changes by other programs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ STATE = PersistedState(
     (FAULT,),
     RecoveryState(
         {"app": (ATTEMPT,)},
-        {"ab12-1": PersistedCase(True, ("told",))},
+        {"ab12-1": PersistedCase(True, ("reported",))},
         {"app": UnfinishedAction("ab12-1", ATTEMPT)},
         {"app": Generation("id", "2026", 990.0, None)},
     ),
@@ -44,8 +44,8 @@ DOCUMENT = encode(STATE, "boot", NOW)
 
 
 @fuzzed("state.json", data=messages(DOCUMENT), boot=st.sampled_from(["boot", "another", ""]))
-def test_any_file_is_read_or_set_aside(data: bytes, boot: str) -> None:
-    """PHM starts; what was believed can be written and believed again, and a file that was not is kept for people."""
+def test_any_file_is_read_or_renamed(data: bytes, boot: str) -> None:
+    """PHM starts; an accepted state can be written and read again, and a rejected file is kept for inspection."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / NAME
         path.write_bytes(data)

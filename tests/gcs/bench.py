@@ -1,4 +1,4 @@
-"""A store on a fake clock, and frames as real agents send them."""
+"""A fleet state on a fake clock, and frames as real agents send them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ ACTIVE, EMERGENCY = 4, 6
 HEALTHY = dict.fromkeys(list(Slot)[:9], Level.OK)
 
 
-def beat(
+def phm_heartbeat(
     agent: int, levels: dict[Slot, Level] | None = None, *, state: int = ACTIVE, component: int = 193
 ) -> Heartbeat:
-    """A heartbeat of PHM: slots 1 to 9 OK but for those given."""
+    """A heartbeat of PHM: slots 1 to 9 OK except the given ones."""
     word = status_word.encode({**HEALTHY, **(levels or {})})
     return Heartbeat(agent, component, 18, 8, 0, word, state)
 
@@ -31,16 +31,16 @@ def pilot(agent: int, *, armed: bool = False, mode: int = 5) -> Heartbeat:
     return Heartbeat(agent, 1, 2, 3, 128 if armed else 0, mode, ACTIVE)
 
 
-def said(agent: int, text: str, severity: int = 2, component: int = 193) -> StatusText:
+def text_frame(agent: int, text: str, severity: int = 2, component: int = 193) -> StatusText:
     return StatusText(agent, component, severity, text)
 
 
-def told(agent: int, message: TunnelMessage) -> TunnelPayload:
+def tunnel_frame(agent: int, message: TunnelMessage) -> TunnelPayload:
     return TunnelPayload(agent, 193, tunnel.PAYLOAD_TYPE, tunnel.encode(message))
 
 
 class Ground:
-    """A store and a clock. `news` is all that it said so far."""
+    """A fleet state and a clock. `news` has all events so far."""
 
     def __init__(self, expected: tuple[int, ...] = ()) -> None:
         self.clock, self.store, self.news = FakeClock(), FleetState(expected, own=(254, 190)), list[GcsEvent]()
@@ -48,13 +48,13 @@ class Ground:
         self.store.tick(self.clock.stamp())
 
     def hear(self, *frames: Frame) -> list[GcsEvent]:
-        """What is new by these frames."""
+        """The events that these frames cause."""
         found = [news for frame in frames for news in self.store.hear(frame, "gcs", self.clock.stamp())]
         self.news += found
         return found
 
     def wait(self, seconds: float, *repeated: Frame, every: float = 2.0) -> list[GcsEvent]:
-        """Time passes, and `repeated` come every so many seconds meanwhile; what was new."""
+        """Advance the time, receive `repeated` every so many seconds, and return the events."""
         found: list[GcsEvent] = []
         steps = round(seconds / 0.25)
         for step in range(1, steps + 1):
@@ -67,21 +67,21 @@ class Ground:
         return found
 
     def agent(self, number: int, component: int = 193) -> dict[str, Any]:
-        """How an agent is."""
+        """The snapshot of an agent."""
         agents = self.store.snapshot(self.clock.stamp())["agents"]
         return next(one for one in agents if (one["agent"], one["component"]) == (number, component))
 
-    def whole(self) -> dict[str, Any]:
+    def snapshot(self) -> dict[str, Any]:
         return self.store.snapshot(self.clock.stamp())
 
 
 def events(news: list[GcsEvent], event: str) -> list[dict[str, Any]]:
-    """Bodies of the news of one kind."""
+    """Bodies of the events of one kind."""
     return [dict(one.body) for one in news if one.event == event]
 
 
 class Wire:
-    """A socket of another program that sends to the station and hears what it says."""
+    """A socket of another program that sends to the station and receives from it."""
 
     def __init__(self, port: int) -> None:
         self.sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -45,8 +45,8 @@ def run(*arguments: str) -> subprocess.Popen[str]:
 
 
 @pytest.fixture(autouse=True)
-def _none_is_left() -> Iterator[None]:
-    """A test that fails leaves no program behind."""
+def _end_processes() -> Iterator[None]:
+    """A failing test leaves no process behind."""
     yield
     while _STARTED:
         started = _STARTED.pop()
@@ -56,8 +56,8 @@ def _none_is_left() -> Iterator[None]:
 
 
 @pytest.fixture
-def voices() -> Iterator[tuple[int, Callable[[], None]]]:
-    """A port for the program, and a function that lets agent 7 say there that node_1 is dead."""
+def agent_7() -> Iterator[tuple[int, Callable[[], None]]]:
+    """A port for the program, and a function that sends as agent 7 that node_1 is dead."""
     port = free_port(socket.SOCK_DGRAM)
     wire, sender = Wire(port), Sender(7, 193)
 
@@ -70,15 +70,15 @@ def voices() -> Iterator[tuple[int, Callable[[], None]]]:
 
 
 def test_the_command_prints_events_until_it_is_terminated(
-    voices: tuple[int, Callable[[], None]], tmp_path: Path
+    agent_7: tuple[int, Callable[[], None]], tmp_path: Path
 ) -> None:
-    """JSON lines; SIGTERM ends it in order, with code 0 and a whole record."""
-    port, speak = voices
+    """JSON lines; SIGTERM ends it in order, with code 0 and a complete record."""
+    port, speak = agent_7
     done = run(f"udpin:127.0.0.1:{port}", "--json", "--record", str(tmp_path / "r.jsonl"))
     lines: list[dict[str, Any]] = []
     assert done.stdout is not None
     while not any(line["event"] == "text" for line in lines):
-        lines.append(json.loads(done.stdout.readline()))  # each line of the start comes by itself
+        lines.append(json.loads(done.stdout.readline()))  # each line of the start arrives by itself
         if lines[-1]["event"] == "link":
             speak()
     assert [line["seq"] for line in lines] == list(range(1, len(lines) + 1))
@@ -91,9 +91,9 @@ def test_the_command_prints_events_until_it_is_terminated(
     assert recorded[-2:] == ["end", "snapshot"]
 
 
-def test_without_a_terminal_events_are_lines_of_text(voices: tuple[int, Callable[[], None]]) -> None:
-    """One line for each piece of news, without a table."""
-    port, speak = voices
+def test_without_a_terminal_events_are_lines_of_text(agent_7: tuple[int, Callable[[], None]]) -> None:
+    """One line for each event, without a table."""
+    port, speak = agent_7
     done = run(f"udpin:127.0.0.1:{port}")
     assert done.stdout is not None
     while "is open" not in done.stdout.readline():
@@ -106,12 +106,12 @@ def test_without_a_terminal_events_are_lines_of_text(voices: tuple[int, Callable
     assert done.returncode == 0
 
 
-def test_a_terminal_gets_a_live_table(voices: tuple[int, Callable[[], None]]) -> None:
-    """Redrawn in place; Ctrl-C gives the terminal back as it was."""
-    port, speak = voices
+def test_a_terminal_gets_a_live_table(agent_7: tuple[int, Callable[[], None]]) -> None:
+    """Redrawn in place; Ctrl-C restores the terminal."""
+    port, speak = agent_7
     ours, theirs = os.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    # The terminal of the pty alone counts, not what the one of these tests says about itself.
+    # Only the terminal of the pty counts, not the environment of these tests.
     asked = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
     done = subprocess.Popen(
         [sys.executable, "-m", "phm.cli", "gcs", f"udpin:127.0.0.1:{port}"],
@@ -131,11 +131,11 @@ def test_a_terminal_gets_a_live_table(voices: tuple[int, Callable[[], None]]) ->
 
     until(lambda: sees(b"no agent received yet"), "the table")
 
-    def told() -> bool:
+    def row_shown() -> bool:
         speak()
         return sees(b"FAIL 6 node_1 dead")
 
-    until(told, "the row")
+    until(row_shown, "the row")
     assert b"\x1b[?1049h" in shown
     done.send_signal(signal.SIGINT)
     until(lambda: sees(b"\x1b[?1049l"), "the end")
@@ -143,20 +143,20 @@ def test_a_terminal_gets_a_live_table(voices: tuple[int, Callable[[], None]]) ->
     os.close(ours)
 
 
-def test_the_exit_code_of_once_shows_whether_all_agents_are_ok(voices: tuple[int, Callable[[], None]]) -> None:
+def test_the_exit_code_of_once_shows_whether_all_agents_are_ok(agent_7: tuple[int, Callable[[], None]]) -> None:
     """Without agents the exit code is 1; the snapshot of `--json` is one object."""
-    port, _ = voices
+    port, _ = agent_7
     alone = run(f"udpin:127.0.0.1:{port}", "--once", "--for", "0.3", "--json", "--expect", "1-2")
     output, errors = alone.communicate(timeout=60)
     assert (alone.returncode, errors) == (1, "")
     whole = json.loads(output)
     assert [(one["name"], one["how"]) for one in whole["agents"]] == [("A01", "UNKNOWN"), ("A02", "UNKNOWN")]
-    nobody = run(f"udpin:127.0.0.1:{port}", "--once", "--for", "0.3")
-    output, _ = nobody.communicate(timeout=60)
-    assert (nobody.returncode, "no agent received yet" in output) == (1, True)
+    without_agents = run(f"udpin:127.0.0.1:{port}", "--once", "--for", "0.3")
+    output, _ = without_agents.communicate(timeout=60)
+    assert (without_agents.returncode, "no agent received yet" in output) == (1, True)
 
 
-def test_a_bare_name_is_recorded_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bare_name_is_recorded_in_the_current_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`--record NAME` writes NAME where the program was started."""
     monkeypatch.chdir(tmp_path)
     done = run(f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}", "--record", "flight.jsonl", "--for", "0.3")
@@ -178,7 +178,7 @@ def test_a_record_that_cannot_be_written_is_reported_without_a_terminal(tmp_path
 
 
 def test_unread_output_does_not_delay_the_record(tmp_path: Path) -> None:
-    """The record goes on, and one SIGTERM ends the program."""
+    """Recording continues, and one SIGTERM ends the program."""
     port, path = free_port(socket.SOCK_DGRAM), tmp_path / "r.jsonl"
     done = run(f"udpin:127.0.0.1:{port}", "--json", "--record", str(path))
     wire, senders = Wire(port), [Sender(number, 193) for number in range(1, 11)]
@@ -190,7 +190,7 @@ def test_unread_output_does_not_delay_the_record(tmp_path: Path) -> None:
         number += 1
         for sender in senders:
             wire.send(sender.frame(text(f"{'x' * 40} {number}")))
-        return path.stat().st_size > 300_000  # four times what a pipe takes
+        return path.stat().st_size > 300_000  # four times the capacity of a pipe
 
     until(speak, "the record")
     done.send_signal(signal.SIGTERM)
@@ -199,7 +199,7 @@ def test_unread_output_does_not_delay_the_record(tmp_path: Path) -> None:
     wire.sock.close()
 
 
-def test_a_taken_port_is_one_sentence(tmp_path: Path) -> None:
+def test_a_port_in_use_is_one_sentence(tmp_path: Path) -> None:
     """Exit code 1 and what to do; the same for the port of `--serve`."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock, socket.create_server(("127.0.0.1", 0)) as server:
         sock.bind(("127.0.0.1", 0))
@@ -226,7 +226,7 @@ def test_a_taken_port_is_one_sentence(tmp_path: Path) -> None:
         (("--for", "0"), "x>0"),
     ],
 )
-def test_a_mistake_is_an_error_of_usage(arguments: tuple[str, ...], words: str) -> None:
+def test_invalid_arguments_are_a_usage_error(arguments: tuple[str, ...], words: str) -> None:
     """Exit code 2, before anything is opened."""
     from click.testing import CliRunner
 
@@ -236,8 +236,8 @@ def test_a_mistake_is_an_error_of_usage(arguments: tuple[str, ...], words: str) 
     assert (result.exit_code, words in result.output) == (2, True), result.output
 
 
-def test_a_key_that_others_can_read_is_refused(tmp_path: Path) -> None:
-    """As the agents refuse it, by the name that the option has here."""
+def test_a_key_that_others_can_read_is_rejected(tmp_path: Path) -> None:
+    """As by the agents, with the name that the option has here."""
     from click.testing import CliRunner
 
     from phm.cli import group

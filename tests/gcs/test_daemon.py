@@ -1,4 +1,4 @@
-"""Real agents on loopback, heard by the ground as a whole: station, record and command line."""
+"""Real agents on loopback, received by the complete ground station: station, record and command line."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ KEY = bytes(range(1, 33))
 
 
 class SlowClock(SystemClock):
-    """A companion computer without a battery: years behind."""
+    """A companion computer without an RTC battery: years behind."""
 
     def utc(self) -> float:
         return super().utc() - 9e7
 
 
 def agent(folder: Path, number: int, url: str, *, key: Path | None = None, engine: bool = False) -> Daemon:
-    """A PHM. engine: it has a container, and an engine that is not there."""
+    """A PHM. engine: it has a configured container, and an engine that is not running."""
     docker = {"docker": {"socket": f"unix://{folder}/none.sock"}, "containers": [{"name": "app"}]} if engine else {}
     made = settings(
         agent={"id": number},
@@ -72,7 +72,7 @@ def endpoints(*urls: str, key: Path | None = None) -> MavlinkSettings:
 
 
 class Router:
-    """What each peer of one UDP port sends goes to all others, as a router without rules does it."""
+    """Forwards what each peer of one UDP port sends to all others, as a router without rules does."""
 
     def __init__(self) -> None:
         self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -93,7 +93,7 @@ class Router:
         while not self._stop.is_set():
             try:
                 data, sender = self._sock.recvfrom(65535)
-            except OSError:  # nothing for a moment, or a peer that is gone
+            except OSError:  # no data for a moment, or a peer that is gone
                 continue
             self._peers.add(sender)
             for peer in self._peers - {sender}:
@@ -102,7 +102,7 @@ class Router:
 
 
 class Scene:
-    """Agent 7, whose engine is missing, agent 8 and the ground, all at one router."""
+    """Agent 7, whose engine is missing, agent 8 and the ground, all connected to one router."""
 
     def __init__(self, folder: Path, key: Path | None = None) -> None:
         self.router = Router()
@@ -110,8 +110,8 @@ class Scene:
         self.agents = {7: agent(folder, 7, url, key=key, engine=True), 8: agent(folder, 8, url, key=key)}
         clock = SystemClock()
         self.station = GroundStation(endpoints(url, key=key), 254, clock)
-        self.outlet = SubscriberQueue(clock)
-        self.station.subscribe(self.outlet)
+        self.queue = SubscriberQueue(clock)
+        self.station.subscribe(self.queue)
         self.seen: list[dict[str, Any]] = []
 
     def start(self) -> None:
@@ -130,7 +130,7 @@ class Scene:
         return next((one for one in agents if one["agent"] == number), {"how": None, "view": None, "line": None})
 
     def events(self, event: str) -> list[dict[str, Any]]:
-        self.seen += [json.loads(item.line) for item in self.outlet.take(0.0)]
+        self.seen += [json.loads(item.line) for item in self.queue.take(0.0)]
         return [body for body in self.seen if body["event"] == event]
 
 
@@ -143,7 +143,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 
 
 def test_two_real_agents_are_found_and_shown(scene: Scene, tmp_path: Path) -> None:
-    """Slots, lines, views and the digest of agents whose clocks are years behind; one ends on purpose, one is killed."""
+    """Slots, lines, views and the digest of agents whose clocks are years behind; one is stopped, one is killed."""
     until(lambda: scene.of(7)["how"] == "ERROR" and scene.of(8)["how"] in ("OK", "WARN"), "both agents")
     until(lambda: any(bad["slot"] == 2 for bad in scene.of(7)["bad"]), "the line of the fault")
     assert scene.of(7)["slots"]["2"] == "ERROR"
@@ -159,13 +159,13 @@ def test_two_real_agents_are_found_and_shown(scene: Scene, tmp_path: Path) -> No
     until(lambda: scene.of(8)["how"] == "LEFT", "the farewell")
     hub = scene.agents[7].components.probes.mavlink
     assert hub is not None
-    hub.close()  # as a killed process: no farewell
+    hub.close()  # as a killed process: no goodbye
     until(lambda: scene.of(7)["how"] == "LOST", "the loss")
     assert (scene.of(7)["slots"], scene.of(7)["last_slots"]["2"]) == ({}, "ERROR")
 
 
-def test_with_a_key_only_what_is_signed_counts(tmp_path: Path) -> None:
-    """Agents whose clocks are behind take the time from the ground, and their tunnels are believed; a forger's are not."""
+def test_with_a_key_only_signed_frames_count(tmp_path: Path) -> None:
+    """Agents with slow clocks take the time from the ground, and their tunnels are accepted; forged ones are not."""
     key = tmp_path / "key"
     key.write_text(KEY.hex())
     key.chmod(0o600)
@@ -186,7 +186,7 @@ def test_with_a_key_only_what_is_signed_counts(tmp_path: Path) -> None:
 
 
 def test_the_record_can_be_read_back(scene: Scene, tmp_path: Path) -> None:
-    """Numbers without a gap, stamps of the ground, a snapshot at the end; a torn last line harms nothing."""
+    """Numbers without a gap, timestamps of the ground, a snapshot at the end; a truncated last line does not matter."""
     path = tmp_path / "record" / "flight.jsonl"
     book = Recorder(str(path), scene.station, SystemClock())
     book.start()
@@ -205,7 +205,7 @@ def test_the_record_can_be_read_back(scene: Scene, tmp_path: Path) -> None:
     assert book.about() == ""
 
 
-# ---------------------------------------------------------------- the station's own manners
+# ---------------------------------------------------------------- what the station sends
 
 
 @pytest.fixture
@@ -230,7 +230,7 @@ def wired() -> Iterator[Callable[..., tuple[GroundStation, Wire]]]:
 
 
 def test_the_station_sends_heartbeats_like_a_ground_station(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
-    """Type GCS, 254/190, and nothing but heartbeats."""
+    """Type GCS, 254/190, and only heartbeats."""
     _, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
     heard = until(lambda: (wire.hear() + wire.hear() + wire.hear()) or None, "a heartbeat")
@@ -240,7 +240,7 @@ def test_the_station_sends_heartbeats_like_a_ground_station(wired: Callable[...,
 
 
 def test_a_silent_station_sends_nothing(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
-    """It hears all the same."""
+    """It still receives."""
     station, wire = wired(silent=True)
     sender = Sender(7, 193)
     wire.send(sender.frame(heartbeat(1 << 30)))
@@ -249,7 +249,7 @@ def test_a_silent_station_sends_nothing(wired: Callable[..., tuple[GroundStation
 
 
 def test_another_program_with_our_id_is_reported(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
-    """Frames of our own that come back from a router are not: those were ours."""
+    """Our own frames that a router echoes are not reported."""
     station, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
     own = until(lambda: wire.hear() or None, "a heartbeat of ours")[0]
@@ -263,7 +263,7 @@ def test_another_program_with_our_id_is_reported(wired: Callable[..., tuple[Grou
 
 
 def test_a_flood_does_not_affect_other_senders(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
-    """Of a sender that says too much only its own frames are dropped; garbage between them changes nothing."""
+    """Only frames of the flooding sender are dropped; garbage in between changes nothing."""
     station, wire = wired()
     loud, calm = Sender(9, 193), Sender(7, 193)
     for number in range(600):
@@ -276,10 +276,10 @@ def test_a_flood_does_not_affect_other_senders(wired: Callable[..., tuple[Ground
 
 @pytest.mark.parametrize("silent", [False, True], ids=["speaks", "silent"])
 def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
-    """By ArduPilot's rule, which the simulated one has. When its port closes, the hop is the ground's own link."""
+    """By ArduPilot's rule, which the simulated one follows. When its port closes, the hop is the ground's own link."""
     companion, ground = free_port(), free_port()
-    aboard = Autopilot(7, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{ground}", armed=True)
-    thread = threading.Thread(target=aboard.run, daemon=True)
+    vehicle = Autopilot(7, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{ground}", armed=True)
+    thread = threading.Thread(target=vehicle.run, daemon=True)
     thread.start()
     station = GroundStation(endpoints(f"tcp:127.0.0.1:{ground}"), 254, SystemClock(), silent=silent)
     station.start()
@@ -289,11 +289,11 @@ def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
         return station.snapshot()[1].body
 
     try:
-        with socket.create_connection(("127.0.0.1", companion), 5) as phm_aboard:
+        with socket.create_connection(("127.0.0.1", companion), 5) as phm_socket:
 
             def speak(times: int) -> bool:
                 for _ in range(times):
-                    phm_aboard.sendall(sender.frame(heartbeat(0x40025D55)))
+                    phm_socket.sendall(sender.frame(heartbeat(0x40025D55)))
                     time.sleep(0.15)  # its period, which is learned
                 return bool(body()["pilots"])
 
@@ -301,12 +301,12 @@ def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
             if not silent:
                 until(lambda: speak(1) and body()["agents"], "what is passed on")
             speak(8)
-            aboard.armed = False
-            # Sent behind all that was passed on, by the same stream.
+            vehicle.armed = False
+            # Sent after all forwarded frames, on the same stream.
             until(lambda: not body()["pilots"]["7"]["armed"], "its next heartbeat")
             assert [one["name"] for one in body()["agents"]] == ([] if silent else ["A07"])
     finally:
-        aboard.stop()
+        vehicle.stop()
         thread.join(5.0)
     until(lambda: body()["links"] and not body()["links"][0]["open"], "the loss of the link")
     if not silent:

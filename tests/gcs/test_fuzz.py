@@ -16,12 +16,12 @@ from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.wire import tunnel
 from tests.fakes.mavlink import Sender, heartbeat, text
-from tests.gcs.bench import HEALTHY, Ground, beat
+from tests.gcs.bench import HEALTHY, Ground, phm_heartbeat
 
 HARD = hypothesis_settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 NUMBERS = st.integers(0, 2**32 - 1)
 BYTE = st.integers(0, 255)
-BEATS = st.builds(
+HEARTBEATS = st.builds(
     lambda kind, pilot, mode, word, state: mavlink.MAVLink_heartbeat_message(kind, pilot, mode, word, state, 3),
     st.sampled_from([18, 6, 2, 255]),
     st.sampled_from([8, 3, 255]),
@@ -46,8 +46,8 @@ RADIOS = st.builds(lambda *levels: mavlink.MAVLink_radio_status_message(*levels,
 SENDERS = st.tuples(st.sampled_from([0, 7, 8, 51, 250, 251, 255]), st.sampled_from([0, 1, 190, 193, 255]))
 
 
-class Air:
-    """Bytes of a link on their way to the store, as the station takes them."""
+class Link:
+    """Bytes of a link on their way to the fleet state, processed as in the station."""
 
     def __init__(self) -> None:
         self.ground = Ground()
@@ -62,51 +62,51 @@ class Air:
                 assert describe_with_time(news).isprintable()
 
     def look(self) -> None:
-        """Everything that is made of it can be made."""
+        """Every output can be generated."""
         for news in self.ground.wait(1):
             assert describe_with_time(news).isprintable()
-        whole = {**self.ground.whole(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
-        json.dumps(whole, allow_nan=False)
-        Console(file=io.StringIO(), width=80).print(table.render(whole, height=24))
-        assert len(whole["agents"]) <= 256
+        snapshot = {**self.ground.snapshot(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
+        json.dumps(snapshot, allow_nan=False)
+        Console(file=io.StringIO(), width=80).print(table.render(snapshot, height=24))
+        assert len(snapshot["agents"]) <= 256
 
 
 @HARD
-@given(st.lists(st.tuples(SENDERS, BEATS | TEXTS | TUNNELS | RADIOS), max_size=30))
-def test_whatever_is_rightly_framed_is_taken(sent: list[tuple[tuple[int, int], object]]) -> None:
-    """Any fields, from anybody."""
-    air = Air()
+@given(st.lists(st.tuples(SENDERS, HEARTBEATS | TEXTS | TUNNELS | RADIOS), max_size=30))
+def test_any_valid_frame_is_accepted(sent: list[tuple[tuple[int, int], object]]) -> None:
+    """Any fields, from any sender."""
+    link = Link()
     for (system, component), message in sent:
-        air.feed(Sender(system, component).frame(message))
-        air.ground.clock.advance(0.5)
-    air.look()
+        link.feed(Sender(system, component).frame(message))
+        link.ground.clock.advance(0.5)
+    link.look()
 
 
 @HARD
 @given(st.lists(st.binary(max_size=80) | st.integers(0, 400), max_size=20), st.integers())
 def test_garbage_and_damaged_frames_change_nothing(pieces: list[bytes | int], seed: int) -> None:
-    """Between good frames of an agent: its row is what it says, and no other row appears."""
-    air, agent, luck = Air(), Sender(7, 193), random.Random(seed)
+    """Between valid frames of an agent: its row shows its reports, and no other row appears."""
+    link, agent, luck = Link(), Sender(7, 193), random.Random(seed)
     good = heartbeat(0x40025D55)
     for piece in pieces:
         if isinstance(piece, bytes):
-            air.feed(bytes(byte for byte in piece if byte not in (0xFD, 0xFE)))
+            link.feed(bytes(byte for byte in piece if byte not in (0xFD, 0xFE)))
         else:
             frame = bytearray(Sender(8, 193).frame(text("A08 FAIL 6 node_1 dead")))
             frame[luck.randrange(10, len(frame))] ^= 1 << luck.randrange(8)
-            air.feed(bytes(frame))
-        air.feed(agent.frame(good))
-    for _ in range(20):  # a length that promises more is waited for: good frames follow on a link that lives
-        air.feed(agent.frame(good))
-    air.look()
-    assert [one["agent"] for one in air.ground.whole()["agents"]] == [7]
-    assert air.ground.agent(7)["slots"]["6"] == "ERROR"
+            link.feed(bytes(frame))
+        link.feed(agent.frame(good))
+    for _ in range(20):  # the parser waits for an announced length: valid frames follow on a live link
+        link.feed(agent.frame(good))
+    link.look()
+    assert [one["agent"] for one in link.ground.snapshot()["agents"]] == [7]
+    assert link.ground.agent(7)["slots"]["6"] == "ERROR"
 
 
-def test_others_cannot_change_an_agents_row() -> None:
-    """Frames of all other senders, with lines about this agent: its row stays."""
+def test_other_senders_cannot_change_the_row_of_an_agent() -> None:
+    """Frames of all other senders, with lines about this agent: its row does not change."""
     ground, luck = Ground(), random.Random(1)
-    ground.hear(beat(7))
+    ground.hear(phm_heartbeat(7))
     before = {**ground.agent(7), "age_s": None}
     for _ in range(2000):
         system, component = luck.randrange(256), luck.randrange(256)
@@ -117,7 +117,7 @@ def test_others_cannot_change_an_agents_row() -> None:
         )
         ground.hear(frames.StatusText(system, component, 2, words))
     assert {**ground.agent(7), "age_s": None} == before
-    assert ground.whole()["swarm"] is None
+    assert ground.snapshot()["swarm"] is None
     assert before["slots"] == {str(int(slot)): "OK" for slot in HEALTHY}
 
 
@@ -125,7 +125,7 @@ def test_others_cannot_change_an_agents_row() -> None:
 
 
 def test_a_sender_uses_up_its_own_share() -> None:
-    """A burst and a rate; it comes back with time, and the others do not notice."""
+    """A burst and a rate; it recovers with time, and the others are unaffected."""
     ingress = IngressFilter()
     taken = sum(ingress.allow((9, 1), 100.0) for _ in range(5000))
     assert taken == BURST
@@ -134,8 +134,8 @@ def test_a_sender_uses_up_its_own_share() -> None:
     assert ingress.allow((9, 1), 100.1)
 
 
-def test_invented_senders_share_one_limit() -> None:
-    """And those that are known already go on."""
+def test_forged_senders_share_one_limit() -> None:
+    """And those that are known already continue."""
     ingress = IngressFilter()
     ingress.allow((7, 193), 100.0)
     taken = sum(ingress.allow((system, component), 100.0) for system in range(20) for component in range(200, 250))
@@ -144,8 +144,8 @@ def test_invented_senders_share_one_limit() -> None:
     assert ingress.refused == 1000 - taken
 
 
-def test_a_copy_by_another_link_is_one() -> None:
-    """The same bytes by the same link are not: a sender may not count its frames."""
+def test_copies_by_two_links_count_once() -> None:
+    """Equal bytes on the same link do not count as a copy: a sender may not count its frames."""
     ingress = IngressFilter()
     assert not ingress.is_copy(b"frame", "a", 1.0)
     assert ingress.is_copy(b"frame", "b", 1.1)

@@ -1,4 +1,4 @@
-"""The record survives what disks do, and says what is missing."""
+"""The record tolerates disk problems and lists its gaps."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def numbers(path: Path) -> list[int]:
     return [event["seq"] for event in json_log.read(path) if event["event"] == "said"]
 
 
-def test_it_is_rotated_and_capped(tmp_path: Path) -> None:
-    """A week on the ground fills no disk: the oldest lines go, the newest are all there."""
+def test_the_record_is_rotated_with_a_size_limit(tmp_path: Path) -> None:
+    """A week on the ground fills no disk: the oldest lines are deleted, the newest are complete."""
     source, path = Source(), tmp_path / "flight.jsonl"
     book = made(path, source, max_size=20_000, files=2)
     for number in range(1, 1001):
@@ -38,7 +38,7 @@ def test_it_is_rotated_and_capped(tmp_path: Path) -> None:
 
 
 def test_a_failing_disk_is_reported_and_lost_lines_are_counted(tmp_path: Path) -> None:
-    """The newest lines wait in memory; when it works again, an event replaces the others."""
+    """The newest lines wait in memory; when the disk works again, an event replaces the others."""
     source, folder = Source(), tmp_path / "sd"
     folder.write_text("no folder")
     book = made(folder / "flight.jsonl", source)
@@ -54,8 +54,8 @@ def test_a_failing_disk_is_reported_and_lost_lines_are_counted(tmp_path: Path) -
     assert numbers(folder / "flight.jsonl") == list(range(501, 1501))
 
 
-def test_a_snapshot_comes_again_and_again(tmp_path: Path) -> None:
-    """So that what was rotated away is not needed to know how all were."""
+def test_a_snapshot_is_recorded_periodically(tmp_path: Path) -> None:
+    """So that the state of all agents is known without the rotated lines."""
     source, path = Source(), tmp_path / "flight.jsonl"
     book = made(path, source)
     book._snapshot_at = 0.0

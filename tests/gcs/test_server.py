@@ -1,4 +1,4 @@
-"""Other programs get a snapshot and then the news, over TCP and HTTP; none of them can delay or fill the ground."""
+"""Other programs get a snapshot and then the events, over TCP and HTTP; none of them can delay or fill the ground."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from tests.fakes.until import until
 
 
 class Source:
-    """As much of a station as the server uses. Its snapshot is the number of the last news."""
+    """The part of a station that the server uses. Its snapshot is the number of the last event."""
 
     def __init__(self) -> None:
         self._queues: list[SubscriberQueue] = []
         self._number, self._clock = 0, SystemClock()
 
-    def subscribe(self, outlet: SubscriberQueue) -> None:
-        self._queues.append(outlet)
+    def subscribe(self, queue: SubscriberQueue) -> None:
+        self._queues.append(queue)
 
     def snapshot(self) -> tuple[int, GcsEvent]:
         return self._number, GcsEvent(self._clock.stamp(), "snapshot", {"agents": []})
@@ -38,13 +38,13 @@ class Source:
     def say(self, text: str = "x") -> int:
         self._number += 1
         news = GcsEvent(self._clock.stamp(), "said", {"text": text})
-        for outlet in self._queues:
-            outlet.put(QueuedEvent(self._number, news, self.line(self._number, news)))
+        for queue in self._queues:
+            queue.put(QueuedEvent(self._number, news, self.line(self._number, news)))
         return self._number
 
 
 class Client:
-    """A TCP client; `lines` are the events that came so far."""
+    """A TCP client; `lines` has the events so far."""
 
     def __init__(self, server: GcsServer, request: bytes = b"", *, window: int | None = None) -> None:
         self.sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -85,7 +85,7 @@ Connect = Callable[..., Client]
 
 @pytest.fixture
 def connect(server: GcsServer) -> Iterator[Connect]:
-    """Makes clients, and closes them."""
+    """Create clients, and close them at the end."""
     made: list[Client] = []
 
     def make(request: bytes = b"", *, window: int | None = None) -> Client:
@@ -109,8 +109,10 @@ def url(server: GcsServer, path: str) -> str:
     return f"http://127.0.0.1:{server.address[1]}{path}"
 
 
-def test_a_silent_client_gets_a_snapshot_and_then_the_news(server: GcsServer, connect: Connect, source: Source) -> None:
-    """Without a gap and without one twice, whenever it comes."""
+def test_a_silent_client_gets_a_snapshot_and_then_the_events(
+    server: GcsServer, connect: Connect, source: Source
+) -> None:
+    """Without gaps or duplicates, whenever it connects."""
     for _ in range(5):
         source.say()
     client = connect()
@@ -124,7 +126,7 @@ def test_a_silent_client_gets_a_snapshot_and_then_the_news(server: GcsServer, co
 
 
 def test_http_streams_the_same_lines(server: GcsServer, connect: Connect, source: Source) -> None:
-    """A head, then the lines; also for a client that closes its side after it has asked."""
+    """A header, then the lines; also for a client that closes its sending side after the request."""
     client = connect(b"GET / HTTP/1.1\r\nHost: localhost:1\r\n\r\n")
     client.sock.shutdown(socket.SHUT_WR)
     until(client.events, "the snapshot")
@@ -150,7 +152,9 @@ def test_http_gives_one_snapshot(server: GcsServer) -> None:
     ],
     ids=["path", "method", "nonsense", "a web page elsewhere", "too long"],
 )
-def test_what_is_not_served_is_refused(server: GcsServer, connect: Connect, request_: bytes, status: bytes) -> None:
+def test_an_unsupported_request_is_rejected(
+    server: GcsServer, connect: Connect, request_: bytes, status: bytes
+) -> None:
     """With a status that says why, and closed."""
     client = connect(request_)
     until(lambda: client.read() and client.closed, "the end")
@@ -158,8 +162,10 @@ def test_what_is_not_served_is_refused(server: GcsServer, connect: Connect, requ
     assert server.about().endswith("to 0, 0 dropped as too slow")
 
 
-def test_half_a_request_has_a_deadline(server: GcsServer, connect: Connect, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A client cannot keep a place by sending little."""
+def test_an_incomplete_request_has_a_deadline(
+    server: GcsServer, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client cannot occupy a place by sending little."""
     monkeypatch.setattr("phm.gcs.server.REQUEST_S", 0.2)
     client = connect(b"GET / HT")
     until(lambda: client.read() and client.closed, "the end")
@@ -170,7 +176,7 @@ def test_half_a_request_has_a_deadline(server: GcsServer, connect: Connect, monk
 def test_a_client_that_does_not_read_is_dropped(
     server: GcsServer, connect: Connect, source: Source, monkeypatch: pytest.MonkeyPatch, limit: str
 ) -> None:
-    """By what waits for it, or by how long; the others get every line meanwhile."""
+    """By the size or the age of its backlog; the others get every line in the meantime."""
     monkeypatch.setattr(f"phm.gcs.server.{limit}", {"MAX_BACKLOG": 200_000, "STUCK_S": 0.3}[limit])
     slow, quick = connect(window=4096), connect()
     until(lambda: slow.events() and quick.events(), "both snapshots")
@@ -188,8 +194,8 @@ def test_a_client_that_does_not_read_is_dropped(
     assert server.dropped == 1
 
 
-def test_too_many_clients_are_refused(server: GcsServer, connect: Connect, source: Source) -> None:
-    """Those that are served stay; one that has gone makes room."""
+def test_too_many_clients_are_rejected(server: GcsServer, connect: Connect, source: Source) -> None:
+    """Connected clients stay; a disconnected one makes room."""
     clients = [connect() for _ in range(MAX_CLIENTS)]
     for client in clients:
         until(client.events, "the snapshot")
@@ -222,7 +228,7 @@ def _served(connect: Connect) -> bool:
     return client.data.startswith(b"{")
 
 
-def test_a_stream_without_news_shows_that_it_lives(
+def test_a_stream_without_events_has_keepalives(
     server: GcsServer, connect: Connect, source: Source, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A client can distinguish silence from a broken connection."""
@@ -232,7 +238,7 @@ def test_a_stream_without_news_shows_that_it_lives(
     until(lambda: [event for event in client.events() if event["event"] == "alive"], "a sign of life")
 
 
-def test_serving_ends_with_the_program(server: GcsServer, connect: Connect) -> None:
+def test_the_server_ends_with_the_program(server: GcsServer, connect: Connect) -> None:
     """Its clients see the end, and the port is free again."""
     client = connect()
     until(client.events, "the snapshot")

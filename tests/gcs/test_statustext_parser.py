@@ -1,4 +1,4 @@
-"""Lines of PHM are read back as what they were made of, and lines of others are not."""
+"""Lines of PHM are parsed into their parts, and lines of other programs are not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def read(text: str) -> ParsedLine:
     return found
 
 
-def test_a_change_says_agent_word_slot_and_words() -> None:
+def test_a_state_change_has_agent_level_slot_and_text() -> None:
     """As `bad`, `gave_up` and `advise` write them, also of agents with three digits."""
     found = read(status_line.failing(7, Level.ERROR, Slot.NODES, "node_1 dead"))
     assert (found.kind, found.agent, found.word, found.slot, found.text) == (
@@ -38,8 +38,8 @@ def test_a_change_says_agent_word_slot_and_words() -> None:
 
 
 @pytest.mark.parametrize("by", ["", "itself", "restart", "a-long-action"])
-def test_what_is_over_names_what_was_bad(by: str) -> None:
-    """Whatever ended it; where the line had to be cut, the cut name is recognized."""
+def test_a_recovery_line_has_the_recovered_brief(by: str) -> None:
+    """For any way of recovery; if the line was truncated, the truncated name is recognized."""
     for brief in ("node_1 dead", "x" * 20 + "y" * 18):
         line = read(status_line.recovered(250, Slot.USER_1, brief, by))
         assert line.recovered
@@ -49,7 +49,7 @@ def test_what_is_over_names_what_was_bad(by: str) -> None:
 
 @pytest.mark.parametrize("by", ["itself", "restart", "free_disk", "a-long-action"])
 def test_a_recovery_names_the_unit_that_failed(by: str) -> None:
-    """By its name alone, also where the line about the failure was cut; a unit with a longer name is another one."""
+    """By its name, even if the line about the failure was truncated; a unit with a longer name is another one."""
     line = read(status_line.recovered(250, Slot.NODES, "node_1 dead", by, "node_1"))
     assert line.recovered == "node_1"
     assert line.resolves("node_1 dead")
@@ -64,8 +64,8 @@ def test_the_result_of_an_operators_request_resolves_no_failure() -> None:
     assert not line.resolves("ros_app exited")
 
 
-def test_a_refresh_says_how_many_are_bad() -> None:
-    """Only one that knows of a single bad unit says so; digits at the end of a name are no count."""
+def test_a_refresh_has_the_number_of_bad_units() -> None:
+    """Only one with a single bad unit names it; digits at the end of a name are not a count."""
     bad = [unit("a", Slot.NODES, Level.ERROR, brief="node +1x"), unit("b", Slot.NODES, Level.WARN, brief="slow")]
     assert read(status_line.refresh(1, [unit("a", Slot.NODES)])).kind is LineKind.REFRESH
     one = read(status_line.refresh(1, bad[:1]))
@@ -84,7 +84,7 @@ def test_lines_of_the_leader_are_parsed() -> None:
 
 
 def test_a_swarm_line_names_agents_that_are_not_ok() -> None:
-    """Unless it had no room for all."""
+    """Unless it had no room for all of them."""
     many = dict.fromkeys(range(1, 20), (Level.ERROR, "lost"))
     assert statustext_parser.unhealthy_agents(read(digest.digest_line(many))) is None
     assert statustext_parser.unhealthy_agents(
@@ -119,5 +119,5 @@ def test_a_swarm_line_names_agents_that_are_not_ok() -> None:
     ],
 )
 def test_lines_of_other_programs_are_not_parsed(text: str) -> None:
-    """Nor what only looks alike, with numbers that no agent and no slot has."""
+    """Nor similar lines with numbers that no agent and no slot has."""
     assert statustext_parser.parse(text) is None

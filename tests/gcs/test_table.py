@@ -1,4 +1,4 @@
-"""The table says on 80 columns who is how, and nothing that is not known."""
+"""The table shows the state of each agent in 80 columns, and marks what is unknown."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from phm.gcs import table
 from phm.gcs.frames import RadioStatus
 from phm.wire import status_word
 from phm.wire.tunnel import PeerState, PeerView, SwarmDigest
-from tests.gcs.bench import Ground, beat, pilot, said, told
+from tests.gcs.bench import Ground, phm_heartbeat, pilot, text_frame, tunnel_frame
 
 
 def drawn(ground: Ground, *, width: int = 80, height: int | None = None, events: Sequence[str] = ()) -> list[str]:
-    """The lines of the table as a terminal of this width shows them."""
+    """The lines of the table on a terminal of this width."""
     stream = io.StringIO()
     target = Console(file=stream, width=width, highlight=False, markup=False, emoji=False)
-    snapshot = {**ground.whole(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
+    snapshot = {**ground.snapshot(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
     target.print(table.render(snapshot, events, height=height))
     return [line.rstrip() for line in stream.getvalue().splitlines()]
 
@@ -31,20 +31,22 @@ def row(lines: list[str], name: str) -> str:
 
 @pytest.fixture
 def ground() -> Ground:
-    """Agent 1 is well, 2 has a dead node, 3 is lost here and heard by 1, 4 is only known of, 7 lost its companion, 100 is new."""
+    """Agent 1 is OK, 2 has a dead node, 3 is lost here and received by 1, 4 is only reported, 7 lost its companion, 100 is new."""
     made = Ground()
-    made.hear(*(beat(number) for number in (1, 3, 7)), pilot(1, armed=True), pilot(2), pilot(7))
-    made.hear(said(7, "A07 OK 11111111", 6))
+    made.hear(*(phm_heartbeat(number) for number in (1, 3, 7)), pilot(1, armed=True), pilot(2), pilot(7))
+    made.hear(text_frame(7, "A07 OK 11111111", 6))
     heard = PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.ALIVE})
-    bad = beat(2, {Slot.NODES: Level.ERROR, Slot.HOST: Level.WARN, Slot.FILES: Level.STALE})
-    made.wait(30, beat(1), bad, told(1, heard), pilot(1, armed=True), pilot(2), pilot(7))
-    made.hear(said(2, "A02 FAIL 6 node_1 dead"), beat(100, {Slot.AUTOPILOT: Level.OK, Slot.USER_1: Level.OK}))
-    made.hear(said(1, "SWARM 1/5 FAIL A07:lost A02:ROS", 6), told(1, SwarmDigest(5, 3, {4: Level.WARN})))
+    bad = phm_heartbeat(2, {Slot.NODES: Level.ERROR, Slot.HOST: Level.WARN, Slot.FILES: Level.STALE})
+    made.wait(30, phm_heartbeat(1), bad, tunnel_frame(1, heard), pilot(1, armed=True), pilot(2), pilot(7))
+    made.hear(
+        text_frame(2, "A02 FAIL 6 node_1 dead"), phm_heartbeat(100, {Slot.AUTOPILOT: Level.OK, Slot.USER_1: Level.OK})
+    )
+    made.hear(text_frame(1, "SWARM 1/5 FAIL A07:lost A02:ROS", 6), tunnel_frame(1, SwarmDigest(5, 3, {4: Level.WARN})))
     return made
 
 
 def test_each_agent_has_its_row(ground: Ground) -> None:
-    """Slots, level, age, autopilot, hop and line; what is not heard is a question mark in every place."""
+    """Slots, level, age, autopilot, hop and line; unknown values are question marks."""
     lines = drawn(ground)
     assert lines[0] == "phm gcs 254/190  6 agents: 1 ERROR, 2 LOST, 1 UNKNOWN, 2 OK"
     assert lines[1].startswith("agent 12345678 9012 345 is      age  fc   broken at")
@@ -62,20 +64,22 @@ def test_each_agent_has_its_row(ground: Ground) -> None:
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 200])
-def test_it_is_never_wider_than_the_terminal(ground: Ground, width: int) -> None:
-    """One row an agent, whatever names and texts there are."""
-    ground.hear(said(2, "A02 FAIL 6 " + "n" * 38))
+def test_the_table_is_never_wider_than_the_terminal(ground: Ground, width: int) -> None:
+    """One row per agent, whatever names and texts there are."""
+    ground.hear(text_frame(2, "A02 FAIL 6 " + "n" * 38))
     lines = drawn(ground, width=width, events=["x" * 300])
     assert max(map(len, lines)) <= width
     if width >= 80:
         assert sum(line.startswith("A") for line in lines) == 6
 
 
-def test_a_short_terminal_shows_those_in_trouble() -> None:
-    """In their order, and counts the others; the picture is never higher than the terminal."""
+def test_a_short_terminal_shows_agents_with_problems() -> None:
+    """In their order, and the number of the others; the output is never higher than the terminal."""
     ground = Ground()
     bad = {5: Slot.FILES, 77: Slot.NODES}
-    ground.hear(*(beat(number, {bad[number]: Level.ERROR} if number in bad else None) for number in range(1, 101)))
+    ground.hear(
+        *(phm_heartbeat(number, {bad[number]: Level.ERROR} if number in bad else None) for number in range(1, 101))
+    )
     lines = drawn(ground, height=24, events=[f"news {number}" for number in range(20)])
     assert len(lines) <= 24
     assert row(lines, "A05")
@@ -86,8 +90,8 @@ def test_a_short_terminal_shows_those_in_trouble() -> None:
     assert lines[-1] == "news 19"
 
 
-def test_before_anybody_is_heard_it_says_so() -> None:
-    """An empty table does not look like a healthy swarm."""
+def test_the_table_says_that_no_agent_was_received_yet() -> None:
+    """An empty table must not look like a healthy swarm."""
     ground = Ground()
     ground.store.links({}, ground.clock.stamp())
     lines = drawn(ground)
@@ -95,9 +99,9 @@ def test_before_anybody_is_heard_it_says_so() -> None:
     assert "links: opening; other ground stations: none" in lines
 
 
-def test_names_from_the_air_cannot_steer_the_terminal(ground: Ground) -> None:
-    """Also where a text never came through the reader."""
-    ground.hear(said(2, "A02 FAIL 6 \x1b[2J\u202enode"))
+def test_received_names_cannot_control_the_terminal(ground: Ground) -> None:
+    """Even if a text bypassed the parser."""
+    ground.hear(text_frame(2, "A02 FAIL 6 \x1b[2J\u202enode"))
     assert not any("\x1b" in line or "\u202e" in line for line in drawn(ground, width=200))
 
 
@@ -110,8 +114,8 @@ def test_ages_are_short(seconds: float | None, shown: str) -> None:
     assert table.age(seconds) == shown
 
 
-def test_letters_are_those_of_the_word() -> None:
-    """Every slot has its place: each level of each slot is shown there and nowhere else."""
+def test_letters_are_those_of_the_status_word() -> None:
+    """Each level of each slot is shown in its own place and nowhere else."""
     for level, letter in ((Level.OK, "+"), (Level.WARN, "W"), (Level.ERROR, "E")):
         for slot in Slot:
             levels = {

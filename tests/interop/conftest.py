@@ -1,4 +1,4 @@
-"""A vehicle, and whatever is connected to it; all of it ends with the test."""
+"""A vehicle and programs that connect to it; all of them end with the test."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SomeProgram = TypeVar("SomeProgram", bound=Program)
 
 @pytest.fixture
 def vehicle(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Vehicle]:
-    """Unsigned, or by the passphrase that a test gives as the parameter `vehicle`."""
+    """Unsigned, or signed with the passphrase that a test gives as the parameter `vehicle`."""
     made = Vehicle(tmp_path, getattr(request, "param", ""))
     yield made
     made.close()
@@ -25,7 +25,7 @@ def vehicle(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Vehicle]
 
 @pytest.fixture
 def ends(vehicle: Vehicle) -> Iterator[Callable[[SomeProgram], SomeProgram]]:
-    """Give it a program: it is ended with the test, before the vehicle."""
+    """A function that registers a program: it ends with the test, before the vehicle."""
     with ExitStack() as stack:
 
         def end_with_the_test(program: SomeProgram) -> SomeProgram:

@@ -1,4 +1,4 @@
-"""Runs in .venv-interop: as `mavsdk_watch.py`, but with the gRPC client, which talks to a `mavsdk_server` of its own."""
+"""Runs in .venv-interop: like `mavsdk_watch.py`, but with the gRPC client, which starts its own `mavsdk_server`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from mavsdk_grpc import System
 
 
-def tell(kind: str, **more: Any) -> None:
+def emit(kind: str, **more: Any) -> None:
     sys.stdout.write(json.dumps({"kind": kind, **more}) + "\n")
     sys.stdout.flush()
 
@@ -24,23 +24,23 @@ def free_port() -> int:
 
 async def texts(system: System) -> None:
     async for text in system.telemetry.status_text():
-        tell("text", severity=text.type.name, text=text.text)
+        emit("text", severity=text.type.name, text=text.text)
 
 
 async def armed(system: System) -> None:
     async for value in system.telemetry.armed():
-        tell("armed", value=value)
+        emit("armed", value=value)
 
 
 async def connected(system: System) -> None:
     async for state in system.core.connection_state():
-        tell("connected", value=state.is_connected)
+        emit("connected", value=state.is_connected)
 
 
 async def main(url: str) -> None:
     system = System(port=free_port())
     await system.connect(system_address=url)
-    tell("ready")
+    emit("ready")
     await asyncio.gather(texts(system), armed(system), connected(system))
 
 

@@ -1,5 +1,5 @@
-"""Runs in .venv-interop: connects with MAVSDK as a ground station, prints what it is told as JSON lines, and sends what is
-asked for on its standard input (`COMPONENT COMMAND PARAM1 PARAM2`) as COMMAND_LONG.
+"""Runs in .venv-interop: connects with MAVSDK as a ground station, prints received data as JSON lines, and sends each
+line of its standard input (`COMPONENT COMMAND PARAM1 PARAM2`) as COMMAND_LONG.
 
 ``python mavsdk_watch.py tcpout://127.0.0.1:5760 [URL...]``
 """
@@ -20,14 +20,14 @@ SHOWN = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "TUNNEL", "ONBOARD_COMPUTER_S
 _print = threading.Lock()
 
 
-def tell(kind: str, **more: Any) -> None:
+def emit(kind: str, **more: Any) -> None:
     with _print:
         sys.stdout.write(json.dumps({"kind": kind, **more}) + "\n")
         sys.stdout.flush()
 
 
 def message(heard: MavlinkMessage, _: Any) -> None:
-    tell(
+    emit(
         "message",
         name=heard.message_name,
         system=heard.system_id,
@@ -46,14 +46,14 @@ def main(urls: list[str]) -> None:
     if system is None:
         sys.exit(f"MAVSDK saw no autopilot within {FOUND_LIMIT_S:g} s")
     telemetry, direct = Telemetry(system), MavlinkDirect(system)
-    system.subscribe_is_connected(lambda connected, _: tell("connected", value=connected))
-    telemetry.subscribe_status_text(lambda text, _: tell("text", severity=text.type.name, text=text.text))
-    telemetry.subscribe_armed(lambda armed, _: tell("armed", value=bool(armed)))
+    system.subscribe_is_connected(lambda connected, _: emit("connected", value=connected))
+    telemetry.subscribe_status_text(lambda text, _: emit("text", severity=text.type.name, text=text.text))
+    telemetry.subscribe_armed(lambda armed, _: emit("armed", value=bool(armed)))
     for name in SHOWN:
         direct.subscribe_message(name, message)
 
     def look() -> None:
-        tell(
+        emit(
             "system",
             count=sdk.system_count(),
             id=system.get_system_id(),
@@ -64,7 +64,7 @@ def main(urls: list[str]) -> None:
             connected=system.is_connected(),
         )
 
-    tell("ready", version=sdk.version())
+    emit("ready", version=sdk.version())
     look()
     for line in sys.stdin:
         if line.strip() == "look":

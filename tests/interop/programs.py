@@ -1,4 +1,4 @@
-"""Ground software of others as real processes, from the environment that `scripts/venv interop` makes."""
+"""Ground software of other projects as real processes, from the environment that `scripts/venv interop` creates."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KEPT = 20_000
 
 
 class Program:
-    """One process in a group of its own, which ends with `close`; `lines` holds what it has printed so far."""
+    """One process in its own process group, ended by `close`; `lines` has its output so far."""
 
     def __init__(self, words: list[str], folder: Path, python: Path = BIN / "python") -> None:
         assert python.exists(), f"there is no {python}: run scripts/venv interop"
@@ -57,16 +57,16 @@ class Program:
         return [line for line in list(self.lines) if part in line]
 
     def wait_for(self, part: str) -> str:
-        """The first line with `part` in it, once it is there."""
-        found: list[str] = until(lambda: self.printed(part), f"a line with {part!r}", self.told)
+        """Wait for the first line that contains `part`, and return it."""
+        found: list[str] = until(lambda: self.printed(part), f"a line with {part!r}", self.last_lines)
         return found[0]
 
-    def told(self) -> str:
-        """The last lines, for a failure's message."""
+    def last_lines(self) -> str:
+        """The last lines, for a failure message."""
         return "\n".join(list(self.lines)[-30:])
 
     def close(self) -> None:
-        """End the group; whoever does not go is killed. MAVProxy, when it is typed into, goes at the end of its input alone."""
+        """End the process group, with SIGKILL after a while. MAVProxy with a pipe as input ends only at the end of its input."""
         with contextlib.suppress(OSError, ValueError):
             if self._process.stdin is not None:
                 self._process.stdin.close()
@@ -79,7 +79,7 @@ class Program:
 
 
 class Mavproxy(Program):
-    """A MAVProxy without windows: an operator types into it with `say`."""
+    """A MAVProxy without windows: a test types into it with `say`."""
 
     def __init__(self, folder: Path, *words: str) -> None:
         folder.mkdir()
@@ -87,19 +87,19 @@ class Mavproxy(Program):
         super().__init__([*script, *words], folder)
 
     def texts(self) -> list[str]:
-        """The STATUSTEXTs that its console has shown."""
+        """The STATUSTEXTs on its console so far."""
         return [line.partition("AP: ")[2] for line in self.printed("AP: ")]
 
 
 class Watcher(Program):
-    """MAVSDK in a process; `news` holds what it was told, as records with a `kind`."""
+    """MAVSDK in a process; `news` has what it received, as records with a `kind`."""
 
     def __init__(self, script: str, folder: Path, *urls: str) -> None:
         folder.mkdir()
         super().__init__([str(Path(__file__).with_name(script)), *urls], folder)
 
     def news(self, kind: str, **more: Any) -> list[dict[str, Any]]:
-        """Those of a kind whose keys have these values."""
+        """The records of a kind whose keys have these values."""
         records = [json.loads(line) for line in list(self.lines) if line.startswith("{")]
         return [
             record
@@ -108,5 +108,5 @@ class Watcher(Program):
         ]
 
     def wait_news(self, kind: str, **more: Any) -> dict[str, Any]:
-        found: list[dict[str, Any]] = until(lambda: self.news(kind, **more), f"{kind} {more}", self.told)
+        found: list[dict[str, Any]] = until(lambda: self.news(kind, **more), f"{kind} {more}", self.last_lines)
         return found[0]

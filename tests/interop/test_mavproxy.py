@@ -27,7 +27,7 @@ Ends = Callable[[Mavproxy], Mavproxy]
 
 
 class Asking(Ground):
-    """A ground station that asks, and keeps what it is answered."""
+    """A ground station that sends commands, and keeps the answers."""
 
     def __init__(self, url: str) -> None:
         super().__init__(url, system=OTHER)
@@ -44,13 +44,13 @@ class Asking(Ground):
 
 @pytest.fixture
 def proxy(vehicle: Vehicle, ends: Ends, tmp_path: Path) -> Callable[..., Mavproxy]:
-    """Starts a MAVProxy at the vehicle's ground port, with these words."""
+    """Start a MAVProxy on the vehicle's ground port, with these arguments."""
     return lambda *words: ends(Mavproxy(tmp_path / "proxy", f"--master=tcp:127.0.0.1:{vehicle.port}", *words))
 
 
 @pytest.fixture
 def behind(proxy: Callable[..., Mavproxy]) -> Iterator[tuple[Mavproxy, Asking]]:
-    """A MAVProxy with `--out`, and a ground station there."""
+    """A MAVProxy with `--out`, and a ground station behind it."""
     port = free_port(socket.SOCK_DGRAM)
     ground = Asking(f"udpin:127.0.0.1:{port}")
     ground.start()
@@ -60,8 +60,10 @@ def behind(proxy: Callable[..., Mavproxy]) -> Iterator[tuple[Mavproxy, Asking]]:
     ground.stop()
 
 
-def test_the_console_shows_phm_once_the_target_component_is_0(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
-    """By default it shows the autopilot's text alone, from the moment at which it knows the autopilot."""
+def test_the_console_shows_phm_after_target_component_is_set_to_0(
+    vehicle: Vehicle, proxy: Callable[..., Mavproxy]
+) -> None:
+    """By default it shows only the autopilot's text, from the moment when it knows the autopilot."""
     console = proxy()
     console.wait_for(ONLINE)
     beside = Ground(f"tcp:127.0.0.1:{vehicle.port}", system=OTHER)
@@ -69,14 +71,14 @@ def test_the_console_shows_phm_once_the_target_component_is_0(vehicle: Vehicle, 
     try:
         vehicle.break_container()
         until(lambda: [line for line in beside.lines if line.text.startswith(FAIL)], "PHM's line on this port")
-        # The autopilot's answer left after the line, on the same connection.
+        # The autopilot's answer was sent after the line, on the same connection.
         beside.arm(SYSTEM, armed=True)
         console.wait_for("ARMED")
         assert not [line for line in console.texts() if line.startswith(FAIL)]
         console.say("set target_component 0")
         console.say("set target_component")
         console.wait_for("target_component 0")
-        vehicle.mend_container()
+        vehicle.repair_container()
         console.wait_for(f"AP: {FIXED}")
     finally:
         beside.stop()
@@ -92,14 +94,14 @@ def test_a_target_system_on_the_command_line_shows_all_severities(
         console.wait_for(f"AP: {line}")
     vehicle.break_container()
     console.wait_for(f"AP: {FAIL}")
-    vehicle.mend_container()
+    vehicle.repair_container()
     console.wait_for(f"AP: {FIXED}")
 
 
-def test_the_setting_does_nothing_before_the_autopilot_is_known(
+def test_the_setting_has_no_effect_before_the_autopilot_is_known(
     proxy: Callable[..., Mavproxy], vehicle: Vehicle
 ) -> None:
-    """As `--cmd`, it is overwritten by the first heartbeat of the autopilot; typed after that, it stays."""
+    """With `--cmd` it is overwritten by the first heartbeat of the autopilot; typed after that, it stays."""
     console = proxy("--cmd", "set target_component 0")
     console.wait_for(ONLINE)
     console.say("set target_component")
@@ -114,7 +116,7 @@ def test_the_setting_does_nothing_before_the_autopilot_is_known(
 def test_phm_changes_neither_mode_nor_arming_nor_acknowledgements(
     vehicle: Vehicle, proxy: Callable[..., Mavproxy]
 ) -> None:
-    """The status word is where an autopilot has its mode, and all components are addressed: one answer comes, the autopilot's."""
+    """PHM's status word is in the mode field, and a command to all components has one answer, the autopilot's."""
     console = proxy(f"--target-system={SYSTEM}")
     console.wait_for("Mode LOITER")
     console.wait_for(f"Detected vehicle {SYSTEM}:{COMPONENT}")
@@ -132,14 +134,14 @@ def test_phm_changes_neither_mode_nor_arming_nor_acknowledgements(
     assert len(answers) == 2 and all(line.endswith("ACCEPTED") for line in answers)
 
 
-def test_it_shows_the_vehicle_that_it_is_set_to_alone(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
-    """Another agent's lines, on the same port, are shown once the console is switched over to that agent."""
+def test_only_the_selected_vehicle_is_shown(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """Lines of another agent on the same port are shown after the console is switched to that agent."""
     console = proxy(f"--target-system={SYSTEM}")
     console.wait_for(f"AP: {ERROR}")
     other = Sender(8, COMPONENT)
     with socket.create_connection(("127.0.0.1", vehicle.companion)) as companion:
         companion.sendall(other.frame(text("A08 FAIL 6 node_1 dead", 2)))
-        vehicle.break_container()  # told later, on the same way
+        vehicle.break_container()  # reported later, by the same route
         console.wait_for(f"AP: {FAIL}")
         console.say("vehicle 8:0")
         console.say("set target_system")
@@ -150,7 +152,7 @@ def test_it_shows_the_vehicle_that_it_is_set_to_alone(vehicle: Vehicle, proxy: C
 
 
 def test_an_operator_commands_phm_by_its_component(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
-    """`long` goes to the target component; what the configuration does not allow is DENIED, and the console says so."""
+    """`long` goes to the target component; a command without permission is DENIED, and the console says so."""
     console = proxy(f"--target-system={SYSTEM}")
     console.wait_for("Mode LOITER")
     console.say(f"set target_component {COMPONENT}")
@@ -159,8 +161,8 @@ def test_an_operator_commands_phm_by_its_component(vehicle: Vehicle, proxy: Call
 
 
 @pytest.mark.parametrize("vehicle", [PASSPHRASE], indirect=True)
-def test_the_key_of_its_passphrase_is_phms(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
-    """Signed lines are shown with and without the key; a command is obeyed with it alone."""
+def test_the_passphrase_of_mavproxy_gives_the_key_of_phm(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """Signed lines are shown with and without the key; a command is accepted only with it."""
     console = proxy(f"--target-system={SYSTEM}")
     console.wait_for("Mode LOITER")
     console.wait_for(f"AP: {ERROR}")
@@ -175,7 +177,9 @@ def test_the_key_of_its_passphrase_is_phms(vehicle: Vehicle, proxy: Callable[...
     console.wait_for(f"AP: {FAIL}")
 
 
-def test_a_ground_station_behind_it_reads_all_that_phm_says(vehicle: Vehicle, behind: tuple[Mavproxy, Asking]) -> None:
+def test_a_ground_station_behind_it_receives_everything_from_phm(
+    vehicle: Vehicle, behind: tuple[Mavproxy, Asking]
+) -> None:
     """Status word and lines pass `--out` unchanged, although its own console does not show them."""
     console, ground = behind
     vehicle.break_container()
@@ -188,8 +192,8 @@ def test_a_ground_station_behind_it_reads_all_that_phm_says(vehicle: Vehicle, be
     assert not [line for line in console.texts() if line.startswith(FAIL)]
 
 
-def test_a_ground_station_behind_it_is_heard_and_answered(vehicle: Vehicle, behind: tuple[Mavproxy, Asking]) -> None:
-    """PHM hears its heartbeat, sends it the full state, and acknowledges its request to it alone."""
+def test_a_ground_station_behind_it_is_received_and_answered(vehicle: Vehicle, behind: tuple[Mavproxy, Asking]) -> None:
+    """PHM receives its heartbeat, sends it the full state, and acknowledges its request to it alone."""
     _, ground = behind
     until(lambda: [line for line in ground.lines if line.text.startswith(ERROR)], "the full state")
     until(lambda: (OTHER, 190) in vehicle.senders(), "its heartbeat at PHM", lambda: vehicle.senders())
@@ -205,8 +209,10 @@ def test_a_ground_station_behind_it_is_heard_and_answered(vehicle: Vehicle, behi
     assert (answer.target_system, answer.target_component) == (OTHER, 190)
 
 
-def test_two_ground_stations_behind_it_do_not_hear_each_other(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
-    """Each is heard by PHM and reads the vehicle; a swarm's agents need another way to each other than `--out`."""
+def test_two_ground_stations_behind_it_do_not_receive_each_other(
+    vehicle: Vehicle, proxy: Callable[..., Mavproxy]
+) -> None:
+    """Each is received by PHM and receives the vehicle; `--out` does not connect the agents of a swarm."""
     ports = [free_port(socket.SOCK_DGRAM), free_port(socket.SOCK_DGRAM)]
     grounds = [Ground(f"udpin:127.0.0.1:{port}", system=OTHER + place) for place, port in enumerate(ports)]
     for ground in grounds:
@@ -227,7 +233,7 @@ def test_two_ground_stations_behind_it_do_not_hear_each_other(vehicle: Vehicle, 
 def test_phm_gcs_behind_it_shows_the_vehicle(
     vehicle: Vehicle, proxy: Callable[..., Mavproxy], ends: Callable[[Program], Program], tmp_path: Path
 ) -> None:
-    """As the operator starts it beside the pilot's MAVProxy: slots and lines of an agent that nobody named, and PHM hears it."""
+    """Started beside the pilot's MAVProxy without a list of agents: it shows slots and lines, and PHM receives it."""
     port = free_port(socket.SOCK_DGRAM)
     words = ["-m", "phm.cli", "gcs", "--json", f"udpin:127.0.0.1:{port}"]
     station = ends(Program(words, tmp_path, Path(sys.executable)))
@@ -236,16 +242,24 @@ def test_phm_gcs_behind_it_shows_the_vehicle(
     until(lambda: (254, 190) in vehicle.senders(), "its heartbeat at PHM", lambda: vehicle.senders())
     vehicle.break_container()
 
-    def told(event: str) -> list[dict[str, Any]]:
+    def records(event: str) -> list[dict[str, Any]]:
         news = [json.loads(line) for line in list(station.lines)]
         return [record for record in news if record["event"] == event and record["agent"] == SYSTEM]
 
-    until(lambda: [record for record in told("text") if record["text"].startswith(FAIL)], "the line", station.told)
-    until(lambda: [record for record in told("slots") if record["slots"]["2"] == "ERROR"], "the slot", station.told)
+    until(
+        lambda: [record for record in records("text") if record["text"].startswith(FAIL)],
+        "the line",
+        station.last_lines,
+    )
+    until(
+        lambda: [record for record in records("slots") if record["slots"]["2"] == "ERROR"],
+        "the slot",
+        station.last_lines,
+    )
 
 
-def test_a_dead_autopilot_is_told_by_phm_and_by_the_link(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
-    """Where PHM has a way of its own to the ground, its heartbeats do not pass for the autopilot's."""
+def test_a_dead_autopilot_is_reported_by_phm_and_by_the_link(vehicle: Vehicle, proxy: Callable[..., Mavproxy]) -> None:
+    """If PHM has its own link to the ground, its heartbeats are not taken for the autopilot's."""
     console = proxy(f"--master=tcp:127.0.0.1:{vehicle.direct}", f"--target-system={SYSTEM}")
     console.wait_for("Mode LOITER")
     console.wait_for(f"Detected vehicle {SYSTEM}:{COMPONENT}")

@@ -1,4 +1,4 @@
-"""MAVSDK as a ground station at a vehicle with PHM: the native library, and the gRPC client with its `mavsdk_server`."""
+"""MAVSDK as a ground station of a vehicle with PHM: the native library, and the gRPC client with its `mavsdk_server`."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def watcher(vehicle: Vehicle, ends: Ends, tmp_path: Path) -> Watcher:
     return made
 
 
-def told(watcher: Watcher, severity: str, begin: str) -> bool:
-    """Whether a status text of this severity begins so."""
+def received(watcher: Watcher, severity: str, begin: str) -> bool:
+    """Whether a status text of this severity with this prefix was received."""
     return any(record["text"].startswith(begin) for record in watcher.news("text", severity=severity))
 
 
@@ -43,25 +43,25 @@ def told(watcher: Watcher, severity: str, begin: str) -> bool:
 def test_status_text_has_every_line_with_its_severity(
     vehicle: Vehicle, ends: Ends, tmp_path: Path, script: str
 ) -> None:
-    """CRITICAL, ERROR, WARNING, NOTICE and INFO arrive under their names, without any setting, and signed without a key."""
+    """CRITICAL, ERROR, WARNING, NOTICE and INFO arrive with their severity, without any setting, and signed without a key."""
     watcher = ends(Watcher(script, tmp_path / "mavsdk", url(vehicle)))
-    # What was told before MAVSDK knew the system and the program subscribed is lost to it.
-    until(lambda: told(watcher, "INFO", REFRESH), REFRESH, lambda: watcher.news("text"))
+    # Lines sent before MAVSDK knew the system and the program subscribed are lost.
+    until(lambda: received(watcher, "INFO", REFRESH), REFRESH, lambda: watcher.news("text"))
     beside = Ground(f"tcp:127.0.0.1:{vehicle.port}", system=250)
-    beside.start()  # A ground station that appears has the full state told again.
+    beside.start()  # For a new ground station the full state is sent again.
     try:
-        until(lambda: told(watcher, "WARNING", WARN), WARN, lambda: watcher.news("text"))
-        until(lambda: told(watcher, "ERROR", ERROR), ERROR, lambda: watcher.news("text"))
+        until(lambda: received(watcher, "WARNING", WARN), WARN, lambda: watcher.news("text"))
+        until(lambda: received(watcher, "ERROR", ERROR), ERROR, lambda: watcher.news("text"))
     finally:
         beside.stop()
     vehicle.break_container()
-    until(lambda: told(watcher, "CRITICAL", FAIL), FAIL, lambda: watcher.news("text"))
-    vehicle.mend_container()
-    until(lambda: told(watcher, "NOTICE", FIXED), FIXED, lambda: watcher.news("text"))
+    until(lambda: received(watcher, "CRITICAL", FAIL), FAIL, lambda: watcher.news("text"))
+    vehicle.repair_container()
+    until(lambda: received(watcher, "NOTICE", FIXED), FIXED, lambda: watcher.news("text"))
 
 
-def test_the_system_is_the_vehicle_and_phm_is_a_component_of_it(vehicle: Vehicle, watcher: Watcher) -> None:
-    """One system, found by its autopilot, with both components; its kind is the autopilot's, not PHM's."""
+def test_the_system_is_the_vehicle_and_phm_is_one_of_its_components(vehicle: Vehicle, watcher: Watcher) -> None:
+    """One system, discovered by its autopilot, with both components; its type is the autopilot's, not PHM's."""
 
     def both() -> list[dict[str, object]]:
         watcher.say("look")
@@ -72,46 +72,52 @@ def test_the_system_is_the_vehicle_and_phm_is_a_component_of_it(vehicle: Vehicle
     assert (seen["kind_of"], seen["vehicle"], seen["connected"]) == ("ARDUPILOT", "MULTICOPTER", True)
 
 
-def test_the_status_word_rides_in_the_heartbeat(vehicle: Vehicle, watcher: Watcher) -> None:
-    """MAVSDK hands out heartbeats as they are, so a program of the operator's can read the word."""
+def test_the_status_word_is_part_of_the_heartbeat(vehicle: Vehicle, watcher: Watcher) -> None:
+    """MAVSDK provides unmodified heartbeats, so an operator's program can read the word."""
     vehicle.break_container()
 
     def words() -> list[int]:
-        beats = watcher.news("message", name="HEARTBEAT", system=SYSTEM, component=COMPONENT)
-        found = [int(beat["fields"]["custom_mode"]) for beat in beats if beat["fields"]["system_status"] == 6]
+        heartbeats = watcher.news("message", name="HEARTBEAT", system=SYSTEM, component=COMPONENT)
+        found = [
+            int(heartbeat["fields"]["custom_mode"])
+            for heartbeat in heartbeats
+            if heartbeat["fields"]["system_status"] == 6
+        ]
         return [word for word in found if status_word.decode(word).get(Slot.CONTAINER) is Level.ERROR]
 
     assert status_word.decode(until(words, "the word", lambda: watcher.news("message"))[0])[Slot.HOST] is Level.ERROR
 
 
-def test_phm_changes_neither_arming_nor_what_the_vehicle_is(vehicle: Vehicle, watcher: Watcher) -> None:
-    """While PHM's word changes, MAVSDK goes on to show the autopilot's arming."""
+def test_phm_changes_neither_arming_nor_the_type_of_the_vehicle(vehicle: Vehicle, watcher: Watcher) -> None:
+    """While PHM's status word changes, MAVSDK still shows the autopilot's arming."""
     vehicle.pilot.armed = True
     watcher.wait_news("armed", value=True)
     vehicle.break_container()
-    until(lambda: told(watcher, "CRITICAL", FAIL), FAIL)
+    until(lambda: received(watcher, "CRITICAL", FAIL), FAIL)
     since = len(watcher.news("armed"))
     until(lambda: len(watcher.news("armed")) > since + 2, "more about arming")
     flags = [record["value"] for record in watcher.news("armed")]
     assert all(flags[flags.index(True) :]), "PHM's heartbeat disarmed the vehicle in MAVSDK"
 
 
-def test_a_dead_autopilot_is_told_by_phm_alone(vehicle: Vehicle, ends: Ends, tmp_path: Path) -> None:
-    """Where PHM has a way of its own to the ground, MAVSDK takes any component's heartbeat for a connection."""
+def test_a_dead_autopilot_is_reported_by_phm_only(vehicle: Vehicle, ends: Ends, tmp_path: Path) -> None:
+    """If PHM has its own link to the ground, MAVSDK accepts any component's heartbeat as a connection."""
     both = url(vehicle), f"tcpout://127.0.0.1:{vehicle.direct}"
     watcher = ends(Watcher("mavsdk_watch.py", tmp_path / "mavsdk", *both))
     watcher.wait_news("ready")
     vehicle.pilot.hung = True
     until(
-        lambda: told(watcher, "ERROR", "A07 FAIL 10 autopilot: no heartbeat"), "the line", lambda: watcher.news("text")
+        lambda: received(watcher, "ERROR", "A07 FAIL 10 autopilot: no heartbeat"),
+        "the line",
+        lambda: watcher.news("text"),
     )
 
-    def beats() -> int:
+    def heartbeats() -> int:
         return len(watcher.news("message", name="HEARTBEAT", component=COMPONENT))
 
-    # MAVSDK takes a system for lost after 3 s without a heartbeat; these come twice a second.
-    before = beats()
-    until(lambda: beats() >= before + 10, "ten more of PHM's heartbeats")
+    # MAVSDK considers a system lost after 3 s without a heartbeat; these come twice a second.
+    before = heartbeats()
+    until(lambda: heartbeats() >= before + 10, "ten more of PHM's heartbeats")
     looked = len(watcher.news("system"))
 
     def still_connected() -> bool:
@@ -122,8 +128,8 @@ def test_a_dead_autopilot_is_told_by_phm_alone(vehicle: Vehicle, ends: Ends, tmp
 
 
 def test_commands_to_phm_are_acknowledged(vehicle: Vehicle, watcher: Watcher) -> None:
-    """A line, a fault's details, and a refusal, each by MavlinkDirect, each answered by PHM."""
-    until(lambda: told(watcher, "INFO", REFRESH), REFRESH, lambda: watcher.news("text"))
+    """A line, details of a fault, and a refusal, each by MavlinkDirect, each answered by PHM."""
+    until(lambda: received(watcher, "INFO", REFRESH), REFRESH, lambda: watcher.news("text"))
     watcher.say(f"{COMPONENT} 512 385 0")
     answer = watcher.wait_news("message", name="COMMAND_ACK", component=COMPONENT)["fields"]
     assert (answer["command"], answer["result"]) == (512, 0)

@@ -1,4 +1,4 @@
-"""A vehicle for ground software of others: a whole PHM beside a simulated autopilot, and faults of each severity."""
+"""A vehicle for ground software of other projects: a complete PHM beside a simulated autopilot, and faults of each severity."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WARN, ERROR = "A07 WARN 9 disk", "A07 FAIL 9 memory"
 
 
 def _signed(folder: Path, passphrase: str) -> dict[str, object]:
-    """What signing adds to the configuration."""
+    """The configuration keys for signing."""
     if not passphrase:
         return {}
     key = folder / "mavlink.key"
@@ -31,10 +31,10 @@ def _signed(folder: Path, passphrase: str) -> dict[str, object]:
 
 
 class Vehicle:
-    """Vehicle 7: the autopilot's ground port is `tcp:127.0.0.1:<port>`, PHM is at its companion port and can be reached
-    around the autopilot at `tcp:127.0.0.1:<direct>`, as by a radio of its own. Everything runs in this process. The disk is
-    WARN and the memory ERROR from the start; `break_container` is CRITICAL, `mend_container` NOTICE. With a passphrase PHM
-    signs, by the key that Mission Planner and MAVProxy make of it, and may be told to run its checks.
+    """Vehicle 7: the autopilot's ground port is `tcp:127.0.0.1:<port>`, PHM is connected to its companion port and is also
+    reachable directly at `tcp:127.0.0.1:<direct>`, as by its own radio. Everything runs in this process. The disk is WARN
+    and the memory ERROR from the start; `break_container` is CRITICAL, `repair_container` NOTICE. With a passphrase PHM
+    signs, with the key that Mission Planner and MAVProxy derive from it, and permits the command to run its checks.
     """
 
     def __init__(self, folder: Path, passphrase: str = "") -> None:
@@ -77,11 +77,11 @@ class Vehicle:
     def break_container(self) -> None:
         self.engine.set("ros_app", status="exited", exit_code=1)
 
-    def mend_container(self) -> None:
+    def repair_container(self) -> None:
         self.engine.set("ros_app", status="running")
 
     def senders(self) -> set[tuple[int, int]]:
-        """System and component of everyone whom PHM hears."""
+        """System and component of every sender that PHM receives."""
         return {
             (sender.system, sender.component)
             for link in self.daemon.components.probes.world.links.links()

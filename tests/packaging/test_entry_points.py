@@ -1,4 +1,4 @@
-"""Files, declared entry points and installed ones say the same; they drift apart because the last are frozen at install."""
+"""Files, declared and installed entry points agree; they may differ because the last are fixed at installation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phm.reporters.base import Reporter
 
 if sys.version_info >= (3, 11):
     import tomllib
-else:  # the same module, before it came with Python
+else:  # the same module, before it was part of Python
     import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,15 +29,15 @@ def declared(group: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_what_is_declared_is_installed(group: str) -> None:
+def test_declared_entry_points_are_installed(group: str) -> None:
     """The installed distribution has exactly the entry points that pyproject.toml declares."""
     points = distribution("phm-sidecar").entry_points.select(group=group)
     assert {point.name: point.value for point in points} == declared(group), "run scripts/venv: the install is old"
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_what_is_declared_loads(group: str) -> None:
-    """Every declared entry point can be imported, is of the right kind and carries its own name."""
+def test_declared_entry_points_can_be_loaded(group: str) -> None:
+    """Every declared entry point can be imported, is of the right kind and has its own name."""
     problems = {entry.name: entry.problem for entry in find(group, GROUPS[group]) if entry.name in declared(group)}
     assert set(problems) == set(declared(group))
     assert not any(problems.values()), problems

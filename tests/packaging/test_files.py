@@ -1,4 +1,4 @@
-"""Files of the repository that must hold on any machine: locks, scripts, and no name of the machine they came from."""
+"""Files of the repository that must be valid on any machine: locks, scripts, and no names of the development machine."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def pins(lock: Path) -> set[tuple[str, str, str]]:
 
 
 def test_no_file_names_a_registry_or_a_machine() -> None:
-    """No file has the host of a package registry or a folder of one machine in it."""
+    """No file has the host of a package registry or a directory of one machine in it."""
     module = check_docs()
     assert list(module.machine_names(module.tracked())) == []
 
 
 @pytest.mark.parametrize("lock", LOCKS, ids=lambda path: path.stem)
-def test_a_lock_is_nothing_but_pinned_packages_with_hashes(lock: Path) -> None:
+def test_a_lock_has_only_pinned_packages_with_hashes(lock: Path) -> None:
     """Each line of a lock is a package at one version or a hash of one of its files; no address, no option."""
     package = None
     for line in lock.read_text("utf-8").splitlines():
@@ -53,7 +53,7 @@ def test_a_lock_is_nothing_but_pinned_packages_with_hashes(lock: Path) -> None:
 
 @pytest.mark.parametrize("other", ["jazzy", "kilted"])
 def test_the_locks_agree(other: str) -> None:
-    """What one lock pins, no other pins otherwise, so any two can be installed together; ROS is of one distribution."""
+    """All locks have the same versions, so any two can be installed together; ROS is of one distribution."""
     apart = {"jazzy": {"ros", "app-jazzy"}, "kilted": {"kilted", "app-kilted"}}[other]
     versions: dict[tuple[str, str], str] = {}
     for lock in LOCKS:
@@ -61,8 +61,8 @@ def test_the_locks_agree(other: str) -> None:
             assert versions.setdefault((name, marker), version) == version, (lock.name, name)
 
 
-def test_the_locks_build_on_each_other() -> None:
-    """Who installs the larger one needs none of the smaller; the application's has one package, which PHM's have not."""
+def test_the_locks_extend_each_other() -> None:
+    """The larger one includes the smaller ones; the application's has one package that PHM's do not have."""
     names = {lock.stem: {name for name, _, _ in pins(lock)} for lock in LOCKS}
     assert names["runtime"] < names["ros"]
     assert names["runtime"] < names["test"] < names["dev"]
@@ -73,8 +73,8 @@ def test_the_locks_build_on_each_other() -> None:
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
-def test_scripts_can_be_run_and_are_strict(script: Path) -> None:
-    """Each script is executable, is valid Bash, and takes its strictness from lib.sh."""
+def test_scripts_are_executable_and_strict(script: Path) -> None:
+    """Each script is executable, is valid Bash, and gets its strict mode from lib.sh."""
     assert os.access(script, os.X_OK)
     assert 'source "$(dirname -- "${BASH_SOURCE[0]}")/lib.sh"' in script.read_text("utf-8")
     subprocess.run(["bash", "-n", str(script)], check=True, timeout=10)

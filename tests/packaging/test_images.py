@@ -1,4 +1,4 @@
-"""The images and compose files are what an agent runs: what they promise is looked up in the engine itself."""
+"""The images and compose files are what an agent runs: their properties are verified with the engine itself."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.engine
 
 
 def docker(*words: str) -> str:
-    """Standard output of a docker command that must succeed, run with nothing of ours in the environment."""
+    """Standard output of a docker command that must succeed, run without our environment variables."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("PHM_", "DOCKER_GID"))}
     done = subprocess.run(
         ["docker", *words], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
@@ -41,7 +41,7 @@ def compose(*files: str, project: str = "phm") -> dict[str, Any]:
 
 
 def in_sidecar(*words: str) -> str:
-    """Run a program in a new sidecar container with as little as the compose file gives it."""
+    """Run a program in a new sidecar container with the minimal options of the compose file."""
     least = (
         "--rm",
         "--read-only",
@@ -57,8 +57,8 @@ def in_sidecar(*words: str) -> str:
     return docker("run", *least, "--entrypoint", words[0], "phm-sidecar:dev", *words[1:])
 
 
-def test_the_sidecar_is_no_root_and_watches_itself() -> None:
-    """The image runs `phm run` as user 10001, ends on SIGTERM and asks how it is in the quick way."""
+def test_the_sidecar_is_not_root_and_has_a_healthcheck() -> None:
+    """The image runs `phm run` as user 10001, ends on SIGTERM and has the fast healthcheck."""
     config = image("phm-sidecar:dev")
     assert config["User"] == "10001:10001"
     assert [*config["Entrypoint"], *config["Cmd"]] == ["ros-entrypoint", "phm", "run"]
@@ -66,8 +66,8 @@ def test_the_sidecar_is_no_root_and_watches_itself() -> None:
     assert config["Healthcheck"]["Test"] == ["CMD", "python", "-I", "-S", "/opt/phm/code/phm/wire/status_file.py"]
 
 
-def test_the_sidecar_carries_no_tools_to_build_or_fetch_with() -> None:
-    """Neither pip nor a compiler is in the image, nor the certificates that its building may have needed."""
+def test_the_sidecar_has_no_tools_to_build_or_download() -> None:
+    """The image has neither pip nor a compiler, nor the certificates that the build may have needed."""
     found = in_sidecar(
         "sh", "-c", "for name in pip pip3 gcc cc make git curl wget; do command -v $name; done; ls -d /build || true"
     )
@@ -83,20 +83,20 @@ def test_the_sidecar_finds_ros_and_every_check() -> None:
 
 
 def test_the_ros_child_is_restricted_in_the_sidecar() -> None:
-    """With the engine's own seccomp profile, as an ordinary user and read-only, nothing of the restriction is missing."""
+    """With the engine's default seccomp profile, as an ordinary user and read-only, every restriction is active."""
     code = "from phm.probes.ros import sandbox; print(repr(sandbox.enter()))"
     assert in_sidecar("python", "-c", code).strip() == "''"
 
 
 def test_the_application_can_be_made_unhealthy() -> None:
-    """The demo application's health check is cheap, quick, and fails while the marker file exists."""
+    """The healthcheck of the demo application is cheap and fast, and fails while the marker file exists."""
     check = image("phm-app:dev")["Healthcheck"]
     assert check["Test"] == ["CMD", "test", "!", "-e", "/tmp/unhealthy"]
     assert check["Interval"] * check["Retries"] <= 2_000_000_000
 
 
 def test_compose_gives_the_sidecar_least_privilege() -> None:
-    """compose.yaml: no root, nothing writable but log, state and memory, no capabilities, limits, restarted when it ends."""
+    """compose.yaml: no root, only log, state and memory writable, no capabilities, limits, restarted when it ends."""
     service = compose("compose.yaml")["services"]["phm"]
     assert service["user"] == "10001:10001"
     assert service["read_only"] is True
@@ -112,7 +112,7 @@ def test_compose_gives_the_sidecar_least_privilege() -> None:
 
 
 def test_every_setting_of_the_agent_is_in_the_example() -> None:
-    """agent.env.example names each variable that compose.yaml takes, with the same default."""
+    """agent.env.example names each variable of compose.yaml, with the same default."""
     text = (ROOT / "docker" / "compose.yaml").read_text("utf-8")
     example = dict(
         line.split("=", 1)
@@ -123,8 +123,8 @@ def test_every_setting_of_the_agent_is_in_the_example() -> None:
     assert taken == example
 
 
-def test_the_demonstration_is_laid_over_the_same_service() -> None:
-    """With compose.demo.yaml the sidecar keeps its restrictions and gains an application and an autopilot to watch."""
+def test_the_demo_extends_the_same_service() -> None:
+    """With compose.demo.yaml the sidecar keeps its restrictions and gets an application and an autopilot to monitor."""
     plain, demo = compose("compose.yaml"), compose("compose.yaml", "compose.demo.yaml")
     assert set(demo["services"]) == {"phm", "ros_app", "autopilot"}
     for key in ("user", "read_only", "cap_drop", "security_opt", "restart", "mem_limit", "tmpfs"):

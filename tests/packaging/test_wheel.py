@@ -1,4 +1,4 @@
-"""What users get is the wheel, so the wheel is what these install and run."""
+"""Users install the wheel, so these tests install and run the wheel."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.packaging
 
 
 def run(*words: str | Path, cwd: Path) -> str:
-    """The standard output of a command that must succeed. Nothing of this process's Python settings reaches it."""
+    """The standard output of a command that must succeed, without the Python settings of this process."""
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
         [str(word) for word in words],
@@ -70,7 +70,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Iterator[Path]:
-    """The bin folder of a new environment with the locked runtime packages and the wheel, and nothing else."""
+    """The bin directory of a new environment with only the locked runtime packages and the wheel."""
     folder = tmp_path_factory.mktemp("clean")
     run(sys.executable, "-m", "venv", folder, cwd=folder)
     pip = (folder / "bin" / "python", "-m", "pip", "install", "--quiet")
@@ -80,7 +80,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Iterator[Pat
     shutil.rmtree(folder)
 
 
-def test_the_wheel_holds_the_two_packages_and_nothing_else(wheel: Path) -> None:
+def test_the_wheel_has_only_the_two_packages(wheel: Path) -> None:
     """The wheel has phm and phm_checks with their type markers and licence, and no tests, simulation or scripts."""
     names = zipfile.ZipFile(wheel).namelist()
     (metadata,) = {name.partition("/")[0] for name in names if ".dist-info/" in name}
@@ -121,8 +121,8 @@ def test_without_rclpy_everything_still_loads(clean: Path) -> None:
     assert [entry for entry in entries if entry.get("problem")] == []
 
 
-def test_a_third_partys_check_is_found_beside_ours(clean: Path, tmp_path: Path) -> None:
-    """A package that declares an entry point is found when it is installed, and one that cannot be loaded says why."""
+def test_a_third_party_check_is_found_beside_ours(clean: Path, tmp_path: Path) -> None:
+    """An installed package with an entry point is found, and one that cannot be loaded has a reason."""
     plugin = build(PLUGIN, tmp_path)
     pip = (clean / "python", "-m", "pip")
     run(*pip, "install", "--quiet", "--no-index", "--no-deps", plugin, cwd=tmp_path)

@@ -1,4 +1,4 @@
-"""The real engine, and proxies before it."""
+"""The real engine, and proxies in front of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A real HAProxy before the real engine, with the rules of a configuration."""
+"""A real HAProxy in front of the real engine, with the rules of a configuration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Answer = tuple[int, bytes]
 
 
 class Proxy:
-    """One process of HAProxy; its socket is where `docker.socket` of the settings points."""
+    """One process of HAProxy; its socket is at `docker.socket` of the settings."""
 
     def __init__(self, made: Settings) -> None:
         program = shutil.which("haproxy", path="/usr/sbin:/usr/bin:/usr/local/sbin")
@@ -44,8 +44,8 @@ class Proxy:
             threading.Event().wait(0.02)
 
     def _listens(self) -> bool:
-        with socket.socket(socket.AF_UNIX) as door:
-            return door.connect_ex(self.path) == 0
+        with socket.socket(socket.AF_UNIX) as stream:
+            return stream.connect_ex(self.path) == 0
 
     def stop(self) -> None:
         self.process.terminate()
@@ -60,23 +60,23 @@ class Proxy:
         more: Mapping[str, str] | None = None,
         length: int | None = None,
     ) -> Answer:
-        """Status and body of one request, sent word by word as it is given here."""
+        """Status and body of one request, sent literally."""
         headers = {"Host": "engine", "Connection": "close", "Content-Type": "application/json", **(more or {})}
         if (body or method in ("POST", "PUT")) and "Transfer-Encoding" not in headers:
             headers["Content-Length"] = str(len(body) if length is None else length)
         head = f"{method} {path} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in headers.items())
-        with socket.socket(socket.AF_UNIX) as door:
-            door.settimeout(LIMIT_S)
-            door.connect(self.path)
-            door.sendall(head.encode() + b"\r\n" + body)
+        with socket.socket(socket.AF_UNIX) as stream:
+            stream.settimeout(LIMIT_S)
+            stream.connect(self.path)
+            stream.sendall(head.encode() + b"\r\n" + body)
             answer = b""
-            while piece := door.recv(1 << 16):
+            while piece := stream.recv(1 << 16):
                 answer += piece
         return int(answer.split(b" ", 2)[1]), answer.partition(b"\r\n\r\n")[2]
 
 
 class Proxies:
-    """Makes proxies, and ends them."""
+    """Creates proxies, and ends them."""
 
     def __init__(self, folder: Path, myself: str) -> None:
         self._folder, self._myself, self._made = folder, myself, 0
@@ -112,15 +112,15 @@ class Proxies:
 
 
 @dataclass(frozen=True)
-class Door:
-    """A daemon's way to the engine. section: `docker` of its configuration. open: to be called with that, before it starts."""
+class EngineAccess:
+    """A daemon's connection to the engine. section: its `docker` configuration. open: called with it before the start."""
 
     section: dict[str, str]
     open: Callable[[Settings], object]
 
 
 class BehindProxy(DockerEngine):
-    """The real engine for what a test does itself; PHM's client (`tests.recovery.action_bench`) is behind a proxy."""
+    """The real engine for the test itself; PHM's client (`tests.recovery.action_bench`) is behind a proxy."""
 
     def __init__(self, proxies: Proxies) -> None:
         super().__init__(f"unix://{ENGINE}", timeout_s=10)

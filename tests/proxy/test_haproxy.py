@@ -1,4 +1,4 @@
-"""`phm proxy-rules`: what it writes, and which configurations it refuses."""
+"""`phm proxy-rules`: its output, and the configurations that it rejects."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ def invoke(folder: Path, text: str, *more: str) -> Result:
     return CliRunner().invoke(group, ["proxy-rules", "-c", str(file), *more], prog_name="phm")
 
 
-def test_each_call_of_the_client_is_known_to_the_rules() -> None:
-    """A method that is added to the client is allowed by a rule, or is listed among those that the proxy refuses."""
+def test_each_method_of_the_client_is_covered_by_the_rules() -> None:
+    """A new method of the client is allowed by a rule, or is listed among those that the proxy refuses."""
     public = {name for name in dir(DockerEngine) if not name.startswith("_") and callable(getattr(DockerEngine, name))}
     assert public == NEEDED | REFUSED
 
 
-def test_what_rules_cannot_name_exactly_is_refused_with_what_to_do() -> None:
-    """Labels, names that could be the beginning of an id, PHM's own container without a name, the engine's own socket."""
+def test_configuration_that_rules_cannot_match_exactly_is_rejected_with_advice() -> None:
+    """Labels, names that could be the prefix of an id, PHM's own container without a name, the engine's own socket."""
     assert "give its `name`" in refused(containers=[{"label": "com.app=one"}])
     assert "cafe could also be the beginning of an id" in refused(containers=[{"name": "cafe"}])
     assert "networks: 0 could" in refused(containers=[{"name": "app", "networks": ["0"]}])
@@ -80,7 +80,7 @@ def test_what_rules_cannot_name_exactly_is_refused_with_what_to_do() -> None:
         assert "must be a path of letters" in refused(docker={"socket": socket, "container": "phm"})
 
 
-def test_only_what_the_configuration_needs_is_in_the_rules() -> None:
+def test_the_rules_allow_only_what_the_configuration_needs() -> None:
     """No exec without `relaunch`, no archive without files, no `top` without nodes, no POST without `recover`."""
     plain = made(containers=[{"name": "app"}])
     assert not re.search(r"/exec|archive|/top|POST|PUT", "".join(re.findall(r"http-request allow.*", plain)))
@@ -93,15 +93,15 @@ def test_only_what_the_configuration_needs_is_in_the_rules() -> None:
     assert "PUT" in restored
 
 
-def test_rules_carry_the_sockets() -> None:
-    """PHM calls at `docker.socket`; the engine is where the proxy sees it."""
+def test_the_rules_have_both_sockets() -> None:
+    """PHM connects to `docker.socket`; the engine is where the proxy sees it."""
     text = rules(settings(docker=DOCKER), "/run/other.sock")
     assert "bind unix@/run/phm-engine/docker.sock mode 660" in text
     assert "server engine unix@/run/other.sock" in text
 
 
 @given(st.text())
-def test_a_quoted_word_has_no_end_but_its_own(text: str) -> None:
+def test_a_quoted_word_ends_only_at_its_own_end(text: str) -> None:
     """In strong quotes, each quote of the text is closed, escaped and opened again."""
     word = quoted(text)
     assert word[0] == word[-1] == "'"
@@ -110,15 +110,15 @@ def test_a_quoted_word_has_no_end_but_its_own(text: str) -> None:
 
 
 @given(st.text(), st.text())
-def test_an_exact_pattern_matches_its_text_alone(text: str, other: str) -> None:
-    """Whatever has a meaning in patterns is escaped."""
+def test_an_exact_pattern_matches_only_its_text(text: str, other: str) -> None:
+    """Every special character of patterns is escaped."""
     pattern = re.compile(exact(text))
     assert pattern.fullmatch(text)
     assert not pattern.fullmatch(other) or other == text
 
 
-def test_the_verb_writes_a_file_and_warns_of_what_will_be_refused(tmp_path: Path) -> None:
-    """`restore: image` needs a container to be created, which the proxy never allows."""
+def test_the_verb_writes_a_file_and_warns_of_actions_that_will_be_refused(tmp_path: Path) -> None:
+    """`restore: image` needs to create a container, which the proxy never allows."""
     text = f"""
 docker: {{socket: '{SOCKET}', container: phm}}
 containers:
@@ -133,14 +133,14 @@ containers:
 
 
 def test_the_verb_ends_with_78_and_every_problem(tmp_path: Path) -> None:
-    """As for any configuration that cannot be used; nothing is written."""
+    """As for any invalid configuration; nothing is written."""
     result = invoke(tmp_path, "containers: [{label: one}]\n", "--output", str(tmp_path / "haproxy.cfg"))
     assert result.exit_code == 78
     assert len(result.output.splitlines()) == 3
     assert not (tmp_path / "haproxy.cfg").exists()
 
 
-def test_the_verb_says_in_a_sentence_that_it_cannot_write(tmp_path: Path) -> None:
+def test_the_verb_reports_that_it_cannot_write(tmp_path: Path) -> None:
     """The path and the reason, and no traceback."""
     result = invoke(tmp_path, f"docker: {{socket: '{SOCKET}', container: phm}}\n", "--output", "/nowhere/haproxy.cfg")
     assert result.exit_code == 1

@@ -1,4 +1,4 @@
-"""A real HAProxy before the real engine: what PHM needs passes, and whatever else a taken-over PHM might try gets 403."""
+"""A real HAProxy in front of the real engine: PHM's requests pass, and anything else from a compromised PHM gets 403."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PRIVILEGED = b'{"Binds": ["/:/host"], "Privileged": true}'
 
 @dataclass
 class Place:
-    """A configured container and network, a strange one of each, and a proxy before their engine."""
+    """A configured container and network, an unknown one of each, and a proxy in front of their engine."""
 
     proxy: Proxy
     client: DockerEngine
@@ -41,7 +41,7 @@ class Place:
     ps: str = docker_bodies.query({"ps_args": FORMS[0]})
 
     def fill(self, text: str) -> str:
-        """Names in braces by what they are in this place."""
+        """Replace names in braces by their values."""
         words = {
             "app": self.app.name, "app_id": self.app.id, "app_short": self.app.id[:12], "other": self.other.name,
             "other_id": self.other.id, "other_short": self.other.id[:12], "me": self.me, "net": self.net.name,
@@ -74,8 +74,8 @@ def place(real: Any, proxies: Proxies) -> Place:
     return Place(proxy, client, app, other, docker["container"], net, foreign)
 
 
-def test_what_phm_needs_passes(place: Place) -> None:
-    """Each call of PHM's client for a container, its network, its program and its file, by name and by id."""
+def test_requests_that_phm_needs_pass(place: Place) -> None:
+    """Each request of PHM's client for a container, its network, its program and its file, by name and by id."""
     client, app, net = place.client, place.app, place.net
     assert client.version()["Version"]
     place.learn()
@@ -212,8 +212,8 @@ FORBIDDEN = {
 }  # fmt: skip
 
 
-def test_each_forbidden_call_gets_403_and_changes_nothing(place: Place) -> None:
-    """With the ids of what is configured learned, as after some minutes of work."""
+def test_each_forbidden_request_gets_403_and_changes_nothing(place: Place) -> None:
+    """With learned ids of the configured objects, as after some minutes of operation."""
     place.learn()
     before = {one.id: place.app.client.api.inspect_container(one.id) for one in (place.app, place.other)}
     answers = {}
@@ -228,8 +228,8 @@ def test_each_forbidden_call_gets_403_and_changes_nothing(place: Place) -> None:
     assert place.app.exec_run(["test", "-e", "/tmp/ran"])[0] == 1
 
 
-def test_requests_in_other_forms_get_no_further(place: Place) -> None:
-    """In pieces, with a false length, with a NUL behind what is allowed, or with a fragment, nothing reaches the engine."""
+def test_requests_in_other_forms_do_not_pass(place: Place) -> None:
+    """In fragments, with a false length, with a NUL after an allowed path, or with a URL fragment, nothing reaches the engine."""
     path, body = f"{API}/containers/{place.app.name}/exec", docker_bodies.exec_(["sh"]).encode()
     pieces = f"{len(body):x}\r\n".encode() + body + b"\r\n0\r\n\r\n"
     assert place.proxy.ask("POST", path, pieces, more={"Transfer-Encoding": "chunked"})[0] == 403
@@ -243,8 +243,8 @@ def test_requests_in_other_forms_get_no_further(place: Place) -> None:
     assert not place.app.client.api.inspect_container(place.app.id)["ExecIDs"]
 
 
-def test_a_program_of_others_is_not_started(place: Place) -> None:
-    """Only what this proxy saw being made; and never with a connection to its streams."""
+def test_an_exec_of_another_client_is_not_started(place: Place) -> None:
+    """Only one that was created through this proxy; and never with attached streams."""
     place.learn()
     theirs = place.app.client.api.exec_create(place.app.id, ["touch", "/tmp/ran"])["Id"]
     assert place.proxy.ask("POST", f"{API}/exec/{theirs}/start", docker_bodies.START_EXEC.encode())[0] == 403
@@ -255,8 +255,8 @@ def test_a_program_of_others_is_not_started(place: Place) -> None:
     assert place.proxy.ask("POST", f"{API}/exec/{mine}/start", docker_bodies.START_EXEC.encode())[0] == 200
 
 
-def test_an_id_counts_from_the_engines_answer_about_its_name_until_the_next(place: Place, real: Any) -> None:
-    """Before it, the id is strange; of a container that was replaced, or whose name is gone, it is strange again."""
+def test_an_id_is_accepted_from_one_response_about_its_name_to_the_next(place: Place, real: Any) -> None:
+    """Before it, the id is unknown; the id of a container that was replaced, or whose name is gone, is unknown again."""
     with pytest.raises(EngineRefused):
         place.client.inspect(place.app.id)
     place.learn()
@@ -273,16 +273,16 @@ def test_an_id_counts_from_the_engines_answer_about_its_name_until_the_next(plac
         place.client.restart(place.app.id)
 
 
-def test_an_id_is_learned_from_a_long_answer(real: Any, proxies: Proxies) -> None:
-    """An answer that is longer than the proxy's buffer, by its labels."""
+def test_an_id_is_learned_from_a_long_response(real: Any, proxies: Proxies) -> None:
+    """Longer than the buffer of the proxy because of its labels."""
     app = real.container(labels={f"long-{number}": "x" * 1000 for number in range(100)})
     client, _ = proxies.behind(containers=[{"name": app.name}])
     client.inspect(app.name)
     assert client.inspect(app.id)["Id"] == app.id
 
 
-def test_a_dot_in_a_name_is_a_dot(real: Any, proxies: Proxies) -> None:
-    """A container whose name differs where the configured one has a character with a meaning for patterns."""
+def test_a_dot_in_a_name_is_literal(real: Any, proxies: Proxies) -> None:
+    """Of a container whose name differs from the configured one at a special character of patterns."""
     stem = real.name()
     net = real.network()
     app, other = real.container(name=f"{stem}.a"), real.container(name=f"{stem}xa")
@@ -301,7 +301,7 @@ HOSTILE = [
 
 
 def test_hostile_names_have_no_special_meaning(real: Any, proxies: Proxies) -> None:
-    """Words of a command and characters of a path that mean something to HAProxy, its quotes or its patterns."""
+    """Words of a command and characters of a path that are special in HAProxy, in its quotes or its patterns."""
     app = real.container()
     nodes = [
         {"name": f"/n{number}", "container": "app", "relaunch": ["true", word]} for number, word in enumerate(HOSTILE)
@@ -323,8 +323,8 @@ def test_hostile_names_have_no_special_meaning(real: Any, proxies: Proxies) -> N
             client.stat_path(app.name, file.path + "x")
 
 
-def test_without_recovery_nothing_is_allowed_to_act(real: Any, proxies: Proxies) -> None:
-    """`recovery.mode: off`, or a container that has not opted in: PHM may look, and join networks itself."""
+def test_without_recovery_no_action_is_allowed(real: Any, proxies: Proxies) -> None:
+    """`recovery.mode: off`, or a container that has not opted in: PHM may read, and connect itself to networks."""
     net, app = real.network(), real.container()
     entry = {"name": app.name, "networks": [net.name]}
     for more in ({"containers": [{**entry, "recover": True}], "recovery": {"mode": "off"}}, {"containers": [entry]}):
@@ -339,9 +339,9 @@ def test_without_recovery_nothing_is_allowed_to_act(real: Any, proxies: Proxies)
         client.disconnect(net.name, str(made.docker.container))
 
 
-def test_a_refusal_is_logged_and_said_to_phm(place: Place) -> None:
-    """The operator finds the call in the proxy's log, and PHM's message says where to look."""
+def test_a_refusal_is_logged_and_reported_to_phm(place: Place) -> None:
+    """The operator finds the request in the proxy's log, and PHM's message says where to look."""
     with pytest.raises(EngineRefused, match="phm proxy-rules"):
         place.client.inspect(place.other.name)
     line = f"403 GET {API}/containers/{place.other.name}/json"
-    until(lambda: line in place.proxy.said.read_text("utf-8"), "the proxy's line")  # it writes after it has answered
+    until(lambda: line in place.proxy.said.read_text("utf-8"), "the proxy's line")  # it is written after the response

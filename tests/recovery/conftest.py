@@ -10,9 +10,9 @@ from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine
 from tests.probes.docker.conftest import SOCKET, fake, real
 from tests.proxy.conftest import proxies
-from tests.proxy.haproxy import BehindProxy, Door
+from tests.proxy.haproxy import BehindProxy, EngineAccess
 
-__all__ = ["ask", "door", "engine", "fake", "proxies", "real"]
+__all__ = ["ask", "engine", "engine_access", "fake", "proxies", "real"]
 
 
 @pytest.fixture(params=["engine", "proxy"])
@@ -25,12 +25,12 @@ def engine(request: pytest.FixtureRequest) -> Iterator[DockerEngine]:
 
 
 @pytest.fixture(params=["engine", "proxy"])
-def door(request: pytest.FixtureRequest) -> Door:
+def engine_access(request: pytest.FixtureRequest) -> EngineAccess:
     """The way of a daemon to the real engine: straight, and behind a proxy."""
     if request.param == "engine":
-        return Door({"socket": SOCKET}, lambda made: None)
+        return EngineAccess({"socket": SOCKET}, lambda made: None)
     proxies = request.getfixturevalue("proxies")
-    return Door(proxies.docker(), proxies.before)
+    return EngineAccess(proxies.docker(), proxies.before)
 
 
 @pytest.fixture

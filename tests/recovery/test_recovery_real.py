@@ -13,7 +13,7 @@ from phm.core.model import ActionEvent, Event, FaultOpened, Level, Note, Phase
 from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from tests.fakes.until import until
-from tests.proxy.haproxy import Door
+from tests.proxy.haproxy import EngineAccess
 
 pytestmark = pytest.mark.engine
 
@@ -36,7 +36,7 @@ class Phm:
     def __init__(
         self,
         folder: Path,
-        door: Door,
+        engine_access: EngineAccess,
         containers: list[dict[str, Any]],
         *,
         docker: dict[str, Any] | None = None,
@@ -47,7 +47,7 @@ class Phm:
         self._limit_s = limit_s
         made = settings(
             interval=2,
-            docker={**door.section, **(docker or {})},
+            docker={**engine_access.section, **(docker or {})},
             containers=containers,
             recovery={**RULES, **recovery},
             state_dir=str(folder / "state"),
@@ -55,7 +55,7 @@ class Phm:
             log={"directory": str(folder / "log")},
             checks={"host": {"enabled": False}},
         )
-        door.open(made)
+        engine_access.open(made)
         self.daemon = Daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
 
@@ -92,11 +92,11 @@ Start = Callable[..., Phm]
 
 
 @pytest.fixture
-def phm(tmp_path: Path, door: Door) -> Iterator[Start]:
+def phm(tmp_path: Path, engine_access: EngineAccess) -> Iterator[Start]:
     made: list[Phm] = []
 
     def start(containers: list[dict[str, Any]], **recovery: Any) -> Phm:
-        made.append(Phm(tmp_path, door, containers, **recovery))
+        made.append(Phm(tmp_path, engine_access, containers, **recovery))
         made[-1].start()
         return made[-1]
 

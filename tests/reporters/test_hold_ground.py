@@ -13,7 +13,7 @@ from phm.reporters.statustext import StatusTextBuilder
 from phm.swarm import digest
 from phm.wire import status_line, status_word
 from tests.fakes.records import at, opened, transition, unit
-from tests.gcs.bench import Ground, beat, said
+from tests.gcs.bench import Ground, phm_heartbeat, text_frame
 
 HELD = unit("container/ros_app", Slot.CONTAINER, Level.STALE, brief="ros_app on hold", condition=ON_HOLD)
 BELOW = unit("nodes/a", Slot.NODES, Level.STALE, blocked_by="container/ros_app")
@@ -68,7 +68,7 @@ def test_a_held_slot_is_not_a_failed_one() -> None:
 
 
 def test_what_is_still_bad_after_a_hold_is_said_again() -> None:
-    """Once it is on hold, the failure that was said before is no longer what the ground is to know."""
+    """Once it is on hold, the failure that was reported before is no longer current for the ground."""
     teller = StatusTextBuilder(1)
     bad = replace(unit("container/ros_app", Slot.CONTAINER, Level.ERROR, brief="ros_app exited"), fault="ab12-1")
     teller.fault(opened(bad))
@@ -86,13 +86,13 @@ def test_the_ground_shows_a_hold_and_its_end() -> None:
         agent = ground.store.snapshot(ground.clock.stamp())["agents"][0]
         return agent["how"], agent["on_hold"]
 
-    ground.hear(beat(1, {Slot.CONTAINER: Level.STALE}))
+    ground.hear(phm_heartbeat(1, {Slot.CONTAINER: Level.STALE}))
     assert how() == ("OK", False)
-    ground.hear(said(1, "A01 HOLD 2 ros_app 20 min: new firmware", 5))
+    ground.hear(text_frame(1, "A01 HOLD 2 ros_app 20 min: new firmware", 5))
     assert how() == ("HOLD", True)
-    ground.hear(said(1, "A01 HOLD 1-111111 2 ros_app on hold", 6))
+    ground.hear(text_frame(1, "A01 HOLD 1-111111 2 ros_app on hold", 6))
     assert how() == ("HOLD", True)
-    ground.hear(beat(1, {Slot.CONTAINER: Level.STALE, Slot.NODES: Level.ERROR}))
+    ground.hear(phm_heartbeat(1, {Slot.CONTAINER: Level.STALE, Slot.NODES: Level.ERROR}))
     assert how() == ("ERROR", True)
-    ground.hear(beat(1), said(1, "A01 HOLD 2 ros_app released", 5), said(1, "A01 OK 11111111", 6))
+    ground.hear(phm_heartbeat(1), text_frame(1, "A01 HOLD 2 ros_app released", 5), text_frame(1, "A01 OK 11111111", 6))
     assert how() == ("OK", False)

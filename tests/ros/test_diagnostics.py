@@ -193,7 +193,7 @@ def test_without_diagnostic_msgs_a_sentence_and_no_harm(bench: Bench) -> None:
 
 def test_a_child_that_does_not_read_blocks_nobody(bench: Bench) -> None:
     """What waits is replaced by what is newer, and counted; pictures go on."""
-    fake = (sys.executable, str(ROOT / "tests" / "fakes" / "ros_child.py"), "deaf")
+    fake = (sys.executable, str(ROOT / "tests" / "fakes" / "ros_child.py"), "no_input")
     probe = bench.probe(nodes=[{"name": "/a/n"}], command=fake)
     big = {f"s{n}": DiagnosticFact(0.0, 0, "x" * 250) for n in range(400)}
     assert probe.publish(big) == 0  # no picture yet: there is nobody to hand it to

@@ -87,8 +87,8 @@ def test_a_stopped_child_is_replaced(bench: Bench) -> None:
 def test_a_ghost_in_the_graph_is_gone_with_the_child_that_saw_it(bench: Bench, tmp_path: Path) -> None:
     """A node that one participant lists twice for longer than any lease is looked at by another, which is no fault of the child."""
     limits = replace(FAST, doubt_s=0.3)
-    probe = bench.probe(command=fake("ghost", tmp_path), limits=limits, nodes=[{"name": "/a/n"}])
-    seen(probe, lambda fact: fact.nodes == {"/a/n": 2}, "the ghost")
+    probe = bench.probe(command=fake("stale_name", tmp_path), limits=limits, nodes=[{"name": "/a/n"}])
+    seen(probe, lambda fact: fact.nodes == {"/a/n": 2}, "the stale name")
     seen(probe, lambda fact: fact.nodes == {"/a/n": 1}, "one node")
     assert bench.notes == ["the ROS child is restarted: /a/n has been listed more than once for 0.3 s"]
     assert probe.restarts == 0

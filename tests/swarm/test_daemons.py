@@ -88,7 +88,7 @@ def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
 @pytest.fixture
 def fleet(swarm: Fleet) -> Fleet:
     """All five there and well, whatever the test before has done."""
-    swarm.mesh.apart, swarm.mesh.deaf = (), frozenset()
+    swarm.mesh.apart, swarm.mesh.no_gcs = (), frozenset()
     swarm.until(swarm.well, "all agents to be well")
     swarm.mesh.lines.clear()
     swarm.mesh.payloads.clear()
@@ -124,7 +124,7 @@ def test_all_hear_each_other_and_one_speaks(fleet: Fleet) -> None:
 
 def test_an_agent_that_the_ground_does_not_reach_is_reported_by_its_peers(fleet: Fleet) -> None:
     """Its own words do not arrive; the leader says who hears it and how it is."""
-    fleet.mesh.deaf = frozenset({"a3"})
+    fleet.mesh.no_gcs = frozenset({"a3"})
     fleet.until(lambda: fleet.sees("a1").no_gcs == (3,), "the agent without a GCS")
     fleet.until(lambda: fleet.read("A03 no GCS radio, heard by A01 A02 A04 A05: OK", by=1), "the relayed line")
 

@@ -56,8 +56,8 @@ def healing(sim: Sim, **more: Any) -> Iterator[Healer]:
 
 def assert_attributed(sim: Sim, causes: set[str]) -> None:
     """The causes alone are ERROR; who suffers is STALE, blocked in the end by one of the causes."""
-    assert sim.told(Level.ERROR) == causes
-    for unit in sim.told(Level.STALE):
+    assert sim.units_at(Level.ERROR) == causes
+    for unit in sim.units_at(Level.STALE):
         if sim.tracker.state(unit).result.level is Level.STALE and sim.tracker.state(unit).blocked_by:
             assert sim.root(unit) in causes, unit
 
@@ -67,7 +67,7 @@ def assert_over(sim: Sim, causes: set[str]) -> None:
     assert sorted(sim.opened) == sorted(causes)
     assert sorted(event.fault.unit for event in sim.closed) == sorted(causes)
     assert {event.fault.outcome for event in sim.closed} == {Outcome.RESOLVED}
-    assert sim.told(Level.OK) == {state.unit for state in sim.tracker.states()}
+    assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
 
 
 @examples(400)
@@ -240,7 +240,7 @@ def test_recovery_respects_budget_hold_and_arming(
     # What a repair left lost is told as what it is when no next step may follow in time.
     causes.update(dict.fromkeys(NODES.values(), healer.left_lost))
     assert not Counter(sim.opened) - (causes + reasons_to_tell_again(sim))
-    assert sim.told(Level.OK) == {state.unit for state in sim.tracker.states()}
+    assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
 
 
 CHANGING = ("network", "apart", "container", "paused", "node_1", *BY_OTHERS)
@@ -267,7 +267,7 @@ def test_a_unit_in_error_always_has_a_visible_fault(
         for state in sim.tracker.states():
             sim.ask(state.unit)
         sim.run(40.0)
-    assert sim.told(Level.OK) == {state.unit for state in sim.tracker.states()}
+    assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
 
 
 def reasons_to_tell_again(sim: Sim) -> Counter[str]:
@@ -275,7 +275,7 @@ def reasons_to_tell_again(sim: Sim) -> Counter[str]:
     from another, and after it was given up when somebody else began anew."""
     again = Counter({f"container/{TARGET}": len(sim.world.lives) - 1})
     again.update(event.fault.unit for event in sim.closed if event.fault.outcome is Outcome.REATTRIBUTED)
-    again.update(sim.afresh)
+    again.update(sim.reset_units)
     return again
 
 

@@ -50,7 +50,7 @@ class LivingWorld(World):
         for span in self._ros(at, set(NODES), cause, "container"):
             span.end = max(span.begin, up + span.back_s) if back else float("inf")
             self.bad.setdefault(span.unit, []).append(span)
-        self.ghosts.append((up, up + self.random.uniform(0.0, 1.0)))
+        self.stale_names.append((up, up + self.random.uniform(0.0, 1.0)))
         return up
 
     def fact(self, at: float) -> ContainerFact:
@@ -130,7 +130,7 @@ def test_a_restart_between_two_looks_is_no_fault(seed: int, events: str, by_engi
     assert sim.opened == []
     sim.ask(UNIT)
     sim.run(1.0)
-    assert sim.told(Level.OK) == {state.unit for state in sim.tracker.states()}
+    assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
     sim.world.inject("node_1", sim.now)
     sim.run(3.0)
     assert sim.opened == [NODES[1]]
@@ -165,7 +165,7 @@ def test_a_crash_loop_is_one_fault_at_the_container(seed: int, events: str, life
         assert sim.closed == []
     assert lives > 3
     assert sim.opened == [UNIT]
-    for unit in sim.told(Level.STALE).intersection(NODES.values()):
+    for unit in sim.units_at(Level.STALE).intersection(NODES.values()):
         assert sim.root(unit) == UNIT
     for spans in world.bad.values():
         for span in spans:

@@ -1,4 +1,4 @@
-"""A fake engine for faults; the real one, with containers and networks of our own, for the truth."""
+"""A fake engine for faults, and the real one with its own containers and networks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def fake(tmp_path: Path) -> Iterator[FakeEngine]:
 
 @pytest.fixture
 def ask(fake: FakeEngine) -> Iterator[DockerEngine]:
-    """An engine client on the fake. Its time-out is short for tests of an engine that hangs, and long enough for a busy machine."""
+    """A client of the fake engine. Its timeout is short for tests of a hung engine, and long enough for a busy machine."""
     engine = DockerEngine(fake.url, timeout_s=4.0)
     yield engine
     engine.close()
@@ -49,9 +49,9 @@ class Real:
     def container(
         self, command: str = "exec sleep 600", *, name: str = "", start: bool = True, asks_s: int = 0, **more: Any
     ) -> Any:
-        """A container of the test image that runs `command` in a shell; `more` as docker-py takes it.
+        """A container of the test image that runs `command` in a shell; `more`: arguments of docker-py.
 
-        asks_s: its own stop time-out, which docker-py's higher interface cannot set.
+        asks_s: its stop timeout, which docker-py's high-level interface cannot set.
         """
         labels = {LABEL: self._mark, **more.pop("labels", {})}
         argv, name = ["sh", "-c", command], name or self.name()
@@ -69,7 +69,7 @@ class Real:
         return made
 
     def network(self, name: str = "") -> Any:
-        """Removed after all containers: one that is used cannot be."""
+        """A network that is removed after all containers, since a network in use cannot be removed."""
         made = self.client.networks.create(name or self.name(), labels={LABEL: self._mark})
         self._removals.insert(0, made.remove)
         return made

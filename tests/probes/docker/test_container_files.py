@@ -1,4 +1,4 @@
-"""Files of containers: through volumes without leaving them, through the engine otherwise."""
+"""Files of containers: read directly from volumes, and through the engine otherwise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.fakes.engine_faults import Hang
 
 
 class Place:
-    """A container `app` with one mount on /data, seen by PHM as `here`, and the engine's view beside it."""
+    """A container `app` with one mount on /data, which PHM sees as `here`, and the engine's view of it."""
 
     def __init__(self, here: Path, fake: FakeEngine, ask: DockerEngine) -> None:
         self.here, self.fake = here, fake
@@ -50,8 +50,8 @@ def place(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> Place:
     return Place(tmp_path / "volume", fake, ask)
 
 
-def test_a_file_in_a_volume_is_seen_without_the_engine(place: Place) -> None:
-    """The volume is looked at directly, with mode, size and sum, while the engine hangs."""
+def test_a_file_in_a_volume_is_read_without_the_engine(place: Place) -> None:
+    """The volume is read directly, with mode, size and digest, while the engine hangs."""
     (place.here / "model.bin").write_bytes(b"weights")
     (place.here / "model.bin").chmod(0o750)
     place.fake.fault = Hang()
@@ -59,8 +59,8 @@ def test_a_file_in_a_volume_is_seen_without_the_engine(place: Place) -> None:
     assert seen == FileFact("/data/model.bin", "file", 7, 0o750, True, hashlib.sha256(b"weights").hexdigest(), "volume")
 
 
-def test_a_volume_is_looked_at_while_the_engine_is_down(place: Place) -> None:
-    """The mounts are known from before; what is not in a volume cannot be told."""
+def test_a_volume_is_read_while_the_engine_is_down(place: Place) -> None:
+    """The mounts are known from before; a file outside of volumes is unknown."""
     (place.here / "model.bin").write_bytes(b"weights")
     place.look("/data/model.bin")
     assert isinstance(place.probe, FakeDocker)
@@ -72,8 +72,8 @@ def test_a_volume_is_looked_at_while_the_engine_is_down(place: Place) -> None:
         place.look("/opt/app")
 
 
-def test_a_missing_file_and_a_directory_in_a_volume(place: Place) -> None:
-    """Absence in a volume is certain; a directory is told from a file."""
+def test_a_missing_file_and_a_directory_in_a_volume_are_distinguished(place: Place) -> None:
+    """Absence in a volume is certain, and a directory is not a file."""
     assert place.look("/data/none") is None
     assert place.look("/data/none/deeper") is None
     directory = place.look("/data", digest=True)
@@ -81,8 +81,8 @@ def test_a_missing_file_and_a_directory_in_a_volume(place: Place) -> None:
     assert (directory.kind, directory.sha256) == ("directory", "")
 
 
-def test_a_file_outside_of_volumes_is_seen_through_the_engine(place: Place) -> None:
-    """The image's own files come from the archive route, hashed without being held."""
+def test_a_file_outside_of_volumes_is_read_through_the_engine(place: Place) -> None:
+    """The image's own files come from the archive route and are hashed as a stream."""
     place.engine_has("/opt/app", b"binary")
     seen = place.look("/opt/app", digest=True)
     assert seen is not None
@@ -90,8 +90,8 @@ def test_a_file_outside_of_volumes_is_seen_through_the_engine(place: Place) -> N
     assert place.look("/opt/none") is None
 
 
-def test_a_sum_is_read_again_only_when_the_file_changed(place: Place) -> None:
-    """Reading a large file every few seconds would wear the card: size, times and inode decide."""
+def test_a_digest_is_read_again_only_when_the_file_changed(place: Place) -> None:
+    """Reading a large file every few seconds would wear the SD card: size, times and inode decide."""
     file = place.here / "model.bin"
     file.write_bytes(b"one")
     first = place.look("/data/model.bin", digest=True)
@@ -109,8 +109,8 @@ def test_a_sum_is_read_again_only_when_the_file_changed(place: Place) -> None:
     assert list(place.fake.calls).count("GET /containers/c1/archive") == before
 
 
-def test_what_is_too_large_is_refused_before_it_is_read(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its size is known: to read a gibibyte every few seconds would wear the card. One that is too slow is not read again."""
+def test_a_file_that_is_too_large_is_rejected_before_it_is_read(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its size is known, and reading a gibibyte every few seconds would wear the SD card. A slow one is not read again."""
     file = place.here / "bag.mcap"
     file.touch()
     os.truncate(file, MAX_BYTES + 1)
@@ -128,8 +128,8 @@ def test_what_is_too_large_is_refused_before_it_is_read(place: Place, monkeypatc
     assert len(read) == 1
 
 
-def test_a_link_within_the_volume_is_followed(place: Place) -> None:
-    """Relative links, and absolute ones in the container's own paths, lead to the file."""
+def test_a_symlink_within_the_volume_is_followed(place: Place) -> None:
+    """Relative links, and absolute ones with the container's own paths, lead to the file."""
     (place.here / "v2").mkdir()
     (place.here / "v2" / "model").write_bytes(b"new")
     (place.here / "current").symlink_to("v2")
@@ -141,8 +141,8 @@ def test_a_link_within_the_volume_is_followed(place: Place) -> None:
 
 
 @pytest.mark.parametrize("target", ["/etc/passwd", "../../../../../../../../etc/passwd", "../secret"])
-def test_a_link_out_of_the_volume_never_leads_into_phms_own_files(place: Place, target: str) -> None:
-    """Whoever writes the volume decides where a link leads: it leads in the container, as the engine sees it."""
+def test_a_symlink_out_of_the_volume_never_leads_to_phms_own_files(place: Place, target: str) -> None:
+    """Any program that writes to the volume controls the target: it is resolved in the container, by the engine."""
     (place.here.parent / "secret").write_bytes(b"of PHM")
     (place.here / "link").symlink_to(target)
     assert place.look("/data/link", digest=True) is None
@@ -153,22 +153,24 @@ def test_a_link_out_of_the_volume_never_leads_into_phms_own_files(place: Place, 
     assert (seen.seen_through, seen.sha256) == ("engine", hashlib.sha256(b"of the container").hexdigest())
 
 
-def test_links_in_a_circle_are_missing_files(place: Place) -> None:
-    """A loop ends after as many links as the kernel follows."""
+def test_symlinks_in_a_cycle_are_missing_files(place: Place) -> None:
+    """The search ends after as many links as the kernel follows."""
     (place.here / "a").symlink_to("b")
     (place.here / "b").symlink_to("a")
     assert place.look("/data/a") is None
 
 
 def test_a_pipe_is_not_opened(place: Place) -> None:
-    """Reading a pipe that nobody writes would hang the check: it is `other`, and has no sum."""
+    """Reading a pipe without a writer would block the check: its kind is `other`, and it has no digest."""
     os.mkfifo(place.here / "pipe")
     seen = place.look("/data/pipe", digest=True)
     assert seen is not None
     assert (seen.kind, seen.sha256) == ("other", "")
 
 
-def test_a_volume_that_phm_may_not_read_is_left_to_the_engine(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_volume_that_phm_may_not_read_is_read_through_the_engine(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """PHM is not root: EACCES in the volume proves nothing about the file."""
     (place.here / "private").mkdir()
     place.engine_has("/data/private/key", b"k")
@@ -185,16 +187,16 @@ def test_a_volume_that_phm_may_not_read_is_left_to_the_engine(place: Place, monk
     assert seen.seen_through == "engine"
 
 
-def test_a_mount_below_a_volume_that_phm_does_not_see_hides_it(place: Place) -> None:
-    """A tmpfs on /data/cache: what lies there in the volume is not what the container sees."""
+def test_a_mount_below_a_volume_that_phm_does_not_see_hides_its_files(place: Place) -> None:
+    """A tmpfs on /data/cache: the container does not see what the volume has there."""
     (place.here / "cache").mkdir()
     (place.here / "cache" / "old").write_bytes(b"")
     with pytest.raises(OutsideVolumes):
         resolve("/data/cache/old", {"/data": str(place.here), "/data/cache": ""})
 
 
-def test_phm_in_a_container_looks_through_its_own_mounts(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
-    """The same volume by name, or a directory that contains the bind's source, as PHM's container mounts them."""
+def test_phm_in_a_container_uses_its_own_mounts(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
+    """The same volume by name, or a directory that contains the source of the bind, as mounted in PHM's container."""
     named, host = tmp_path / "named", tmp_path / "host"
     (host / "maps").mkdir(parents=True)
     named.mkdir()
@@ -226,8 +228,8 @@ def test_phm_in_a_container_looks_through_its_own_mounts(tmp_path: Path, fake: F
     assert sizes == {"/models/a": (1, "volume"), "/maps/b": (2, "volume"), "/other/c": (3, "engine")}
 
 
-def test_an_engine_on_another_machine_has_other_paths(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
-    """Behind tcp:// the mount's source means nothing here, even when such a path exists."""
+def test_a_remote_engine_has_other_paths(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
+    """Behind tcp:// the source of a mount is meaningless here, even if such a path exists."""
     (tmp_path / "a").write_bytes(b"ours")
     app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(tmp_path), destination="/data"),))
     fake.containers["app"] = container("app", container_id="c1", files={"/data/a": b"theirs!"})
@@ -237,8 +239,8 @@ def test_an_engine_on_another_machine_has_other_paths(tmp_path: Path, fake: Fake
     assert (seen.size, seen.seen_through) == (7, "engine")
 
 
-def test_a_file_in_memory_cannot_be_told(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The engine does not see into a tmpfs: its `not there` is no proof of absence."""
+def test_a_file_on_a_tmpfs_is_unknown(fake: FakeEngine, ask: DockerEngine) -> None:
+    """The engine cannot read a tmpfs: its `not found` does not prove that the file is missing."""
     app = fact("app", id="c1", mounts=(Mount(kind="tmpfs", source="", destination="/run"),))
     fake.containers["app"] = container("app", container_id="c1")
     files = Files(FakeDocker(app), ask, settings().docker, FakeClock())
@@ -246,38 +248,38 @@ def test_a_file_in_memory_cannot_be_told(fake: FakeEngine, ask: DockerEngine) ->
         files.look("app", "/run/lock", digest=False)
 
 
-def test_without_a_container_there_is_nothing_to_look_into(ask: DockerEngine) -> None:
-    """A container that does not exist is its own check's fault, not a missing file."""
+def test_without_a_container_its_files_are_unknown(ask: DockerEngine) -> None:
+    """A container that does not exist is reported by its own check, not as a missing file."""
     files = Files(FakeDocker(), ask, settings().docker, FakeClock())
     with pytest.raises(CannotTell, match="container app does not exist"):
         files.look("app", "/etc/hosts", digest=False)
 
 
-def test_a_hanging_engine_cannot_tell(place: Place) -> None:
-    """Outside of volumes the engine's silence is no missing file."""
+def test_with_a_hung_engine_a_file_is_unknown(place: Place) -> None:
+    """Outside of volumes a silent engine does not mean a missing file."""
     place.fake.fault = Hang()
     with pytest.raises(CannotTell):
         place.look("/opt/app")
 
 
-def test_a_change_in_a_volume_is_told(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
-    """What the application does to its own files wakes the check; where a link leads counts as well."""
+def test_a_change_in_a_volume_triggers_the_check(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
+    """The application's changes to its own files and to symlinks count."""
     here = tmp_path / "volume"
     here.mkdir()
     app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(here), destination="/data"),))
-    told, notices = threading.Semaphore(0), FileWatcher()
-    files = Files(FakeDocker(app), ask, settings().docker, FakeClock(), notices, told.release)
+    triggered, notices = threading.Semaphore(0), FileWatcher()
+    files = Files(FakeDocker(app), ask, settings().docker, FakeClock(), notices, triggered.release)
     try:
         (here / "models").mkdir()
         (here / "current").symlink_to("models")
         assert files.look("app", "/data/current/model.bin", digest=False) is None
-        assert told.acquire(timeout=5), "the watch has begun, and the file is looked at once more"
+        assert triggered.acquire(timeout=5), "the watch has started, and the file is checked once more"
         (here / "models/model.bin").write_bytes(b"weights")
-        assert told.acquire(timeout=5)
+        assert triggered.acquire(timeout=5)
         assert files.look("app", "/data/current/model.bin", digest=False) is not None
-        while told.acquire(timeout=0.2):
+        while triggered.acquire(timeout=0.2):
             pass
         (here / "models/model.bin").chmod(0o755)
-        assert told.acquire(timeout=5)
+        assert triggered.acquire(timeout=5)
     finally:
         notices.close()

@@ -1,4 +1,4 @@
-"""The watch: events of configured containers, what the stream lost, reconnecting."""
+"""The container watcher: events of configured containers, events that the stream lost, reconnecting."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.fakes.until import until
 
 
 class Heard(list[DockerEvent]):
-    """The events of a watch, as short texts too."""
+    """The events of a watcher, also as short texts."""
 
     def texts(self) -> list[str]:
         return [f"{event.key} {event.action} {event.detail}".strip() for event in list(self)]
@@ -29,7 +29,7 @@ class Heard(list[DockerEvent]):
 
 @pytest.fixture
 def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[ContainerWatcher, Heard]]]:
-    """Starts a watch on the fake and waits until it follows and has seen the containers once."""
+    """Start a watcher on the fake engine, and wait until it is connected and has listed the containers once."""
     started: list[tuple[ContainerWatcher, DockerEngine]] = []
 
     def start(*containers: dict[str, Any], compare: float = 60.0) -> tuple[ContainerWatcher, Heard]:
@@ -48,10 +48,10 @@ def watch(fake: FakeEngine) -> Iterator[Callable[..., tuple[ContainerWatcher, He
         engine.close()
 
 
-def test_events_of_a_configured_container_are_told(
+def test_events_of_a_configured_container_are_published(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """Death comes with its exit code, health with its word, and both wake the container's checks."""
+    """Death with its exit code, health with its status; both trigger the checks of the container."""
     fake.containers["app"] = container("app", health="healthy")
     _, heard = watch({"name": "app", "alias": "ros"})
     fake.set("app", health="unhealthy")
@@ -62,10 +62,10 @@ def test_events_of_a_configured_container_are_told(
     assert not heard[0].lost
 
 
-def test_other_containers_and_exec_events_are_not_told(
+def test_other_containers_and_exec_events_are_ignored(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """What happens to a container that nobody configured, and each run of a healthcheck, wakes nobody."""
+    """Events of a container that is not configured, and runs of a healthcheck, trigger nothing."""
     fake.containers["app"], fake.containers["db"] = container("app"), container("db")
     _, heard = watch({"name": "app"})
     fake.set("db", status="exited")
@@ -77,10 +77,10 @@ def test_other_containers_and_exec_events_are_not_told(
     assert heard.texts() == ["app pause"]
 
 
-def test_a_container_that_was_renamed_away_is_still_known(
+def test_a_renamed_container_is_still_known(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """The configured name is gone then: its check must look."""
+    """The configured name is gone: its check must run."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app"})
     until(made.healthy, "the first comparison")
@@ -92,10 +92,10 @@ def test_a_container_that_was_renamed_away_is_still_known(
 
 
 @pytest.mark.parametrize("entry", [{"name": "app"}, {"label": "role=app"}])
-def test_the_end_of_a_container_that_was_replaced_is_not_told(
+def test_the_death_of_a_replaced_container_is_ignored(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]], entry: dict[str, Any]
 ) -> None:
-    """Renamed away, a copy started in its place, then removed: the running copy is not concerned."""
+    """Renamed, a copy started in its place, then removed: the running copy is unaffected."""
     fake.containers["app"] = container("app", labels={"role": "app"})
     made, heard = watch(entry)
     until(made.healthy, "the first comparison")
@@ -115,17 +115,17 @@ def test_the_end_of_a_container_that_was_replaced_is_not_told(
 def test_a_container_is_known_by_its_label(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """Events carry labels, so a container that Compose made anew is known at once."""
+    """Events have labels, so a container that Compose recreated is known immediately."""
     _, heard = watch({"label": "role=app"})
     fake.containers["swarm-app-1"] = container("swarm-app-1", status="created", labels={"role": "app"})
     fake.set("swarm-app-1", status="running")
     until(lambda: "app start" in heard.texts(), "the start")
 
 
-def test_network_events_wake_the_network_checks(
+def test_network_events_trigger_the_network_checks(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """Connecting and disconnecting names the network and the container."""
+    """Events of connecting and disconnecting name the network and the container."""
     fake.containers["app"] = container("app", networks=["swarm"])
     made, heard = watch({"name": "app", "networks": ["swarm"]})
     until(made.healthy, "the first comparison")
@@ -140,10 +140,10 @@ def test_network_events_wake_the_network_checks(
     assert heard[0].subjects == {"network"}
 
 
-def test_a_network_that_is_removed_and_created_again_wakes_the_network_checks(
+def test_a_recreated_network_triggers_the_network_checks(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """What waited for it goes on at once; networks that nobody has configured wake nobody."""
+    """Waiting units continue immediately; networks that are not configured trigger nothing."""
     made, heard = watch({"name": "app", "networks": ["swarm"]})
     until(made.healthy, "the first comparison")
     for name in ("other", "swarm"):
@@ -156,10 +156,10 @@ def test_a_network_that_is_removed_and_created_again_wakes_the_network_checks(
     ]
 
 
-def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
+def test_a_duplicate_disconnect_of_the_engine_is_published_once(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """The echo is left out; a connection in between, another container, or a later time makes it a disconnect of its own."""
+    """The duplicate is dropped; after a connection, for another container, or at a later time it is a new disconnect."""
     fake.containers["app"], fake.containers["two"] = container("app"), container("two")
     made, heard = watch({"name": "app", "networks": ["swarm"]}, {"name": "two", "networks": ["swarm"]})
     until(made.healthy, "the first comparison")
@@ -187,10 +187,10 @@ def test_a_disconnect_that_the_engine_tells_twice_is_told_once(
     ]
 
 
-def test_a_disconnect_seconds_after_another_is_told(
+def test_a_disconnect_seconds_after_another_is_published(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """The engine's own clock counts: what was missed meanwhile is a connection, and both disconnects were real."""
+    """The engine's own clock decides: the missed event in between is a connection, and both disconnects were real."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app", "networks": ["swarm"]})
     until(made.healthy, "the first comparison")
@@ -201,10 +201,10 @@ def test_a_disconnect_seconds_after_another_is_told(
     until(lambda: len(heard) == 2, "both")
 
 
-def test_what_the_stream_lost_is_found_by_comparing(
+def test_lost_events_are_found_by_comparison(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """A change without an event is told within a comparison period, marked as lost."""
+    """A change without an event is published within a comparison period, marked as lost."""
     fake.containers["app"] = container("app", health="healthy", networks=["swarm"])
     made, heard = watch({"name": "app"}, compare=0.5)
     until(made.healthy, "the first comparison")
@@ -215,10 +215,10 @@ def test_what_the_stream_lost_is_found_by_comparing(
     assert all(event.lost for event in heard)
 
 
-def test_what_the_stream_told_is_not_told_again(
+def test_published_events_are_not_repeated_by_the_comparison(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """The comparison knows what the events have led to."""
+    """The comparison knows the resulting state of the events."""
     fake.containers["app"] = container("app", health="healthy")
     made, heard = watch({"name": "app"}, compare=0.5)
     until(made.healthy, "the first comparison")
@@ -229,10 +229,10 @@ def test_what_the_stream_told_is_not_told_again(
     assert heard.texts() == ["app pause"]
 
 
-def test_a_dropped_stream_is_followed_again_and_what_was_missed_is_told(
+def test_a_broken_stream_is_reopened_and_missed_events_are_published(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """After a reconnect the containers are compared at once, whatever the period."""
+    """After a reconnect the containers are compared immediately, regardless of the period."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app"}, compare=60.0)
     until(made.healthy, "the first comparison")
@@ -246,10 +246,10 @@ def test_a_dropped_stream_is_followed_again_and_what_was_missed_is_told(
     until(lambda: len(heard) == 2, "the next event over the new stream")
 
 
-def test_events_while_the_stream_was_down_are_read_from_the_engines_memory(
+def test_events_during_an_interruption_are_replayed_by_the_engine(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """The stream is taken up where it broke off, so nothing is told twice and nothing is left out."""
+    """The stream resumes where it broke off, without duplicates or gaps."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app"}, compare=60.0)
     until(made.healthy, "the first comparison")
@@ -265,10 +265,10 @@ def test_events_while_the_stream_was_down_are_read_from_the_engines_memory(
 
 
 @pytest.mark.parametrize("fault", [Status(500), Hang()])
-def test_a_failing_engine_is_tried_again_and_shows_in_healthy(
+def test_a_failing_engine_is_retried_and_makes_the_watcher_unhealthy(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]], fault: Any
 ) -> None:
-    """While the engine fails the watch says so; afterwards it goes on by itself."""
+    """While the engine fails the watcher is unhealthy; afterwards it recovers by itself."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app"}, compare=0.5)
     until(made.healthy, "the first comparison")
@@ -282,8 +282,8 @@ def test_a_failing_engine_is_tried_again_and_shows_in_healthy(
     until(lambda: heard, "an event")
 
 
-def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine) -> None:
-    """A defect elsewhere costs its own event only."""
+def test_a_listener_that_raises_does_not_end_the_watcher(fake: FakeEngine) -> None:
+    """A defect in a listener costs only its own event."""
     fake.containers["app"] = container("app")
     heard: list[str] = []
 
@@ -305,15 +305,17 @@ def test_a_listener_that_raises_does_not_end_the_watch(fake: FakeEngine) -> None
 
 
 def test_stop_ends_both_threads(fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]) -> None:
-    """Nothing of the watch goes on after `stop`, although the stream was silent."""
+    """Nothing keeps running after `stop`, although the stream was silent."""
     made, _ = watch({"name": "app"})
     made.stop()
     names = {thread.name for thread in threading.enumerate()}
     assert not names & {"phm-docker-events", "phm-docker-compare"}
 
 
-def test_a_start_begins_a_life_once(fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]) -> None:
-    """`docker restart` tells `start` and then `restart`, which are one life; a restart that was lost is one, too."""
+def test_a_start_begins_a_generation_once(
+    fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
+) -> None:
+    """`docker restart` emits `start` and `restart` for one generation; the same for a restart whose event was lost."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app"}, compare=0.5)
     until(made.healthy, "the first comparison")
@@ -337,7 +339,7 @@ RUNNING = ExpectedState("a", "running", "t1", "healthy", 0, frozenset({("swarm",
 
 
 @pytest.mark.parametrize(
-    ("now", "told"),
+    ("now", "expected"),
     [
         (RUNNING, []),
         (ExpectedState(), [("container", "destroy", "")]),
@@ -354,13 +356,13 @@ RUNNING = ExpectedState("a", "running", "t1", "healthy", 0, frozenset({("swarm",
         ),
     ],
 )
-def test_each_difference_has_its_event(now: ExpectedState, told: list[tuple[str, str, str]]) -> None:
-    """A container or network that was made anew under the same name is another one: ids are compared."""
-    assert differences(RUNNING, now) == told
+def test_each_difference_has_its_event(now: ExpectedState, expected: list[tuple[str, str, str]]) -> None:
+    """A container or network that was recreated under the same name is another one: ids are compared."""
+    assert differences(RUNNING, now) == expected
 
 
-def test_what_an_event_leaves_open_does_not_differ() -> None:
-    """After a start the health and the time of start are not known until they are read."""
+def test_values_that_an_event_does_not_have_are_not_different() -> None:
+    """After a start event, health and start time are unknown until they are read."""
     started = after(ExpectedState("a", "exited", "t1", "none", 1, RUNNING.networks), "start", "", "a")
     assert differences(started, RUNNING) == []
     assert differences(after(RUNNING, "die", "", "a"), ExpectedState("a", "exited", "t1", "none", 137)) == []
@@ -369,15 +371,15 @@ def test_what_an_event_leaves_open_does_not_differ() -> None:
     )
 
 
-def test_a_death_after_a_start_that_was_told_is_still_found() -> None:
-    """Losing the last of several events is no less a loss."""
+def test_a_death_after_a_published_start_is_still_found() -> None:
+    """Losing the last of several events is a loss, too."""
     started = after(ExpectedState("a", "exited", "t1", "none", 1), "start", "", "a")
     dead = ExpectedState("a", "exited", "t2", "none", 2)
     assert differences(started, dead) == [("container", "die", "exit code 2")]
 
 
-def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine) -> None:
-    """Mostly the engine itself has gone or come: its check looks at once, and again when it cannot be reached."""
+def test_a_broken_or_reopened_stream_is_published(fake: FakeEngine) -> None:
+    """Usually the engine stopped or started: its check runs immediately, and again when it cannot connect."""
     turns: list[int] = []
     engine = DockerEngine(fake.url, timeout_s=2)
     made = ContainerWatcher(
@@ -414,14 +416,14 @@ def test_a_stream_that_breaks_or_comes_back_is_told(fake: FakeEngine) -> None:
         ({}, "1", 0.0),
     ],
 )
-def test_a_kill_says_how_long_the_container_may_take_to_end(
+def test_a_kill_has_the_time_that_the_container_may_take_to_stop(
     fake: FakeEngine,
     watch: Callable[..., tuple[ContainerWatcher, Heard]],
     config: dict[str, Any],
     signal: str,
     end_s: float,
 ) -> None:
-    """By the container's own stop signal and time; SIGKILL is the end of that time, and other signals need not end it."""
+    """From the container's stop signal and timeout; SIGKILL ends that time, and other signals need not stop it."""
     fake.containers["app"] = container("app")
     fake.containers["app"]["Config"].update(config)
     made, heard = watch({"name": "app"})
@@ -432,10 +434,10 @@ def test_a_kill_says_how_long_the_container_may_take_to_end(
     assert (heard[0].detail, heard[0].end_s) == (f"signal {signal}", end_s)
 
 
-def test_events_are_replayed_also_when_none_had_come_before_the_stream_broke(
+def test_events_are_replayed_even_if_none_arrived_before_the_stream_broke(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, Heard]]
 ) -> None:
-    """From when the stream was first open."""
+    """From the moment when the stream was first open."""
     fake.containers["app"] = container("app")
     made, heard = watch({"name": "app"}, compare=60.0)
     until(made.healthy, "the first comparison")
@@ -449,14 +451,14 @@ def test_events_are_replayed_also_when_none_had_come_before_the_stream_broke(
 
 
 @pytest.mark.parametrize(("missed_s", "complete"), [(60.0, True), (0.0, False)])
-def test_the_stream_says_since_when_nothing_was_missed(
+def test_the_stream_reports_since_when_it_is_complete(
     fake: FakeEngine,
     watch: Callable[..., tuple[ContainerWatcher, Heard]],
     monkeypatch: pytest.MonkeyPatch,
     missed_s: float,
     complete: bool,
 ) -> None:
-    """A short interruption is replayed; after a long one, and at the start, something may be missing."""
+    """A short interruption is replayed; after a long one, and at the start, events may be missing."""
     monkeypatch.setattr("phm.probes.container_watcher.MISSED_S", missed_s)
     fake.containers["app"] = container("app")
     made, _ = watch({"name": "app"})

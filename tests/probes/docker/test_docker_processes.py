@@ -1,4 +1,4 @@
-"""The process list of a container: reading the engine's table, other kinds of `ps`, and the real thing."""
+"""The process list of a container: the engine's table, other kinds of `ps`, and real processes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def probe(engine: DockerEngine, name: str) -> Docker:
 
 
 def test_a_row_is_a_process() -> None:
-    """Numbers, the state's first letter, whole seconds of processor time and age, and the command as it is."""
+    """Numbers, the first letter of the state, CPU time and age in whole seconds, and the unmodified command."""
     rows = [
         ["7", "1", "Sl+", "12", "300", "python -m sitl.application.node --name node_1"],
         ["8", "7", "R", "0", "0", "sh"],
@@ -36,8 +36,8 @@ def test_a_row_is_a_process() -> None:
     )
 
 
-def test_a_zombie_has_ended() -> None:
-    """A child that nobody has reaped is no process any more."""
+def test_a_zombie_has_terminated() -> None:
+    """A child process that was not reaped no longer runs."""
     rows = [["7", "1", "Z", "0", "9", "[python3] <defunct>"], ["8", "1", "S", "0", "9", "sh"]]
     assert [fact.pid for fact in processes({"Titles": TITLES, "Processes": rows})] == [8]
 
@@ -46,26 +46,26 @@ def test_a_zombie_has_ended() -> None:
     "answer",
     [{}, {"Titles": None}, {"Titles": ["USER", "COMMAND"], "Processes": [["a", "b"]]}],
 )
-def test_a_table_without_numbers_cannot_be_told(answer: dict[str, Any]) -> None:
-    """An engine that answers something else is no proof that nothing runs."""
+def test_a_table_without_numbers_is_an_error(answer: dict[str, Any]) -> None:
+    """An unexpected response does not prove that nothing runs."""
     with pytest.raises(CannotTell):
         processes(answer)
 
 
 @pytest.mark.parametrize("rows", [None, [None], [["x", "1", "S", "0", "9", "sh"]], [["1", "sh"]], [[]]])
-def test_rows_that_make_no_sense_are_left_out(rows: Any) -> None:
-    """A torn row is not a process, and breaks nothing."""
+def test_invalid_rows_are_dropped(rows: Any) -> None:
+    """A truncated row is not a process, and breaks nothing."""
     assert processes({"Titles": TITLES, "Processes": rows}) == ()
 
 
-def test_what_ps_does_not_tell_is_unknown() -> None:
-    """The engine's default table has no state, and BusyBox no processor time."""
+def test_columns_that_ps_does_not_have_are_unknown() -> None:
+    """The engine's default table has no state, and BusyBox has no CPU time."""
     (fact,) = processes({"Titles": ["UID", "PID", "PPID", "CMD"], "Processes": [["root", "7", "1", "sh -c x"]]})
     assert fact == ProcessFact(7, 1, "", None, "sh -c x")
 
 
 class OtherPs:
-    """An engine on a host whose `ps` knows only some forms."""
+    """An engine on a host whose `ps` accepts only some options."""
 
     def __init__(self, *known: str) -> None:
         self.known, self.asked = known, list[str]()
@@ -77,8 +77,8 @@ class OtherPs:
         return {"Titles": ["PID", "PPID", "STAT", "COMMAND"], "Processes": [["7", "1", "S", "sh"]]}
 
 
-def test_a_host_with_another_ps_is_asked_in_its_own_form() -> None:
-    """BusyBox refuses the first form; after that it is asked in the second, and in the first less and less often."""
+def test_a_host_with_another_ps_gets_options_that_it_accepts() -> None:
+    """BusyBox refuses the first options; after that the second ones are used, and the first ones are retried rarely."""
     engine, clock = OtherPs(FORMS[1]), FakeClock()
     asking = Processes(engine, clock)  # type: ignore[arg-type]
     assert asking.look("app") == asking.look("app") == (ProcessFact(7, 1, "S", None, "sh"),)
@@ -89,8 +89,8 @@ def test_a_host_with_another_ps_is_asked_in_its_own_form() -> None:
     assert 10_000 / AGAIN_MOST_S < engine.asked.count(FORMS[0]) < 10_000 / AGAIN_MOST_S + 10
 
 
-def test_one_refusal_does_not_cost_the_figures_for_ever() -> None:
-    """HTTP 500 also says that this one `ps` could not be started."""
+def test_one_refusal_does_not_lose_the_figures_permanently() -> None:
+    """HTTP 500 also means that this one `ps` could not be started."""
     engine, clock = OtherPs(FORMS[1]), FakeClock()
     asking = Processes(engine, clock)  # type: ignore[arg-type]
     asking.look("app")
@@ -102,16 +102,16 @@ def test_one_refusal_does_not_cost_the_figures_for_ever() -> None:
     assert engine.asked == [FORMS[0], FORMS[0]]
 
 
-def test_a_host_without_ps_cannot_tell() -> None:
-    """Each question is an answer of its own: a `ps` may be installed tomorrow."""
+def test_a_host_without_ps_raises() -> None:
+    """Each request is tried: a `ps` may be installed later."""
     asking = Processes(OtherPs(), FakeClock())  # type: ignore[arg-type]
     for _ in range(2):
         with pytest.raises(CannotTell):
             asking.look("app")
 
 
-def test_a_container_that_does_not_run_has_no_list(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Stopped, or not there: cannot tell, which is no death of a node."""
+def test_a_container_that_does_not_run_has_no_process_list(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Stopped or missing: unknown, which does not mean a dead node."""
     fake.containers["app"] = container("app", status="exited")
     for name in ("app", "other"):
         with pytest.raises(CannotTell, match="is not running"):
@@ -119,8 +119,8 @@ def test_a_container_that_does_not_run_has_no_list(fake: FakeEngine, ask: Docker
 
 
 @pytest.mark.parametrize("fault", [Hang(route="/top"), Status(403, route="/top"), Status(500, route="/top")])
-def test_an_engine_that_does_not_list_cannot_tell(fake: FakeEngine, ask: DockerEngine, fault: Any) -> None:
-    """Hanging, not permitted, broken: a sentence within the deadline."""
+def test_an_engine_that_lists_nothing_raises(fake: FakeEngine, ask: DockerEngine, fault: Any) -> None:
+    """Hung, not permitted, broken: an error text within the deadline."""
     fake.containers["app"] = container("app")
     fake.fault = fault
     with pytest.raises(CannotTell):
@@ -128,15 +128,15 @@ def test_an_engine_that_does_not_list_cannot_tell(fake: FakeEngine, ask: DockerE
 
 
 @pytest.mark.engine
-def test_real_processes_with_their_state(real: Any, engine: DockerEngine) -> None:
-    """Asleep, busy, stopped, gone: each shows in the list of a real container, with long arguments in full."""
+def test_real_processes_are_listed_with_their_state(real: Any, engine: DockerEngine) -> None:
+    """Sleeping, busy, stopped, gone: each is visible in the list of a real container, with long arguments in full."""
     long = "x" * 1000
     made = real.container(f"sleep 601 & bash -c 'while :; do :; done' busy {long} & exec sleep 602")
     docker = probe(engine, made.name)
 
     def find(word: str) -> ProcessFact | None:
         found = (fact for fact in docker.processes(made.name) if word in fact.command.split())
-        # The container's init names all of its arguments, too.
+        # The container's init has all of its arguments, too.
         return next((fact for fact in found if "docker-init" not in fact.command), None)
 
     def state(word: str) -> str:

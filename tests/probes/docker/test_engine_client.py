@@ -1,4 +1,4 @@
-"""The client of the engine: deadlines, kinds of failure, limits."""
+"""The Docker Engine client: deadlines, kinds of failure, limits."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from tests.fakes.engine_faults import DropStream, Fault, Garbage, Hang, NoHttp, 
 
 
 @pytest.mark.parametrize("fault", [Hang(), Trickle(), Trickle(route="/json")])
-def test_a_hanging_and_a_trickling_engine_are_cut_at_the_deadline(
+def test_requests_to_a_hung_or_slow_engine_are_aborted_at_the_deadline(
     fake: FakeEngine, ask: DockerEngine, fault: Fault
 ) -> None:
-    """Each call has a wall-clock deadline, which bytes that trickle in do not extend."""
+    """Each request has a deadline, which slowly arriving bytes do not extend."""
     fake.containers["app"] = container("app")
     fake.fault = fault
     with pytest.raises(EngineTimeout, match=r"did not answer within 4\.0 s \(inspect app\)"):
         ask.inspect("app")
 
 
-def test_an_engine_that_was_cut_is_asked_again_with_success(fake: FakeEngine, ask: DockerEngine) -> None:
-    """A call that was cut leaves nothing behind that spoils the next one."""
+def test_an_engine_with_an_aborted_request_can_be_asked_again(fake: FakeEngine, ask: DockerEngine) -> None:
+    """An aborted request leaves nothing behind that breaks the next one."""
     fake.containers["app"] = container("app")
     fake.fault = Trickle()
     with pytest.raises(EngineTimeout):
@@ -49,8 +49,8 @@ def test_an_engine_that_was_cut_is_asked_again_with_success(fake: FakeEngine, as
     assert ask.inspect("app")["Name"] == "/app"
 
 
-def test_only_the_overdue_call_is_cut(fake: FakeEngine) -> None:
-    """The deadline of one call leaves a call of another thread with a later one alone."""
+def test_only_the_overdue_request_is_aborted(fake: FakeEngine) -> None:
+    """The deadline of one request does not affect a request of another thread with a later deadline."""
     fake.containers["app"] = container("app")
     patient = DockerEngine(fake.url, timeout_s=30)
     patient.version()
@@ -66,8 +66,8 @@ def test_only_the_overdue_call_is_cut(fake: FakeEngine) -> None:
     patient.close()
 
 
-def test_calls_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine, ask: DockerEngine) -> None:
-    """A hundred calls, some of them cut, cost nothing that stays."""
+def test_requests_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine, ask: DockerEngine) -> None:
+    """A hundred requests, some of them aborted, leak nothing."""
     fake.containers["app"] = container("app")
     ask.inspect("app")
     threads = {thread for thread in threading.enumerate() if thread.name.startswith("phm-")}
@@ -97,10 +97,10 @@ def test_calls_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine, as
         (Oversize(), EngineBroken, "longer than 16 MiB"),
     ],
 )
-def test_each_failure_of_the_engine_has_a_kind_and_a_sentence(
+def test_each_failure_of_the_engine_has_a_kind_and_a_text(
     fake: FakeEngine, ask: DockerEngine, fault: Fault, kind: type[EngineError], words: str
 ) -> None:
-    """Whatever goes wrong is one of a small family, so a caller needs to know nothing of HTTP libraries."""
+    """Every failure is one of a few exceptions, so a caller needs no knowledge of HTTP libraries."""
     fake.containers["app"] = container("app")
     ask.version()
     ask.ping()
@@ -110,7 +110,7 @@ def test_each_failure_of_the_engine_has_a_kind_and_a_sentence(
 
 
 def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
-    """Checks and recovery know `CannotTell` and `NotPermitted` alone."""
+    """Checks and recovery know only `CannotTell` and `NotPermitted`."""
     assert issubclass(EngineRefused, NotPermitted)
     assert all(
         issubclass(kind, CannotTell)
@@ -119,13 +119,13 @@ def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
 
 
 def test_a_missing_socket_names_its_path(tmp_path: Path) -> None:
-    """Without a socket the sentence says which path was tried."""
+    """Without a socket the error has the path that was tried."""
     with pytest.raises(EngineNotConnected, match=r"there is no .*/none\.sock"):
         DockerEngine(f"unix://{tmp_path}/none.sock").ping()
 
 
-def test_a_dead_socket_says_that_nobody_listens(tmp_path: Path) -> None:
-    """A socket file that an engine left behind is told from a missing one."""
+def test_a_socket_without_a_server_has_its_own_error(tmp_path: Path) -> None:
+    """A socket file that an engine left behind differs from a missing one."""
     left = socket.socket(socket.AF_UNIX)
     left.bind(str(tmp_path / "left.sock"))
     left.close()
@@ -133,8 +133,8 @@ def test_a_dead_socket_says_that_nobody_listens(tmp_path: Path) -> None:
         DockerEngine(f"unix://{tmp_path}/left.sock").ping()
 
 
-def test_a_forbidden_socket_says_which_group_is_needed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Permission denied on the socket is answered with the remedy, not with an error number."""
+def test_a_forbidden_socket_names_the_required_group(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """For a denied permission the error has the remedy, not only an error number."""
 
     class Forbidden(socket.socket):
         def connect(self, address: object) -> None:
@@ -145,8 +145,8 @@ def test_a_forbidden_socket_says_which_group_is_needed(monkeypatch: pytest.Monke
         DockerEngine(f"unix://{tmp_path}/engine.sock").ping()
 
 
-def test_a_tcp_engine_that_nobody_serves_is_unreachable() -> None:
-    """The tcp form goes through the same deadline and the same words."""
+def test_a_tcp_engine_without_a_server_is_unreachable() -> None:
+    """TCP has the same deadline and the same error texts."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with pytest.raises(EngineTimeout):
@@ -155,8 +155,8 @@ def test_a_tcp_engine_that_nobody_serves_is_unreachable() -> None:
         DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=5).ping()
 
 
-def test_nothing_is_asked_when_the_client_is_made(fake: FakeEngine) -> None:
-    """PHM starts although the engine is down: the first call is the first contact."""
+def test_creating_the_client_sends_no_request(fake: FakeEngine) -> None:
+    """PHM starts although the engine is down: the first request connects."""
     DockerEngine(fake.url)
     assert list(fake.calls) == []
 
@@ -165,21 +165,21 @@ def test_nothing_is_asked_when_the_client_is_made(fake: FakeEngine) -> None:
     ("newest", "oldest", "spoken"), [("1.41", "1.24", "1.41"), ("1.54", "1.44", "1.44"), ("1.60", "1.50", "1.50")]
 )
 def test_the_api_version_suits_the_engine(tmp_path: Path, newest: str, oldest: str, spoken: str) -> None:
-    """An old engine is spoken to in its own version, a new one in the newest that PHM knows, if it still takes it."""
+    """Requests to an old engine use its version, to a new one the newest that PHM knows and the engine supports."""
     with FakeEngine(tmp_path / "e.sock", api=newest, minimum=oldest) as fake:
         engine = DockerEngine(fake.url)
         assert engine.call(lambda client: client.api_version) == spoken
 
 
-def test_a_proxy_that_hides_the_version_is_no_obstacle(fake: FakeEngine, ask: DockerEngine) -> None:
-    """A socket proxy may allow containers and nothing else."""
+def test_a_proxy_that_hides_the_version_is_supported(fake: FakeEngine, ask: DockerEngine) -> None:
+    """A socket proxy may allow only containers."""
     fake.containers["app"] = container("app")
     fake.fault = Status(403, route="/version")
     assert ask.inspect("app")["Name"] == "/app"
 
 
 def test_a_restart_may_take_its_stop_timeout(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The deadline of a restart is longer than the time the container is given to stop."""
+    """The deadline of a restart is longer than the stop timeout of the container."""
     fake.containers["app"] = container("app")
     ask.ping()
     fake.fault = Trickle(every_s=0.1, endless=False, route="/restart")  # an answer that takes longer than 4 s
@@ -209,7 +209,7 @@ def test_actions_change_the_container(fake: FakeEngine, ask: DockerEngine) -> No
 
 
 def test_a_file_is_read_up_to_its_limit(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Content comes through the archive route, and more than the limit is refused before it is read."""
+    """Content comes through the archive route; a larger file is rejected before it is read."""
     content = os.urandom(300_000)
     fake.containers["app"] = container("app", files={"/opt/model": content})
     total = hashlib.sha256()
@@ -222,7 +222,7 @@ def test_a_file_is_read_up_to_its_limit(fake: FakeEngine, ask: DockerEngine) -> 
         ask.stat_path("app", "/opt/none")
 
 
-def test_an_event_stream_ends_at_once_when_it_is_closed(fake: FakeEngine, ask: DockerEngine) -> None:
+def test_closing_an_event_stream_ends_it_immediately(fake: FakeEngine, ask: DockerEngine) -> None:
     """Another thread ends the reader of a silent stream."""
     stream = ask.events()
     seen: list[object] = []
@@ -236,7 +236,7 @@ def test_an_event_stream_ends_at_once_when_it_is_closed(fake: FakeEngine, ask: D
 
 
 def test_a_dropped_event_stream_ends_the_iteration(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The caller sees the end and reconnects; events before it were delivered."""
+    """The caller sees the end and reconnects; earlier events were delivered."""
     stream = ask.events()
     assert fake.wait(lambda engine: engine.streams == 1)
     fake.emit("container", "die", "x", name="app")
@@ -246,16 +246,16 @@ def test_a_dropped_event_stream_ends_the_iteration(fake: FakeEngine, ask: Docker
     assert list(iterator) == []
 
 
-def test_a_hanging_event_stream_is_given_up_at_the_deadline(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Opening the stream has the deadline of a call."""
+def test_opening_a_hung_event_stream_fails_at_the_deadline(fake: FakeEngine, ask: DockerEngine) -> None:
+    """It has the deadline of a request."""
     ask.ping()
     fake.fault = Hang(route="/events")
     with pytest.raises(EngineTimeout):
         ask.events()
 
 
-def test_close_cuts_what_is_under_way_and_refuses_the_rest(fake: FakeEngine) -> None:
-    """PHM ends at once although the engine hangs."""
+def test_close_aborts_open_requests_and_rejects_new_ones(fake: FakeEngine) -> None:
+    """PHM ends immediately although the engine hangs."""
     engine = DockerEngine(fake.url, timeout_s=60)
     fake.fault = Hang()
     caught: list[BaseException] = []
@@ -276,8 +276,8 @@ def test_close_cuts_what_is_under_way_and_refuses_the_rest(fake: FakeEngine) -> 
         engine.ping()
 
 
-def test_a_socket_is_cut_when_its_time_comes_and_not_before() -> None:
-    """The watchdog follows the injected clock, and a finished call's socket is never touched."""
+def test_a_socket_is_closed_at_its_deadline_and_not_before() -> None:
+    """The watchdog follows the injected clock, and the socket of a finished request is never touched."""
     clock = FakeClock()
     watchdog = CallDeadlines(clock, "phm-test-deadlines")
     ours, theirs = socket.socketpair()

@@ -1,4 +1,4 @@
-"""Events that the engine has sent are applied before results are judged, also while the thread that reads them is late."""
+"""Events that the engine has sent are applied before results are evaluated, even if their reader thread is late."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.fakes.until import until
 
 
 class Late:
-    """A listener whose thread is late: it takes each event, and goes on when the test says so."""
+    """A listener whose thread is late: it receives each event, and continues when the test releases it."""
 
     def __init__(self) -> None:
         self.taken: list[DockerEvent] = []
@@ -48,18 +48,14 @@ def late(fake: FakeEngine) -> Iterator[tuple[ContainerWatcher, Late]]:
     engine.close()
 
 
-def test_a_reader_that_waits_for_the_next_event_has_caught_up(
-    fake: FakeEngine, late: tuple[ContainerWatcher, Late]
-) -> None:
-    """With nothing sent, nobody has to wait for it, however long the stream has been open."""
+def test_an_idle_reader_has_caught_up(fake: FakeEngine, late: tuple[ContainerWatcher, Late]) -> None:
+    """If nothing was sent, there is nothing to wait for, however long the stream has been open."""
     watch, _ = late
     until(watch.caught_up, "the open stream")
 
 
-def test_an_event_that_is_being_applied_or_unread_is_waited_for(
-    fake: FakeEngine, late: tuple[ContainerWatcher, Late]
-) -> None:
-    """The first is in the late listener's hands, the second lies on the socket; both are applied when the wait is over."""
+def test_the_barrier_waits_for_applied_and_unread_events(fake: FakeEngine, late: tuple[ContainerWatcher, Late]) -> None:
+    """The first event is in the late listener, the second still on the socket; both are applied after the wait."""
     watch, listener = late
     until(watch.caught_up, "the open stream")
     fake.set("app", status="exited", exit_code=1)
@@ -81,8 +77,8 @@ def test_an_event_that_is_being_applied_or_unread_is_waited_for(
     assert waited == [2]
 
 
-def test_a_stream_that_is_closed_is_not_waited_for(fake: FakeEngine, late: tuple[ContainerWatcher, Late]) -> None:
-    """An engine that is away sends nothing that could be applied."""
+def test_the_barrier_does_not_wait_for_a_closed_stream(fake: FakeEngine, late: tuple[ContainerWatcher, Late]) -> None:
+    """A disconnected engine sends nothing that could be applied."""
     watch, _ = late
     until(watch.caught_up, "the open stream")
     fake.fault = DropStream()
@@ -109,10 +105,10 @@ def daemon(fake: FakeEngine, tmp_path: Path) -> Iterator[Daemon]:
     daemon.stop()
 
 
-def test_results_and_time_wait_for_the_events_before_them(
+def test_results_and_timers_wait_for_earlier_events(
     fake: FakeEngine, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While an event is not applied no result is judged, and nothing is published because time has passed; the main loop continues."""
+    """While an event is not applied, no result is evaluated and no timer publishes anything; the main loop continues."""
     until(lambda: daemon.pipeline.complete and daemon.components.probes.caught_up(), "the first report")
     taken, go, order = threading.Event(), threading.Event(), list[str]()
 
@@ -128,7 +124,7 @@ def test_results_and_time_wait_for_the_events_before_them(
     monkeypatch.setattr(daemon.components.holds, "happened", late)
     fake.set("app", status="exited", exit_code=1)
     assert taken.wait(20)
-    for _ in range(2):  # one that was under way when the event came is over after the second
+    for _ in range(2):  # an iteration in progress when the event came is over after the second
         last = daemon.components.loop.last_iteration
         daemon.wake()
         until(lambda: daemon.components.loop.last_iteration > last, "a main-loop iteration")  # noqa: B023

@@ -1,4 +1,4 @@
-"""The nodes check against real containers: what the engine's process list says of nodes that the graph still lists."""
+"""The nodes check against real containers: process lists of nodes that the graph still lists."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FAKE = "bash -c 'while :; do sleep 1; done' fake --name node_{} --namespace /age
 
 
 class Agent:
-    """Two fake nodes of one real container, beside the graph of a ROS that does not notice anything."""
+    """Two fake nodes of one real container, with a ROS graph that does not change."""
 
     def __init__(self, name: str, engine: DockerEngine) -> None:
         nodes = [{"name": f"/agent_1/node_{number}"} for number in (1, 2)]
@@ -35,7 +35,7 @@ class Agent:
         return {unit.rpartition("/")[2]: result for unit, result in results.items()}
 
     def shows(self, node: str, condition: str, process: str) -> None:
-        """Until the node is judged so, and its process is told so; the other one is well all the time."""
+        """Wait until the node has this condition and process text; the other one is OK all the time."""
 
         def shown() -> bool:
             results = self.results()
@@ -51,8 +51,8 @@ def made(real: Any) -> Any:
     return real.container(f"{FAKE.format(1)} & {FAKE.format(2)} & wait; exec sleep 600")
 
 
-def test_a_stopped_and_then_killed_process(made: Any, engine: DockerEngine) -> None:
-    """Hung while it is stopped, well when it is let go, dead when it is killed, although its name is listed throughout."""
+def test_a_stopped_and_then_killed_process_is_detected(made: Any, engine: DockerEngine) -> None:
+    """Hung while it is stopped, OK when it is resumed, dead when it is killed; its name is listed throughout."""
     agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")
     for signal, condition, process in (
@@ -65,7 +65,7 @@ def test_a_stopped_and_then_killed_process(made: Any, engine: DockerEngine) -> N
 
 
 def test_a_restarted_container_has_other_processes(made: Any, engine: DockerEngine) -> None:
-    """The processes of before are gone with their life: no node is told as dead, and the new ones are found."""
+    """The earlier processes are gone: no node is reported dead, and the new processes are found."""
     agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")
     before = agent.results()["node_1"].values["process"]
@@ -77,8 +77,8 @@ def test_a_restarted_container_has_other_processes(made: Any, engine: DockerEngi
     assert {result.level for result in agent.results().values()} == {api.Level.OK}
 
 
-def test_a_container_that_ended_takes_its_nodes_along(made: Any, engine: DockerEngine) -> None:
-    """Its state is the evidence; the tracker then tells it at the container."""
+def test_nodes_of_a_stopped_container_have_its_state_as_evidence(made: Any, engine: DockerEngine) -> None:
+    """The tracker then reports it for the container."""
     agent = Agent(made.name, engine)
     agent.shows("node_1", "", " S")
     made.kill()

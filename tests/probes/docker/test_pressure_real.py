@@ -1,4 +1,4 @@
-"""The pressure check against real containers: through the files of their cgroups, and through the engine's statistics."""
+"""The pressure check against real containers: through their cgroup files, and through the engine's statistics."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ wait_until = partial(until, limit_s=90.0, step=lambda: time.sleep(LOOK_S))
 
 
 class Agent:
-    """The check and the probe on one real container, as PHM uses them."""
+    """The check and the probe on one real container, as in PHM."""
 
     def __init__(self, engine: DockerEngine, name: str, source: str) -> None:
-        # This machine may be overloaded while the test runs: waiting for others is no part of it.
+        # This machine may be overloaded during the test, so waiting for others is excluded.
         limits = {"cgroups": source, "waiting": {"warn": 100, "error": 100}}
         settings = testing.settings(containers=[{"name": name, "alias": "ros_app"}], pressure=limits)
         (self.check,) = Pressure.build(settings)
@@ -86,9 +86,7 @@ def source(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def test_a_cpu_limit_that_starves_is_named_and_ends_when_it_is_lifted(
-    real: Any, engine: DockerEngine, source: str
-) -> None:
+def test_a_low_cpu_limit_is_reported_until_it_is_raised(real: Any, engine: DockerEngine, source: str) -> None:
     """`docker update --cpus 0.03`, and back."""
     made = real.container(BUSY)
     agent = Agent(engine, made.name, source)
@@ -100,12 +98,12 @@ def test_a_cpu_limit_that_starves_is_named_and_ends_when_it_is_lifted(
     agent.is_ok()
 
 
-def test_a_limit_of_processes_that_is_reached_is_named(real: Any, engine: DockerEngine, source: str) -> None:
-    """Until some have ended."""
+def test_a_reached_limit_of_processes_is_reported(real: Any, engine: DockerEngine, source: str) -> None:
+    """Until some of them have terminated."""
     made = real.container("sleep 600 & sleep 600 & sleep 600 & wait", pids_limit=50)
     agent = Agent(engine, made.name, source)
     agent.is_ok()
-    # docker-py's own `update` knows no limit of processes.
+    # docker-py's own `update` does not support a limit of processes.
     body = {"PidsLimit": 5}
     engine.call(lambda client: client._post_json(client._url("/containers/{0}/update", made.id), data=body))
     assert "at its limit of 5" in agent.is_error("pids_limit").summary
@@ -114,10 +112,8 @@ def test_a_limit_of_processes_that_is_reached_is_named(real: Any, engine: Docker
     agent.until(lambda result: result.bypass, "the end of the container")
 
 
-def test_a_memory_limit_below_what_is_needed_again_and_again_is_named(
-    real: Any, engine: DockerEngine, source: str
-) -> None:
-    """The container is not killed: its pages are dropped and read back. With room, it ends."""
+def test_a_memory_limit_below_the_working_set_is_reported(real: Any, engine: DockerEngine, source: str) -> None:
+    """The container is not killed: its pages are dropped and read back. With a higher limit the fault ends."""
     made = real.container(f"exec python3 -c '{THRASH}'", mem_limit="90m", memswap_limit="90m")
     agent = Agent(engine, made.name, source)
     agent.is_ok()
@@ -129,8 +125,8 @@ def test_a_memory_limit_below_what_is_needed_again_and_again_is_named(
     agent.is_ok()
 
 
-def test_a_memory_limit_that_the_page_cache_fills_is_no_pressure(real: Any, engine: DockerEngine, source: str) -> None:
-    """Files that are written and read through at the limit, as a recorder does."""
+def test_a_page_cache_at_the_memory_limit_is_not_pressure(real: Any, engine: DockerEngine, source: str) -> None:
+    """Files are written and read once at the limit, as a recorder does."""
     made = real.container(STREAM, mem_limit="40m", memswap_limit="40m")
     agent = Agent(engine, made.name, source)
     agent.until(lambda result: (result.values.get("memory_bytes") or 0) > (36 << 20), "a full page cache")  # type: ignore[operator]
@@ -139,8 +135,8 @@ def test_a_memory_limit_that_the_page_cache_fills_is_no_pressure(real: Any, engi
         threading.Event().wait(LOOK_S)
 
 
-def test_a_container_started_again_is_judged_anew(real: Any, engine: DockerEngine, source: str) -> None:
-    """Its counters begin at 0, in another cgroup of the same name."""
+def test_a_restarted_container_is_evaluated_from_zero(real: Any, engine: DockerEngine, source: str) -> None:
+    """Its counters start at 0, in another cgroup of the same name."""
     made = real.container(BUSY, cpu_quota=3000, cpu_period=100000)
     agent = Agent(engine, made.name, source)
     agent.is_error("cpu_throttled")
@@ -150,8 +146,8 @@ def test_a_container_started_again_is_judged_anew(real: Any, engine: DockerEngin
     agent.is_error("cpu_throttled")
 
 
-def test_the_real_cgroup_of_a_container_shows_everything(real: Any, engine: DockerEngine) -> None:
-    """On this machine's version, whichever it is."""
+def test_the_real_cgroup_of_a_container_has_all_values(real: Any, engine: DockerEngine) -> None:
+    """For the cgroup version of this machine."""
     made = real.container(BUSY, cpu_quota=50000, cpu_period=100000, mem_limit="64m", pids_limit=20)
     agent = Agent(engine, made.name, FILES)
     fact = agent.world.pressure.container("ros_app")
@@ -163,7 +159,7 @@ def test_the_real_cgroup_of_a_container_shows_everything(real: Any, engine: Dock
 
 
 def test_a_real_mount_of_version_2_is_read(real: Any, engine: DockerEngine) -> None:
-    """Also one without the controllers, as beside version 1: what is not counted there is said."""
+    """Also one without controllers, as in hybrid mode: the text names what is not counted there."""
     hybrid = Path(FILES, "unified")
     made = real.container(BUSY, cpu_quota=3000, cpu_period=100000)
     agent = Agent(engine, made.name, str(hybrid if hybrid.is_dir() else FILES))
@@ -180,8 +176,8 @@ def test_a_real_mount_of_version_2_is_read(real: Any, engine: DockerEngine) -> N
     wait_until(lambda: stalled_s() >= first_s + 1.0, "the kernel to count that the limit stops it")
 
 
-def test_who_has_the_cpus_is_known_by_name(real: Any, engine: DockerEngine, source: str) -> None:
-    """Also of a container that is not configured."""
+def test_users_of_the_cpu_are_known_by_name(real: Any, engine: DockerEngine, source: str) -> None:
+    """Also a container that is not configured."""
     made, other = real.container(), real.container(f"{BUSY} & {BUSY}")
     agent = Agent(engine, made.name, source)
     agent.is_ok()
@@ -193,7 +189,7 @@ def test_who_has_the_cpus_is_known_by_name(real: Any, engine: DockerEngine, sour
 
 
 def until_read(made: Any, size: int) -> None:
-    """Until the program has its file in memory."""
+    """Wait until the program has its file in memory."""
     wait_until(
         lambda: made.stats(stream=False, one_shot=True)["memory_stats"].get("usage", 0) >= size,
         "the program to read its file",

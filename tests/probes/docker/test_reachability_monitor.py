@@ -1,4 +1,4 @@
-"""The pulse of addresses: a change is told once, and how long an answer may take is learned."""
+"""Reachability of addresses: a change triggers once, and the response timeout adapts."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from phm.testing import FakeClock
 
 
 class Bench:
-    """Two addresses and whoever is told of them."""
+    """Two addresses, and a counter of published changes."""
 
     def __init__(self) -> None:
-        self.clock, self.silent, self.told, self.knocks = FakeClock(), set[str](), 0, 0
+        self.clock, self.silent, self.changes, self.pings = FakeClock(), set[str](), 0, 0
         self.addresses = ["10.0.0.2", "10.0.0.3"]
         self.pulse = ReachabilityMonitor(self.clock, lambda: self.addresses, self.ping, self.turned)
 
     def ping(self, address: str) -> bool:
-        self.knocks += 1
+        self.pings += 1
         return address not in self.silent
 
     def turned(self) -> None:
-        self.told += 1
+        self.changes += 1
 
     def poll(self, times: int = 1) -> int:
-        """How often somebody was told meanwhile."""
-        before = self.told
+        """The number of changes published by these polls."""
+        before = self.changes
         for _ in range(times):
             self.clock.advance(PERIOD_S)
             self.pulse.poll()
-        return self.told - before
+        return self.changes - before
 
 
-def test_an_address_that_answers_is_not_told() -> None:
-    """All is well."""
+def test_a_responding_address_changes_nothing() -> None:
+    """Both addresses respond."""
     assert Bench().poll(10) == 0
 
 
-def test_who_falls_silent_is_told_once_and_again_when_it_answers() -> None:
-    """The check then looks by itself as long as it is bad."""
+def test_an_address_that_falls_silent_is_published_once_and_again_when_it_responds() -> None:
+    """The check then runs periodically as long as it is bad."""
     bench = Bench()
     bench.silent.add("10.0.0.3")
     assert (bench.poll(), bench.poll(5)) == (1, 0)
@@ -48,18 +48,18 @@ def test_who_falls_silent_is_told_once_and_again_when_it_answers() -> None:
     assert (bench.poll(), bench.poll(5)) == (1, 0)
 
 
-def test_who_is_silent_for_long_is_left_to_the_check() -> None:
-    """Mostly its container is gone, and each knock waits for an answer."""
+def test_an_address_that_is_silent_for_long_is_not_pinged() -> None:
+    """Usually its container is gone, and each ping waits for a response."""
     bench = Bench()
     bench.addresses, bench.silent = ["10.0.0.2"], {"10.0.0.2"}
     bench.poll(int(GIVEN_UP_S / PERIOD_S) + 2)
-    before = bench.knocks
+    before = bench.pings
     bench.poll(10)
-    assert bench.knocks == before
+    assert bench.pings == before
 
 
-def test_an_address_that_is_no_longer_looked_for_is_forgotten() -> None:
-    """When it comes back in another life, it begins anew."""
+def test_an_address_that_is_no_longer_configured_is_forgotten() -> None:
+    """If it returns with another container, it starts from scratch."""
     bench = Bench()
     bench.silent.add("10.0.0.3")
     bench.poll()
@@ -69,8 +69,8 @@ def test_an_address_that_is_no_longer_looked_for_is_forgotten() -> None:
     assert bench.poll() == 0
 
 
-def test_a_machine_without_sockets_ends_nothing() -> None:
-    """The thread goes on, and the check tells what cannot be told."""
+def test_a_machine_without_sockets_does_not_end_the_monitor() -> None:
+    """The thread continues, and the check reports the missing evidence."""
     clock = FakeClock()
 
     def ping(address: str) -> bool:
@@ -85,8 +85,8 @@ def test_a_machine_without_sockets_ends_nothing() -> None:
     pulse.stop()
 
 
-def test_how_long_an_answer_may_take_is_learned() -> None:
-    """At first a second; later a quarter of one, or ten times the longest of late."""
+def test_the_response_timeout_adapts() -> None:
+    """At first one second; later a quarter of it, or ten times the longest recent response."""
     limits: list[float] = []
 
     def ping(address: str, limit_s: float) -> bool:
@@ -101,8 +101,8 @@ def test_how_long_an_answer_may_take_is_learned() -> None:
 
 
 @pytest.mark.parametrize(("took_s", "limit_s"), [(0.1, TIMES * 0.1), (0.5, LIMIT_S)])
-def test_slow_answers_are_given_more_time(monkeypatch: pytest.MonkeyPatch, took_s: float, limit_s: float) -> None:
-    """A busy machine delays answers and whoever waits for them; never more than a second."""
+def test_slow_responses_get_more_time(monkeypatch: pytest.MonkeyPatch, took_s: float, limit_s: float) -> None:
+    """A busy machine delays both the response and its receiver; one second at most."""
     clock = FakeClock()
     monkeypatch.setattr("phm.probes.ping.time.monotonic", clock.mono)
 

@@ -1,4 +1,4 @@
-"""The truth: real containers and networks on the real engine."""
+"""The Docker probe with real containers and networks on the real engine."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def fact_of(docker: Docker, name: str) -> ContainerFact:
 
 @pytest.fixture
 def heard(engine: DockerEngine) -> Iterator[Callable[..., list[DockerEvent]]]:
-    """Starts a watch on the real engine; the list fills as events come."""
+    """Start a watcher on the real engine; the list fills as events arrive."""
     watches: list[ContainerWatcher] = []
 
     def start(**more: Any) -> list[DockerEvent]:
@@ -62,13 +62,13 @@ def heard(engine: DockerEngine) -> Iterator[Callable[..., list[DockerEvent]]]:
         watch.stop()
 
 
-def test_the_engine_answers(engine: DockerEngine) -> None:
+def test_the_engine_responds(engine: DockerEngine) -> None:
     """The version is the engine's own."""
     assert probe(engine).engine()[0].isdigit()
 
 
-def test_a_life_of_a_container(real: Any, engine: DockerEngine) -> None:
-    """running, paused, running, exited with its code, and running again as another life."""
+def test_the_states_of_a_container_are_read(real: Any, engine: DockerEngine) -> None:
+    """running, paused, running, exited with its code, and running again as another generation."""
     made = real.container("trap 'exit 7' TERM; while :; do sleep 0.1; done")
     docker = probe(engine, made.name)
     first = fact_of(docker, made.name)
@@ -92,7 +92,7 @@ def test_a_life_of_a_container(real: Any, engine: DockerEngine) -> None:
     assert docker.container(made.name) is None
 
 
-def test_failing_health_is_seen_with_its_output(real: Any, engine: DockerEngine) -> None:
+def test_a_failing_healthcheck_is_read_with_its_output(real: Any, engine: DockerEngine) -> None:
     """healthy while the command succeeds, unhealthy with its streak when it fails."""
     made = real.container("touch /tmp/healthy; exec sleep 600", healthcheck=HEALTH)
     docker = probe(engine, made.name)
@@ -102,8 +102,8 @@ def test_failing_health_is_seen_with_its_output(real: Any, engine: DockerEngine)
     assert fact_of(docker, made.name).health_streak >= 1
 
 
-def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: DockerEngine) -> None:
-    """The engine says that the kernel killed it for memory."""
+def test_an_oom_kill_is_detected(real: Any, engine: DockerEngine) -> None:
+    """The engine reports that the kernel killed the container."""
     made = real.container(
         "exec python3 -c 'x = bytearray(200 << 20)'", mem_limit="32m", memswap_limit="32m", start=False
     )
@@ -114,10 +114,10 @@ def test_a_container_that_used_too_much_memory_is_told(real: Any, engine: Docker
     assert (fact.exit_code, fact.oom_killed) == (137, True)
 
 
-def test_events_of_a_real_container_wake_its_checks(
+def test_events_of_a_real_container_trigger_its_checks(
     real: Any, engine: DockerEngine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
-    """Each change of state arrives by the stream, and the runs of its healthcheck do not."""
+    """Each change of state arrives by the stream; runs of its healthcheck do not."""
     made = real.container("touch /tmp/healthy; exec sleep 600", start=False, healthcheck=HEALTH)
     events = heard(containers=[{"name": made.name}])
     made.start()
@@ -134,10 +134,10 @@ def test_events_of_a_real_container_wake_its_checks(
     assert not any(event.lost for event in events)
 
 
-def test_the_engines_own_restarts_are_counted_and_a_start_by_hand_counts_anew(
+def test_restarts_by_the_engine_are_counted_and_a_manual_start_resets_the_count(
     real: Any, engine: DockerEngine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
-    """By the counter the container check tells hands apart; each start is another life, told once."""
+    """The counter distinguishes the engine from an operator; each start is another generation, published once."""
     made = real.container("test -e /tmp/born || { touch /tmp/born; sleep 1; exit 3; }; exec sleep 600", start=False)
     made.update(restart_policy={"Name": "always"})
     docker = probe(engine, made.name)
@@ -155,10 +155,10 @@ def test_the_engines_own_restarts_are_counted_and_a_start_by_hand_counts_anew(
     assert [event.begins_life for event in events].count(True) == 3
 
 
-def test_networks_are_left_and_joined_with_ids(
+def test_networks_are_disconnected_and_connected_with_ids(
     real: Any, engine: DockerEngine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
-    """Disconnected, then connected again with its alias: seen as events and as facts, by the network's id."""
+    """Disconnected, then connected again with its alias: visible as events and as facts, by the network's id."""
     network = real.network()
     made = real.container(network=network.name)
     docker = probe(engine, made.name)
@@ -181,8 +181,8 @@ def test_networks_are_left_and_joined_with_ids(
     assert docker.network_id(real.name()) == ""
 
 
-def test_an_address_answers_as_long_as_its_container_lives(real: Any, engine: DockerEngine) -> None:
-    """A container on a bridge answers, paused too; one that is gone does not."""
+def test_an_address_responds_as_long_as_its_container_exists(real: Any, engine: DockerEngine) -> None:
+    """A container on a bridge responds, even when paused; a removed one does not."""
     network = real.network()
     made = real.container(network=network.name)
     docker = probe(engine, made.name)
@@ -191,8 +191,8 @@ def test_an_address_answers_as_long_as_its_container_lives(real: Any, engine: Do
     assert not docker.reachable(address.rpartition(".")[0] + ".254")
 
 
-def test_an_address_behind_a_cut_cable_is_silent_at_once(real: Any, engine: DockerEngine) -> None:
-    """The interface goes down under a container that has answered before: ARP, which remembers it, is not believed."""
+def test_an_address_behind_a_disabled_interface_is_silent_immediately(real: Any, engine: DockerEngine) -> None:
+    """The interface of a container that responded before goes down: ARP, which still has its entry, does not count."""
     network = real.network()
     made = real.container(network=network.name)
     real.container(network=network.name)  # a bridge without any live port forgets all neighbours by itself
@@ -205,7 +205,7 @@ def test_an_address_behind_a_cut_cable_is_silent_at_once(real: Any, engine: Dock
 
 
 def test_an_echo_is_answered_where_the_kernel_allows_it(real: Any) -> None:
-    """In a container ICMP is allowed to anyone, so a firewalled TCP stack is no obstacle; nobody is root here."""
+    """In a container ICMP is unprivileged, so a firewalled TCP stack can still be reached; no root is needed."""
     network = real.network()
     peer = real.container(network=network.name)
     peer.reload()
@@ -229,8 +229,8 @@ def test_an_echo_is_answered_where_the_kernel_allows_it(real: Any) -> None:
     assert (code, output.decode().strip()) == (0, "answers")
 
 
-def test_own_container_is_found_from_within(real: Any, engine: DockerEngine, tmp_path: Path) -> None:
-    """What /proc says inside a real container is the id by which the engine knows it."""
+def test_the_own_container_is_found_from_inside(real: Any, engine: DockerEngine, tmp_path: Path) -> None:
+    """/proc inside a real container has the id by which the engine knows it."""
     made = real.container()
     for file in ("mountinfo", "cgroup"):
         (tmp_path / file).write_bytes(made.exec_run(["cat", f"/proc/self/{file}"]).output)
@@ -240,7 +240,7 @@ def test_own_container_is_found_from_within(real: Any, engine: DockerEngine, tmp
 
 
 def test_a_label_finds_a_real_container(real: Any, engine: DockerEngine) -> None:
-    """Two containers with one label cannot be told apart until one of them ends."""
+    """Two containers with one label are ambiguous until one of them stops."""
     label = {"phm.test.role": real.name()}
     one, two = real.container(labels=label), real.container(labels=label)
     entry = {"label": f"phm.test.role={label['phm.test.role']}", "alias": "app"}
@@ -252,7 +252,7 @@ def test_a_label_finds_a_real_container(real: Any, engine: DockerEngine) -> None
 
 
 def test_a_file_is_the_same_by_volume_and_by_engine(real: Any, engine: DockerEngine) -> None:
-    """Mode, size and sum of one file agree whichever way it is looked at, links included."""
+    """Mode, size and digest of one file agree for both ways, symlinks included."""
     volume = real.volume()
     made = real.container(
         "umask 022; head -c 3000000 /dev/urandom > /data/model; chmod 750 /data/model; cp -p /data/model /opt/model; "
@@ -280,8 +280,8 @@ def test_a_file_is_the_same_by_volume_and_by_engine(real: Any, engine: DockerEng
     assert files.look(made.name, "/opt/model", digest=True) == seen["/opt/model"]
 
 
-def test_a_volume_that_a_container_fills_with_links_shows_nothing_of_the_host(real: Any, engine: DockerEngine) -> None:
-    """A link to /etc/hostname in a volume is the container's own file, seen through the engine."""
+def test_symlinks_in_a_volume_show_nothing_of_the_host(real: Any, engine: DockerEngine) -> None:
+    """A link to /etc/hostname in a volume is the container's own file, read through the engine."""
     volume = real.volume()
     made = real.container(
         "ln -s /etc/os-release /data/escape; ln -s ../../../../../../etc/shadow-of-host /data/climb; touch /data/done; exec sleep 600",
@@ -303,7 +303,7 @@ def test_processes_of_a_real_container_are_listed(real: Any, engine: DockerEngin
     assert any("sleep 321" in " ".join(row) for row in engine.top(made.name)["Processes"])
 
 
-def test_the_real_engines_refusals_have_their_kinds(real: Any, engine: DockerEngine) -> None:
+def test_refusals_of_the_real_engine_have_their_kinds(real: Any, engine: DockerEngine) -> None:
     """404 and 409 mean the same from the real engine as from the fake one."""
     with pytest.raises(EngineMissing):
         engine.inspect(real.name())

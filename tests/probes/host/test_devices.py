@@ -25,7 +25,7 @@ def probe(root: Path | str = "/dev") -> Devices:
 
 @pytest.fixture
 def host_dev(tmp_path: Path) -> Path:
-    """A mounted /dev of some host, seen at another place, with links as udev makes them to this machine's null."""
+    """A host's /dev mounted at another path, with udev-style symlinks to this machine's null device."""
     root = tmp_path / "host" / "dev"
     (root / "serial" / "by-id").mkdir(parents=True)
     (root / "not_a_device").write_text("", encoding="ascii")
@@ -46,33 +46,33 @@ def terminal() -> Iterator[str]:
     os.close(far)
 
 
-def test_a_character_device_is_told_with_its_numbers() -> None:
+def test_a_character_device_has_its_numbers() -> None:
     """/dev/null is 1:3 on every Linux."""
     fact = probe().look("/dev/null", open_it=True)
     assert fact is not None
     assert (fact.path, fact.character, fact.major, fact.minor, fact.openable) == ("/dev/null", True, 1, 3, True)
 
 
-def test_a_device_that_is_not_asked_to_open_is_not_opened() -> None:
-    """Permission bits alone prove nothing about what is behind it."""
+def test_a_device_is_opened_only_on_request() -> None:
+    """Permission bits alone prove nothing about the device behind the file."""
     fact = probe().look("/dev/null", open_it=False)
     assert fact is not None and fact.openable is None and not fact.reason
 
 
 def test_a_real_terminal_can_be_opened(terminal: str) -> None:
-    """Without becoming its controlling terminal and without waiting for a carrier."""
+    """Without making it the controlling terminal and without waiting for a carrier."""
     fact = probe().look(terminal, open_it=True)
     assert fact is not None and fact.character and fact.openable
 
 
-def test_a_path_that_is_not_there_is_none() -> None:
-    """Missing is an answer, not an error."""
+def test_a_missing_path_is_none() -> None:
+    """Missing is a result, not an error."""
     assert probe().look("/dev/phm-no-such-device", open_it=True) is None
     assert probe().look("/dev/null/below", open_it=True) is None
 
 
-def test_a_folder_or_file_is_no_character_device(host_dev: Path) -> None:
-    """What stands there instead is said."""
+def test_a_directory_or_file_is_not_a_character_device(host_dev: Path) -> None:
+    """The fact has the kind of the file."""
     folder = probe(host_dev).look("/dev/serial", open_it=True)
     file = probe(host_dev).look("/dev/not_a_device", open_it=True)
     assert folder is not None and not folder.character and "directory" in folder.reason
@@ -80,20 +80,20 @@ def test_a_folder_or_file_is_no_character_device(host_dev: Path) -> None:
 
 
 @pytest.mark.parametrize("link", ["relative", "absolute"])
-def test_links_are_followed_within_the_mounted_dev(host_dev: Path, link: str) -> None:
-    """An absolute target names the host's path, not one of PHM's container."""
+def test_symlinks_are_resolved_within_the_mounted_dev(host_dev: Path, link: str) -> None:
+    """An absolute target is a path of the host, not of PHM's container."""
     fact = probe(host_dev).look(f"/dev/serial/by-id/{link}", open_it=False)
     assert fact is not None and fact.path == "/dev/not_a_device"
 
 
 @pytest.mark.parametrize("link", ["/dev/serial/by-id/dangling", "/dev/loop_a"])
-def test_a_link_that_leads_nowhere_is_none(host_dev: Path, link: str) -> None:
-    """Dangling or endless: the device is not there."""
+def test_a_symlink_without_target_is_none(host_dev: Path, link: str) -> None:
+    """Dangling or cyclic: the device does not exist."""
     assert probe(host_dev).look(link, open_it=True) is None
 
 
-def test_an_unmounted_dev_cannot_tell(tmp_path: Path) -> None:
-    """Else every device would be reported missing."""
+def test_an_unmounted_dev_is_an_error(tmp_path: Path) -> None:
+    """Otherwise every device would be reported missing."""
     with pytest.raises(CannotTell, match="mount it"):
         probe(tmp_path / "nowhere").look("/dev/null", open_it=False)
 
@@ -109,8 +109,10 @@ def test_an_unmounted_dev_cannot_tell(tmp_path: Path) -> None:
         (errno.EINVAL, False),
     ],
 )
-def test_an_error_of_opening_is_told_apart(monkeypatch: pytest.MonkeyPatch, number: int, openable: bool | None) -> None:
-    """In use works, not allowed proves nothing, no device behind it is refused; each with a reason."""
+def test_each_error_of_opening_has_its_result(
+    monkeypatch: pytest.MonkeyPatch, number: int, openable: bool | None
+) -> None:
+    """Busy is OK, a denied permission proves nothing, a missing device behind the file is refused; each with a reason."""
 
     def refuse(*_: object, **__: object) -> int:
         raise OSError(number, os.strerror(number))
@@ -121,8 +123,8 @@ def test_an_error_of_opening_is_told_apart(monkeypatch: pytest.MonkeyPatch, numb
     assert fact is not None and fact.openable is openable and fact.reason
 
 
-def test_a_device_with_nothing_behind_it_is_refused() -> None:
-    """The kernel's own answer: a process without a controlling terminal finds nothing behind /dev/tty."""
+def test_a_file_without_a_device_behind_it_is_refused() -> None:
+    """The kernel's own error: a process without a controlling terminal cannot open /dev/tty."""
     code = (
         "from phm import testing; from phm.core.clock import SystemClock; from phm.probes.devices import Devices\n"
         "fact = Devices(testing.settings().host, SystemClock()).look('/dev/tty', open_it=True)\n"
@@ -141,22 +143,22 @@ def test_a_device_with_nothing_behind_it_is_refused() -> None:
     assert done.stdout.strip() == "5 0 False no driver or device answers behind it"
 
 
-def test_a_node_whose_mode_lets_nobody_in_is_refused(terminal: str) -> None:
-    """Judged by the bits alone, without opening."""
+def test_a_file_whose_mode_denies_all_access_is_refused(terminal: str) -> None:
+    """Decided by the mode bits alone, without opening."""
     os.chmod(terminal, 0)
     fact = probe().look(terminal, open_it=False)
     assert fact is not None and fact.openable is False
 
 
-def test_ports_that_are_there_are_listed(terminal: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Found by their names below the mounted /dev, and told by the host's paths."""
+def test_existing_ports_are_listed(terminal: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Found by their names in the mounted /dev, and reported with the host's paths."""
     monkeypatch.setattr(module, "_PORTS", ("[0-9]*",))
     ports = probe("/dev/pts").serial_ports()
     assert f"/dev/{Path(terminal).name}" in [port.path for port in ports]
     assert all(port.character for port in ports)
 
 
-def test_a_folder_with_the_name_of_a_port_is_not_listed(tmp_path: Path) -> None:
-    """Docker makes such folders; they would mislead whoever looks for the device."""
+def test_a_directory_with_the_name_of_a_port_is_not_listed(tmp_path: Path) -> None:
+    """Docker creates such directories; they would mislead a user who searches for the device."""
     (tmp_path / "ttyACM0").mkdir()
     assert probe(tmp_path).serial_ports() == ()

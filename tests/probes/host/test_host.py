@@ -1,4 +1,4 @@
-"""The host probe on the real machine, and on a made-up /sys for what this machine does not have."""
+"""The host probe on the real machine, and on a fake /sys for hardware that this machine does not have."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def write(file: Path, text: str) -> None:
 
 
 def test_the_real_machine_is_read() -> None:
-    """Plausible figures from the kernel of whatever machine this is."""
+    """Plausible figures from the kernel of any machine."""
     fact = Host(testing.settings().host, SystemClock()).read()
     assert 0 <= fact.cpu_percent <= 100
     assert 0 < fact.memory_percent < 100 and fact.memory_available_bytes > 0
@@ -35,23 +35,23 @@ def test_the_real_machine_is_read() -> None:
     assert fact.clock_synchronized in (True, False, None)
 
 
-def test_a_disk_is_counted_as_df_counts(tmp_path: Path) -> None:
-    """What is reserved for root is neither used nor free."""
+def test_disk_usage_equals_that_of_df(tmp_path: Path) -> None:
+    """Blocks reserved for root are neither used nor free."""
     (disk,) = probe(tmp_path, disks=["/"]).read().disks
     seen = os.statvfs("/")
     used = seen.f_blocks - seen.f_bfree
     assert disk.used_percent == pytest.approx(100 * used / (used + seen.f_bavail), abs=1.0)
 
 
-def test_a_disk_that_is_not_there_is_a_problem_of_that_disk(tmp_path: Path) -> None:
-    """The others are told all the same."""
+def test_a_missing_disk_is_a_problem_of_that_disk(tmp_path: Path) -> None:
+    """The others are still reported."""
     root, gone = probe(tmp_path, disks=["/", "/no/such/mount"]).read().disks
     assert not root.problem
     assert "No such file" in gone.problem
 
 
-def test_the_hottest_sensor_of_the_processor_counts(tmp_path: Path) -> None:
-    """Thermal zones and hwmon both; sensors of other parts do not count."""
+def test_the_hottest_sensor_of_the_cpu_counts(tmp_path: Path) -> None:
+    """Both thermal zones and hwmon; sensors of other parts do not count."""
     write(tmp_path / "class/thermal/thermal_zone0/type", "cpu-thermal\n")
     write(tmp_path / "class/thermal/thermal_zone0/temp", "48312\n")
     write(tmp_path / "class/thermal/thermal_zone1/type", "PMIC-Die\n")
@@ -63,14 +63,14 @@ def test_the_hottest_sensor_of_the_processor_counts(tmp_path: Path) -> None:
     assert (fact.temperature_c, fact.temperature_of) == (51.0, "coretemp")
 
 
-def test_fans_are_read_as_far_as_their_drivers_tell(tmp_path: Path) -> None:
-    """Four at most; what is no number is left out."""
+def test_fans_are_read_if_their_drivers_report_them(tmp_path: Path) -> None:
+    """Four at most; a value that is not a number is dropped."""
     for number, text in enumerate(("1200\n", "garbage\n", "0\n", "900\n", "800\n")):
         write(tmp_path / f"class/hwmon/hwmon0/fan{number}_input", text)
     assert probe(tmp_path).read().fans_rpm == (1200, 0, 900)
 
 
-def test_a_machine_without_sensors_tells_none(tmp_path: Path) -> None:
+def test_a_machine_without_sensors_has_no_temperature(tmp_path: Path) -> None:
     """None, not zero degrees."""
     fact = probe(tmp_path).read()
     assert fact.temperature_c is None and fact.throttled is None
@@ -85,14 +85,14 @@ def test_a_machine_without_sensors_tells_none(tmp_path: Path) -> None:
         ("8", ("soft temperature limit now",)),
     ],
 )
-def test_throttling_of_a_raspberry_pi_is_told_in_words(tmp_path: Path, bits: str, words: tuple[str, ...]) -> None:
-    """Low bits say now, the same sixteen higher say since boot."""
+def test_throttling_of_a_raspberry_pi_is_described(tmp_path: Path, bits: str, words: tuple[str, ...]) -> None:
+    """The low bits mean now, the same bits shifted by sixteen mean since boot."""
     write(tmp_path / "devices/platform/soc/soc:firmware/get_throttled", f"{bits}\n")
     assert probe(tmp_path).read().throttled == words
 
 
-def test_a_jump_of_the_clock_is_measured_against_the_monotonic_one(tmp_path: Path) -> None:
-    """Time that passes is no jump; a set clock is, once."""
+def test_a_clock_step_is_measured_against_the_monotonic_clock(tmp_path: Path) -> None:
+    """Passing time is not a step; setting the clock is one, once."""
     clock = testing.FakeClock()
     host = Host(testing.settings().host, clock, tmp_path)
     steps = []
@@ -106,12 +106,12 @@ def test_a_jump_of_the_clock_is_measured_against_the_monotonic_one(tmp_path: Pat
 # ------------------------------------------------------------ the worker
 
 
-def test_a_call_that_hangs_costs_one_thread_and_is_refused_until_it_is_back() -> None:
-    """A dead network mount is asked again and again; it must not eat a thread each time."""
-    worker, let_go, back = BlockingCallWorker("test"), threading.Event(), threading.Event()
+def test_a_hung_call_costs_one_thread_and_is_rejected_until_it_returns() -> None:
+    """A dead network mount is polled repeatedly; it must not cost a thread each time."""
+    worker, release, back = BlockingCallWorker("test"), threading.Event(), threading.Event()
 
     def hang() -> None:
-        let_go.wait(10)
+        release.wait(10)
         back.set()
 
     with pytest.raises(CannotTell, match="did not answer"):
@@ -120,13 +120,13 @@ def test_a_call_that_hangs_costs_one_thread_and_is_refused_until_it_is_back() ->
         with pytest.raises(CannotTell, match="not returned"):
             worker.call(lambda: 1, 0.01)
     assert sum(thread.name == "phm-test" for thread in threading.enumerate()) == 1
-    let_go.set()
+    release.set()
     assert back.wait(5)
     assert _until_answered(worker) == 1
 
 
 def _until_answered(worker: BlockingCallWorker) -> int:
-    """Ask until the worker is free; the hung call ends a moment after its last act."""
+    """Call until the worker is free; the hung call ends a moment after its last action."""
     for _ in range(1000):
         try:
             return worker.call(lambda: 1, 5.0)
@@ -135,8 +135,8 @@ def _until_answered(worker: BlockingCallWorker) -> int:
     raise AssertionError("the worker did not become free")
 
 
-def test_an_exception_goes_to_the_caller() -> None:
-    """And the worker goes on."""
+def test_an_exception_is_raised_in_the_caller() -> None:
+    """And the worker keeps working."""
     worker = BlockingCallWorker("test-error")
     with pytest.raises(ZeroDivisionError):
         worker.call(lambda: 1 // 0, 5.0)

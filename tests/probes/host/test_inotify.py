@@ -1,4 +1,4 @@
-"""Changes of directories are told by the kernel, on real directories of this machine."""
+"""The kernel reports changes of directories, with real directories of this machine."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from phm.testing import settings
 LIMIT_S = 5.0
 
 
-class Ear:
-    """Counts how often it was told."""
+class Listener:
+    """Counts its calls."""
 
     def __init__(self) -> None:
         self.times = 0
-        self._told = threading.Semaphore(0)
+        self._called = threading.Semaphore(0)
 
     def __call__(self) -> None:
         self.times += 1
-        self._told.release()
+        self._called.release()
 
-    def heard(self) -> bool:
-        """Waits for the next telling."""
-        return self._told.acquire(timeout=LIMIT_S)
+    def called(self) -> bool:
+        """Wait for the next call."""
+        return self._called.acquire(timeout=LIMIT_S)
 
     def silent(self) -> bool:
-        """Nothing more comes. Only bounds how long is listened: what would come, comes within milliseconds."""
-        return not self._told.acquire(timeout=0.2)
+        """Nothing more arrives. This only limits the wait: a change would be reported within milliseconds."""
+        return not self._called.acquire(timeout=0.2)
 
 
 @pytest.fixture
@@ -44,8 +44,8 @@ def notices() -> Iterator[FileWatcher]:
     made.close()
 
 
-def watching(notices: FileWatcher, folder: Path, name: str, *, content: bool = False) -> tuple[Ear, Watch]:
-    ear = Ear()
+def watching(notices: FileWatcher, folder: Path, name: str, *, content: bool = False) -> tuple[Listener, Watch]:
+    ear = Listener()
     watch = notices.on(ear, content=content)
     assert watch(str(folder), name)
     return ear, watch
@@ -60,72 +60,72 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_change_of_a_watched_entry_is_told(notices: FileWatcher, tmp_path: Path, change: str) -> None:
-    """Coming, going and new rights of what is watched."""
+def test_a_change_of_a_watched_entry_is_reported(notices: FileWatcher, tmp_path: Path, change: str) -> None:
+    """Its creation, its removal and its new permissions."""
     (tmp_path / "file").write_text("a")
     ear, _ = watching(notices, tmp_path, "file")
     CHANGES[change](tmp_path / "file")
-    assert ear.heard()
+    assert ear.called()
 
 
-def test_an_entry_that_comes_is_told(notices: FileWatcher, tmp_path: Path) -> None:
-    """What is not there yet can be watched."""
+def test_a_new_entry_is_reported(notices: FileWatcher, tmp_path: Path) -> None:
+    """An entry that does not exist yet can be watched."""
     ear, _ = watching(notices, tmp_path, "file")
     os.mkfifo(tmp_path / "file")
-    assert ear.heard()
+    assert ear.called()
 
 
-def test_another_entry_of_the_directory_is_not_told(notices: FileWatcher, tmp_path: Path) -> None:
-    """Only what was asked for."""
+def test_another_entry_of_the_directory_is_not_reported(notices: FileWatcher, tmp_path: Path) -> None:
+    """Only entries that were requested."""
     ear, _ = watching(notices, tmp_path, "file")
     (tmp_path / "log").write_text("a")
     assert ear.silent()
 
 
-def test_new_content_is_told_to_whom_content_matters(notices: FileWatcher, tmp_path: Path) -> None:
+def test_new_content_is_reported_to_listeners_for_content(notices: FileWatcher, tmp_path: Path) -> None:
     """A device that is opened and closed has not changed; a file that was written has."""
     (tmp_path / "file").write_text("a")
     device, _ = watching(notices, tmp_path, "file")
     file, _ = watching(notices, tmp_path, "file", content=True)
     (tmp_path / "file").write_text("b")
-    assert file.heard() and device.silent()
+    assert file.called() and device.silent()
 
 
-def test_watching_again_is_nothing_new(notices: FileWatcher, tmp_path: Path) -> None:
-    """True only when the watch began: then what was seen before may be old."""
+def test_watching_twice_returns_false(notices: FileWatcher, tmp_path: Path) -> None:
+    """True only when the watch started: earlier observations may be outdated then."""
     _, watch = watching(notices, tmp_path, "file")
     assert not watch(str(tmp_path), "file")
     assert not watch(str(tmp_path / "none"), "file"), "a directory that is not there cannot be watched"
 
 
-def test_a_directory_that_was_made_anew_is_watched_anew(notices: FileWatcher, tmp_path: Path) -> None:
-    """Its end is told, and whoever looks next watches the new one."""
+def test_a_recreated_directory_is_watched_again(notices: FileWatcher, tmp_path: Path) -> None:
+    """Its removal is reported, and the next request watches the new one."""
     folder = tmp_path / "folder"
     folder.mkdir()
     ear, watch = watching(notices, folder, "file")
     folder.rmdir()
-    assert ear.heard()
+    assert ear.called()
     folder.mkdir()
     assert watch(str(folder), "file")
     (folder / "file").write_text("a")
-    assert ear.heard()
+    assert ear.called()
 
 
-def test_a_directory_that_was_moved_away_is_no_longer_watched(notices: FileWatcher, tmp_path: Path) -> None:
-    """Another one may stand at its path."""
+def test_a_moved_directory_is_no_longer_watched(notices: FileWatcher, tmp_path: Path) -> None:
+    """Another one may have its path."""
     folder = tmp_path / "folder"
     folder.mkdir()
     ear, watch = watching(notices, folder, "file")
     folder.rename(tmp_path / "elsewhere")
-    assert ear.heard()
+    assert ear.called()
     (tmp_path / "elsewhere" / "file").write_text("a")
     assert ear.silent()
     folder.mkdir()
     assert watch(str(folder), "file")
 
 
-def test_an_entry_that_changes_all_the_time_is_told_now_and_then(notices: FileWatcher, tmp_path: Path) -> None:
-    """A file that is written without end does not keep its check busy, and its last change is told."""
+def test_an_entry_that_changes_all_the_time_is_reported_at_intervals(notices: FileWatcher, tmp_path: Path) -> None:
+    """A file that is written continuously does not keep its check busy, and its last change is reported."""
     ear, _ = watching(notices, tmp_path, "file", content=True)
     for number in range(200):
         (tmp_path / "file").write_text(str(number))
@@ -134,12 +134,12 @@ def test_an_entry_that_changes_all_the_time_is_told_now_and_then(notices: FileWa
     before = ear.times
     (tmp_path / "file").write_text("last")
     while ear.times == before:
-        assert ear.heard()
+        assert ear.called()
 
 
-def test_a_listener_that_fails_does_not_end_the_watch(notices: FileWatcher, tmp_path: Path) -> None:
-    """Its defect costs one telling."""
-    ear = Ear()
+def test_a_listener_that_raises_does_not_end_the_watcher(notices: FileWatcher, tmp_path: Path) -> None:
+    """Its defect costs one call."""
+    ear = Listener()
 
     def fail() -> None:
         ear()
@@ -148,17 +148,17 @@ def test_a_listener_that_fails_does_not_end_the_watch(notices: FileWatcher, tmp_
     watch = notices.on(fail)
     assert watch(str(tmp_path), "file")
     (tmp_path / "file").write_text("a")
-    assert ear.heard()
+    assert ear.called()
     (tmp_path / "file").unlink()
-    assert ear.heard()
+    assert ear.called()
 
 
-def test_a_device_behind_a_link_is_followed_through_all_steps(notices: FileWatcher, tmp_path: Path) -> None:
-    """Folder, link and device may each come and go; the folder may not be there at first."""
-    ear = Ear()
+def test_a_device_behind_a_symlink_is_followed_through_all_steps(notices: FileWatcher, tmp_path: Path) -> None:
+    """Directory, symlink and device may each come and go; the directory may be missing at first."""
+    ear = Listener()
     devices = Devices(settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), notices, ear)
     assert devices.look("/dev/serial/by-id/radio", open_it=False) is None
-    assert ear.heard(), "the watch has begun, and the device is looked at once more"
+    assert ear.called(), "the watch has begun, and the device is looked at once more"
     for change in (
         lambda: (tmp_path / "serial").mkdir(),
         lambda: (tmp_path / "serial/by-id").mkdir(),
@@ -166,7 +166,7 @@ def test_a_device_behind_a_link_is_followed_through_all_steps(notices: FileWatch
         lambda: (tmp_path / "ttyUSB0").write_text("a"),
     ):
         change()
-        assert ear.heard()
+        assert ear.called()
         devices.look("/dev/serial/by-id/radio", open_it=False)
         while not ear.silent():
             pass

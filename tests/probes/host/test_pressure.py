@@ -77,8 +77,8 @@ def v1(root: Path, place: str = f"docker/{ID}") -> None:
         write(root / controller / place, files)
 
 
-class Asked:
-    """An engine that counts what it was asked for."""
+class CountingEngine:
+    """An engine that counts its requests."""
 
     timeout_s = 1.0
 
@@ -101,17 +101,17 @@ class Asked:
 
 
 class Bench:
-    """The probe with one configured container, `ros_app`, whose cgroup is looked for below `root`."""
+    """The probe with one configured container, `ros_app`, whose cgroup is below `root`."""
 
     def __init__(self, root: Path, stats: Any = STATS, **container: Any) -> None:
-        self.engine, self.clock = Asked(stats), testing.FakeClock()
+        self.engine, self.clock = CountingEngine(stats), testing.FakeClock()
         self.docker = testing.FakeDocker(testing.container("ros_app", **{"id": ID, "cpu_limit": 0.05, **container}))
         settings = testing.settings(containers=[{"name": "ros_app"}], pressure={"cgroups": str(root)})
         self.probe = Pressure(self.engine, self.docker, settings.containers, settings.pressure, self.clock)  # type: ignore[arg-type]
 
 
 def test_version_2_is_read(tmp_path: Path) -> None:
-    """Each file by its documented format; the engine is not asked for statistics."""
+    """Each file by its documented format; no statistics are requested from the engine."""
     folder = v2(tmp_path)
     bench = Bench(tmp_path)
     fact = bench.probe.container("ros_app")
@@ -141,8 +141,8 @@ def test_version_2_is_read(tmp_path: Path) -> None:
     )
 
 
-def test_version_1_is_read_with_the_pressure_of_a_hybrid(tmp_path: Path) -> None:
-    """Counters in nanoseconds; pressure only where version 2 is mounted beside it."""
+def test_version_1_is_read_with_the_pressure_of_hybrid_mode(tmp_path: Path) -> None:
+    """Counters in nanoseconds; pressure only if version 2 is mounted too."""
     v1(tmp_path)
     fact = Bench(tmp_path).probe.container("ros_app")
     assert fact is not None
@@ -160,7 +160,7 @@ def test_version_1_is_read_with_the_pressure_of_a_hybrid(tmp_path: Path) -> None
     assert fact is not None and fact.cpu == StallFact(2.722284, 2.720498) and fact.not_seen == ()
 
 
-def test_no_limit_is_none(tmp_path: Path) -> None:
+def test_a_missing_limit_is_none(tmp_path: Path) -> None:
     """`max`, -1, and the largest number of pages of version 1."""
     v2(tmp_path / "2", cpu_max="max 100000\n", memory_max="max\n", pids_max="max\n")
     write(tmp_path / "1" / "cpu" / "docker" / ID, {**V1["cpu"], "cpu.cfs_quota_us": "-1\n"})
@@ -170,8 +170,8 @@ def test_no_limit_is_none(tmp_path: Path) -> None:
         assert fact is not None and (fact.cpu_limit, fact.memory_limit, fact.pids_limit) == (None, None, None)
 
 
-def test_memory_stat_is_read_near_the_limit_alone(tmp_path: Path) -> None:
-    """It is the dearest of the files, and says nothing while there is room."""
+def test_memory_stat_is_read_only_close_to_the_limit(tmp_path: Path) -> None:
+    """It is the most expensive of the files, and irrelevant while memory is available."""
     v2(tmp_path, memory_current="1000\n")
     fact = Bench(tmp_path).probe.container("ros_app")
     assert fact is not None and fact.reread_pages is None
@@ -187,7 +187,7 @@ def test_memory_stat_is_read_near_the_limit_alone(tmp_path: Path) -> None:
     ],
 )
 def test_a_cgroup_is_found_below_the_known_parents(tmp_path: Path, parent: str, place: str) -> None:
-    """Of both drivers of the engine, and of the user's own `cgroup_parent`."""
+    """Of both cgroup drivers of the engine, and of the user's own `cgroup_parent`."""
     v2(tmp_path, place)
     bench = Bench(tmp_path, cgroup_parent=parent)
     fact = bench.probe.container("ros_app")
@@ -195,8 +195,8 @@ def test_a_cgroup_is_found_below_the_known_parents(tmp_path: Path, parent: str, 
 
 
 @pytest.mark.parametrize("name", ["../../etc", "/../..", "a" * 300, "a\0b", "$(id)"])
-def test_a_parent_that_leads_elsewhere_is_not_followed(tmp_path: Path, name: str) -> None:
-    """It is what a user wrote; the engine's own places are looked at all the same."""
+def test_a_parent_outside_of_the_cgroup_tree_is_rejected(tmp_path: Path, name: str) -> None:
+    """It is user input; the engine's default parents are still searched."""
     v2(tmp_path)
     fact = Bench(tmp_path, cgroup_parent=name).probe.container("ros_app")
     assert fact is not None and fact.source == "cgroup v2"
@@ -204,8 +204,8 @@ def test_a_parent_that_leads_elsewhere_is_not_followed(tmp_path: Path, name: str
     assert cgroups.find(tmp_path, strange) is None
 
 
-def test_another_life_has_another_text(tmp_path: Path) -> None:
-    """A container that is started again gets another directory of the same name."""
+def test_each_generation_has_another_text(tmp_path: Path) -> None:
+    """A restarted container gets another directory of the same name."""
     folder = v2(tmp_path)
     bench = Bench(tmp_path)
     first = bench.probe.container("ros_app")
@@ -215,8 +215,8 @@ def test_another_life_has_another_text(tmp_path: Path) -> None:
     assert first is not None and second is not None and first.generation != second.generation
 
 
-def test_the_engine_is_asked_where_there_is_no_cgroup(tmp_path: Path) -> None:
-    """At most every 2 s, with what its statistics lack in the fact; the limit is that of the container."""
+def test_without_a_cgroup_the_engine_is_asked(tmp_path: Path) -> None:
+    """Every 2 s at most; the fact names what the statistics lack; the limit is that of the container."""
     bench = Bench(tmp_path / "nowhere")
     fact = bench.probe.container("ros_app")
     assert fact is not None and fact.source == "engine statistics" and fact.not_seen == engine_stats.NOT_SEEN
@@ -228,8 +228,8 @@ def test_the_engine_is_asked_where_there_is_no_cgroup(tmp_path: Path) -> None:
     assert bench.probe.container("ros_app") is not fact and bench.engine.asked == [ID, ID]
 
 
-def test_the_engine_s_faults_count_near_the_limit_alone(tmp_path: Path) -> None:
-    """Version 1 shows no refaults, and a program that maps a large file for the first time has faults, too."""
+def test_page_faults_of_the_engine_count_only_close_to_the_limit(tmp_path: Path) -> None:
+    """Version 1 has no refaults, and a program that maps a large file for the first time has faults, too."""
     memory = {"usage": 66060288, "limit": 67108864, "stats": {"pgmajfault": 10}}
     for changed, expected in (
         ({}, 10),
@@ -240,8 +240,8 @@ def test_the_engine_s_faults_count_near_the_limit_alone(tmp_path: Path) -> None:
         assert fact is not None and fact.reread_pages == expected
 
 
-def test_files_that_come_or_go_change_the_source(tmp_path: Path) -> None:
-    """A container that was recreated, or a mount that came later."""
+def test_files_that_appear_or_disappear_change_the_source(tmp_path: Path) -> None:
+    """A container that was recreated, or a mount that was added later."""
     bench = Bench(tmp_path)
     sources = []
     for change in (lambda: None, lambda: v2(tmp_path), lambda: (tmp_path / "docker" / ID).rename(tmp_path / "gone")):
@@ -253,8 +253,8 @@ def test_files_that_come_or_go_change_the_source(tmp_path: Path) -> None:
     assert sources == ["engine statistics", "cgroup v2", "engine statistics"]
 
 
-def test_what_does_not_run_has_no_counters(tmp_path: Path) -> None:
-    """By the container's state, by an answer without use, or because it has gone since."""
+def test_a_container_that_does_not_run_has_no_counters(tmp_path: Path) -> None:
+    """By its state, by a response without usage, or because it was removed since."""
     assert Bench(tmp_path, status="exited").probe.container("ros_app") is None
     assert Bench(tmp_path, stats={"cpu_stats": {"cpu_usage": {"total_usage": 0}}}).probe.container("ros_app") is None
     assert Bench(tmp_path, stats=EngineMissing("gone")).probe.container("ros_app") is None
@@ -264,7 +264,7 @@ def test_what_does_not_run_has_no_counters(tmp_path: Path) -> None:
 
 
 def test_a_refusal_is_passed_on(tmp_path: Path) -> None:
-    """As a proxy answers that does not know the call."""
+    """As from a proxy that does not allow the request."""
     with pytest.raises(EngineRefused):
         Bench(tmp_path, stats=EngineRefused("403")).probe.container("ros_app")
     with pytest.raises(CannotTell, match="no container other is configured"):
@@ -272,7 +272,7 @@ def test_a_refusal_is_passed_on(tmp_path: Path) -> None:
 
 
 @given(text=st.text(max_size=200), name=st.sampled_from(sorted(V2)))
-def test_whatever_a_file_holds_is_a_fact_or_cannot_be_told(tmp_path_factory: Any, text: str, name: str) -> None:
+def test_any_file_content_gives_a_fact_or_cannot_tell(tmp_path_factory: Any, text: str, name: str) -> None:
     """No other exception leaves the probe."""
     root = tmp_path_factory.mktemp("tree")
     v2(root, **{name.replace(".", "_"): text})
@@ -290,19 +290,19 @@ JSON = st.recursive(
 
 
 @given(part=JSON, name=st.sampled_from(["pids_stats", "cpu_stats", "memory_stats"]))
-def test_whatever_the_engine_answers_is_a_fact_or_nothing(part: Any, name: str) -> None:
-    """Fields of other types are left out."""
+def test_any_response_of_the_engine_gives_a_fact_or_nothing(part: Any, name: str) -> None:
+    """Fields of other types are ignored."""
     container = ContainerFact("a", ID, "running", "then")
     fact = engine_stats.pressure_fact({**STATS, name: part}, container, 1.0)
     assert fact is None or fact.source == engine_stats.SOURCE
 
 
-class Crowd:
-    """Two containers, of which one is configured, on a machine whose CPUs are counted in `proc`."""
+class TwoContainers:
+    """Two containers, one of them configured, on a machine whose CPUs are counted in `proc`."""
 
     def __init__(self, tmp_path: Path, files: bool = True) -> None:
         self.root, self.proc = tmp_path / "cgroup", tmp_path / "proc"
-        self.engine, self.clock, self.files = Asked(), testing.FakeClock(), files
+        self.engine, self.clock, self.files = CountingEngine(), testing.FakeClock(), files
         self.engine.names = [{"Id": OTHER, "Names": ["/slam"], "State": "running"}]
         if files:
             write(self.root, {"cgroup.controllers": "cpu\n"})
@@ -310,7 +310,7 @@ class Crowd:
         self.consumers = TopConsumers(self.engine, self.root, self.clock, lambda: {ID: "ros_app"}, self.proc)  # type: ignore[arg-type]
 
     def after(self, ours_s: float, slam_s: float, all_s: float) -> None:
-        """So many CPU seconds have been used in all since the start."""
+        """Set the CPU seconds used since the start."""
         write(self.proc, {"stat": f"cpu  {round(all_s * 100)} 0 0 500 20 0 0 0 0 0\n"})
         if self.files:
             write(self.root / "docker" / ID, {"cpu.stat": f"usage_usec {round(ours_s * 1e6)}\n"})
@@ -321,82 +321,82 @@ class Crowd:
             write(self.root / "system.slice" / "cron.service", {"cpu.stat": "usage_usec 9\n"})
 
 
-def test_consumers_are_named_most_first(tmp_path: Path) -> None:
-    """By key or by the engine's name; a process outside containers has none. The first question has nothing to compare with."""
-    crowd = Crowd(tmp_path)
-    assert crowd.consumers.read() == ()
-    crowd.clock.advance(2.0)
-    crowd.after(0.2, 3.0, 3.9)
-    read = [(fact.name, round(fact.cpus, 2)) for fact in crowd.consumers.read()]
+def test_consumers_are_sorted_by_usage(tmp_path: Path) -> None:
+    """By key or by the engine's name; a process outside containers has none. The first call has no reference."""
+    containers = TwoContainers(tmp_path)
+    assert containers.consumers.read() == ()
+    containers.clock.advance(2.0)
+    containers.after(0.2, 3.0, 3.9)
+    read = [(fact.name, round(fact.cpus, 2)) for fact in containers.consumers.read()]
     assert read == [("slam", 1.5), ("", 0.35), ("ros_app", 0.1)]
-    assert crowd.engine.asked == ["list"]
+    assert containers.engine.asked == ["list"]
 
 
-def test_consumers_are_not_looked_for_more_often_than_useful(tmp_path: Path) -> None:
-    """Several checks ask at a time; and what was long ago says nothing about now."""
-    crowd = Crowd(tmp_path)
-    crowd.consumers.read()
-    crowd.clock.advance(1.0)
-    crowd.after(0.0, 1.0, 1.0)
-    first = crowd.consumers.read()
-    crowd.clock.advance(LEAST_S / 2)
-    assert crowd.consumers.read() is first and first[0].name == "slam"
-    crowd.clock.advance(MOST_S + 1)
-    assert crowd.consumers.read() == ()
+def test_consumers_are_measured_at_limited_intervals(tmp_path: Path) -> None:
+    """Several checks ask at the same time, and an old measurement says nothing about now."""
+    containers = TwoContainers(tmp_path)
+    containers.consumers.read()
+    containers.clock.advance(1.0)
+    containers.after(0.0, 1.0, 1.0)
+    first = containers.consumers.read()
+    containers.clock.advance(LEAST_S / 2)
+    assert containers.consumers.read() is first and first[0].name == "slam"
+    containers.clock.advance(MOST_S + 1)
+    assert containers.consumers.read() == ()
 
 
-def test_a_container_that_the_engine_does_not_name_keeps_its_id(tmp_path: Path) -> None:
-    """As behind a proxy, which allows no list."""
-    crowd = Crowd(tmp_path)
-    crowd.engine.names = EngineRefused("403")
-    crowd.consumers.read()
-    crowd.clock.advance(1.0)
-    crowd.after(0.0, 1.0, 1.0)
-    assert crowd.consumers.read() == (ConsumerFact(f"container {OTHER[:12]}", 1.0),)
+def test_a_container_without_a_name_of_the_engine_keeps_its_id(tmp_path: Path) -> None:
+    """As behind a proxy that does not allow a list."""
+    containers = TwoContainers(tmp_path)
+    containers.engine.names = EngineRefused("403")
+    containers.consumers.read()
+    containers.clock.advance(1.0)
+    containers.after(0.0, 1.0, 1.0)
+    assert containers.consumers.read() == (ConsumerFact(f"container {OTHER[:12]}", 1.0),)
 
 
-def test_without_cgroups_the_engine_says_who_has_the_cpus(tmp_path: Path) -> None:
-    """One call for each running container, the configured ones first."""
-    crowd = Crowd(tmp_path, files=False)
-    crowd.consumers.read()
-    assert crowd.engine.asked == ["list", ID, OTHER]
-    crowd.clock.advance(1.0)
-    crowd.consumers.read()
-    assert crowd.engine.asked == ["list", ID, OTHER], "not so soon again"
-    crowd.clock.advance(4.0)
-    crowd.engine.answer = {"cpu_stats": {"cpu_usage": {"total_usage": 2680194374}}}
-    assert {fact.name: round(fact.cpus, 2) for fact in crowd.consumers.read()}["slam"] == 0.5
+def test_without_cgroups_the_engine_provides_the_consumers(tmp_path: Path) -> None:
+    """One request for each running container, the configured ones first."""
+    containers = TwoContainers(tmp_path, files=False)
+    containers.consumers.read()
+    assert containers.engine.asked == ["list", ID, OTHER]
+    containers.clock.advance(1.0)
+    containers.consumers.read()
+    assert containers.engine.asked == ["list", ID, OTHER], "not so soon again"
+    containers.clock.advance(4.0)
+    containers.engine.answer = {"cpu_stats": {"cpu_usage": {"total_usage": 2680194374}}}
+    assert {fact.name: round(fact.cpus, 2) for fact in containers.consumers.read()}["slam"] == 0.5
 
 
 def test_a_proxy_that_refuses_the_list_is_asked_once(tmp_path: Path) -> None:
     """Each refusal is a line in the proxy's log; the configured containers are known without it."""
-    crowd = Crowd(tmp_path, files=False)
-    crowd.engine.names = EngineRefused("403")
+    containers = TwoContainers(tmp_path, files=False)
+    containers.engine.names = EngineRefused("403")
     for _ in range(3):
-        crowd.consumers.read()
-        crowd.clock.advance(5.0)
-    assert crowd.engine.asked == ["list", ID, ID, ID]
+        containers.consumers.read()
+        containers.clock.advance(5.0)
+    assert containers.engine.asked == ["list", ID, ID, ID]
 
 
-def test_a_container_that_was_started_again_is_not_taken_for_others(tmp_path: Path) -> None:
-    """Its counter begins at 0 again: neither its share nor that of programs outside of containers is known for that reading."""
-    crowd = Crowd(tmp_path)
-    crowd.after(500.0, 0.0, 500.0)
-    crowd.consumers.read()
-    crowd.clock.advance(1.0)
-    crowd.after(-1.0, 1.0, 2.0)
-    assert [fact.name for fact in crowd.consumers.read()] in ([], ["slam"], [f"container {OTHER[:12]}"])
+def test_a_restarted_container_is_not_counted_as_other_programs(tmp_path: Path) -> None:
+    """Its counter restarts at 0: neither its share nor that of other programs is known for that measurement."""
+    containers = TwoContainers(tmp_path)
+    containers.after(500.0, 0.0, 500.0)
+    containers.consumers.read()
+    containers.clock.advance(1.0)
+    containers.after(-1.0, 1.0, 2.0)
+    assert [fact.name for fact in containers.consumers.read()] in ([], ["slam"], [f"container {OTHER[:12]}"])
 
 
-def test_an_engine_that_is_slow_is_not_asked_about_all(tmp_path: Path) -> None:
-    """The budget is for all questions together."""
-    crowd = Crowd(tmp_path, files=False)
-    slow = crowd.engine.stats
+def test_a_slow_engine_is_not_asked_about_all_containers(tmp_path: Path) -> None:
+    """The time budget is for all requests together."""
+    containers = TwoContainers(tmp_path, files=False)
+    slow = containers.engine.stats
 
     def stats(container: str, **more: Any) -> Any:
-        crowd.clock.advance(5.0)
+        containers.clock.advance(5.0)
         return slow(container, **more)
 
-    crowd.engine.stats = stats  # type: ignore[method-assign]
-    crowd.consumers.read()
-    assert crowd.engine.asked == ["list", ID]
+    containers.engine.stats = stats  # type: ignore[method-assign]
+    containers.consumers.read()
+    assert containers.engine.asked == ["list", ID]

@@ -1,4 +1,4 @@
-"""When a sender of heartbeats counts as lost before its timeout: on made-up traces of a second a beat."""
+"""When a sender of heartbeats counts as lost before its timeout: synthetic traces with one heartbeat per second."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def steady(chance: random.Random) -> Iterator[float]:
 
 
 def jittery(chance: random.Random) -> Iterator[float]:
-    """Each late by up to 0.9 s, as of a starved machine."""
+    """Each late by up to 0.9 s, as on an overloaded machine."""
     yield from (count + 0.9 * chance.random() for count in range(3600))
 
 
 def late_by_a_second(chance: random.Random) -> Iterator[float]:
-    """Steady, and once in a while a beat comes a second late: the sender did not get the processor."""
+    """Regular, and occasionally a heartbeat is one second late: the sender did not get the CPU."""
     yield from (count + 0.05 * chance.random() + (1.0 if chance.random() < 0.01 else 0.0) for count in range(3600))
 
 
 def lossy(share: float) -> Callable[[random.Random], Iterator[float]]:
-    """So many of the beats get lost, each for itself."""
+    """This share of the heartbeats gets lost independently."""
 
     def made(chance: random.Random) -> Iterator[float]:
         yield from (at for at in steady(chance) if chance.random() >= share)
@@ -38,7 +38,7 @@ def lossy(share: float) -> Callable[[random.Random], Iterator[float]]:
 
 
 def bursts(share: float, length: float) -> Callable[[random.Random], Iterator[float]]:
-    """So many get lost, `length` of them in a row on average."""
+    """This share gets lost, `length` of them in a row on average."""
 
     def made(chance: random.Random) -> Iterator[float]:
         bad = False
@@ -51,10 +51,10 @@ def bursts(share: float, length: float) -> Callable[[random.Random], Iterator[fl
     return made
 
 
-def false_alarms(beats: Iterator[float]) -> int:
-    """How many pauses were taken for a loss although the sender was heard again within the configured timeout."""
+def false_alarms(heartbeats: Iterator[float]) -> int:
+    """Count pauses that were taken for a loss although the sender returned within the configured timeout."""
     cadence, last, found = AdaptiveTimeout(BOUND_S), None, 0
-    for at in beats:
+    for at in heartbeats:
         if last is not None and at > last:
             looks = (last + LOOK_S * count for count in range(1, int((min(at, last + BOUND_S) - last) / LOOK_S) + 1))
             found += any(cadence.overdue(look) for look in looks)
@@ -69,18 +69,18 @@ def false_alarms(beats: Iterator[float]) -> int:
     ids=["steady", "jittery", "late", "lossy 1 %", "lossy 5 %", "lossy 20 %", "bursts 20 %", "bursts 10 %"],
 )
 def test_an_hour_raises_no_false_alarm(trace: Callable[[random.Random], Iterator[float]]) -> None:
-    """Whatever the jitter and the losses are like from the beginning: eight hours, each of another chance."""
+    """With any jitter and loss from the beginning: eight hours, each with another random seed."""
     assert [false_alarms(trace(random.Random(seed))) for seed in range(8)] == [0] * 8
 
 
-def learned(cadence: AdaptiveTimeout, beats: int = int(LEARN_S) + 3, period_s: float = 1.0) -> float:
-    for count in range(beats):
+def learned(cadence: AdaptiveTimeout, heartbeats: int = int(LEARN_S) + 3, period_s: float = 1.0) -> float:
+    for count in range(heartbeats):
         cadence.beat(count * period_s)
-    return (beats - 1) * period_s
+    return (heartbeats - 1) * period_s
 
 
-def test_a_steady_sender_is_known_to_be_lost_early() -> None:
-    """Two and a half seconds after the last of its beats, one a second; one lost beat is no loss."""
+def test_a_lost_regular_sender_is_detected_early() -> None:
+    """Two and a half seconds after its last heartbeat, with one per second; one lost heartbeat is not a loss."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     assert cadence.due_s() == UNEVEN_S
@@ -88,24 +88,24 @@ def test_a_steady_sender_is_known_to_be_lost_early() -> None:
     assert cadence.overdue(last + 2.6)
 
 
-def test_no_limit_is_under_the_least() -> None:
-    """A ground station is given more time than an autopilot."""
+def test_no_limit_is_below_the_minimum() -> None:
+    """A ground station gets more time than an autopilot."""
     cadence = AdaptiveTimeout(BOUND_S, 5.0)
     last = learned(cadence)
     assert not cadence.overdue(last + 4.9)
     assert cadence.overdue(last + 5.1)
 
 
-def test_what_is_not_known_for_long_has_no_limit_of_its_own() -> None:
-    """The configured timeout alone holds."""
+def test_a_sender_that_was_not_received_for_long_has_no_limit_of_its_own() -> None:
+    """Only the configured timeout applies."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence, int(LEARN_S) - 5)
     assert cadence.due_s() is None
     assert not cadence.overdue(last + 9.9)
 
 
-def test_a_lost_beat_makes_the_limit_longer_for_a_while() -> None:
-    """And two lost in a row end it; after an hour that is forgotten."""
+def test_a_lost_heartbeat_raises_the_limit_for_a_while() -> None:
+    """And two lost in a row disable it; after an hour that is forgotten."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     cadence.beat(last + 2.0)
@@ -117,14 +117,14 @@ def test_a_lost_beat_makes_the_limit_longer_for_a_while() -> None:
     assert cadence.due_s() == UNEVEN_S
 
 
-def test_a_slow_sender_is_left_to_the_configured_timeout() -> None:
-    """A beat every five seconds."""
+def test_a_slow_sender_has_the_configured_timeout() -> None:
+    """One heartbeat every five seconds."""
     cadence = AdaptiveTimeout(BOUND_S)
     learned(cadence, 60, 5.0)
     assert cadence.due_s() is None
 
 
-def test_a_limit_beyond_the_configured_one_is_none() -> None:
+def test_a_limit_above_the_configured_timeout_is_ignored() -> None:
     """The configured timeout is the upper bound."""
     cadence = AdaptiveTimeout(3.5)
     last = learned(cadence)
@@ -132,16 +132,16 @@ def test_a_limit_beyond_the_configured_one_is_none() -> None:
     assert cadence.due_s() is None
 
 
-def test_an_outage_is_no_habit() -> None:
-    """A silence beyond the configured timeout was told as a fault; the next is found as early."""
+def test_an_outage_does_not_raise_the_limit() -> None:
+    """A silence beyond the configured timeout was reported as a fault; the next one is detected as early."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     cadence.beat(last + 30.0)
     assert cadence.due_s() == UNEVEN_S
 
 
-def test_who_is_overdue_is_so_until_the_next_beat() -> None:
-    """Also when its link is closed or opened anew meanwhile."""
+def test_an_overdue_sender_stays_overdue_until_its_next_heartbeat() -> None:
+    """Even if its link is closed or reopened in the meantime."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     assert cadence.overdue(last + 2.6)
@@ -152,8 +152,8 @@ def test_who_is_overdue_is_so_until_the_next_beat() -> None:
     assert not cadence.overdue(last + 4.1)
 
 
-def test_what_broke_is_no_pause_of_the_sender() -> None:
-    """The link was closed for a moment: silence counts from then on, and the pause before is forgotten, too."""
+def test_a_closed_link_is_not_a_pause_of_the_sender() -> None:
+    """The link was closed for a moment: silence counts from then on, and the earlier pause is forgotten, too."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
     cadence.beat(last + 2.4)

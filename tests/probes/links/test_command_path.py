@@ -1,4 +1,4 @@
-"""A whole PHM between a simulated ground station, a pair of radios on a serial port, and an autopilot: each hop broken in turn."""
+"""PHM between a simulated ground station, a pair of radios on a serial port, and an autopilot: each hop fails in turn."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Flight:
         self.unplug()
         self._pilot_thread.join(5.0)
 
-    # ------------------------------------------------------------ what was told
+    # ------------------------------------------------------------ what was published
 
     def path(self) -> str:
         return next(state.result.summary for state in self.daemon.pipeline.states() if state.unit == "path")
@@ -111,30 +111,30 @@ def flight(tmp_path: Path) -> Iterator[Flight]:
         made.close()
 
 
-def test_a_lost_ground_station_is_told_once_and_cleared(flight: Flight) -> None:
-    """It closes and comes back: one alarm, at the ground station, and the new one hears of it."""
+def test_a_lost_ground_station_is_reported_once_and_cleared(flight: Flight) -> None:
+    """It closes and returns: one alarm, for the ground station, and the new one receives it."""
     flight.ground.stop()
     until(flight.alarms, "the alarm")
     assert "is broken at GCS" in until(lambda: flight.path() if "is broken" in flight.path() else "")
     flight.ground = flight.new_ground()
     until(flight.settled, "all being well")
-    assert [told.partition(":")[0] for told in flight.alarms()] == ["gcs GCS"]
+    assert [alarm.partition(":")[0] for alarm in flight.alarms()] == ["gcs GCS"]
     assert until(flight.over, "the end of the fault") == ["gcs resolved"]
 
 
-def test_a_radio_without_power_is_told_once(flight: Flight) -> None:
-    """The ground station is silent behind it, and raises no alarm of its own; a report that cannot be sent is in the log."""
+def test_a_radio_without_power_is_reported_once(flight: Flight) -> None:
+    """The ground station behind it is silent without its own alarm; a report that cannot be sent is in the log."""
     flight.radio.near.off = True
     until(flight.alarms, "the alarm")
     until(lambda: "GCS unknown (behind radio)" in flight.path())
     flight.radio.near.off = False
     until(flight.settled, "all being well")
-    assert [told.partition(":")[0] for told in flight.alarms()] == ["radio/ground radio"]
+    assert [alarm.partition(":")[0] for alarm in flight.alarms()] == ["radio/ground radio"]
     assert len(flight.over()) == 1
 
 
-def test_radios_that_do_not_hear_each_other_lose_the_ground_station(flight: Flight) -> None:
-    """The radio aboard still answers, so the alarm says where to look: on the ground."""
+def test_radios_without_contact_lose_the_ground_station(flight: Flight) -> None:
+    """The onboard radio still responds, so the alarm says where to look: on the ground."""
     flight.radio.air.cut = True
     until(flight.alarms, "the alarm")
     fault = next(event.fault for event in list(flight.events) if isinstance(event, FaultOpened))
@@ -147,14 +147,14 @@ def test_radios_that_do_not_hear_each_other_lose_the_ground_station(flight: Flig
 
 
 def test_a_weak_signal_is_a_warning(flight: Flight) -> None:
-    """Told to the ground while it can still be told."""
+    """Sent to the ground while the link still works."""
     flight.radio.air.rssi = flight.radio.air.noise + 6
     until(lambda: any(line.startswith("A07 WARN 11 radio: weak, margin") for line in flight.lines()), "the line")
     assert flight.alarms() == []
 
 
-def test_a_port_that_is_pulled_out_is_named(flight: Flight) -> None:
-    """What is behind it is blocked; when it is back, it is opened again, and all is well."""
+def test_an_unplugged_port_is_named(flight: Flight) -> None:
+    """Units behind it are blocked; when it is plugged in, it is reopened, and everything is OK."""
     flight.unplug()
     until(flight.alarms, "the alarm")
     until(lambda: "GCS unknown (behind port ground) -> radio unknown (behind port ground)" in flight.path())
@@ -164,8 +164,8 @@ def test_a_port_that_is_pulled_out_is_named(flight: Flight) -> None:
     assert flight.over() == ["link/ground resolved"]
 
 
-def test_a_silent_autopilot_is_told_to_the_ground(flight: Flight) -> None:
-    """PHM's own heartbeats go on, so nobody else would tell; its link is opened anew, which does not help a hung one."""
+def test_a_silent_autopilot_is_reported_to_the_ground(flight: Flight) -> None:
+    """PHM's own heartbeats continue, so no one else reports it; its link is reopened, which does not help a hung one."""
     flight.pilot.hung = True
     line = until(lambda: [line for line in flight.lines() if " 10 " in line], "the line")[0]
     assert line.startswith("A07 FAIL 10 autopilot: no heartbeat")
@@ -181,13 +181,13 @@ def test_a_silent_autopilot_is_told_to_the_ground(flight: Flight) -> None:
     [(False, "A07 WARN 10 autopilot rebooted"), (True, "A07 FAIL 10 autopilot rebooted while armed")],
     ids=["on the ground", "armed"],
 )
-def test_a_reboot_is_told_to_the_ground(flight: Flight, armed: bool, line: str) -> None:
-    """Quicker than any silence could show; gravely when it was armed."""
+def test_a_reboot_is_reported_to_the_ground(flight: Flight, armed: bool, line: str) -> None:
+    """Faster than by its silence, and with a higher severity if it was armed."""
     flight.pilot.armed = armed
     fact = until(
         lambda: (fact := flight.daemon.components.probes.world.links.autopilot()) and fact.armed is armed and fact
     )
-    # It has booted half a second before it says so: by then it must have been heard as armed.
+    # It booted half a second before it says so: by then it must have been received as armed.
     since_s = max(4.0, (fact.boot_s or 0) + 1.0)
     until(lambda: (flight.daemon.components.probes.world.links.autopilot().boot_s or 0) > since_s)
     flight.pilot.reboot(boot_s=0.5)

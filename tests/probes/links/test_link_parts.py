@@ -1,4 +1,4 @@
-"""What the link probe is made of: senders and their gaps, traffic over time, radios, the autopilot's boots, ports in use."""
+"""Parts of the link probe: senders and their gaps, traffic over time, radios, reboots of the autopilot, ports in use."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def counted(sequences: Iterable[int]) -> tuple[int, int]:
 
 
 @given(st.integers(0, 255), st.lists(st.integers(0, 60), max_size=300))
-def test_what_is_left_out_is_lost(start: int, gaps: list[int]) -> None:
-    """Each gap counts in full, also over the number's end."""
+def test_skipped_sequence_numbers_are_lost_frames(start: int, gaps: list[int]) -> None:
+    """Each gap counts in full, also across the wrap-around of the number."""
     sequences, at = [start], start
     for gap in gaps:
         at += gap + 1
@@ -53,21 +53,21 @@ def test_what_is_left_out_is_lost(start: int, gaps: list[int]) -> None:
     assert counted(sequences) == (len(sequences), sum(gaps))
 
 
-def test_doubles_and_overtaken_frames_are_not_lost() -> None:
-    """By two ways, or in another order: what came is not missing."""
+def test_duplicate_and_reordered_frames_are_not_lost() -> None:
+    """By two routes, or in another order: a received frame is not missing."""
     assert counted([1, 1, 2, 2, 3]) == (3, 0)
     assert counted([1, 3, 2, 4]) == (4, 0)
     assert counted([254, 0, 255, 1]) == (4, 0)
 
 
-def test_a_sender_that_begins_anew_has_lost_nothing() -> None:
-    """After a reboot, or a pause, the number may be anywhere."""
+def test_a_restarted_sender_has_lost_nothing() -> None:
+    """After a reboot, or a pause, the number may have any value."""
     assert counted([10, 11, 140, 141])[1] == 0
     assert counted([200, 201, 70, 71])[1] == 0
 
 
-def test_senders_are_capped() -> None:
-    """Whoever makes up senders displaces none that really speaks."""
+def test_senders_are_limited() -> None:
+    """Forged senders do not displace a real one."""
     senders = SenderTable()
     for number in range(100):
         senders.heard(1, 1, number)
@@ -77,8 +77,8 @@ def test_senders_are_capped() -> None:
     assert senders.now()[1, 1] == (100, 0)
 
 
-def test_frames_that_nobody_wants_count_as_well() -> None:
-    """Loss is seen in all frames, though most are never decoded."""
+def test_ignored_frames_count_as_well() -> None:
+    """Loss is measured with all frames, though most are never decoded."""
     codec = Codec(7, 193, lambda number: False)
     sender, reader = Sender(7, 1), codec.parser()
     frames = [sender.frame(heartbeat(n), v1=n % 2 == 0) for n in range(10)]
@@ -87,8 +87,8 @@ def test_frames_that_nobody_wants_count_as_well() -> None:
     assert codec.senders.now() == {(7, 1): (8, 2)}
 
 
-def test_the_old_number_of_radio_status_is_understood() -> None:
-    """Radios with old firmware send RADIO, number 166; it passes for the RADIO_STATUS that it is."""
+def test_the_old_message_id_of_radio_status_is_accepted() -> None:
+    """Radios with old firmware send RADIO, id 166, which is treated as RADIO_STATUS."""
     radio = mavlink.mavlink_map[166](180, 170, 90, 40, 45, 3, 4)
     radio._header.msgId = 166
     frame = Sender(51, 68).frame(radio, v1=True)
@@ -102,7 +102,7 @@ def test_the_old_number_of_radio_status_is_understood() -> None:
 # ---------------------------------------------------------------- traffic over time
 
 
-def test_nothing_is_known_of_traffic_at_first() -> None:
+def test_the_traffic_is_unknown_at_first() -> None:
     """One sample makes no rate."""
     flow = LinkStats((7, 193))
     assert flow.fact(0.0, BASE) == BASE
@@ -113,7 +113,7 @@ def test_nothing_is_known_of_traffic_at_first() -> None:
 
 
 def test_rates_are_means_over_the_last_seconds() -> None:
-    """Bytes, frames, false starts and errors on the line, a second; a pause shows in its age."""
+    """Bytes, frames, false frame starts and line errors per second; the age shows a pause."""
     flow = LinkStats((7, 193))
     for second in range(20):
         moving = min(second, 10)
@@ -132,7 +132,7 @@ def test_rates_are_means_over_the_last_seconds() -> None:
 
 
 def test_samples_may_be_offered_at_any_rate() -> None:
-    """Each endpoint's thread asks for them."""
+    """The thread of each endpoint does so."""
     flow = LinkStats((7, 193))
     for step in range(2000):
         flow.sample(step * 0.01, Traffic(bytes_in=step))
@@ -140,8 +140,8 @@ def test_samples_may_be_offered_at_any_rate() -> None:
     assert flow.fact(20.0, BASE).rx_s == pytest.approx(100.0, rel=0.01)
 
 
-def test_loss_is_told_by_sender_over_a_window() -> None:
-    """Of the last half minute, and only where there were frames enough; PHM's own echo is no sender."""
+def test_loss_is_reported_per_sender_over_a_window() -> None:
+    """Of the last half minute, and only with enough frames; PHM's own echo does not count as a sender."""
     flow = LinkStats((7, 193))
     counts = {(1, 1): (0, 0), (255, 190): (0, 0), (7, 193): (0, 0)}
     for second in range(int(LOSS_S) + 70):
@@ -159,8 +159,8 @@ def test_loss_is_told_by_sender_over_a_window() -> None:
     assert (pilot.age_s, ground.age_s) == (1.0, 4.0)
 
 
-def test_a_sender_that_was_forgotten_and_came_back_has_lost_nothing() -> None:
-    """Its counters begin anew."""
+def test_a_sender_that_was_forgotten_and_returned_has_lost_nothing() -> None:
+    """Its counters start again."""
     flow = LinkStats((7, 193))
     flow.sample(0.0, Traffic(senders={(1, 1): (500, 90)}))
     flow.sample(5.0, Traffic(senders={(1, 1): (30, 0)}))
@@ -177,12 +177,12 @@ def status(**fields: int) -> Any:
     return mavlink.MAVLink_radio_status_message(**{**usual, **fields})
 
 
-def test_a_radio_never_heard_is_none() -> None:
-    """Not known is not zero."""
+def test_a_radio_that_was_never_received_is_none() -> None:
+    """Unknown is not zero."""
     assert RadioState("ground").fact(5.0) is None
 
 
-def test_a_radio_tells_its_numbers() -> None:
+def test_a_radio_reports_its_numbers() -> None:
     """Age, margins as means, and errors as rates."""
     radio = RadioState("ground")
     for second in range(6):
@@ -194,8 +194,8 @@ def test_a_radio_tells_its_numbers() -> None:
     assert (fact.rxerrors_s, fact.fixed_s) == (4.0, 1.0)
 
 
-def test_what_a_radio_does_not_know_is_none() -> None:
-    """255 stands for unknown; without noise there is no margin."""
+def test_values_that_a_radio_does_not_know_are_none() -> None:
+    """255 means unknown; without a noise value there is no margin."""
     radio = RadioState("ground")
     radio.hear(0.0, status(remrssi=255, noise=255), 1.0)
     fact = radio.fact(0.0)
@@ -204,8 +204,8 @@ def test_what_a_radio_does_not_know_is_none() -> None:
     assert (fact.rxerrors_s, fact.fixed_s) == (None, None)
 
 
-def test_a_radio_that_lost_the_other_one_is_alone() -> None:
-    """Zeros in place of what the other one told, as a SiK radio sends them; they are no weak signal, and end at once."""
+def test_a_radio_without_contact_to_the_other_one_is_alone() -> None:
+    """Zeros instead of the other one's values, as a SiK radio sends them; not a weak signal, and over immediately."""
     radio = RadioState("ground")
     radio.hear(0.0, status(), 1.0)
     radio.hear(1.0, status(remrssi=0, remnoise=0), 1.0)
@@ -218,8 +218,8 @@ def test_a_radio_that_lost_the_other_one_is_alone() -> None:
     assert (back.alone, back.remrssi, back.remmargin) == (False, 170, 120.0)
 
 
-def test_a_radio_that_never_tells_of_the_other_one_is_not_alone() -> None:
-    """Some report zeros always."""
+def test_a_radio_that_never_reports_the_other_one_is_not_alone() -> None:
+    """Some report zeros all the time."""
     radio = RadioState("ground")
     for second in range(5):
         radio.hear(float(second), status(remrssi=0, remnoise=0), 1.0)
@@ -228,8 +228,8 @@ def test_a_radio_that_never_tells_of_the_other_one_is_not_alone() -> None:
     assert (fact.alone, fact.remmargin) == (False, None)
 
 
-def test_counters_of_a_radio_that_was_restarted() -> None:
-    """They begin anew, and nothing is negative."""
+def test_counters_of_a_restarted_radio_are_not_negative() -> None:
+    """They start at zero again."""
     radio = RadioState("ground")
     for second, errors in enumerate([60000, 60002, 3, 4]):
         radio.hear(float(second), status(rxerrors=errors), 1.0)
@@ -238,8 +238,8 @@ def test_counters_of_a_radio_that_was_restarted() -> None:
     assert fact.rxerrors_s == pytest.approx(2.0)
 
 
-def test_how_often_a_radio_is_due() -> None:
-    """Until it is known, as often as PHM's heartbeats ask it; then as it comes; one long pause does not count."""
+def test_the_period_of_a_radio_adapts() -> None:
+    """At first that of PHM's heartbeats, which it answers; then as measured; one long pause does not count."""
     radio = RadioState("ground")
     radio.hear(0.0, status(), 5.0)
     first = radio.fact(0.0)
@@ -256,10 +256,10 @@ def test_how_often_a_radio_is_due() -> None:
     assert asked_less.due_s == 10.0
 
 
-# ---------------------------------------------------------------- the autopilot's boots
+# ---------------------------------------------------------------- reboots of the autopilot
 
 
-def beat(pilot: AutopilotState, at: float, *, armed: bool = False) -> None:
+def receive_heartbeat(pilot: AutopilotState, at: float, *, armed: bool = False) -> None:
     pilot.heartbeat(at, heartbeat(5, kind=2, autopilot=3, base_mode=81 | (ARMED if armed else 0)), "fc")
 
 
@@ -269,17 +269,17 @@ def fact_of(pilot: AutopilotState, now: float) -> Any:
     return fact
 
 
-def test_a_pilot_never_heard_is_none() -> None:
-    """A time since boot alone is no heartbeat."""
+def test_an_autopilot_that_was_never_received_is_none() -> None:
+    """A time since boot alone is not a heartbeat."""
     pilot = AutopilotState()
     pilot.booted(1.0, 500)
     assert pilot.fact(2.0) is None
 
 
-def test_a_reboot_is_seen_by_its_time_going_back() -> None:
-    """Counted once, with its age; the time since boot goes on from there."""
+def test_a_reboot_is_detected_by_a_decreasing_uptime() -> None:
+    """Counted once, with its age; the uptime continues from there."""
     pilot = AutopilotState()
-    beat(pilot, 0.0)
+    receive_heartbeat(pilot, 0.0)
     for second in range(10):
         pilot.booted(float(second), 60_000 + 1000 * second)
     assert fact_of(pilot, 10.0).reboots == 0
@@ -291,59 +291,59 @@ def test_a_reboot_is_seen_by_its_time_going_back() -> None:
     assert fact.boot_s == pytest.approx(2.8)
 
 
-def test_messages_that_overtake_each_other_are_no_reboot() -> None:
-    """Some carry the time of a measurement, and the number begins anew after 49.7 days."""
+def test_reordered_messages_are_not_a_reboot() -> None:
+    """Some have the time of a measurement, and the number wraps around after 49.7 days."""
     pilot = AutopilotState()
-    beat(pilot, 0.0)
+    receive_heartbeat(pilot, 0.0)
     for at, boot_ms in ((1.0, 60_000), (1.1, 58_500), (1.2, 60_200), (2.0, 2**32 - 500), (3.0, 400)):
         pilot.booted(at, boot_ms)
     assert fact_of(pilot, 4.0).reboots == 0
 
 
-@pytest.mark.parametrize("beats_first", [True, False], ids=["heartbeat first", "time first"])
-def test_a_reboot_while_armed_is_told_as_such(beats_first: bool) -> None:
-    """Also when the first heartbeat after it, disarmed, comes before the new time."""
+@pytest.mark.parametrize("heartbeat_first", [True, False], ids=["heartbeat first", "time first"])
+def test_a_reboot_while_armed_is_reported_as_such(heartbeat_first: bool) -> None:
+    """Even if the first heartbeat after it, disarmed, arrives before the new uptime."""
     pilot = AutopilotState()
-    beat(pilot, 0.0)
-    beat(pilot, 1.0, armed=True)
+    receive_heartbeat(pilot, 0.0)
+    receive_heartbeat(pilot, 1.0, armed=True)
     pilot.booted(1.0, 90_000)
-    beat(pilot, 9.0, armed=True)
+    receive_heartbeat(pilot, 9.0, armed=True)
     pilot.booted(9.0, 98_000)
-    if beats_first:
-        beat(pilot, 11.5)
+    if heartbeat_first:
+        receive_heartbeat(pilot, 11.5)
     pilot.booted(11.6, 600)
     assert fact_of(pilot, 12.0).rebooted_armed
 
 
-def test_a_reboot_after_landing_is_not_in_the_air() -> None:
-    """Disarmed before it rebooted: an operator may have meant it to."""
+def test_a_reboot_after_landing_is_not_in_flight() -> None:
+    """Disarmed before the reboot: an operator may have caused it."""
     pilot = AutopilotState()
-    beat(pilot, 1.0, armed=True)
-    beat(pilot, 5.0)
+    receive_heartbeat(pilot, 1.0, armed=True)
+    receive_heartbeat(pilot, 5.0)
     pilot.booted(6.0, 98_000)
     pilot.booted(9.0, 600)
     fact = fact_of(pilot, 9.0)
     assert (fact.reboots, fact.rebooted_armed) == (1, False)
 
 
-def test_how_long_a_pilot_has_said_disarmed_ends_with_a_pause() -> None:
-    """Armed ends it, and silence for longer than the timeout begins it anew."""
+def test_a_pause_resets_the_time_since_disarming() -> None:
+    """Arming ends it, and silence for longer than the timeout restarts it."""
     pilot = AutopilotState()
     for at in (0.0, 3.0, 6.0):
-        beat(pilot, at)
+        receive_heartbeat(pilot, at)
     assert fact_of(pilot, 7.0).disarmed_for_s == 7.0
-    beat(pilot, 10.0)
+    receive_heartbeat(pilot, 10.0)
     assert fact_of(pilot, 11.0).disarmed_for_s == 1.0
-    beat(pilot, 12.0, armed=True)
+    receive_heartbeat(pilot, 12.0, armed=True)
     assert fact_of(pilot, 12.0).disarmed_for_s is None
-    beat(pilot, 13.0)
+    receive_heartbeat(pilot, 13.0)
     assert fact_of(pilot, 14.0).disarmed_for_s == 1.0
 
 
-def test_two_autopilots_with_one_identity_are_no_reboots() -> None:
-    """Their times alternate faster than anything can boot; a vehicle that boots again and again takes longer."""
+def test_two_autopilots_with_one_identity_are_not_reboots() -> None:
+    """Their uptimes alternate faster than any vehicle can boot; a vehicle in a reboot loop takes longer."""
     pilot = AutopilotState()
-    beat(pilot, 0.0)
+    receive_heartbeat(pilot, 0.0)
     for step in range(TWINS * 2 + 1):
         pilot.booted(step * 0.5, 600_000 if step % 2 else 20_000)
     assert pilot.twins(4.0)
@@ -357,10 +357,10 @@ def test_two_autopilots_with_one_identity_are_no_reboots() -> None:
 
 
 def known(pilot: AutopilotState, period_s: float = 1.0) -> float:
-    """Heard steadily for as long as it takes to know it; the moment of the last heartbeat."""
+    """Receive it regularly for as long as the learning takes; return the time of the last heartbeat."""
     count = int(LEARN_S / period_s) + 5
     for number in range(count):
-        beat(pilot, number * period_s)
+        receive_heartbeat(pilot, number * period_s)
         pilot.booted(number * period_s + 0.1, 100_000 + int(number * period_s * 1000))
     return (count - 1) * period_s
 
@@ -371,19 +371,19 @@ def overdue(pilot: AutopilotState, now: float, read_at: float | None) -> bool:
     return fact.overdue
 
 
-def test_a_steady_autopilot_is_overdue_early() -> None:
-    """After two and a half of its heartbeats, as far as its link was read; where that is not known, never."""
+def test_a_regular_autopilot_is_overdue_early() -> None:
+    """After two and a half heartbeat periods, if its link was read until then; never if that is unknown."""
     pilot = AutopilotState()
     last = known(pilot)
     assert not overdue(pilot, last + 2.1, last + 2.1)
     assert not overdue(pilot, last + 9.0, last + 2.1)
     assert not overdue(pilot, last + 9.0, None)
     assert overdue(pilot, last + 2.6, last + 2.6)
-    beat(pilot, last + 2.7)
+    receive_heartbeat(pilot, last + 2.7)
     assert not overdue(pilot, last + 2.8, last + 2.8)
 
 
-def test_an_autopilot_whose_other_frames_come_is_not_overdue() -> None:
+def test_an_autopilot_with_other_frames_is_not_overdue() -> None:
     """Its heartbeats are lost or late."""
     pilot = AutopilotState()
     last = known(pilot)
@@ -392,25 +392,25 @@ def test_an_autopilot_whose_other_frames_come_is_not_overdue() -> None:
     assert overdue(pilot, last + 3.4, last + 3.4)
 
 
-@pytest.mark.parametrize("beats_first", [True, False], ids=["heartbeat first", "time first"])
-def test_the_pause_of_a_reboot_is_no_habit(beats_first: bool) -> None:
-    """After it the autopilot is known as well as before."""
+@pytest.mark.parametrize("heartbeat_first", [True, False], ids=["heartbeat first", "time first"])
+def test_the_pause_of_a_reboot_does_not_raise_the_limit(heartbeat_first: bool) -> None:
+    """After it the period of the autopilot is known as before."""
     pilot = AutopilotState()
     last = known(pilot)
     at = last + 2.3
-    if beats_first:
-        beat(pilot, at)
+    if heartbeat_first:
+        receive_heartbeat(pilot, at)
     pilot.booted(at + 0.1, 100)
     for number in range(4):
-        beat(pilot, at + 0.2 + number)
+        receive_heartbeat(pilot, at + 0.2 + number)
     assert fact_of(pilot, at + 3.5).due_s == pytest.approx(2.5)
 
 
 # ---------------------------------------------------------------- serial ports
 
 
-def test_who_has_a_port_open_is_named(tmp_path: Path) -> None:
-    """Another program by name and number; PHM itself is left out; a link to the port is followed."""
+def test_users_of_a_port_are_named(tmp_path: Path) -> None:
+    """Another program by name and pid; PHM itself is omitted; a symlink to the port is resolved."""
     far, near = pty.openpty()
     path = os.ttyname(near)
     named = tmp_path / "by-id"
@@ -429,8 +429,8 @@ def test_who_has_a_port_open_is_named(tmp_path: Path) -> None:
     os.close(near)
 
 
-def test_what_cannot_be_looked_at_is_left_out(tmp_path: Path) -> None:
-    """Processes that end meanwhile, or belong to others, raise nothing."""
+def test_inaccessible_processes_are_skipped(tmp_path: Path) -> None:
+    """Processes that terminate meanwhile, or belong to other users, raise nothing."""
     (tmp_path / "1").mkdir()
     (tmp_path / "2" / "fd").mkdir(parents=True)
     (tmp_path / "2" / "fd" / "0").write_text("no link")
@@ -439,7 +439,7 @@ def test_what_cannot_be_looked_at_is_left_out(tmp_path: Path) -> None:
 
 
 def test_a_port_keeps_its_dtr() -> None:
-    """Closing it must not drop the line that resets what hangs on it; a port whose driver does not count tells nothing."""
+    """Closing it must not drop the line that resets the device; a port whose driver does not count reports nothing."""
     far, near = pty.openpty()
     attributes = termios.tcgetattr(near)
     attributes[2] |= termios.HUPCL
@@ -452,7 +452,7 @@ def test_a_port_keeps_its_dtr() -> None:
     serial_errors.keep_dtr(near)  # a port that is gone raises nothing
 
 
-def test_line_errors_are_read_as_linux_lays_them_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_line_errors_are_read_in_the_layout_of_linux(monkeypatch: pytest.MonkeyPatch) -> None:
     """frame, overrun, parity and buf_overrun of struct serial_icounter_struct."""
     counters = bytearray(80)
     for at, value in ((6, 11), (7, 20), (8, 33), (10, 4)):

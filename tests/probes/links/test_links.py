@@ -1,4 +1,4 @@
-"""What the link probe makes of heartbeats: ground station, autopilot, and somebody with our identity."""
+"""The link probe's view of heartbeats: ground station, autopilot, and other senders with our identity."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LINKS = [
 
 
 class Scene:
-    """The probe of agent 7 on a hub whose endpoints are not opened, into which the test puts messages."""
+    """The probe of agent 7 on a hub with closed endpoints, into which the test injects messages."""
 
     def __init__(self) -> None:
         self.clock, self.wakes = FakeClock(), 0
@@ -39,8 +39,8 @@ class Scene:
     def wake(self) -> None:
         self.wakes += 1
 
-    def hear(self, system: int, component: int, message: Any, link: str = "radio") -> int:
-        """How many wakes followed."""
+    def receive(self, system: int, component: int, message: Any, link: str = "radio") -> int:
+        """Receive a message and return the number of wake-ups that followed."""
         before = self.wakes
         self.hub._deliver(Sender(system, component).received(message), link)
         return self.wakes - before
@@ -59,8 +59,8 @@ def pilot(*, armed: bool = False, mode: int = 5) -> Any:
     return heartbeat(mode, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=3, base_mode=81 | (ARMED if armed else 0))
 
 
-def test_nothing_heard_is_not_known() -> None:
-    """Never heard is None, not an age."""
+def test_an_identity_that_was_never_received_is_unknown() -> None:
+    """None, not an age."""
     scene = Scene()
     assert scene.links.gcs_age_s() is None
     assert scene.links.autopilot() is None
@@ -68,15 +68,15 @@ def test_nothing_heard_is_not_known() -> None:
 
 
 def test_a_ground_station_appears_and_is_lost() -> None:
-    """Its age counts from the last heartbeat; appearing and getting lost wake the check, each once."""
+    """Its age counts from the last heartbeat; appearing and getting lost each wake the check once."""
     scene = Scene()
-    assert scene.hear(255, 190, GCS) == 1
-    assert scene.hear(255, 190, GCS) == 0
+    assert scene.receive(255, 190, GCS) == 1
+    assert scene.receive(255, 190, GCS) == 0
     assert scene.pass_time(9.0) == 0
     assert scene.links.gcs_age_s() == pytest.approx(9.0)
     assert scene.pass_time(2.0) == 1
     assert scene.pass_time(2.0) == 0
-    assert scene.hear(254, 190, GCS) == 1
+    assert scene.receive(254, 190, GCS) == 1
     assert scene.links.gcs_age_s() == 0.0
 
 
@@ -88,51 +88,51 @@ def test_a_ground_station_appears_and_is_lost() -> None:
         (7, 190, GCS),
         (255, 190, heartbeat(kind=mavlink.MAV_TYPE_ONBOARD_CONTROLLER)),
     ],
-    ids=["another vehicle", "another companion", "a program aboard that says GCS", "no GCS"],
+    ids=["another vehicle", "another companion", "an onboard program that claims to be a GCS", "not a GCS"],
 )
-def test_others_are_neither_ground_station_nor_our_autopilot(system: int, component: int, message: Any) -> None:
-    """Only MAV_TYPE_GCS of another system is a ground station, only our system's component 1 our autopilot."""
+def test_other_senders_are_neither_ground_station_nor_our_autopilot(system: int, component: int, message: Any) -> None:
+    """Only MAV_TYPE_GCS of another system is a ground station, only our system's component 1 is our autopilot."""
     scene = Scene()
-    assert scene.hear(system, component, message) == 0
+    assert scene.receive(system, component, message) == 0
     assert scene.links.gcs_age_s() is None
     assert scene.links.autopilot() is None
 
 
-def test_arming_is_seen_at_once() -> None:
-    """Arming and disarming wake the check; the mode and the system's state are passed on."""
+def test_arming_is_detected_immediately() -> None:
+    """Arming and disarming wake the check; mode and system state are part of the fact."""
     scene = Scene()
-    assert scene.hear(7, 1, pilot(mode=4)) == 1
+    assert scene.receive(7, 1, pilot(mode=4)) == 1
     fact = scene.links.autopilot()
     assert fact is not None
     assert (fact.armed, fact.custom_mode, fact.system_status, fact.age_s) == (False, 4, 4, 0.0)
-    assert scene.hear(7, 1, pilot(armed=True)) == 1
+    assert scene.receive(7, 1, pilot(armed=True)) == 1
     fact = scene.links.autopilot()
     assert fact is not None
     assert fact.armed
-    assert scene.hear(7, 1, pilot()) == 1
+    assert scene.receive(7, 1, pilot()) == 1
 
 
 def test_a_silent_autopilot_ages() -> None:
     """Another component of the same system does not hide that the autopilot is silent."""
     scene = Scene()
-    scene.hear(7, 1, pilot())
+    scene.receive(7, 1, pilot())
     assert scene.pass_time(3.0) == 0
-    assert scene.hear(7, 193, heartbeat()) == 0
+    assert scene.receive(7, 193, heartbeat()) == 0
     assert scene.pass_time(1.0) == 1
     fact = scene.links.autopilot()
     assert fact is not None
     assert fact.age_s == pytest.approx(4.0)
 
 
-def steady(scene: Scene, beats: int = 130) -> None:
-    """A ground station and an autopilot, a heartbeat a second each, on a link that is read all the time."""
+def steady(scene: Scene, heartbeats: int = 130) -> None:
+    """A ground station and an autopilot, each with one heartbeat per second, on a link that is read all the time."""
     scene.hub.read_at = lambda link: scene.clock.mono()  # type: ignore[method-assign]
-    for _ in range(beats):
-        scene.hear(255, 190, GCS)
-        scene.hear(7, 1, pilot())
+    for _ in range(heartbeats):
+        scene.receive(255, 190, GCS)
+        scene.receive(7, 1, pilot())
         scene.clock.advance(1.0)
-    scene.hear(255, 190, GCS)
-    scene.hear(7, 1, pilot())
+    scene.receive(255, 190, GCS)
+    scene.receive(7, 1, pilot())
 
 
 def overdue(scene: Scene) -> tuple[bool, bool]:
@@ -142,7 +142,7 @@ def overdue(scene: Scene) -> tuple[bool, bool]:
     return gcs.overdue, flying.overdue
 
 
-def test_who_was_steady_is_overdue_before_the_timeout() -> None:
+def test_a_regular_sender_is_overdue_before_the_timeout() -> None:
     """The autopilot after 2.5 s, the ground station after half of its timeout; each wakes the checks once."""
     scene = Scene()
     steady(scene)
@@ -150,21 +150,21 @@ def test_who_was_steady_is_overdue_before_the_timeout() -> None:
     assert (scene.pass_time(0.2), overdue(scene)) == (1, (False, True))
     assert scene.pass_time(2.3) == 1  # the autopilot's timeout
     assert (scene.pass_time(0.2), overdue(scene)) == (1, (True, True))
-    scene.hear(255, 190, GCS)
-    scene.hear(7, 1, pilot())
+    scene.receive(255, 190, GCS)
+    scene.receive(7, 1, pilot())
     assert overdue(scene) == (False, False)
 
 
-def test_a_phm_that_stood_still_blames_nobody() -> None:
-    """What came meanwhile is not read yet; and the pause is no habit of the sender after."""
+def test_a_suspended_phm_reports_no_loss() -> None:
+    """Messages of that time are not read yet; and the pause is not learned as one of the sender."""
     scene = Scene()
     steady(scene)
     stopped_at = scene.clock.mono()
     scene.hub.read_at = lambda link: stopped_at  # type: ignore[method-assign]
     scene.clock.advance(3.0)
     assert overdue(scene) == (False, False)
-    scene.hear(255, 190, GCS)
-    scene.hear(7, 1, pilot())
+    scene.receive(255, 190, GCS)
+    scene.receive(7, 1, pilot())
     scene.hub.read_at = lambda link: scene.clock.mono()  # type: ignore[method-assign]
     fact = scene.links.autopilot()
     assert fact is not None
@@ -176,41 +176,41 @@ def radio_status(**fields: int) -> Any:
     return mavlink.MAVLink_radio_status_message(**{**usual, **fields})
 
 
-def test_a_radio_that_lost_the_other_one_makes_the_agent_deaf() -> None:
-    """Before gcs_timeout, but not while a ground station is heard all the same; it wakes the check."""
+def test_a_radio_without_contact_disconnects_the_agent_from_the_ground() -> None:
+    """Before `gcs_timeout`, but not while a ground station is still received; it wakes the check."""
     scene = Scene()
-    scene.hear(255, 190, GCS)
-    scene.hear(51, 68, radio_status())
+    scene.receive(255, 190, GCS)
+    scene.receive(51, 68, radio_status())
     scene.clock.advance(2.0)
     assert not scene.links.gcs_unreachable()
-    assert scene.hear(51, 68, radio_status(remrssi=0, remnoise=0)) == 1
+    assert scene.receive(51, 68, radio_status(remrssi=0, remnoise=0)) == 1
     assert not scene.links.gcs_unreachable()
     assert scene.pass_time(1.0) == 1
     assert scene.links.gcs_unreachable()
-    assert scene.hear(255, 190, GCS) == 1
+    assert scene.receive(255, 190, GCS) == 1
     assert not scene.links.gcs_unreachable()
 
 
-def test_a_report_of_the_radio_wakes_the_check_when_it_says_something_new() -> None:
-    """A full buffer or damaged packets are told when they are reported; the same again wakes nobody."""
+def test_a_radio_report_wakes_the_check_when_it_has_news() -> None:
+    """A full buffer or damaged packets are reported when they occur; the same values again wake nothing."""
     scene = Scene()
-    scene.hear(51, 68, radio_status())
+    scene.receive(51, 68, radio_status())
     scene.clock.advance(1.0)
-    assert scene.hear(51, 68, radio_status()) == 1  # now errors a second are known
+    assert scene.receive(51, 68, radio_status()) == 1  # the error rate is known now
     scene.clock.advance(1.0)
-    assert scene.hear(51, 68, radio_status()) == 0
+    assert scene.receive(51, 68, radio_status()) == 0
     scene.clock.advance(1.0)
-    assert scene.hear(51, 68, radio_status(txbuf=10)) == 1
+    assert scene.receive(51, 68, radio_status(txbuf=10)) == 1
     scene.clock.advance(1.0)
-    assert scene.hear(51, 68, radio_status(txbuf=10, rxerrors=40)) == 1
+    assert scene.receive(51, 68, radio_status(txbuf=10, rxerrors=40)) == 1
 
 
-def test_somebody_with_our_identity_is_told() -> None:
-    """Two heartbeats that we did not send make a problem, which ends when they do."""
+def test_a_sender_with_our_identity_is_reported() -> None:
+    """Two heartbeats that we did not send are a problem, which ends when they end."""
     scene = Scene()
-    assert scene.hear(7, 193, heartbeat()) == 0
+    assert scene.receive(7, 193, heartbeat()) == 0
     assert scene.links.problems() == ()
-    assert scene.hear(7, 193, heartbeat()) == 1
+    assert scene.receive(7, 193, heartbeat()) == 1
     (problem,) = scene.links.problems()
     assert "system 7 component 193" in problem
     assert scene.pass_time(31.0) == 1
@@ -222,27 +222,27 @@ def boot(boot_ms: int) -> Any:
 
 
 def test_a_reboot_wakes_the_checks() -> None:
-    """By the time since boot of the autopilot's own messages; others of the vehicle do not count."""
+    """By the uptime in the autopilot's own messages; other components of the vehicle do not count."""
     scene = Scene()
-    scene.hear(7, 1, pilot())
-    assert scene.hear(7, 1, boot(60_000)) == 0
-    assert scene.hear(7, 191, boot(100)) == 0
-    assert scene.hear(8, 1, boot(100)) == 0
+    scene.receive(7, 1, pilot())
+    assert scene.receive(7, 1, boot(60_000)) == 0
+    assert scene.receive(7, 191, boot(100)) == 0
+    assert scene.receive(8, 1, boot(100)) == 0
     scene.clock.advance(2.0)
-    assert scene.hear(7, 1, boot(900)) == 1
+    assert scene.receive(7, 1, boot(900)) == 1
     fact = scene.links.autopilot()
     assert fact is not None
     assert (fact.reboots, fact.rebooted_s, fact.link) == (1, 0.0, "radio")
     assert fact.boot_s == pytest.approx(0.9)
 
 
-def test_two_autopilots_with_our_system_id_are_told() -> None:
-    """Their times since boot go back and forth; it is a mistake of the configuration, and no reboot."""
+def test_two_autopilots_with_our_system_id_are_reported() -> None:
+    """Their uptimes alternate; it is a configuration mistake, not a reboot."""
     scene = Scene()
-    scene.hear(7, 1, pilot())
+    scene.receive(7, 1, pilot())
     for _ in range(5):
-        scene.hear(7, 1, boot(600_000))
-        scene.hear(7, 1, boot(20_000))
+        scene.receive(7, 1, boot(600_000))
+        scene.receive(7, 1, boot(20_000))
         scene.clock.advance(0.5)
     (problem,) = scene.links.problems()
     assert "two autopilots send as system 7" in problem
@@ -255,13 +255,13 @@ def test_two_autopilots_with_our_system_id_are_told() -> None:
 
 @pytest.mark.parametrize("link", ["ground", "peers"])
 def test_only_links_that_lead_to_the_autopilot_count(link: str) -> None:
-    """Another vehicle with our ids, or a forger: neither disarms ours, nor reboots it, nor stands for it; it is reported."""
+    """Another vehicle with our ids, or a forged one, neither disarms, reboots nor replaces ours; it is reported."""
     scene = Scene()
-    scene.hear(7, 1, pilot(armed=True))
-    scene.hear(7, 1, boot(600_000))
+    scene.receive(7, 1, pilot(armed=True))
+    scene.receive(7, 1, boot(600_000))
     for _ in range(2):
-        scene.hear(7, 1, pilot(), link)
-        scene.hear(7, 1, boot(1_000), link)
+        scene.receive(7, 1, pilot(), link)
+        scene.receive(7, 1, boot(1_000), link)
     fact = scene.links.autopilot()
     assert fact is not None
     assert (fact.armed, fact.disarmed_s, fact.link, fact.reboots) == (True, None, "radio", 0)
@@ -271,22 +271,22 @@ def test_only_links_that_lead_to_the_autopilot_count(link: str) -> None:
     assert scene.links.problems() == ()
 
 
-def test_a_stray_autopilot_alone_is_none() -> None:
-    """What comes by a link to the ground alone is never taken for ours."""
+def test_an_autopilot_on_a_ground_link_only_is_ignored() -> None:
+    """A sender that is received only by a link to the ground is never accepted as ours."""
     scene = Scene()
-    scene.hear(7, 1, pilot(), "ground")
+    scene.receive(7, 1, pilot(), "ground")
     assert scene.links.autopilot() is None
 
 
-def test_our_own_autopilot_passed_on_by_the_ground_is_no_duplicate() -> None:
-    """Its time since boot is the same; it does not count for arming all the same."""
+def test_our_own_autopilot_forwarded_by_the_ground_is_not_a_duplicate() -> None:
+    """Its uptime is the same; it still does not count for arming."""
     scene = Scene()
-    scene.hear(7, 1, boot(600_000))
-    scene.hear(7, 1, pilot(armed=True))
+    scene.receive(7, 1, boot(600_000))
+    scene.receive(7, 1, pilot(armed=True))
     for _ in range(3):
         scene.clock.advance(1.0)
-        scene.hear(7, 1, boot(600_500), "ground")
-        scene.hear(7, 1, pilot(), "ground")
+        scene.receive(7, 1, boot(600_500), "ground")
+        scene.receive(7, 1, pilot(), "ground")
     assert scene.links.problems() == ()
     fact = scene.links.autopilot()
     assert fact is not None
@@ -294,11 +294,11 @@ def test_our_own_autopilot_passed_on_by_the_ground_is_no_duplicate() -> None:
 
 
 def test_two_links_that_disagree_count_as_armed_and_are_reported() -> None:
-    """Both lead to the autopilot; whichever spoke last."""
+    """Both lead to the autopilot; the order of messages does not matter."""
     scene = Scene()
     for _ in range(4):
-        scene.hear(7, 1, pilot(armed=True))
-        scene.hear(7, 1, pilot(), "router")
+        scene.receive(7, 1, pilot(armed=True))
+        scene.receive(7, 1, pilot(), "router")
         scene.clock.advance(1.0)
     fact = scene.links.autopilot()
     assert fact is not None
@@ -306,38 +306,38 @@ def test_two_links_that_disagree_count_as_armed_and_are_reported() -> None:
     (problem,) = scene.links.problems()
     assert "two autopilots send as system 7" in problem
     scene.clock.advance(9.5)
-    scene.hear(7, 1, pilot(), "router")
+    scene.receive(7, 1, pilot(), "router")
     fact = scene.links.autopilot()
     assert fact is not None
     assert not fact.armed
     assert scene.links.problems() == ()
 
 
-def test_arming_and_disarming_by_an_operator_is_no_duplicate() -> None:
+def test_arming_and_disarming_by_an_operator_is_not_a_duplicate() -> None:
     """A few changes, one after the other."""
     scene = Scene()
     for armed in (False, True, False, True):
-        scene.hear(7, 1, pilot(armed=armed))
+        scene.receive(7, 1, pilot(armed=armed))
         scene.clock.advance(4.0)
     assert scene.links.problems() == ()
 
 
-def test_what_phm_reads_after_a_suspension_may_be_old() -> None:
-    """The pause is part of the fact, so that a disarmed heartbeat that waited in a buffer opens nothing."""
+def test_data_that_phm_reads_after_a_suspension_may_be_old() -> None:
+    """The pause is part of the fact, so that a disarmed heartbeat from a buffer permits nothing."""
     scene = Scene()
     scene.hub.read_at = lambda link: 1000.0  # type: ignore[method-assign]
     scene.clock.advance(5.0 + 1000.0 - scene.clock.mono())
-    scene.hear(7, 1, pilot())
+    scene.receive(7, 1, pilot())
     fact = scene.links.autopilot()
     assert fact is not None
     assert (fact.disarmed_s, fact.stalled_s) == (0.0, 0.0)
 
 
 def test_the_ground_station_is_known_with_its_link() -> None:
-    """Which one, and by which endpoint."""
+    """Its identity and its endpoint."""
     scene = Scene()
     assert scene.links.gcs() is None
-    scene.hear(254, 190, GCS)
+    scene.receive(254, 190, GCS)
     scene.clock.advance(2.0)
     gcs = scene.links.gcs()
     assert gcs is not None
@@ -345,25 +345,25 @@ def test_the_ground_station_is_known_with_its_link() -> None:
 
 
 def test_a_radio_appears_and_is_lost() -> None:
-    """By its RADIO_STATUS, whoever it calls itself; it is due as often as PHM's own heartbeats."""
+    """By its RADIO_STATUS, with any identity; it is due as often as PHM's own heartbeats."""
     scene = Scene()
     assert scene.links.radios() == ()
     status = mavlink.MAVLink_radio_status_message(180, 170, 98, 40, 50, 0, 0)
-    assert scene.hear(51, 68, status) == 1
-    assert scene.hear(51, 68, status) == 0
+    assert scene.receive(51, 68, status) == 1
+    assert scene.receive(51, 68, status) == 0
     (radio,) = scene.links.radios()
     assert (radio.link, radio.age_s, radio.due_s, radio.rssi) == ("radio", 0.0, 2.0, 180)
     assert scene.pass_time(6.0) == 1
     assert scene.links.radios()[0].age_s == 6.0
 
 
-def test_who_has_a_port_open_is_asked_within_a_deadline() -> None:
-    """Nobody has this one."""
+def test_users_of_a_port_are_queried_within_a_deadline() -> None:
+    """This port has none."""
     assert Scene().links.users("/dev/null-and-void") == ()
 
 
-def test_the_traffic_of_an_endpoint_is_known() -> None:
-    """Bytes, frames and senders of a real socket, with their rates, and how long it has been silent."""
+def test_the_traffic_of_an_endpoint_is_measured() -> None:
+    """Bytes, frames and senders of a real socket, with their rates, and the duration of its silence."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
         peer.bind(("127.0.0.1", 0))
         url = f"udpout:127.0.0.1:{peer.getsockname()[1]}"
@@ -391,8 +391,8 @@ def test_the_traffic_of_an_endpoint_is_known() -> None:
             hub.close()
 
 
-def test_a_router_that_refuses_twice_leaves_the_agent_deaf() -> None:
-    """It was there and is gone: nothing can come from the ground. When it is back, that is over."""
+def test_a_router_that_refuses_twice_disconnects_the_agent_from_the_ground() -> None:
+    """It was connected and is gone: nothing can arrive from the ground. When it is back, that is over."""
     listener = socket.create_server(("127.0.0.1", 0))
     port = listener.getsockname()[1]
     chosen: Settings = settings(
@@ -413,14 +413,14 @@ def test_a_router_that_refuses_twice_leaves_the_agent_deaf() -> None:
         assert (link.open, link.failed >= 2, hub.read_at("r")) == (False, True, None)
         assert wakes
         with socket.create_server(("127.0.0.1", port)):
-            until(lambda: not links.gcs_unreachable(), "the router being back")
+            until(lambda: not links.gcs_unreachable(), "the return of the router")
             assert links.links()[0].failed == 0
     finally:
         hub.close()
 
 
-def test_our_own_echo_is_no_duplicate() -> None:
-    """A router that sends our frames back makes no alarm; a stranger on the same wire does."""
+def test_our_own_echo_is_not_a_duplicate() -> None:
+    """A router that echoes our frames raises no alarm; another sender on the same link does."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as router:
         router.bind(("127.0.0.1", 0))
         router.settimeout(5.0)
@@ -441,20 +441,20 @@ def test_our_own_echo_is_no_duplicate() -> None:
             for count in (6, 7):
                 router.sendto(stranger.frame(heartbeat(99)), sender)
                 until(lambda wanted=count: counters.received == wanted)  # type: ignore[misc]
-            until(links.problems, "the duplicate being told")
+            until(links.problems, "a report of the duplicate")
         finally:
             hub.close()
 
 
 @pytest.mark.parametrize("why", ["PHM did not run", "its link was not read"])
-def test_what_waits_unread_is_no_silence(why: str) -> None:
-    """Ground station, autopilot and radio are lost only as far as PHM ran and read; a link that is never read again hides a
-    loss for one timeout more."""
+def test_unread_data_is_not_silence(why: str) -> None:
+    """Ground station, autopilot and radio are lost only if PHM ran and read their link; a link that is never read again hides
+    a loss for one more timeout."""
     scene = Scene()
     scene.hub.read_at = lambda link: scene.clock.mono()  # type: ignore[method-assign]
-    scene.hear(255, 190, GCS)
-    scene.hear(7, 1, pilot())
-    scene.hear(51, 68, radio_status())
+    scene.receive(255, 190, GCS)
+    scene.receive(7, 1, pilot())
+    scene.receive(51, 68, radio_status())
     if why == "PHM did not run":
         scene.clock.be_late(15.0)
     else:

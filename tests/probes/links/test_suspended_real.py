@@ -1,4 +1,4 @@
-"""A real PHM that is stopped, with real senders on a real socket: what it missed is no loss, and a loss is still found."""
+"""A real PHM that is suspended, with real senders on a socket: missed data is not a loss, and a real loss is detected."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ TIMEOUT_S, STOPPED_S = 4.0, 9.0
 UNITS = ("autopilot", "gcs", "peers/A02")
 
 
-class Air:
-    """Autopilot, ground station and another agent's PHM, each with a heartbeat twice a second, by one UDP socket."""
+class Senders:
+    """Autopilot, ground station and another agent's PHM, each with two heartbeats per second, on one UDP socket."""
 
     def __init__(self, port: int) -> None:
         self._sock, self._port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), port
@@ -57,11 +57,11 @@ class Air:
 
 
 class Agent:
-    """`phm run` as a process, without the guard, which would let it go on."""
+    """`phm run` as a process, without the watchdog, which would resume it."""
 
     def __init__(self, folder: Path, port: int) -> None:
         self.folder = folder
-        endpoint = {"url": f"udpin:127.0.0.1:{port}", "name": "air", "leads_to": "both"}
+        endpoint = {"url": f"udpin:127.0.0.1:{port}", "name": "senders", "leads_to": "both"}
         limits = {"autopilot_timeout": TIMEOUT_S, "gcs_timeout": TIMEOUT_S, "heartbeat": 1.5}
         document = {
             "agent": {"id": 1},
@@ -93,7 +93,7 @@ class Agent:
         return all(levels.get(unit) == "OK" for unit in UNITS)
 
     def lost(self) -> set[str]:
-        """Units of senders with a fault, open or not, since PHM began."""
+        """Units of senders with a fault, open or closed, since the start of PHM."""
         lines = (self.folder / "log" / "phm.jsonl").read_text().splitlines()
         events = [json.loads(line) for line in lines if line.endswith("}")]
         return {event["unit"] for event in events if event["event"] == "fault_opened"} & {*UNITS, "peers/swarm"}
@@ -103,16 +103,16 @@ class Agent:
 
 
 @pytest.fixture
-def air() -> Iterator[tuple[Air, int]]:
+def senders() -> Iterator[tuple[Senders, int]]:
     port = free_port(socket.SOCK_DGRAM)
-    made = Air(port)
+    made = Senders(port)
     yield made, port
     made.close()
 
 
 @pytest.fixture
-def agent(tmp_path: Path, air: tuple[Air, int]) -> Iterator[Agent]:
-    made = Agent(tmp_path, air[1])
+def agent(tmp_path: Path, senders: tuple[Senders, int]) -> Iterator[Agent]:
+    made = Agent(tmp_path, senders[1])
     yield made
     made.process.send_signal(signal.SIGCONT)
     made.process.kill()
@@ -120,17 +120,19 @@ def agent(tmp_path: Path, air: tuple[Air, int]) -> Iterator[Agent]:
 
 
 @pytest.mark.parametrize("frozen", ["PHM", "the machine"])
-def test_a_stopped_phm_loses_nobody_and_finds_who_is_lost(agent: Agent, air: tuple[Air, int], frozen: str) -> None:
-    """Whether senders went on or were frozen with it; who stays silent after is reported."""
+def test_a_suspended_phm_reports_no_false_loss_and_detects_a_real_one(
+    agent: Agent, senders: tuple[Senders, int], frozen: str
+) -> None:
+    """Whether senders kept sending or were frozen too; a sender that stays silent afterwards is reported."""
     until(agent.well, "all senders received")
     agent.process.send_signal(signal.SIGSTOP)
     if frozen == "the machine":
-        air[0].speaks.clear()
+        senders[0].speaks.clear()
     time.sleep(STOPPED_S)
-    air[0].speaks.set()
+    senders[0].speaks.set()
     agent.process.send_signal(signal.SIGCONT)
     passes = agent.passes()
     until(lambda: agent.passes() >= passes + 4, "four passes after it")
     assert agent.lost() == set()
-    air[0].speaks.clear()
+    senders[0].speaks.clear()
     until(lambda: "autopilot" in agent.lost(), "the loss of the autopilot")

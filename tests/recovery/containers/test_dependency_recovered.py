@@ -71,7 +71,7 @@ def test_back_off_goes_on_when_something_else_recovers(agents: list[Agent]) -> N
 
 
 def test_a_repair_of_the_container_itself_eases_nothing(agents: list[Agent]) -> None:
-    """Units of one container are repaired together: there the proof decides, not a recovery next door."""
+    """Units of one container are repaired together: there the proof decides, not a recovery elsewhere."""
     units = {"container/app": Of("app"), "health/app": Of("app", ("container/app",))}
     agent = Agent(units, Containers("app"), testing.FakeClock(), **RULES)
     agents.append(agent)

@@ -17,7 +17,7 @@ from phm.transport.dialect import mavlink
 from phm.wire import control
 from tests.fakes.mavlink import Sender, free_port, heartbeat
 from tests.fakes.until import until
-from tests.proxy.haproxy import Door
+from tests.proxy.haproxy import EngineAccess
 
 pytestmark = pytest.mark.engine
 
@@ -57,8 +57,8 @@ class Beats:
 class Vehicle:
     """`owner` lacks a file, which a restart would heal; `pilot` shares its network and is flight-critical."""
 
-    def __init__(self, real: Any, folder: Path, door: Door) -> None:
-        self.folder, self._door, self._client = folder, door, real.client
+    def __init__(self, real: Any, folder: Path, engine_access: EngineAccess) -> None:
+        self.folder, self._engine_access, self._client = folder, engine_access, real.client
         owner = real.container(f"touch {NEEDED}; {RUN}")
         pilot = real.container(RUN, network_mode=f"container:{owner.id}")
         self.owner, self.pilot = owner, pilot
@@ -82,7 +82,7 @@ class Vehicle:
         made = settings(
             agent={"id": 7},
             interval=2,
-            docker=self._door.section,
+            docker=self._engine_access.section,
             containers=containers,
             mavlink={"endpoints": endpoints},
             recovery={"ladders": {"file_missing": ["restart"]}, "stop_timeout": "2s", "verify": "10s"},
@@ -93,7 +93,7 @@ class Vehicle:
         )
         self.events = []
         if not self._opened:
-            self._door.open(made)
+            self._engine_access.open(made)
             self._opened = True
         self.daemon = Daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
@@ -127,8 +127,8 @@ class Vehicle:
 
 
 @pytest.fixture
-def vehicle(real: Any, tmp_path: Path, door: Door) -> Iterator[Vehicle]:
-    made = Vehicle(real, tmp_path, door)
+def vehicle(real: Any, tmp_path: Path, engine_access: EngineAccess) -> Iterator[Vehicle]:
+    made = Vehicle(real, tmp_path, engine_access)
     yield made
     made.stop()
     for beats in made.beats.values():

@@ -1,4 +1,4 @@
-"""Foreign code in the ROS child that tries what it should not be able to do, and says by a failed import what it could.
+"""Foreign code in the ROS child that tries what the sandbox should prevent, and reports successes by a failed import.
 
 PHM_ROS_TARGETS: JSON with the paths `socket`, `key`, `folder` and `install`, the process id `pid` and the TCP port `port`.
 """
