@@ -77,14 +77,17 @@ class CommandPath(api.Check):
         return frozenset({"link"})
 
     def run(self, world: api.World) -> api.Result:
-        hops = seen_from_here(self._hops(world))
+        found = self._hops(world)
+        hops = seen_from_here(found)
         words = in_words(hops)
         values: dict[str, api.Value] = {one.name: one.state.value for one in hops}
         broken = first_broken(hops)
+        if broken is None and found[0].state is HopState.UNKNOWN and found[-1].state is HopState.UNUSED:
+            return api.bypass(f"neither a ground station nor an autopilot received yet: {words}", **values)
         if broken is None:
             return api.ok(f"no broken hop detected on the command path: {words}", **values)
-        found = api.stale(f"the command path is broken at {broken.name}: {words}", brief="", **values)
-        return found.with_evidence(api.Evidence(broken_hop=broken.name))
+        result = api.stale(f"the command path is broken at {broken.name}: {words}", brief="", **values)
+        return result.with_evidence(api.Evidence(broken_hop=broken.name))
 
     def _hops(self, world: api.World) -> list[Hop]:
         ports = [self._name(entry) for entry in self._ground]

@@ -15,11 +15,12 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from phm.wire.report import NOT_APPLICABLE
 from phm.wire.text import one_line
 
 Json = Mapping[str, Any]
 
-_STYLES = {"OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta"}
+_STYLES = {"OK": "green", "WARN": "yellow", "ERROR": "bold red", "STALE": "magenta", NOT_APPLICABLE: "dim"}
 _PIPE_WIDTH = 160
 """Columns when the output is not a terminal: wide enough for most summaries."""
 LATE_PERCENT = 2.0

@@ -121,7 +121,7 @@ class Result:
                ladder of recovery actions. Empty when OK.
     target:    name of the container (as in the configuration) that recovery may act on, or empty.
     values:    measurements for logs and reporters, with the unit in the key. PHM does not base decisions on them.
-    bypass:    the check had nothing to evaluate and counts as OK (logged as BYPASS).
+    bypass:    the check had nothing to evaluate: OK, shown as n/a and logged as BYPASS. It does not set the level of its slot.
     settle_s:  how long a bad result must last before it is published; overrides `Unit.settle_s`. Shorter if there is
                evidence that no dependency is the cause, longer for problems that have recovered by themselves before.
     decides_s: for a STALE result that only time can change: it becomes OK or ERROR at most this many seconds after the
@@ -163,6 +163,11 @@ class UnitState:
     blocked_by: str = ""
     fault: str = ""
     duration_s: float = 0.0
+
+    @property
+    def not_applicable(self) -> bool:
+        """Whether its check had nothing to evaluate. A problem or STALE is always a statement."""
+        return self.level is Level.OK and self.result.bypass
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,12 +334,16 @@ Event = Transition | FaultOpened | FaultClosed | ActionEvent | HoldChanged | Not
 def worst_by_slot(units: tuple[UnitState, ...]) -> dict[Slot, Level]:
     """Return the worst level of each used slot, in the order ERROR, WARN, STALE, OK.
 
+    A slot in which all units are not applicable is not used: nothing in it was evaluated.
+
     STALE is worse than OK, so that a slot with an unknown unit is never shown as healthy, but less
     bad than WARN and ERROR, which are known problems.
     """
     rank = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
     slots: dict[Slot, Level] = {}
     for state in units:
+        if state.not_applicable:
+            continue
         seen = slots.get(state.slot)
         if seen is None or rank[state.level] > rank[seen]:
             slots[state.slot] = state.level

@@ -25,7 +25,7 @@ from phm.core.model import (
 from phm.facts.ros import DiagnosticFact
 from phm.reporters.base import DiagnosticsPublisher, Reporter, ReporterContext
 from phm.wire import status_word
-from phm.wire.report import array_text, iso, status_array, values_json
+from phm.wire.report import NOT_APPLICABLE, array_text, iso, status_array, values_json
 from phm.wire.text import one_line
 
 ALONG_S = 0.1
@@ -109,6 +109,7 @@ class DiagnosticsReporter(Reporter):
 
     def _unit(self, state: UnitState) -> DiagnosticFact:
         result = state.result
+        message = f"{NOT_APPLICABLE}: {result.summary}" if state.not_applicable else result.summary
         known: dict[str, Any] = {
             "unit": state.unit,
             "check": state.check,
@@ -123,11 +124,12 @@ class DiagnosticsReporter(Reporter):
         measured = list(values_json(result.values).items())[:MAX_VALUES]
         values = {**dict(measured), **known}
         ordered = {key: _text(values[key]) for key in (*known, *(key for key, _ in measured if key not in known))}
-        return DiagnosticFact(0.0, int(state.level), self._cut(result.summary), self._hardware, ordered)
+        return DiagnosticFact(0.0, int(state.level), self._cut(message), self._hardware, ordered)
 
     def _summary(self, states: Sequence[UnitState]) -> DiagnosticFact:
         level = max((state.level for state in states), key=_RANK.__getitem__, default=Level.STALE)
-        count = {kind: sum(1 for state in states if state.level is kind) for kind in Level}
+        evaluated = [state for state in states if not state.not_applicable]
+        count = {kind: sum(1 for state in evaluated if state.level is kind) for kind in Level}
         values = {
             "agent_id": self._agent.id,
             "version": __version__,
@@ -136,8 +138,9 @@ class DiagnosticsReporter(Reporter):
             "status_word": f"0x{status_word.encode(worst_by_slot(tuple(states))):08X}",
             "open_faults": len(self._open),
             **{kind.name.lower(): number for kind, number in count.items()},
+            "not_applicable": len(states) - len(evaluated),
         }
-        message = self._open_words() or f"{count[Level.OK]} of {len(states)} units are OK"
+        message = self._open_words() or f"{count[Level.OK]} of {len(evaluated)} units are OK"
         texts = {key: _text(value) for key, value in values.items()}
         return DiagnosticFact(0.0, int(level), self._cut(message), self._hardware, texts)
 

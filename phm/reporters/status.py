@@ -31,7 +31,7 @@ from phm.wire import status_word
 from phm.wire.report import fault_json, iso, report_json
 from phm.wire.status_file import NAME, place
 
-VERSION = 1
+VERSION = 2
 CLOSED_FAULTS = 20
 ALONG_S = 0.1
 """Changes within this time of the last writing wait for the next tick, so that a burst costs one writing."""

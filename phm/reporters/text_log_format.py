@@ -53,7 +53,7 @@ _REMEMBERED = 64
 
 def unit_kind(state: UnitState) -> str:
     """The log's word for a unit: SUCCESS, BYPASS, WARNING, FAILURE or STALE."""
-    return "BYPASS" if state.result.bypass and state.level is Level.OK else _KINDS[state.level]
+    return "BYPASS" if state.not_applicable else _KINDS[state.level]
 
 
 def closed_kind(outcome: Outcome) -> str:

@@ -110,7 +110,7 @@ def first_broken_hop(states: Sequence[UnitState]) -> str | None:
     hop = path.result.evidence.broken_hop
     if hop or path.blocked_by:
         return (hop or path.blocked_by)[:_CUT]
-    return "" if path.level is Level.OK else None
+    return "" if path.level is Level.OK and not path.not_applicable else None
 
 
 def decode(payload: bytes) -> FleetStatus:

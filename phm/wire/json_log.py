@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any
 
-VERSION = 1
+VERSION = 2
 """`v` of the lines that are written now. It rises only when a key changes its meaning or goes away."""
 
 MOST_FILES = 100

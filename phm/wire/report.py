@@ -13,6 +13,10 @@ from typing import Any
 
 from phm.core.model import Fault, Level, Slot, UnitState, Value, worst_by_slot
 
+NOT_APPLICABLE = "n/a"
+"""Level of a unit whose check had nothing to evaluate."""
+OK_LEVELS = (Level.OK.name, NOT_APPLICABLE)
+"""Levels of units that need no attention."""
 ARRAY_SLOTS = 8
 """The printed status array covers the slots of the paper's Fig. 5, 1 to 8."""
 
@@ -58,6 +62,11 @@ def values_json(values: Mapping[str, Value]) -> dict[str, Value]:
     }
 
 
+def level_name(state: UnitState) -> str:
+    """``OK``, ``WARN``, ``ERROR``, ``STALE`` or ``n/a``."""
+    return NOT_APPLICABLE if state.not_applicable else state.level.name
+
+
 def unit_json(state: UnitState) -> dict[str, Any]:
     """One unit. `duration_ms` is how long the last run took; `since` when this level was first published (UTC)."""
     result = state.result
@@ -65,7 +74,7 @@ def unit_json(state: UnitState) -> dict[str, Any]:
         "id": state.unit,
         "slot": int(state.slot),
         "layer": state.layer.value,
-        "level": state.level.name,
+        "level": level_name(state),
         "summary": result.summary,
         "blocked_by": state.blocked_by,
         "duration_ms": round(state.duration_s * 1000, 1),

@@ -2,7 +2,7 @@
 
 Layout, least significant bit first::
 
-    bits  0-1   slot 1        2 bits a slot: 0 not known or unused (STALE), 1 OK, 2 WARN, 3 ERROR
+    bits  0-1   slot 1        2 bits a slot: 0 unknown (STALE) or unused, 1 OK, 2 WARN, 3 ERROR
     bits  2-3   slot 2
     ...
     bits 28-29  slot 15
@@ -29,7 +29,7 @@ _LEVEL = {code: level for level, code in _CODE.items() if code}
 
 
 def encode(levels: Mapping[Slot, Level]) -> int:
-    """The word, 0 to 2**32 - 1, for the level of each slot; slots left out count as unused."""
+    """The word, 0 to 2**32 - 1, for the level of each slot (`worst_by_slot`); slots left out are unused."""
     word = VERSION << _VERSION_SHIFT
     for slot, level in levels.items():
         word |= _CODE[level] << 2 * (slot - 1)

@@ -20,7 +20,7 @@ from phm.reporters.diagnostics import DiagnosticsReporter
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
-from phm.wire.report import report_json
+from phm.wire.report import OK_LEVELS, report_json
 from phm.wire.status_line import Severity, refresh
 
 FORMS = ("json", "deflated", "diagnostics")
@@ -64,7 +64,7 @@ def _unit(entry: Mapping[str, object]) -> UnitState:
     if not isinstance(values, dict):
         raise ValueError(f"'values' of {text['id']} is not an object")
     result = Result(
-        Level[str(entry["level"])],
+        Level.OK if entry["level"] in OK_LEVELS else Level[str(entry["level"])],
         text["summary"],
         text["brief"],
         text["condition"],

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from phm.wire.report import OK_LEVELS
 from sitl.acceptance.table import grouped
 from sitl.harness.log_follower import Event
 from sitl.harness.log_queries import phase
@@ -106,7 +107,7 @@ def levels(events: Iterable[Event]) -> Mapping[str, str]:
 def unwell(events: Iterable[Event]) -> list[str]:
     """Units that are not OK, and open faults, but those of the machine, which other programs may keep busy."""
     events = list(events)
-    found = [f"{unit} {level}" for unit, level in levels(events).items() if level != "OK"]
+    found = [f"{unit} {level}" for unit, level in levels(events).items() if level not in OK_LEVELS]
     found += [f"fault at {unit}" for unit in open_units(events)]
     return [each for each in found if "host/" not in each]
 

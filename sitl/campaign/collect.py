@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from phm.wire.report import OK_LEVELS
 from sitl.campaign.trial import Act, Alarm, Start, Trial, Warned
 from sitl.harness.log_follower import Event
 
@@ -44,7 +45,7 @@ def _changed(trial: Trial, agent: int, event: Event) -> None:
             trial.warned.append(Warned(agent, unit, event["slot"], event["mono"], [condition], event["summary"]))
     else:
         known = []
-        for each in lasting if event["level"] == "OK" else ():
+        for each in lasting if event["level"] in OK_LEVELS else ():
             each.ended = event["mono"]
     for conditions in known:
         if condition not in conditions:
@@ -116,7 +117,9 @@ class Levels:
         found += [
             f"{unit} is {level}"
             for unit, level in self.units.items()
-            if level not in ("OK", usual.get(unit, "OK")) and not unit.startswith(SHARED) and (unit, level) != MEMORY
+            if level not in (*OK_LEVELS, usual.get(unit, "OK"))
+            and not unit.startswith(SHARED)
+            and (unit, level) != MEMORY
         ]
         return found + [f"{unit} is not judged" for unit in usual if unit not in self.units]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from phm.wire.report import OK_LEVELS
 from sitl.faults.base import Agent
 from sitl.harness.log_follower import Event
 
@@ -27,7 +28,7 @@ def relapses(units: Sequence[str], events: Sequence[Event]) -> list[str]:
     for unit in units:
         healed = next((number for number, event in enumerate(events) if phase("verified", unit, event)), len(events))
         for event in events[healed:]:
-            if event["event"] == "transition" and event["unit"] == unit and event["level"] != "OK":
+            if event["event"] == "transition" and event["unit"] == unit and event["level"] not in OK_LEVELS:
                 after_s = event["mono"] - events[healed]["mono"]
                 found.append(f"{unit} was {event['level']} {after_s:.1f} s after it was verified: {event['summary']}")
     return found

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from phm.wire.report import OK_LEVELS
 from sitl.harness.log_follower import Event, Record
 
 MOST_NAMED = 4
@@ -48,8 +49,8 @@ class Health:
 
     @property
     def bad(self) -> dict[str, str]:
-        """Units that are not OK, with their level."""
-        return {unit: level for unit, level in self._levels.items() if level != "OK"}
+        """Units that are not OK or n/a, with their level."""
+        return {unit: level for unit, level in self._levels.items() if level not in OK_LEVELS}
 
     @property
     def well(self) -> bool:

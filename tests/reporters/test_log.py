@@ -70,7 +70,7 @@ def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
     assert [line["seq"] for line in lines] == list(range(1, 9))
     assert all(set(line) >= HEAD for line in lines)
     first = lines[1]
-    assert (first["v"], first["agent"], first["agent_id"], first["boot_id"]) == (1, "agent_1", 1, "boot12345678")
+    assert (first["v"], first["agent"], first["agent_id"], first["boot_id"]) == (2, "agent_1", 1, "boot12345678")
     assert (first["utc"], first["utc_s"], first["mono"]) == ("2026-03-01T12:00:00.123Z", 1772366400.123, 100.0)
 
 

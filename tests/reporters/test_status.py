@@ -43,7 +43,7 @@ def test_the_status_holds_the_report_the_faults_and_phm_itself(tmp_path: Path) -
     status = make(tmp_path / "run", (DEAD, BLOCKED), health=lambda: {"uptime_s": 4.0})
     status.handle(opened(DEAD))
     seen = document(tmp_path / "run")
-    assert (seen["v"], seen["agent"], seen["agent_id"], seen["boot_id"]) == (1, "agent_1", 1, "boot12345678")
+    assert (seen["v"], seen["agent"], seen["agent_id"], seen["boot_id"]) == (2, "agent_1", 1, "boot12345678")
     assert (seen["pid"], seen["alive"], seen["written_mono"]) == (os.getpid(), True, 1000.0)
     assert seen["status_array"] == [None, None, None, None, None, 0, None, None]
     assert [check["id"] for check in seen["checks"]] == [DEAD.unit, BLOCKED.unit]
@@ -86,7 +86,7 @@ def test_a_reader_never_sees_half_a_status(tmp_path: Path) -> None:
     status.tick()
     with (tmp_path / "status.json").open() as old:
         status.tick()
-        assert json.load(old)["v"] == 1
+        assert json.load(old)["v"] == 2
     assert [entry.name for entry in tmp_path.iterdir()] == ["status.json"]
 
 
