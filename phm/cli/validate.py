@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def command(ctx: click.Context, file: str | None, config: str | None, as_json: bool) -> None:
     """Validate a configuration file and list every problem.
 
-    Opens nothing but the file. Exit code 0: valid; 78: invalid.
+    In a container it also warns about endpoints that do not leave it. Opens nothing but the file. Exit code 0: valid; 78: invalid.
     """
     ctx.exit(validate(file or config, as_json))
 
@@ -44,8 +44,28 @@ def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None 
             click.echo(str(error), err=True)
             click.echo(f"{count} problem{'s' if count != 1 else ''}", err=True)
         return EX_CONFIG
-    click.echo(json.dumps({"ok": True, **_facts(good), "problems": []}, indent=2) if as_json else _line(good))
+    warnings = _warnings(good)
+    if as_json:
+        click.echo(json.dumps({"ok": True, **_facts(good), "problems": [], "warnings": warnings}, indent=2))
+    else:
+        click.echo(_line(good))
+        for warning in warnings:
+            click.echo(f"warning: {warning}", err=True)
     return 0
+
+
+def _warnings(good: Configuration) -> list[str]:
+    """What is allowed, but does not work here."""
+    from phm.transport.own_network import is_loopback, is_private
+
+    loopback = [entry.url for entry in good.settings.mavlink.endpoints if is_loopback(entry.url)]
+    if not loopback or not is_private():
+        return []
+    return [
+        f"{good.file}: mavlink.endpoints: {', '.join(loopback)} does not leave PHM's container. For a ground station or router on "
+        "the host use udpout:host.docker.internal:14550 with `extra_hosts: [host.docker.internal:host-gateway]`, or `network_mode: "
+        "host`; for one in another container, its name"
+    ]
 
 
 def _facts(good: Configuration) -> dict[str, str | int | float]:

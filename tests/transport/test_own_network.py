@@ -1,0 +1,48 @@
+"""Tests for phm.transport.own_network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from phm.transport.own_network import is_loopback, is_private
+
+
+def interfaces(folder: Path, **pairs: tuple[int, int]) -> str:
+    """Files of /sys/class/net: ifindex and iflink of each interface."""
+    for name, (index, link) in {"lo": (1, 1), **pairs}.items():
+        (folder / name).mkdir()
+        (folder / name / "ifindex").write_text(f"{index}\n")
+        (folder / name / "iflink").write_text(f"{link}\n")
+    return str(folder)
+
+
+def test_a_bridged_container_has_only_ends_of_pairs(tmp_path: Path) -> None:
+    assert is_private(interfaces(tmp_path, eth0=(7, 8), eth1=(9, 12)), ("/",))
+
+
+def test_a_container_on_the_network_of_the_host_sees_real_interfaces(tmp_path: Path) -> None:
+    net = interfaces(tmp_path, eth0=(2, 2), docker0=(3, 3), veth1=(8, 7))
+    assert not is_private(net, ("/",))
+
+
+def test_outside_of_a_container_nothing_is_private(tmp_path: Path) -> None:
+    net = interfaces(tmp_path, eth0=(7, 8))
+    assert not is_private(net, (str(tmp_path / "missing"),))
+    assert not is_private(str(tmp_path / "missing"), ("/",))
+
+
+@pytest.mark.parametrize(
+    ("url", "stays"),
+    [
+        ("udpout:127.0.0.1:14550", True),
+        ("tcp:localhost:5760", True),
+        ("udpout:[::1]:14550", True),
+        ("udpin:127.0.0.1:14550", False),
+        ("udpout:host.docker.internal:14550", False),
+        ("/dev/ttyS0", False),
+    ],
+)
+def test_loopback_endpoints(url: str, stays: bool) -> None:
+    assert is_loopback(url) is stays
