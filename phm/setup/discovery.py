@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from phm.facts import CannotTell
+from phm.probes.docker import own_ids
 from phm.probes.docker_facts import container_fact
 from phm.setup.machine import Application, Machine, SerialPort
 from phm.transport.docker import DockerEngine, EngineMissing
@@ -36,6 +37,7 @@ def look(engine: DockerEngine, dev: Path = Path("/dev")) -> Machine:
     """Raises CannotTell, with the remedy, when the engine does not answer. dev: where the host's /dev is."""
     version = str(engine.version().get("Version") or "of unknown version")
     answers = [answer for entry in engine.list()[:MAX_CONTAINERS] if (answer := _inspect(engine, entry))]
+    own = own_ids(Path("/proc/self"))  # `docker run ... init` is a container of PHM's image, too
     names = {str(answer["Id"]): str(answer.get("Name", "")).lstrip("/") for answer in answers}
     applications = [
         _application(engine, answer, names) for answer in answers if not _is_phm(answer) and _usable(answer)
@@ -45,7 +47,7 @@ def look(engine: DockerEngine, dev: Path = Path("/dev")) -> Machine:
         url=engine.url,
         socket_group_id=_group(engine.url.removeprefix("unix://")),
         applications=tuple(sorted(applications, key=lambda one: one.name)),
-        sidecars=tuple(sorted(names[str(answer["Id"])] for answer in answers if _is_phm(answer))),
+        sidecars=tuple(sorted(names[str(one["Id"])] for one in answers if _is_phm(one) and one["Id"] not in own)),
         serial_ports=tuple(serial_ports(dev)),
     )
 

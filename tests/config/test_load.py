@@ -180,6 +180,16 @@ def test_the_default_file_is_the_installed_one_or_that_of_the_repository(
     assert find() == installed
 
 
+def test_without_any_configuration_phm_init_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `phm run` in an empty folder says."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(importlib.import_module("phm.config.load"), "INSTALLED", tmp_path / "none.yaml")
+    with pytest.raises(
+        ConfigError, match=r"config/phm\.yaml: file not found, nor /etc/phm/phm\.yaml: `phm init` writes"
+    ):
+        load(environ={})
+
+
 yaml_like = st.recursive(
     st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.sampled_from(["5s", "${A}", "/a", "a"])),
     lambda inner: st.one_of(
