@@ -136,7 +136,7 @@ class Agent:
 
 
 class Fleet:
-    """`count` agents from number 1 on, without 51. `no_gcs`: receive nothing from the ground, and the reverse. `cut`: (sender, hearer) pairs.
+    """`count` agents from number 1 on, without 51. `no_gcs`: agents without a link to the ground. `cut`: (sender, receiver) pairs.
 
     units: what each agent's checks say, or a few of their own. step_s: of the clock; a coarse one is quicker to compute.
     """

@@ -1,4 +1,4 @@
-"""What an action needs, around any engine: containers as they are now, a graph that the test holds."""
+"""A bench for actions with any engine: current containers, and a graph that the test sets."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def fault(unit: str, condition: str, evidence: Evidence | None = None) -> Fault:
 
 @dataclass
 class Bench:
-    """Runs actions. `nodes` are listed in the graph; `held` notes which other containers were held for whose fault."""
+    """Runs actions. `nodes` are listed in the graph; `held` records which other containers were held for which fault."""
 
     engine: DockerEngine
     settings: Settings
@@ -37,7 +37,7 @@ class Bench:
     held: list[tuple[str, str]] = field(default_factory=list)
     when_in_hand: Callable[[], object] = lambda: None
     probe: Docker | None = None
-    """Answers as PHM's own does, from memory for a moment; without it each question goes to the engine."""
+    """Caches answers for a moment, like PHM's own; without it each query goes to the engine."""
 
     def _armed(self) -> ArmedStatus:
         return ArmedStatus(ArmedState.ARMED if self.armed else ArmedState.DISARMED, f"armed: {self.armed}")
@@ -74,7 +74,7 @@ class Bench:
 
 
 def bench(engine: DockerEngine, **yaml_like: object) -> Bench:
-    """Around this engine, or around one behind a proxy with the rules of these settings."""
+    """A bench with this engine, or with one behind a proxy with the rules of these settings."""
     if isinstance(engine, BehindProxy):
         return Bench(*engine.proxies.behind(**yaml_like))
     return Bench(engine, settings(**yaml_like))

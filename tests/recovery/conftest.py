@@ -17,7 +17,7 @@ __all__ = ["ask", "engine", "engine_access", "fake", "proxies", "real"]
 
 @pytest.fixture(params=["engine", "proxy"])
 def engine(request: pytest.FixtureRequest) -> Iterator[DockerEngine]:
-    """PHM's own client of the real engine: straight to it, and behind a proxy with the rules of the test's settings."""
+    """PHM's own client of the real engine: direct, and behind a proxy with the rules of the test's settings."""
     behind = request.param == "proxy"
     made = BehindProxy(request.getfixturevalue("proxies")) if behind else DockerEngine(SOCKET, timeout_s=10)
     yield made
@@ -26,7 +26,7 @@ def engine(request: pytest.FixtureRequest) -> Iterator[DockerEngine]:
 
 @pytest.fixture(params=["engine", "proxy"])
 def engine_access(request: pytest.FixtureRequest) -> EngineAccess:
-    """The way of a daemon to the real engine: straight, and behind a proxy."""
+    """How a daemon connects to the real engine: directly, and through a proxy."""
     if request.param == "engine":
         return EngineAccess({"socket": SOCKET}, lambda made: None)
     proxies = request.getfixturevalue("proxies")
@@ -35,7 +35,7 @@ def engine_access(request: pytest.FixtureRequest) -> EngineAccess:
 
 @pytest.fixture
 def ask(fake: FakeEngine) -> Iterator[DockerEngine]:
-    """An engine client on the fake, with the time-out that PHM has by default: a busy machine does not reach it."""
+    """A client on the fake engine with PHM's default timeout, which a busy machine does not reach."""
     engine = DockerEngine(fake.url)
     yield engine
     engine.close()

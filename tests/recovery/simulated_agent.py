@@ -1,4 +1,4 @@
-"""Recovery as a whole on a fake clock: containers that the test moves, units that it breaks, actions that it writes."""
+"""Recovery on a fake clock: containers that the test starts and ends, units that it breaks, actions that it defines."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DISARMED = ArmedStatus(ArmedState.DISARMED, "the autopilot is disarmed")
 
 @dataclass(frozen=True, slots=True)
 class Of:
-    """A unit of a container, and what it needs."""
+    """A unit of a container, and its dependencies."""
 
     target: str
     needs: tuple[str, ...] = ()
@@ -42,14 +42,14 @@ class Of:
 
 
 class Containers:
-    """What the engine would say; it outlives PHM."""
+    """The engine's answers; they survive PHM."""
 
     def __init__(self, *keys: str) -> None:
         self.facts = {key: testing.container(key) for key in keys}
         self._starts = 0
 
     def start(self, key: str, *, by_policy: bool = False) -> None:
-        """A new life: by hand or by PHM (the counter of the restart policy is 0 again), or by that policy."""
+        """A new life: by an operator or by PHM (the counter of the restart policy is 0 again), or by that policy."""
         self._starts += 1
         count = self.facts[key].restart_count + 1 if by_policy else 0
         changed = {"status": "running", "started_at": f"start {self._starts}", "restart_count": count}
@@ -81,10 +81,10 @@ class Silent:
 
 
 class Agent:
-    """One life of PHM. `bad` maps units to the condition that their checks find; all others are well.
+    """One life of PHM. `bad` maps units to the condition that their checks find; all others are OK.
 
-    `behave` is what an action does to the container `key`; it starts it as `restart` does unless told otherwise. Whatever
-    it waits for, it waits for with `pause`.
+    `behave` is the effect of an action on the container `key`; by default it starts it, like `restart`. It must wait
+    only with `pause`.
     """
 
     def __init__(
@@ -104,10 +104,10 @@ class Agent:
         self.events: list[Event] = []
         self.bad: dict[str, str] = {}
         self.found: dict[str, Result] = {}
-        """What the check of a unit finds, for what `bad` cannot say."""
+        """Results of a unit's check that `bad` cannot express."""
         self.runs: list[tuple[str, str]] = []
         self.missing = ""
-        """What actions wait for, in words."""
+        """What actions wait for, as text."""
         self.not_missing: set[str] = set()
         """Units whose actions do not wait for it."""
         self.armed = False
@@ -195,7 +195,7 @@ class Agent:
         return ARMED if self.armed else DISARMED
 
     def _publish(self, event: Event) -> None:
-        """Said by a worker's own thread: from STARTED until it knows what came of it, the action has a thread, too."""
+        """Published by a worker's own thread: from STARTED until its result is known, the action has a thread, too."""
         if isinstance(event, ActionEvent):
             (self._at_work.add if event.phase is Phase.STARTED else self._at_work.discard)(event.target)
         self.bus.publish(event)
@@ -217,35 +217,35 @@ class Agent:
         self._settle()
 
     def _settle(self) -> None:
-        """Wait until everybody has done what there is to do now: the bus's threads, recovery's and actions sleep again."""
+        """Wait until all current work is done: the threads of the bus, of recovery and of actions sleep again."""
         until(self._is_idle, "all threads to be idle", step=lambda: time.sleep(0.0002))
 
     def _is_idle(self) -> bool:
         return self.clock.sleepers >= len(self.bus._subscriptions) + len(self.executor._workers) + len(self._at_work)
 
     def pause(self, until: Callable[[], object]) -> None:
-        """For actions: some time passes, and whatever more it takes."""
+        """For actions: let some time pass, and more until `until` is true."""
         self.clock.wait(threading.Event(), STEP_S / 2)
         while not until():
             self.clock.wait(threading.Event(), STEP_S / 2)
 
     def until(self, condition: Callable[[], object], what: str = "it") -> None:
-        """Let fake time run until something is seen."""
+        """Let fake time pass until `condition` is true."""
         until(condition, what, lambda: self.events, step=self.step)
 
     def rest(self, seconds: float) -> None:
-        """So much fake time passes."""
+        """Let this much fake time pass."""
         for _ in range(round(seconds / STEP_S)):
             self.step()
 
     def stop(self) -> None:
-        """PHM ends, and what it knows is on the disk."""
+        """End PHM, with its state on the disk."""
         if self.memory is not None:
             self.memory.close()
         self.executor.stop()
         self.bus.close()
 
-    # ------------------------------------------------------------ what was seen
+    # ------------------------------------------------------------ observations
 
     def of(self, kind: type) -> list[Any]:
         return [event for event in self.events if isinstance(event, kind)]

@@ -1,4 +1,4 @@
-"""What a fault is said to have been resolved by: an action only where the evidence supports it."""
+"""Which cause a fault's resolution names: an action only where the evidence supports it."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ def agent() -> Iterator[Agent]:
 
 
 def resolved(agent: Agent, behave: Callable[..., object]) -> tuple[str, str]:
-    """By what, and the words about the action."""
+    """The cause of the resolution, and the message about the action."""
     agent.rest(3.0)
     agent.behave = behave
     agent.bad["health/app"] = "broken"
     agent.until(agent.closed, "the end of the fault")
-    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the word about the action")
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the message about the action")
     said = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.VERIFIED]
     return agent.closed()[0].fault.by, said[0]
 
 
-def test_an_action_that_helped_is_named(agent: Agent) -> None:
+def test_an_effective_action_is_credited(agent: Agent) -> None:
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "restart"
     assert "not because of" not in said
 
 
-def test_an_action_that_found_nothing_to_do_is_not_named(agent: Agent) -> None:
-    """An operator was quicker: the container ran, the file was there."""
+def test_an_action_that_found_nothing_to_do_is_not_credited(agent: Agent) -> None:
+    """An operator was faster: the container ran, the file existed."""
 
     def nothing(key: str, context: ActionContext, fault: Fault) -> NotNeeded:
         agent.bad.clear()
@@ -58,17 +58,17 @@ def test_an_action_that_found_nothing_to_do_is_not_named(agent: Agent) -> None:
     assert said.endswith("but not because of restart: there was nothing to do")
 
 
-def test_an_action_may_know_what_else_has_helped(agent: Agent) -> None:
+def test_an_action_may_report_another_cause(agent: Agent) -> None:
     agent.other_cause = lambda: "the moon has moved"
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "itself"
     assert said.endswith("but not because of restart: the moon has moved")
 
 
-def test_a_recovery_is_credited_when_no_thread_can_be_started_to_ask(
+def test_an_action_is_credited_when_no_thread_can_be_started_to_query_other_causes(
     agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At a limit of processes nothing speaks against the action."""
+    """At a limit of processes there is no evidence against the action."""
     begin = threading.Thread.start
 
     def start(thread: threading.Thread) -> None:
@@ -86,7 +86,7 @@ def test_a_recovery_is_credited_when_no_thread_can_be_started_to_ask(
 
 
 class Running(testing.FakeClock):
-    """Goes on while somebody waits."""
+    """A clock that advances while a thread waits."""
 
     def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
         self.advance(timeout_s or 0.0)
@@ -95,15 +95,15 @@ class Running(testing.FakeClock):
 
 @dataclass
 class Cable:
-    """A link that is silent for `silent_s`. `speaks_after_s`: something comes so long after it was opened again."""
+    """A link that is silent for `silent_s`. `speaks_after_s`: data arrive this long after it was reopened."""
 
     speaks_after_s: float = 0.3
     silent_s: float = 10.0
     pilot: AutopilotFact | None = None
     boot_after_s: float = 0.5
-    """After so long the autopilot has reported a time since boot again."""
+    """The time after which the autopilot reports a time since boot again."""
     boots: Callable[[float], dict[str, Any]] = lambda elapsed_s: {}
-    """What is new about it then, by how long ago the action began."""
+    """Its change then, by the time since the action began."""
     clock: Running = field(default_factory=Running)
     opened: float | None = None
     began: float = 1000.0
@@ -127,7 +127,7 @@ class Cable:
         return True
 
     def act(self, condition: str = "autopilot_silent") -> tuple[str, str]:
-        """What the action says it did, and what else it says has helped."""
+        """What the action reports that it did, and what else it reports as the cause."""
         result = Result(Level.ERROR, "silent", "silent", condition, "link:fc")
         fault = Fault("F1", "autopilot", Slot.AUTOPILOT, Layer.LINK, result, Stamp(0.0, 0.0))
         context = ActionContext(
@@ -148,33 +148,35 @@ class Cable:
 PILOT = AutopilotFact(10.0, False, link="fc", boot_s=500.0)
 
 
-def test_what_answers_as_soon_as_it_is_opened_was_behind_a_dead_connection() -> None:
-    """Nobody knows its time since boot, or that goes on as usual: it ran all the time, and only PHM's end was stuck."""
+def test_an_autopilot_that_answers_immediately_was_behind_a_dead_connection() -> None:
+    """Its time since boot is unknown, or continues as usual: it ran all the time, and only PHM's side of the link was
+    stuck.
+    """
     assert Cable().act() == ("reopened the MAVLink endpoint fc", "")
     assert Cable(pilot=PILOT).act()[1] == ""
     assert Cable(pilot=replace(PILOT, boot_s=None)).act()[1] == ""
 
 
-def test_what_answers_late_has_come_back_by_itself() -> None:
-    """It hung for longer than the opening took."""
+def test_an_autopilot_that_answers_late_recovered_spontaneously() -> None:
+    """It hung for longer than the reopening took."""
     assert "recovered by itself" in Cable(speaks_after_s=PROMPT_S + 1.0).act()[1]
     assert "recovered by itself" in Cable(speaks_after_s=PROMPT_S + 1.0).act("radio_silent")[1]
 
 
-def test_an_autopilot_that_has_rebooted_was_not_helped() -> None:
-    """It answers at once, and has been running for two seconds."""
+def test_a_rebooted_autopilot_was_not_recovered_by_the_action() -> None:
+    """It answers immediately, and has been running for two seconds."""
     made = Cable(pilot=PILOT, boots=lambda elapsed_s: {"boot_s": 2.0, "reboots": 1})
     assert made.act()[1].startswith("the autopilot has rebooted, and has been running for 2 s")
 
 
-def test_an_autopilot_that_did_not_run_meanwhile_was_not_helped() -> None:
-    """Its time since boot has lost those seconds: it stood, and goes on."""
+def test_a_suspended_autopilot_was_not_recovered_by_the_action() -> None:
+    """Its time since boot lacks those seconds: it was suspended and resumed."""
     made = Cable(pilot=PILOT, boots=lambda elapsed_s: {"boot_s": 500.0 + elapsed_s - BEHIND_S - 5.0})
     assert made.act()[1] == "the autopilot did not run for 7 s"
 
 
 def test_the_time_since_boot_is_waited_for() -> None:
-    """It comes a moment after the first heartbeat, or never."""
+    """It arrives a moment after the first heartbeat, or never."""
     made = Cable(pilot=PILOT, boot_after_s=PROMPT_S, boots=lambda elapsed_s: {"boot_s": 1.0, "reboots": 1})
     assert "rebooted" in made.act()[1]
     never = Cable(pilot=PILOT, boot_after_s=1000.0)
@@ -182,13 +184,13 @@ def test_the_time_since_boot_is_waited_for() -> None:
     assert never.clock.mono() - 1000.0 < PROMPT_S + 2 * BOOT_S
 
 
-def test_another_links_autopilot_says_nothing_about_this_one() -> None:
+def test_another_links_autopilot_is_ignored() -> None:
     made = Cable(pilot=replace(PILOT, link="other"), boots=lambda elapsed_s: {"boot_s": 1.0, "reboots": 1})
     assert made.act()[1] == ""
 
 
-def test_a_link_by_which_something_comes_again_is_not_opened_again() -> None:
-    """What it carries would be cut, and it needs no help."""
+def test_a_link_with_data_is_not_reopened() -> None:
+    """Its connection would be cut, and it needs no recovery."""
     made = Cable(silent_s=0.2)
     said, _ = made.act()
     assert (said, made.opened) == ("data arrives by fc again", None)

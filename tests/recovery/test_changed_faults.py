@@ -1,4 +1,4 @@
-"""Recovery decides on what is wrong now: ladder, target and refusals follow a fault whose condition changes."""
+"""Recovery decides on the present failure: ladder, target and refusals follow a fault whose condition changes."""
 
 from __future__ import annotations
 
@@ -42,8 +42,10 @@ def visible(agent: Agent) -> bool:
     return bad <= {fault.unit for fault in (*agent.pipeline.open_faults(), *agent.pipeline.given_up())}
 
 
-def test_a_hung_node_that_turns_out_to_be_unreachable_is_not_restarted_after_landing(start: Start) -> None:
-    """`node_hung` is only advised in the air; it becomes `node_unreachable`, for which nothing is restarted, also on the ground."""
+def test_a_hung_node_that_becomes_unreachable_is_not_restarted_after_landing(start: Start) -> None:
+    """`node_hung` is only advised in flight; it becomes `node_unreachable`, for which nothing is restarted, also on the
+    ground.
+    """
     agent = start(critical=("app",))
     agent.armed = True
     agent.found["nodes/one"] = HUNG
@@ -57,8 +59,8 @@ def test_a_hung_node_that_turns_out_to_be_unreachable_is_not_restarted_after_lan
     assert agent.opened() == ["nodes/one"]
 
 
-def test_an_unreachable_node_that_turns_out_to_be_hung_is_restarted(start: Start) -> None:
-    """The other way round: a fault that had no target gets one."""
+def test_an_unreachable_node_that_becomes_hung_is_restarted(start: Start) -> None:
+    """The reverse: a fault without a target gets one."""
     agent = start()
     agent.found["nodes/one"] = UNREACHABLE
     agent.until(lambda: agent.opened() == ["nodes/one"], "the alarm")
@@ -68,7 +70,7 @@ def test_an_unreachable_node_that_turns_out_to_be_hung_is_restarted(start: Start
 
 
 def test_the_application_is_reconnected_once_phm_is_back_on_the_network(start: Start) -> None:
-    """Both lost it in the same second: PHM sees itself first, joins, and then acts for what is wrong now."""
+    """Both lost it in the same second: PHM first detects its own loss, joins, and then acts on the present failure."""
     agent = start()
 
     def behave(key: str, context: ActionContext, fault: Fault) -> None:
@@ -78,14 +80,14 @@ def test_the_application_is_reconnected_once_phm_is_back_on_the_network(start: S
 
     agent.behave = behave
     agent.found["network/app"] = APART
-    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the application to be back")
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the recovery of the application")
     assert agent.acted() == ["join_network", "reconnect"]
     (closed,) = agent.closed()
     assert (closed.fault.outcome, closed.fault.by) == (Outcome.RESOLVED, "reconnect")
 
 
-def test_what_was_given_up_is_acted_on_when_something_else_is_wrong(start: Start) -> None:
-    """PHM could not join and gave up; the application then loses the network itself. Each condition is reported once."""
+def test_a_given_up_fault_is_acted_on_when_its_condition_changes(start: Start) -> None:
+    """PHM could not join and gave up; then the application loses the network. Each condition is reported once."""
     agent = start()
     agent.behave = lambda *_: None
     agent.found["network/app"] = APART
@@ -99,26 +101,26 @@ def test_what_was_given_up_is_acted_on_when_something_else_is_wrong(start: Start
     assert agent.opened() == ["network/app"] * 2
 
 
-def test_a_fault_that_goes_back_and_forth_is_given_up_once(start: Start) -> None:
-    """Two conditions in turn, both given up, do not raise one alarm after the other."""
+def test_an_alternating_fault_is_given_up_once(start: Start) -> None:
+    """Two alternating conditions, both given up, do not raise one alarm after another."""
     agent = start()
     agent.behave = lambda *_: None
     agent.found["network/app"] = APART
     agent.until(lambda: agent.steps().count(Phase.ESCALATED) == 1, "giving up")
     agent.found["network/app"] = OFF
     agent.until(lambda: agent.steps().count(Phase.ESCALATED) == 2, "giving up again")
-    told, acted = len(agent.opened()), len(agent.acted())
+    opened, acted = len(agent.opened()), len(agent.acted())
     for found in (APART, OFF, APART, OFF):
         agent.found["network/app"] = found
         agent.rest(10.0)
         assert visible(agent)
         (fault,) = agent.pipeline.given_up()
         assert fault.result.condition == found.condition
-    assert (len(agent.opened()), len(agent.acted())) == (told, acted)
+    assert (len(agent.opened()), len(agent.acted())) == (opened, acted)
 
 
-def test_after_one_fault_was_healed_the_others_are_looked_at_before_anything_is_done(start: Start) -> None:
-    """A restart for one fault heals the other as well, which takes a moment to show: it is not restarted a second time."""
+def test_other_faults_are_checked_again_after_one_was_recovered(start: Start) -> None:
+    """A restart for one fault also resolves the other, which takes a moment to show: no second restart follows."""
     agent = start(ladders={"broken": ["restart"]})
     agent.bad.update({"container/app": "broken", "nodes/one": "broken"})
 
@@ -134,8 +136,8 @@ def test_after_one_fault_was_healed_the_others_are_looked_at_before_anything_is_
     assert agent.acted() == ["restart"]
 
 
-def test_an_action_that_waits_for_something_does_not_count_as_an_attempt(start: Start) -> None:
-    """The network is missing: said once, and done when it is there, with all its attempts left."""
+def test_a_waiting_action_does_not_count_as_an_attempt(start: Start) -> None:
+    """The network is missing: reported once, and done when it exists, with all attempts left."""
     agent = start()
     agent.behave = lambda *_: agent.found.clear()
     agent.missing = "there is no network swarm"
@@ -147,7 +149,7 @@ def test_an_action_that_waits_for_something_does_not_count_as_an_attempt(start: 
     assert agent.steps() == [Phase.REFUSED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
 
 
-def test_what_waits_for_a_network_keeps_no_other_fault_of_the_container_waiting(start: Start) -> None:
+def test_a_fault_that_waits_for_a_network_delays_no_other_fault(start: Start) -> None:
     """Its step is postponed, and the next fault is decided on."""
     agent = start()
     agent.missing, agent.not_missing = "there is no network swarm", {"nodes/one"}
@@ -158,8 +160,8 @@ def test_what_waits_for_a_network_keeps_no_other_fault_of_the_container_waiting(
     assert agent.runs[0] == ("app", "nodes/one")
 
 
-def test_an_approval_is_acted_on_while_another_fault_of_the_container_waits_for_a_network(start: Start) -> None:
-    """It would end otherwise before anything was done."""
+def test_an_approval_is_acted_on_while_another_fault_waits_for_a_network(start: Start) -> None:
+    """Otherwise it would expire before anything was done."""
     agent = start(mode="advise")
     agent.missing, agent.not_missing = "there is no network swarm", {"nodes/one"}
     agent.found = {"network/app": OFF, "nodes/one": HUNG}

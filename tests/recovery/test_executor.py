@@ -1,4 +1,4 @@
-"""The executor: acts once per container, proves it, and lets nothing hang it."""
+"""The executor: acts once per container, verifies the result, and cannot be blocked by a hang."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class World:
         self.events: list[Event] = []
         self.runs: list[str] = []
         self.behave: Callable[[str], None] = lambda name: self.fix()
-        self.well, self.condition = False, "unhealthy"
+        self.healthy, self.condition = False, "unhealthy"
         app = container or ContainerSettings(name="app", recover=True)
         self.settings = Settings.model_validate({"containers": [app], "recovery": recovery})
         unit = Unit("health/app", target="app")
-        self.nodes_well = True
+        self.nodes_healthy = True
         nodes = Unit("nodes/app", ("health/app",), target="app")
         tracked = [
             TrackedUnit(unit, "health", Slot.CONTAINER, Layer.DOCKER),
@@ -78,23 +78,23 @@ class World:
         self.bus.publish(event)
 
     def fix(self) -> None:
-        self.well = True
+        self.healthy = True
 
     def look(self) -> None:
         bad = error("it is bad", brief="bad", condition=self.condition, target="app")
         lost = error("no nodes", brief="no nodes", condition="node_missing", target="app")
         results = {
-            "health/app": ok("healthy") if self.well else bad,
-            "nodes/app": ok("there") if self.nodes_well else lost,
+            "health/app": ok("healthy") if self.healthy else bad,
+            "nodes/app": ok("there") if self.nodes_healthy else lost,
         }
         self.pipeline.observe(results, self.clock.mono(), 0.0)
 
     def fail(self) -> None:
-        self.well = False
+        self.healthy = False
         self.look()
 
     def until(self, condition: Callable[[], bool]) -> None:
-        """Let fake time run, with the unit looked at all along, until something is seen."""
+        """Let fake time pass, with regular checks of the unit, until `condition` is true."""
         until(condition, "the executor", self.phases, step=self._step)
 
     def _step(self) -> None:
@@ -124,7 +124,7 @@ def make(worlds: list[World], **more: Any) -> World:
     return worlds[-1]
 
 
-def test_a_fault_is_acted_on_and_the_result_is_proven(worlds: list[World]) -> None:
+def test_a_fault_is_acted_on_and_the_result_is_verified(worlds: list[World]) -> None:
     """Started, done, verified; the fault is resolved by the action."""
     world = make(worlds)
     world.fail()
@@ -132,13 +132,13 @@ def test_a_fault_is_acted_on_and_the_result_is_proven(worlds: list[World]) -> No
     for _ in range(100):
         world.clock.advance(0.05)
         world.look()
-        until(lambda: world.clock.sleepers, "the worker to have done all that it wants to do")
+        until(lambda: world.clock.sleepers, "the worker to be idle")
     assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
     assert world.runs == ["restart"]
     assert world.closed()[0].fault.by == "restart"
 
 
-def test_an_action_that_does_not_help_is_repeated_and_then_given_up(worlds: list[World]) -> None:
+def test_an_ineffective_action_is_repeated_and_then_given_up(worlds: list[World]) -> None:
     """Three times the same failure: reported once, with the next step, and no more restarts."""
     world = make(worlds)
     world.behave = lambda name: None
@@ -147,8 +147,8 @@ def test_an_action_that_does_not_help_is_repeated_and_then_given_up(worlds: list
     assert world.runs == ["restart"] * 3
     assert world.phases().count(Phase.ESCALATED) == 1
     assert world.closed()[-1].fault.outcome.value == "escalated"
-    told = [event.detail for event in world.events if isinstance(event, ActionEvent)][-1]
-    assert "docker logs" in told
+    detail = [event.detail for event in world.events if isinstance(event, ActionEvent)][-1]
+    assert "docker logs" in detail
     for _ in range(200):
         world.clock.advance(1.0)
         world.look()
@@ -156,23 +156,23 @@ def test_an_action_that_does_not_help_is_repeated_and_then_given_up(worlds: list
 
 
 def test_a_container_given_up_while_down_is_started_again_without_a_new_alarm(worlds: list[World]) -> None:
-    """Once per longest back-off; a start that does not last changes nothing that is published, one that lasts ends it."""
+    """Once per maximum back-off; a start that does not last changes no published state, a lasting one ends it."""
     world = make(worlds, backoff_max=60)
-    world.condition, world.nodes_well = "exited", False
+    world.condition, world.nodes_healthy = "exited", False
     world.behave = lambda name: None
     world.fail()
     world.until(lambda: Phase.ESCALATED in world.phases())
     assert world.runs == ["start", "restart", "restart"]
 
     def up_for_a_moment(name: str) -> None:
-        world.well = True
+        world.healthy = True
 
     world.behave = up_for_a_moment
     world.until(lambda: len(world.runs) == 4)
     world.until(lambda: world.phases()[-1] is Phase.DONE)
     world.fail()
     world.until(lambda: world.phases()[-1] is Phase.FAILED)
-    world.nodes_well = True
+    world.nodes_healthy = True
     world.until(lambda: len(world.runs) == 5)
     world.until(lambda: world.phases()[-1] is Phase.VERIFIED)
     assert world.runs[3:] == ["start", "start"]
@@ -200,7 +200,7 @@ def test_a_refusal_is_reported_once_and_not_tried_again(worlds: list[World]) -> 
 
 @pytest.mark.parametrize("trouble", [ActionFailed("no such network"), ValueError("boom"), SystemExit(1)])
 def test_an_action_that_raises_is_a_failed_attempt(worlds: list[World], trouble: BaseException) -> None:
-    """A plug-in's crash is reported and counted; the thread lives on and tries again."""
+    """A plug-in's crash is reported and counted; the thread survives and tries again."""
     world = make(worlds)
     troubles = [trouble]
 
@@ -215,8 +215,8 @@ def test_an_action_that_raises_is_a_failed_attempt(worlds: list[World], trouble:
     assert world.phases() == [Phase.STARTED, Phase.FAILED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
 
 
-def test_an_action_that_hangs_costs_its_deadline(worlds: list[World]) -> None:
-    """The hung attempt is abandoned, reported, and another is made."""
+def test_a_hanging_action_is_abandoned_at_its_deadline(worlds: list[World]) -> None:
+    """It is reported, and another attempt is made."""
     world = make(worlds)
     stuck, first = threading.Event(), [True]
 
@@ -235,8 +235,8 @@ def test_an_action_that_hangs_costs_its_deadline(worlds: list[World]) -> None:
 
 
 @pytest.mark.parametrize("recovery", [{"mode": "advise"}, {"mode": "off"}])
-def test_advise_and_off_change_nothing_in_the_world(worlds: list[World], recovery: dict[str, str]) -> None:
-    """`advise` says what it would do, once; `off` says nothing."""
+def test_modes_advise_and_off_take_no_action(worlds: list[World], recovery: dict[str, str]) -> None:
+    """`advise` reports the recommended action, once; `off` reports nothing."""
     world = make(worlds, **recovery)
     world.fail()
     world.until(lambda: any(isinstance(event, FaultOpened) for event in world.events))
@@ -248,7 +248,7 @@ def test_advise_and_off_change_nothing_in_the_world(worlds: list[World], recover
 
 
 def test_flight_critical_is_left_alone_while_armed(worlds: list[World]) -> None:
-    """Advice only, reported once, however long it lasts."""
+    """Only an advice, reported once, however long it lasts."""
     critical = ContainerSettings(name="app", recover=True, flight_critical=True)
     world = make(worlds, armed=True, container=critical)
     world.fail()
@@ -259,8 +259,8 @@ def test_flight_critical_is_left_alone_while_armed(worlds: list[World]) -> None:
     assert world.phases() == [Phase.ADVISED]
 
 
-def test_what_heals_by_itself_is_not_acted_on_again(worlds: list[World]) -> None:
-    """After the first failed attempt the fault goes away during back-off: nothing more is done."""
+def test_a_spontaneous_recovery_ends_the_attempts(worlds: list[World]) -> None:
+    """After the first failed attempt the fault clears during back-off: no action follows."""
     world = make(worlds, backoff=50, backoff_max=60)
 
     def refuse(name: str) -> None:
@@ -279,7 +279,7 @@ def test_what_heals_by_itself_is_not_acted_on_again(worlds: list[World]) -> None
 
 
 def test_a_step_that_does_not_apply_is_not_a_failed_attempt(worlds: list[World]) -> None:
-    """What the configuration has nothing for is passed over: the first attempt is the first rung that can help."""
+    """A step without configuration is skipped: the first attempt is the first step that can help."""
     world = make(worlds, ladders={"unhealthy": ["start", "restart"]})
     cast(Any, world.actions["start"]).applies = classmethod(lambda cls, target, fault, settings: False)
     world.fail()
@@ -288,14 +288,14 @@ def test_a_step_that_does_not_apply_is_not_a_failed_attempt(worlds: list[World])
     assert Phase.FAILED not in world.phases()
 
 
-def test_a_repair_that_leaves_its_dependents_down_is_followed_by_the_next_rung(worlds: list[World]) -> None:
-    """Healed means that what needs the target is back, too; it stays one fault, and the next action heals it."""
+def test_an_action_that_leaves_dependents_down_is_followed_by_the_next_step(worlds: list[World]) -> None:
+    """Recovered means that the target's dependents are OK, too; it stays one fault, and the next action resolves it."""
     world = make(worlds, ladders={"unhealthy": ["start", "restart"]})
-    world.nodes_well = False
+    world.nodes_healthy = False
 
     def fix_in_part(name: str) -> None:
         world.fix()
-        world.nodes_well = name == "restart"
+        world.nodes_healthy = name == "restart"
 
     world.behave = fix_in_part
     world.fail()
@@ -306,10 +306,12 @@ def test_a_repair_that_leaves_its_dependents_down_is_followed_by_the_next_rung(w
     assert [event.fault.by for event in world.closed()] == ["restart"]
 
 
-def test_on_the_last_rung_what_does_not_come_back_is_a_fault_of_its_own(worlds: list[World]) -> None:
-    """Nothing more can be done for this fault, which is healed; the rest is reported as separate faults."""
+def test_a_dependent_missing_after_the_last_step_is_a_separate_fault(worlds: list[World]) -> None:
+    """No further action exists for this fault, which is resolved; the missing dependents are reported as separate
+    faults.
+    """
     world = make(worlds)
-    world.nodes_well = False
+    world.nodes_healthy = False
     world.fail()
     world.until(
         lambda: any(isinstance(event, FaultOpened) and event.fault.unit == "nodes/app" for event in world.events)

@@ -16,7 +16,7 @@ def fault(name: str, condition: str = "broken", target: str = "app") -> Fault:
 
 
 def test_closed_faults_are_forgotten() -> None:
-    """Only what the tracker still has open is left."""
+    """Only faults that the tracker still has open remain."""
     cases = FaultCases("app")
     cases.opened(fault("a"))
     cases.opened(fault("b"))
@@ -25,7 +25,7 @@ def test_closed_faults_are_forgotten() -> None:
 
 
 def test_a_case_follows_the_condition_of_its_fault() -> None:
-    """What is wrong may have changed, and its event may be on its way; what was refused was the action for another fault."""
+    """The condition may have changed while its event is still queued; the refusal was for the earlier condition."""
     cases = FaultCases("app")
     cases.opened(fault("a"))
     (case,) = cases.current(lambda: [fault("a")])
@@ -36,20 +36,20 @@ def test_a_case_follows_the_condition_of_its_fault() -> None:
 
 
 def test_a_fault_that_no_longer_concerns_the_container_is_forgotten() -> None:
-    """A hung node that turns out to be unreachable has no target: nothing is restarted for it."""
+    """A hung node that becomes unreachable has no target: nothing is restarted for it."""
     cases = FaultCases("app")
     cases.opened(fault("a"))
     assert cases.current(lambda: [fault("a", "node_unreachable", target="")]) == []
 
 
-def test_a_fault_that_opens_while_others_are_looked_through_is_kept() -> None:
-    """It comes by another thread, after the tracker was asked: forgotten now, it would never be healed."""
+def test_a_fault_that_opens_during_the_update_is_kept() -> None:
+    """Another thread adds it after the tracker was queried: if it were forgotten, it would never be recovered."""
     cases, came = FaultCases("app"), threading.Event()
     coming = threading.Thread(target=lambda: (cases.opened(fault("new")), came.set()))
 
     def open_faults() -> Iterable[Fault]:
         coming.start()
-        came.wait(0.2)  # for as long as it may come at all
+        came.wait(0.2)  # waits as long as it can arrive at all
         return []
 
     assert cases.current(open_faults) == []

@@ -1,4 +1,4 @@
-"""What recovery decides; nothing here acts."""
+"""The decisions of recovery; no action is executed here."""
 
 from __future__ import annotations
 
@@ -31,30 +31,30 @@ def say(history: History | None = None, now: float = 1000.0, *, forbidden: str =
     return decide(given.pop("fault"), history or History(), now, forbids=lambda action: forbidden, **given)  # type: ignore[arg-type]
 
 
-def test_the_first_attempt_is_made_at_once() -> None:
-    """Waiting before the first attempt only prolongs the failure."""
+def test_the_first_attempt_is_made_immediately() -> None:
+    """A wait before the first attempt would only prolong the failure."""
     assert say() == Act("restart", 1)
 
 
 def test_a_container_that_has_not_opted_in_is_never_touched() -> None:
-    """Opt-in by name; cve-search once had a backup restarted by a tool that took `all`."""
+    """Opt-in by name; a tool that acted on `all` once restarted a backup of cve-search."""
     assert isinstance(say(target=Target.of(ContainerSettings(name="app"))), Skip)
 
 
-def test_mode_off_does_nothing_and_advise_only_says() -> None:
+def test_mode_off_does_nothing_and_advise_only_advises() -> None:
     """`recovery.mode`."""
     assert isinstance(say(settings=RecoverySettings(mode="off")), Skip)
     assert isinstance(say(settings=RecoverySettings(mode="advise")), Advise)
 
 
 def test_a_condition_without_a_ladder_is_left_alone() -> None:
-    """A missing device is not fixed by a restart, nor is a blocked transport; the engine's crash loop is its own."""
+    """A restart fixes neither a missing device nor a blocked transport; a crash loop is the engine's own."""
     for condition in ("device_missing", "not_received", "restarting"):
         assert isinstance(say(fault=fault(condition)), Skip)
 
 
-def test_rungs_that_do_not_apply_are_left_out_of_the_ladder() -> None:
-    """No relaunch command: restart at once, and that is no failed attempt; nothing left: leave it alone."""
+def test_steps_that_do_not_apply_are_left_out_of_the_ladder() -> None:
+    """Without a relaunch command: restart immediately, which is not a failed attempt; without any step: leave it alone."""
     missing = fault("node_missing")
     assert say(fault=missing, usable=frozenset({"restart"})) == Act("restart", 1)
     assert say(fault=missing, usable=frozenset({"relaunch", "restart"})) == Act("relaunch", 1)
@@ -63,7 +63,7 @@ def test_rungs_that_do_not_apply_are_left_out_of_the_ladder() -> None:
 
 @pytest.mark.parametrize("condition", ["silent", "rate_low"])
 def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
-    """Nothing is done, and nothing advised, before the fault has lasted `recovery.patience`."""
+    """Nothing is done or advised before the fault has lasted `recovery.patience`."""
     for mode in ("act", "advise"):
         rules = replace_rules(patience=10.0, mode=mode)
         early = say(fault=fault(condition), now=1009.0, settings=rules)
@@ -75,79 +75,79 @@ def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
 ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate")
 
 
-def was_well(condition: str, seconds: float) -> Fault:
-    """Opened long ago, so that patience is over."""
+def was_ok(condition: str, seconds: float) -> Fault:
+    """A fault that opened long ago, so that patience is over."""
     return replace(fault(condition, opened=900.0), ok_since_start_s=seconds, start_seen=True)
 
 
 @pytest.mark.parametrize("condition", ONCE)
-def test_what_broke_in_this_life_of_its_container_is_tried_once(condition: str) -> None:
-    """A restart brings back what the start had; when that did not help, it is not the answer."""
-    before = was_well(condition, 60.0)
+def test_a_failure_in_this_life_of_the_container_is_tried_once(condition: str) -> None:
+    """A restart restores the state after the start; when that did not help, it is not the solution."""
+    before = was_ok(condition, 60.0)
     assert say(fault=before) == Act("restart", 1)
     assert isinstance(say(attempts(950.0, condition=condition), fault=before), GiveUp)
 
 
 @pytest.mark.parametrize("condition", ONCE)
-def test_what_was_never_well_in_this_life_is_left_alone(condition: str) -> None:
-    """Its cause is in the start itself: code, a launch file, no shared memory. Well for a moment may be what was there before."""
+def test_a_unit_never_ok_in_this_life_is_left_alone(condition: str) -> None:
+    """Its cause is in the start itself: code, a launch file, no shared memory. A brief OK may be left over from before."""
     for seconds in (0.0, 9.0):
-        assert isinstance(say(fault=was_well(condition, seconds)), Skip)
-    assert isinstance(say(fault=was_well(condition, 9.0), start_s=6.0), Act)
+        assert isinstance(say(fault=was_ok(condition, seconds)), Skip)
+    assert isinstance(say(fault=was_ok(condition, 9.0), start_s=6.0), Act)
 
 
 @pytest.mark.parametrize(("seconds", "expected"), [(4.0, Skip), (6.0, Act)])
-def test_a_container_that_ran_before_phm_has_come_up_already(seconds: float, expected: type) -> None:
-    """A PHM that was started again need not wait for the grace of a start that was long ago."""
-    assert isinstance(say(fault=replace(was_well("node_duplicate", seconds), start_seen=False)), expected)
+def test_a_container_that_ran_before_phm_needs_no_grace(seconds: float, expected: type) -> None:
+    """A restarted PHM need not wait for the grace of a start that was long ago."""
+    assert isinstance(say(fault=replace(was_ok("node_duplicate", seconds), start_seen=False)), expected)
 
 
 @pytest.mark.parametrize(("never", "seconds", "expected"), [(True, 60.0, Skip), (False, 0.0, Act)])
-def test_evidence_of_a_check_overrides_what_was_published(never: bool, seconds: float, expected: type) -> None:
-    """A network is well before anybody has listened for data on it."""
-    known = was_well("transport_blocked", seconds)
+def test_evidence_of_a_check_overrides_the_published_state(never: bool, seconds: float, expected: type) -> None:
+    """A network is OK before the check has waited for data on it."""
+    known = was_ok("transport_blocked", seconds)
     known = replace(known, result=replace(known.result, evidence=Evidence(never_ok=never)))
     assert isinstance(say(fault=known), expected)
 
 
-def test_a_ladder_of_the_users_own_does_not_ask_whether_it_was_well() -> None:
-    """Who names the condition has decided, and gets all attempts."""
+def test_a_configured_ladder_applies_whether_or_not_the_unit_was_ok() -> None:
+    """A user who names the condition has decided, and gets all attempts."""
     rules = RecoverySettings(ladders={"qos_mismatch": ["restart"]})
-    assert say(attempts(950.0, condition="qos_mismatch"), fault=was_well("qos_mismatch", 0.0), settings=rules) == Act(
+    assert say(attempts(950.0, condition="qos_mismatch"), fault=was_ok("qos_mismatch", 0.0), settings=rules) == Act(
         "restart", 2
     )
 
 
 @pytest.mark.parametrize("condition", ["qos_mismatch", "node_duplicate"])
-def test_ends_and_copies_that_may_go_by_themselves_are_given_time(condition: str) -> None:
-    """A node that is relieved by another overlaps with it for a moment."""
+def test_possibly_transient_failures_are_given_time(condition: str) -> None:
+    """A node that replaces another overlaps with it for a moment."""
     new = replace(fault(condition), ok_since_start_s=60.0)
     assert say(fault=new, now=1009.0) == Wait(1010.0, "it may come back by itself")
     assert say(fault=new, now=1010.0) == Act("restart", 1)
 
 
 def test_the_configuration_may_replace_a_ladder() -> None:
-    """Per condition, the user's ladder counts alone; an empty one switches healing off."""
+    """Per condition, only the user's ladder counts; an empty one disables recovery."""
     assert say(settings=RecoverySettings(ladders={"unhealthy": ["start"]})) == Act("start", 1)
     assert isinstance(say(settings=RecoverySettings(ladders={"unhealthy": []})), Skip)
 
 
-def test_the_next_rung_follows_a_failed_attempt() -> None:
-    """The address is silent after a reconnection as well, so restart."""
+def test_the_next_step_follows_a_failed_attempt() -> None:
+    """The address is still silent after a reconnection, so the next step is a restart."""
     history = attempts(900.0, condition="address_silent")
     assert say(history, fault=fault("address_silent")) == Act("restart", 2)
 
 
-def test_a_container_that_is_still_disconnected_is_connected_again_and_not_restarted() -> None:
-    """A restart connects nothing; it follows when the container is connected and its nodes have not come back."""
+def test_a_container_that_is_still_disconnected_is_reconnected_and_not_restarted() -> None:
+    """A restart does not connect it; it follows when the container is connected and its nodes have not returned."""
     history = attempts(900.0, condition="disconnected")
     assert say(history, fault=fault("disconnected")) == Act("reconnect", 2)
     partly = History([replace(each, partly=True) for each in history.attempts])
     assert say(partly, fault=fault("disconnected")) == Act("restart", 2)
 
 
-def test_back_off_doubles_and_is_capped() -> None:
-    """1, 2, 4 ... seconds after the last attempt, never more than the cap."""
+def test_back_off_doubles_up_to_its_limit() -> None:
+    """1, 2, 4 ... seconds after the last attempt, never more than the limit."""
     assert say(attempts(999.5)) == Wait(1000.5, "backing off")
     assert say(attempts(990.0, 999.0)) == Wait(1001.0, "backing off")
     capped = replace_rules(backoff=1.0, backoff_max=3.0, same_failure=50, budget=50)
@@ -158,36 +158,36 @@ def replace_rules(**more: object) -> RecoverySettings:
     return RULES.model_copy(update=more)
 
 
-def test_ten_clean_minutes_reset_the_back_off() -> None:
-    """Old trouble is forgotten."""
+def test_ten_minutes_without_attempts_reset_the_back_off() -> None:
+    """Old attempts are forgotten."""
     assert say(attempts(100.0, 101.0, 103.0), now=1000.0) == Act("restart", 1)
 
 
 def test_the_same_failure_three_times_is_given_up() -> None:
-    """A helper that retried 1437 times in 14 hours healed nothing."""
+    """A tool that retried 1437 times in 14 hours fixed nothing."""
     assert isinstance(say(attempts(900.0, 910.0, 920.0)), GiveUp)
 
 
-def test_help_that_lasts_starts_the_count_again() -> None:
-    """Three healed episodes, minutes apart, are no reason to give up."""
+def test_a_lasting_recovery_resets_the_count() -> None:
+    """Three recovered faults, minutes apart, are not a reason to give up."""
     assert say(attempts(500.0, 700.0, 900.0, worked=True), fault=fault(opened=1000.0)) == Act("restart", 1)
 
 
-def test_help_that_does_not_last_counts_as_failure() -> None:
-    """A container that starts and dies again is a crash loop, not three successes."""
+def test_a_recovery_that_does_not_last_counts_as_a_failure() -> None:
+    """A container that starts and ends again is a crash loop, not three successes."""
     history = attempts(980.0, 985.0, 992.0, worked=True)
     assert isinstance(say(history, fault=fault(opened=999.0), now=1010.0), GiveUp)
 
 
 def test_a_fault_that_an_operator_fixed_is_tried_again() -> None:
-    """An operator fixed what PHM gave up on: when it breaks minutes later, earlier attempts say nothing about it."""
+    """An operator fixed it after PHM gave up: when it fails minutes later, earlier attempts say nothing about it."""
     history = attempts(900.0, 910.0, 920.0)
     assert say(history, fault=fault(ok_s=RULES.verify + 1)) == Act("restart", 1)
     assert isinstance(say(history, fault=fault(ok_s=RULES.verify - 1)), GiveUp), "it was well for a moment only"
 
 
-def test_attempts_on_the_fault_itself_count_however_well_it_was_before() -> None:
-    """Three attempts that did not help are three, also on what had never broken before."""
+def test_attempts_on_the_fault_itself_count_however_long_it_was_ok() -> None:
+    """Three attempts that did not help are three, also on a unit that had never failed before."""
     history = attempts(1001.0, 1003.0, 1006.0)
     assert isinstance(say(history, fault=fault(ok_s=3600.0), now=1020.0), GiveUp)
 
@@ -206,26 +206,26 @@ def test_uncounted_attempts_are_not_failures_and_use_no_step() -> None:
 
 
 def test_attempts_with_reset_backoff_count_as_failures() -> None:
-    """What the target needs has come back: the next attempt may come at once."""
+    """The target's dependency has recovered: the next attempt may be made immediately."""
     assert say(marked(attempts(990.0, 999.5), backoff_reset=True)) == Act("restart", 3)
     assert isinstance(say(marked(attempts(900.0, 910.0, 920.0), backoff_reset=True)), GiveUp)
 
 
-def test_the_budget_counts_what_nothing_else_does() -> None:
-    """However much is not counted, a container is not restarted more often than that."""
+def test_the_budget_includes_uncounted_attempts() -> None:
+    """However many attempts are not counted, a container is not restarted more often than that."""
     history = marked(attempts(900.0, 910.0, 920.0, 930.0, 940.0), backoff_reset=True, not_counted=True)
     assert say(history) == Wait(1510.0, KEPT_BACK, report=True)
 
 
-def test_a_lasting_recovery_ends_the_count_even_when_not_counted() -> None:
-    """What is older than help that lasted stays forgotten."""
+def test_a_lasting_recovery_resets_the_count_even_when_not_counted() -> None:
+    """Attempts from before a lasting recovery stay forgotten."""
     helped = AttemptRecord(900.0, "health/app", "unhealthy", "restart", worked=True, not_counted=True)
     history = History([*attempts(700.0, 710.0, 720.0).attempts, helped])
     assert say(history, settings=replace_rules(reserve=0)) == Act("restart", 1)
 
 
-def test_easing_marks_the_units_and_excusing_the_time_of_the_outage() -> None:
-    """All attempts on what needs the dependency are with reset back-off; only those from the outage are not counted."""
+def test_attempts_during_an_outage_are_not_counted() -> None:
+    """All attempts on dependents have their back-off reset; only those made during the outage are not counted."""
     history = History(
         [AttemptRecord(at, unit, "x", "restart", worked=False) for at in (10.0, 20.0) for unit in ("a", "b")]
     )
@@ -240,8 +240,8 @@ def test_easing_marks_the_units_and_excusing_the_time_of_the_outage() -> None:
     assert [each.not_counted for each in history.attempts] == [False, False, True, False]
 
 
-def test_a_new_life_excuses_what_was_before_it() -> None:
-    """Once: to reset a second time says nothing new."""
+def test_a_new_life_discounts_earlier_attempts() -> None:
+    """Once: a second reset has no effect."""
     history = attempts(10.0, 20.0)
     assert history.discount_before(15.0)
     assert [(each.backoff_reset, each.not_counted) for each in history.attempts] == [(True, True), (False, False)]
@@ -258,23 +258,23 @@ def test_the_budget_counts_all_actions_on_the_target() -> None:
     assert say(history, settings=replace_rules(reserve=0)) == Act("restart", 1)
 
 
-def test_part_of_the_budget_is_kept_for_a_container_that_is_down() -> None:
-    """Restarts for what runs badly must not be the reason that what has ended stays down."""
+def test_part_of_the_budget_is_reserved_for_a_container_that_is_down() -> None:
+    """Restarts because of degraded units must not be the reason that an ended container stays down."""
     history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(4)])
     assert say(history, fault=fault("exited")) == Act("start", 1)
 
 
 @pytest.mark.parametrize("condition", ["exited", "oom", "created"])
-def test_a_container_that_is_down_is_started_again_when_the_budget_is_used_up(condition: str) -> None:
-    """Once per longest back-off: a start of what is down makes nothing worse."""
+def test_a_container_that_is_down_is_started_after_the_budget_is_used_up(condition: str) -> None:
+    """Once per maximum back-off: a start of a container that is down does no harm."""
     history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(5)])
     decision = say(history, fault=fault(condition), now=950.0)
     assert isinstance(decision, Wait) and decision.until == 904.0 + RULES.backoff_max and decision.report
     assert say(history, fault=fault(condition), now=964.0) == Act("start", 1)
 
 
-def test_a_container_given_up_while_down_is_started_now_and_then() -> None:
-    """By the first step of its ladder, once per longest back-off, under the same permissions as before."""
+def test_a_container_given_up_while_down_is_started_occasionally() -> None:
+    """By the first step of its ladder, once per maximum back-off, with the same permissions as before."""
     history = attempts(900.0, 910.0, 920.0, condition="exited")
     down = fault("exited")
     assert isinstance(say(history, fault=down), GiveUp)
@@ -284,7 +284,7 @@ def test_a_container_given_up_while_down_is_started_now_and_then() -> None:
     assert isinstance(say(history, fault=down, given_up=True, target=Target.of(ContainerSettings(name="app"))), Skip)
 
 
-def elsewhere(*at: float, worked: bool = False, action: str = "restart") -> History:
+def other_attempts(*at: float, worked: bool = False, action: str = "restart") -> History:
     """Attempts for other faults of the same container."""
     return History([AttemptRecord(when, f"rate/{when:g}", "rate_low", action, worked) for when in at])
 
@@ -292,35 +292,35 @@ def elsewhere(*at: float, worked: bool = False, action: str = "restart") -> Hist
 SHARED = frozenset({"restart"})
 
 
-def test_an_action_that_did_not_help_one_fault_is_not_repeated_for_another() -> None:
-    """Three restarts that did not help the container are three, whichever of its faults they were for."""
-    assert say(elsewhere(900.0, 950.0), container_wide=SHARED) == Act("restart", 1)
-    decision = say(elsewhere(900.0, 910.0, 950.0), container_wide=SHARED)
+def test_an_action_ineffective_for_one_fault_is_not_repeated_for_another() -> None:
+    """Three ineffective restarts of the container are three, whichever of its faults they were for."""
+    assert say(other_attempts(900.0, 950.0), container_wide=SHARED) == Act("restart", 1)
+    decision = say(other_attempts(900.0, 910.0, 950.0), container_wide=SHARED)
     assert isinstance(decision, GiveUp) and "not repeated for health/app" in decision.why
-    assert say(elsewhere(900.0, 910.0, 950.0), container_wide=frozenset()) == Act("restart", 1)
+    assert say(other_attempts(900.0, 910.0, 950.0), container_wide=frozenset()) == Act("restart", 1)
 
 
 def test_back_off_follows_the_action_and_not_the_fault() -> None:
-    """A failed restart a moment ago is waited after for the other faults of the container, too."""
-    assert say(elsewhere(999.5), container_wide=SHARED) == Wait(1000.5, "backing off")
+    """Other faults of the container also wait after a recently failed restart."""
+    assert say(other_attempts(999.5), container_wide=SHARED) == Wait(1000.5, "backing off")
 
 
-def test_what_helped_others_or_was_before_a_long_good_time_does_not_count() -> None:
-    """A restart that healed another fault speaks for the action; a unit that was OK for long has a new fault."""
-    helped = History([*elsewhere(900.0, 910.0).attempts, *elsewhere(950.0, worked=True).attempts])
+def test_effective_and_old_attempts_do_not_count() -> None:
+    """A restart that resolved another fault speaks for the action; a unit that was OK for long has a new fault."""
+    helped = History([*other_attempts(900.0, 910.0).attempts, *other_attempts(950.0, worked=True).attempts])
     assert say(helped, container_wide=SHARED, settings=replace_rules(same_failure=2)) == Act("restart", 1)
     fresh = fault(ok_s=RULES.verify + 1)
-    assert say(elsewhere(900.0, 910.0, 950.0), fault=fresh, container_wide=SHARED) == Act("restart", 1)
+    assert say(other_attempts(900.0, 910.0, 950.0), fault=fresh, container_wide=SHARED) == Act("restart", 1)
 
 
-def test_restarts_in_vain_do_not_keep_a_container_that_ended_from_a_restart() -> None:
-    """What runs badly and what does not run are two things."""
-    history = History([*elsewhere(900.0, 910.0, 920.0).attempts, *attempts(950.0, condition="exited").attempts])
+def test_ineffective_restarts_do_not_prevent_the_restart_of_an_ended_container() -> None:
+    """A degraded container and an ended one are different failures."""
+    history = History([*other_attempts(900.0, 910.0, 920.0).attempts, *attempts(950.0, condition="exited").attempts])
     assert say(history, fault=fault("exited"), container_wide=SHARED) == Act("restart", 2)
 
 
-def test_what_is_forbidden_in_the_air_is_advice_only() -> None:
-    """With the reason, and decided again soon: landing is no event."""
+def test_an_action_not_permitted_in_flight_is_only_advised() -> None:
+    """With the reason, and decided again soon, since landing causes no event."""
     decision = say(forbidden="flight-critical, and the autopilot is armed")
     assert isinstance(decision, Advise) and decision.again_at is not None
     assert decision.why == "flight-critical, and the autopilot is armed"
@@ -328,7 +328,7 @@ def test_what_is_forbidden_in_the_air_is_advice_only() -> None:
 
 @pytest.mark.parametrize("mode", ["act", "advise", "off"])
 def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
-    """Joining a network moves nothing but PHM itself, and without it PHM sees nothing."""
+    """Joining a network affects only PHM, and without it PHM sees nothing."""
     decision = say(
         fault=fault("sidecar_disconnected"),
         target=Target.of(ContainerSettings(name="app")),
@@ -338,33 +338,35 @@ def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
     assert decision == Act("join_network", 1)
 
 
-def test_giving_up_needs_no_armed_state() -> None:
-    """What was given up is not advised again and again."""
+def test_giving_up_does_not_depend_on_the_armed_state() -> None:
+    """An action that was given up is not advised again."""
     assert isinstance(say(attempts(900.0, 910.0, 920.0), settings=replace_rules(budget=2)), GiveUp)
 
 
 def test_an_approved_action_is_done_in_advise_mode_and_while_armed() -> None:
-    """The operator's yes replaces PHM's caution, and nothing else: budget and opt-in still bind."""
+    """The approval replaces PHM's restrictions, and nothing else: budget and opt-in still apply."""
     assert say(forbidden="flight-critical, and the autopilot is armed", approved=True) == Act("restart", 1)
     assert say(settings=RecoverySettings(mode="advise"), approved=True) == Act("restart", 1)
     assert isinstance(say(settings=RecoverySettings(mode="off"), approved=True), Skip)
     assert isinstance(say(target=Target.of(ContainerSettings(name="app")), approved=True), Skip)
 
 
-def test_nothing_is_restarted_for_a_symptom_of_starvation() -> None:
-    """A fault that was open before is left alone meanwhile, and that is published; a container that is down is not a symptom."""
+def test_a_symptom_of_starvation_causes_no_restart() -> None:
+    """A fault that was open before is left alone meanwhile, which is published; a container that is down is not a
+    symptom.
+    """
     decision = say(starved="pressure/app")
     assert isinstance(decision, Wait) and decision.report and "pressure/app explains it" in decision.why
     assert say(starved="") == Act("restart", 1)
 
 
-def test_after_giving_up_only_a_start_is_tried_again() -> None:
-    """A ladder of the user's own without it ends with giving up."""
+def test_only_a_start_is_tried_again_after_giving_up() -> None:
+    """A configured ladder without a start ends with giving up."""
     rules = RecoverySettings(ladders={"exited": ["restart"]})
     assert isinstance(say(fault=fault("exited"), given_up=True, settings=rules), Skip)
 
 
-def test_giving_way_uses_up_no_budget_and_needs_none() -> None:
+def test_lowering_a_cpu_weight_uses_no_budget() -> None:
     """It disturbs no container, so it must not be the reason that one is not restarted."""
     lowered = History([AttemptRecord(900.0 + n, "pressure/app", "cpu_starved", "relieve", True) for n in range(6)])
     assert say(lowered) == Act("restart", 1)

@@ -1,4 +1,4 @@
-"""PHM as a whole on the real engine, within this process: whose doing a container's life is, and who restarts a dependent."""
+"""An entire PHM on the real engine, within this process: who caused a container's life, and who restarts a dependent."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RULES: dict[str, Any] = {
 
 
 class Phm:
-    """A daemon, and what it said."""
+    """A daemon, and its events."""
 
     def __init__(
         self,
@@ -61,9 +61,7 @@ class Phm:
 
     def start(self) -> None:
         self.daemon.start()
-        self.until(
-            lambda: {state.level for state in self.daemon.pipeline.states()} == {Level.OK}, "everything to be well"
-        )
+        self.until(lambda: {state.level for state in self.daemon.pipeline.states()} == {Level.OK}, "all units to be OK")
 
     def until(self, condition: Callable[[], object], what: str) -> None:
         until(condition, what, self.actions, limit_s=self._limit_s)
@@ -83,7 +81,7 @@ class Phm:
         return [event.fault.unit for event in self.events if isinstance(event, FaultOpened)]
 
     def passes(self, number: int) -> None:
-        """PHM looks at everything again so many times."""
+        """Wait until PHM has checked everything this many times."""
         seen = self.daemon.pipeline._pass_number
         self.until(lambda: self.daemon.pipeline._pass_number >= seen + number, f"{number} passes")
 
@@ -110,7 +108,7 @@ def with_file(made: Any) -> dict[str, Any]:
 
 
 def given_up(real: Any, phm: Start, **more: Any) -> tuple[Any, Phm]:
-    """A container that lacks a file, which no restart brings back: PHM has tried twice and said that it stops."""
+    """A container that lacks a file, which no restart restores: PHM has tried twice and reported that it gave up."""
     made = real.container(RUN, **more)
     made.exec_run(["touch", NEEDED])
     daemon = phm([with_file(made)])
@@ -120,7 +118,7 @@ def given_up(real: Any, phm: Start, **more: Any) -> tuple[Any, Phm]:
     return made, daemon
 
 
-def test_recreated_by_somebody_else_it_is_acted_on_again(real: Any, phm: Start) -> None:
+def test_recovery_resumes_for_an_externally_recreated_container(real: Any, phm: Start) -> None:
     """A container of the same name and another id: two more attempts, and one more alarm."""
     made, daemon = given_up(real, phm)
     made.remove(force=True)
@@ -130,8 +128,8 @@ def test_recreated_by_somebody_else_it_is_acted_on_again(real: Any, phm: Start) 
     assert daemon.opened().count("files/app") == 2
 
 
-def test_restarted_by_hand_it_is_acted_on_again_when_it_has_stayed(real: Any, phm: Start) -> None:
-    """`docker restart` of what PHM had given up on; PHM's own restarts before it did not count."""
+def test_recovery_resumes_after_a_manual_restart_that_lasts(real: Any, phm: Start) -> None:
+    """`docker restart` of a container that PHM had given up on; PHM's own earlier restarts did not count."""
     made, daemon = given_up(real, phm)
     daemon.passes(3)
     assert daemon.count(Phase.STARTED) == 2
@@ -141,7 +139,9 @@ def test_restarted_by_hand_it_is_acted_on_again_when_it_has_stayed(real: Any, ph
 
 
 def test_dockers_restart_policy_does_not_reset_attempts(real: Any, phm: Start) -> None:
-    """The process ends again and again, each time after `verify`; the engine restarts it and PHM, which gave up, watches."""
+    """The process ends repeatedly, each time after `verify`; the engine restarts it, and PHM, which gave up, takes no
+    action.
+    """
     made, daemon = given_up(real, phm, restart_policy={"Name": "always"})
     for _ in range(2):
         before = real.client.api.inspect_container(made.id)["RestartCount"]
@@ -158,7 +158,7 @@ def test_dockers_restart_policy_does_not_reset_attempts(real: Any, phm: Start) -
 
 
 class Restarts:
-    """Restarts of one container that PHM has asked for, with those that were under way at the same time."""
+    """Restarts of one container that PHM requested, and how many ran at the same time."""
 
     def __init__(self, daemon: Daemon, container: str) -> None:
         self.made, self.at_once, self._now = 0, 0, 0
@@ -181,8 +181,10 @@ class Restarts:
         engine.restart = restart  # type: ignore[method-assign]
 
 
-def test_a_dependant_of_two_is_restarted_by_one_at_a_time(real: Any, phm: Start) -> None:
-    """Both owners are killed at once. `side` shares the network of the one and comes after the other; it is slow to stop."""
+def test_a_dependent_of_two_containers_is_restarted_by_one_at_a_time(real: Any, phm: Start) -> None:
+    """Both owners are killed at the same time. `side` shares the network of one and starts after the other; it stops
+    slowly.
+    """
     slow = "trap 'sleep 1; exit 0' TERM; while :; do sleep 0.1; done"
     one, two = real.container(RUN), real.container(RUN)
     side = real.container(slow, network_mode=f"container:{one.id}")
@@ -196,7 +198,7 @@ def test_a_dependant_of_two_is_restarted_by_one_at_a_time(real: Any, phm: Start)
     for owner in (one, two):
         owner.kill()
     daemon.until(lambda: daemon.count(Phase.VERIFIED) == 2, "both repairs")
-    daemon.until(lambda: not daemon.daemon.pipeline.open_faults(), "everything to be well")
+    daemon.until(lambda: not daemon.daemon.pipeline.open_faults(), "all units to be OK")
     assert restarts.at_once == 1
     assert 1 <= restarts.made <= 2
     assert sorted(daemon.opened()) == ["container/one", "container/two"]
@@ -206,8 +208,10 @@ def test_a_dependant_of_two_is_restarted_by_one_at_a_time(real: Any, phm: Start)
     assert network[0] == network[1]
 
 
-def test_a_stop_that_takes_its_time_is_left_to_end(real: Any, phm: Start) -> None:
-    """`docker stop -t 60` of a container that needs 14 s to end, unhealthy meanwhile: it is not killed before it is through."""
+def test_a_slow_stop_is_not_interrupted(real: Any, phm: Start) -> None:
+    """`docker stop -t 60` of a container that needs 14 s to end, unhealthy meanwhile: it is not killed before it has
+    ended.
+    """
     made = real.container(
         f"touch {NEEDED}; trap 'rm {NEEDED}; sleep 14; exit 7' TERM; while :; do sleep 0.1; done",
         healthcheck={"test": ["CMD", "test", "-e", NEEDED], "interval": 10**9, "timeout": 10**9, "retries": 1},
@@ -219,8 +223,8 @@ def test_a_stop_that_takes_its_time_is_left_to_end(real: Any, phm: Start) -> Non
     assert "health/app" not in daemon.opened()
 
 
-def test_phm_gives_a_container_the_time_that_it_asks_for(real: Any, phm: Start) -> None:
-    """Its own stop time-out is longer than `recovery.stop_timeout`, and its stop signal is not SIGTERM."""
+def test_phm_respects_a_containers_own_stop_timeout(real: Any, phm: Start) -> None:
+    """Its own stop timeout is longer than `recovery.stop_timeout`, and its stop signal is not SIGTERM."""
     made = real.container("trap 'sleep 4; exit 7' INT; while :; do sleep 0.1; done", stop_signal="SIGINT", asks_s=30)
     made.exec_run(["touch", NEEDED])
     daemon = phm([with_file(made)], same_failure=1)
@@ -229,11 +233,12 @@ def test_phm_gives_a_container_the_time_that_it_asks_for(real: Any, phm: Start) 
     assert [text for text in daemon.notes() if "die" in text] == ["container app: die (exit code 7)"]
 
 
-def test_restarts_that_the_engine_finishes_late_are_phms_own(
+def test_restarts_that_the_engine_finishes_late_are_attributed_to_phm(
     real: Any, phm: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A container that ignores SIGTERM: the engine restarts it seconds after PHM's call has failed. After three equal failures
-    PHM gives up, and the lives that it has begun itself do not make it begin again."""
+    """A container that ignores SIGTERM: the engine restarts it seconds after PHM's call has failed. After three equal
+    failures PHM gives up, and the lives that PHM itself started do not make it resume.
+    """
     monkeypatch.setattr(
         "phm.transport.docker.ACT_MARGIN_S", -7.0
     )  # the call fails after a second, the stop takes three

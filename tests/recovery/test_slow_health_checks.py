@@ -1,4 +1,4 @@
-"""An action is not judged before its unit can be: a HEALTHCHECK that is `starting` has neither passed nor failed."""
+"""An action is not judged before its unit can be: a HEALTHCHECK in state `starting` has neither passed nor failed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def start() -> Iterator[Start]:
 
 
 def restarted(agent: Agent, after: Result = STARTING) -> Agent:
-    """The container is unhealthy; PHM restarts it, and Docker says `after`."""
+    """The container is unhealthy; PHM restarts it, and then Docker reports `after`."""
 
     def behave(key: str, *_: object) -> None:
         agent.containers.start(key)
@@ -48,7 +48,7 @@ def restarted(agent: Agent, after: Result = STARTING) -> Agent:
     return agent
 
 
-def test_a_container_that_comes_up_within_its_own_time_is_restarted_once(start: Start) -> None:
+def test_a_container_with_a_slow_health_check_is_restarted_once(start: Start) -> None:
     """The first probe is a minute after the start, which is longer than `recovery.verify`."""
     agent = restarted(start())
     agent.rest(60.0)
@@ -60,8 +60,8 @@ def test_a_container_that_comes_up_within_its_own_time_is_restarted_once(start: 
     assert (closed.fault.outcome, closed.fault.by) == (Outcome.RESOLVED, "restart")
 
 
-def test_the_next_attempt_follows_when_the_check_has_decided(start: Start) -> None:
-    """Docker says `unhealthy` again, long after the restart: only then has that failed."""
+def test_the_next_attempt_follows_the_health_checks_result(start: Start) -> None:
+    """Docker reports `unhealthy` again, long after the restart: only then has the restart failed."""
     agent = restarted(start())
     agent.rest(200.0)
     assert agent.acted() == ["restart"]
@@ -71,7 +71,7 @@ def test_the_next_attempt_follows_when_the_check_has_decided(start: Start) -> No
 
 
 def test_no_attempt_follows_without_a_new_error(start: Start) -> None:
-    """Docker says `starting` for longer than it may: nothing is known, so nothing is done and nothing is given up."""
+    """Docker reports `starting` for longer than it may: the health is unknown, so there is no action and no giving up."""
     agent = restarted(start())
     agent.rest(DECIDES_S + 120.0)
     assert agent.acted() == ["restart"]
@@ -80,8 +80,8 @@ def test_no_attempt_follows_without_a_new_error(start: Start) -> None:
     agent.until(lambda: len(agent.acted()) == 2, "the second attempt")
 
 
-def test_a_check_that_cannot_tell_for_another_reason_is_not_waited_for_longer(start: Start) -> None:
-    """It fails after `recovery.verify`, and is not followed by another attempt while the unit is not known to be in ERROR."""
+def test_an_unknown_health_for_another_reason_is_not_waited_for(start: Start) -> None:
+    """The attempt fails after `recovery.verify`, and no other follows while the unit is not known to be in ERROR."""
     agent = restarted(start(), after=stale("the engine is slow"))
     agent.until(lambda: Phase.FAILED in agent.steps(), "the failure")
     agent.rest(60.0)
@@ -90,7 +90,9 @@ def test_a_check_that_cannot_tell_for_another_reason_is_not_waited_for_longer(st
 
 
 def test_another_fault_of_the_container_does_not_wait(start: Start) -> None:
-    """After `recovery.verify` all else in the container is reported and acted on, whatever the slow check is waiting for."""
+    """After `recovery.verify` other units of the container are reported and acted on, whatever the slow check waits
+    for.
+    """
     agent = restarted(start())
     agent.rest(40.0)
     agent.bad["files/app"] = "broken"
@@ -100,7 +102,7 @@ def test_another_fault_of_the_container_does_not_wait(start: Start) -> None:
 
 
 def test_a_container_that_ends_while_it_is_starting_is_not_waited_for(start: Start) -> None:
-    """Its health is no longer `starting`, it is not known."""
+    """Its health is no longer `starting`, but unknown."""
     agent = restarted(start())
     agent.rest(40.0)
     agent.bad["container/app"] = "exited"

@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.engine, pytest.mark.long]
 SECOND = 10**9
 READY = "/tmp/ready"
 LIMIT_S = 600.0
-"""Each container is probed some times in a row, and the machine may be busy."""
+"""Each container is probed several times in succession, and the machine may be busy."""
 
 
 def healthcheck(interval_s: int, retries: int) -> dict[str, Any]:
@@ -25,7 +25,7 @@ def healthcheck(interval_s: int, retries: int) -> dict[str, Any]:
 
 
 def comes_up(after_s: int) -> str:
-    """Ready so long after its start, until somebody removes READY."""
+    """Ready this long after its start, until READY is removed."""
     return f"trap 'exit 0' TERM; rm -f {READY}; sleep {after_s} & wait $!; touch {READY}; while :; do sleep 1 & wait $!; done"
 
 
@@ -34,8 +34,9 @@ def phases(daemon: Phm, key: str) -> list[str]:
 
 
 def test_a_container_that_needs_longer_than_verify_is_restarted_once(real: Any, phm: Start) -> None:
-    """One is found healthy by its first probe after a minute, the other by its second one after half a minute: both later
-    than `recovery.verify`, until when Docker says `starting`."""
+    """One is found healthy by its first probe after a minute, the other by its second one after half a minute: both
+    later than `recovery.verify`, until when Docker reports `starting`.
+    """
     minute = real.container(comes_up(0), healthcheck=healthcheck(60, 1))
     half = real.container(comes_up(40), healthcheck=healthcheck(30, 2))
     made = {"minute": minute, "half": half}

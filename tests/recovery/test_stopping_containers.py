@@ -1,4 +1,4 @@
-"""A container that somebody stops is not acted on before the time is over that it was given to end."""
+"""A container that is being stopped is not acted on before its stop timeout is over."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def agent() -> Iterator[Agent]:
 
 
 def test_a_fault_of_a_container_that_is_being_stopped_waits(agent: Agent) -> None:
-    """A restart would cut the time short that it was given, here a minute; when it has ended, or had it, it is acted on."""
+    """A restart would shorten its stop timeout, here a minute; once it has ended, or the time is over, it is acted on."""
     agent.pipeline.expect_stop("app", 60.0)
     agent.bad["health/app"] = "broken"
     agent.until(lambda: agent.opened() == ["health/app"], "the fault")
@@ -37,7 +37,7 @@ def test_a_fault_of_a_container_that_is_being_stopped_waits(agent: Agent) -> Non
 
 
 def test_a_stop_that_does_not_happen_blocks_recovery_for_a_limited_time(agent: Agent) -> None:
-    """The signal was caught, or the stop's SIGKILL was lost with the event stream."""
+    """The signal was caught, or the stop's SIGKILL event was lost."""
     agent.pipeline.expect_stop("app", 60.0)
     agent.bad["health/app"] = "broken"
     agent.rest(55.0)
@@ -45,8 +45,8 @@ def test_a_stop_that_does_not_happen_blocks_recovery_for_a_limited_time(agent: A
     agent.until(lambda: agent.runs, "the action")
 
 
-def test_a_dependant_that_is_being_stopped_is_not_restarted(agent: Agent) -> None:
-    """Neither for another's sake; the repair goes on without it."""
+def test_a_dependent_that_is_being_stopped_is_not_restarted(agent: Agent) -> None:
+    """Not for another container either; that recovery continues without it."""
     refused: list[str] = []
 
     def act(key: str, context: ActionContext, fault: Fault) -> None:

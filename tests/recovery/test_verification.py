@@ -1,4 +1,4 @@
-"""How long the proof of an action waits before it says that the action has not helped. Pure."""
+"""How long the verification of an action waits before the action counts as failed. Pure."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Silent:
 
 
 class Alone(Silent):
-    """The unit is well, and what needs it stays away."""
+    """The unit is OK, and its dependents stay away."""
 
     def ok_since(self, unit: str, mono: float) -> bool:
         return True
@@ -41,48 +41,48 @@ class Alone(Silent):
 
 
 def verdict(started: float, still_bad_after_s: float | None) -> VerificationResult | None:
-    """0 is when the action was over."""
+    """The verdict, with the end of the action at time 0."""
     return Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, still_bad_after_s).result(
         Silent(started), started + 2.0
     )
 
 
-def test_what_works_at_once_or_never_is_not_waited_for() -> None:
+def test_an_action_with_an_immediate_effect_gets_no_grace() -> None:
     """A reconnected address that is silent after a second has failed, whatever grace the unit has."""
     assert verdict(0.5, still_bad_after_s=1.0) is None
     assert verdict(1.0, still_bad_after_s=1.0) == VerificationResult(missing="network/app")
 
 
-def test_other_actions_are_given_the_grace_of_the_unit() -> None:
-    """A container that was started needs its time."""
+def test_other_actions_get_the_grace_of_the_unit() -> None:
+    """A started container needs time."""
     assert verdict(4.5, still_bad_after_s=None) is None
     assert verdict(5.0, still_bad_after_s=None) == VerificationResult(missing="network/app")
 
 
 @pytest.mark.parametrize(("dependents_within_s", "longest_s"), [(6.0, 6.0), (None, GRACE_S + 4.0)])
-def test_what_needs_the_unit_is_waited_for_as_long_as_the_action_says(
+def test_dependents_are_waited_for_as_long_as_the_action_states(
     dependents_within_s: float | None, longest_s: float
 ) -> None:
-    """After a reconnection nothing has to start: the nodes find each other soon, or not before they are restarted."""
+    """After a reconnection nothing has to start: the nodes reconnect soon, or not before they are restarted."""
     proving = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=dependents_within_s)
     assert proving.result(Alone(0.0), longest_s) is None
     assert proving.result(Alone(0.0), longest_s + 0.1) == VerificationResult(missing="nodes/one", partly=True)
 
 
 class Starved(Silent):
-    """As Silent and Alone, of a container that is starved until `until`."""
+    """Like Silent and Alone, of a container that is starved until `until`."""
 
     def __init__(
-        self, started: float, *, well: bool, until: float = 100.0, condition: str = "node_unreachable"
+        self, started: float, *, unit_ok: bool, until: float = 100.0, condition: str = "node_unreachable"
     ) -> None:
         super().__init__(started)
-        self.well, self.until, self.now, self.condition = well, until, 0.0, condition
+        self.unit_ok, self.until, self.now, self.condition = unit_ok, until, 0.0, condition
 
     def newest(self, unit: str, mono: float) -> Result | None:
         return error("bad", brief="bad", condition=self.condition) if self.started >= mono else None
 
     def ok_since(self, unit: str, mono: float) -> bool:
-        return self.well
+        return self.unit_ok
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         return ("nodes/one",)
@@ -96,23 +96,25 @@ class Starved(Silent):
 
 
 @pytest.mark.parametrize("until", [1.0, 100.0])
-@pytest.mark.parametrize("well", [True, False])
-def test_what_starts_while_it_is_starved_gets_more_time_and_is_not_to_blame(well: bool, until: float) -> None:
-    """As long again as `recovery.verify`, also when the starvation has ended meanwhile; then the attempt has failed, not counted."""
-    starved = Starved(1000.0 if well else 36.0, well=well, until=until)
+@pytest.mark.parametrize("unit_ok", [True, False])
+def test_a_starved_container_gets_more_time_and_the_attempt_is_not_counted(unit_ok: bool, until: float) -> None:
+    """`recovery.verify` once more, also when the starvation has ended meanwhile; then the attempt has failed, but is
+    not counted.
+    """
+    starved = Starved(1000.0 if unit_ok else 36.0, unit_ok=unit_ok, until=until)
     proving = Verification("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
-    ends = GRACE_S + 4.0 + 30.0 if well else GRACE_S + 2.0 + 30.0
+    ends = GRACE_S + 4.0 + 30.0 if unit_ok else GRACE_S + 2.0 + 30.0
     for now in (0.5, 10.0, 34.0):
         starved.started = now
         assert starved.say(proving, now) is None
     starved.started = ends
     late = starved.say(proving, ends + 0.1)
-    assert late is not None and late.not_counted and late.partly is well
+    assert late is not None and late.not_counted and late.partly is unit_ok
 
 
-def test_what_starvation_does_not_explain_counts_as_a_failure() -> None:
-    """The network of a container that was started is detached: neither more time nor another start changes that."""
-    starved = Starved(100.0, well=True, condition="disconnected")
+def test_a_failure_that_starvation_does_not_explain_is_counted() -> None:
+    """The network of a started container is detached: neither more time nor another start changes that."""
+    starved = Starved(100.0, unit_ok=True, condition="disconnected")
     verification = Verification("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
     ends = GRACE_S + 4.0
     assert starved.say(verification, ends) is None

@@ -1,4 +1,4 @@
-"""`docs/reference/logs.md` is a contract: the keys it names are those that are written."""
+"""`docs/reference/logs.md` is a contract: it names exactly the keys that are written."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNIT = unit("nodes/a", Slot.NODES, Level.ERROR)
 
 
 def documented() -> dict[str, set[str]]:
-    """Keys by event, from the tables of the document; those of every line under `every`."""
+    """Keys by event, from the tables of the document; the keys of every line under `every`."""
     keys: dict[str, set[str]] = {}
     for section in DOCUMENT.read_text().split("\n### ")[1:]:
         title = section.partition("\n")[0]
@@ -30,7 +30,7 @@ def documented() -> dict[str, set[str]]:
 
 
 def written(directory: Path) -> dict[str, set[str]]:
-    """Keys by event of a log in which everything happens."""
+    """Keys by event of a log that contains every event."""
     clock = FakeClock()
     (directory / "logs").write_text("in the way")
     log = LogReporter.build(context(Settings(log=LogSettings(directory=str(directory / "logs"))), clock=clock))
@@ -49,7 +49,7 @@ def written(directory: Path) -> dict[str, set[str]]:
     return {str(line["event"]): set(line) for line in json_log.read(directory / "logs")}
 
 
-def test_every_key_that_is_written_is_documented_and_the_other_way_round(tmp_path: Path) -> None:
+def test_exactly_the_written_keys_are_documented(tmp_path: Path) -> None:
     """Each event has its section with exactly its keys; the common keys are in each line."""
     wanted = documented()
     every = wanted.pop("every") - {"cut"}
@@ -57,6 +57,6 @@ def test_every_key_that_is_written_is_documented_and_the_other_way_round(tmp_pat
 
 
 def test_every_kind_is_documented() -> None:
-    """The words of the text log are in the table of kinds."""
+    """The kinds of the text log are in the table of kinds."""
     table = set(re.findall(r"^\| ([A-Z]+) \|", DOCUMENT.read_text(), re.MULTILINE))
     assert table >= {*NOTE_KINDS, "SUCCESS", "BYPASS", "WARNING", "FAILURE", "STALE", "RESOLVED", "ESCALATED"}

@@ -36,7 +36,7 @@ ROS: dict[str, Any] = {"nodes": [{"name": "/agent_1/node_1"}]}
 
 
 class Port:
-    """Keeps what was to be published; refuses it on request."""
+    """Keeps what is published; refuses it on request."""
 
     def __init__(self) -> None:
         self.sent: list[Mapping[str, DiagnosticFact]] = []
@@ -58,7 +58,7 @@ def make(states: tuple[UnitState, ...] = (), ros: Any = ROS, **parts: Any) -> tu
     return made, port
 
 
-def test_each_unit_is_a_status_and_so_is_the_whole() -> None:
+def test_each_unit_and_the_summary_are_a_status() -> None:
     """Name, level, message and hardware id follow the conventions of diagnostic_updater."""
     reporter, port = make((WELL, DEAD, BLOCKED))
     reporter.handle(opened(DEAD))
@@ -72,8 +72,8 @@ def test_each_unit_is_a_status_and_so_is_the_whole() -> None:
     assert {fact.hardware_id for fact in sent.values()} == {"agent_1"}
 
 
-def test_the_values_of_a_unit() -> None:
-    """All contract keys, then what was measured; an action is reported while its fault is open."""
+def test_a_unit_has_the_contract_keys_and_its_values() -> None:
+    """All contract keys, then the measured values; an action is reported while its fault is open."""
     reporter, port = make((DEAD,))
     reporter.handle(opened(DEAD))
     reporter.handle(ActionEvent(at(), "ab12-1", DEAD.unit, "restart", "ros_app", Phase.STARTED))
@@ -96,8 +96,8 @@ def test_the_values_of_a_unit() -> None:
     assert port.sent[-1][SUMMARY].message == "0 of 1 units are OK"
 
 
-def test_the_values_of_the_summary() -> None:
-    """Array and word as they go to the ground, and how many units there are of each level."""
+def test_the_summary_has_array_word_and_counts() -> None:
+    """Array and word as sent to the ground, and the number of units of each level."""
     reporter, port = make((WELL, DEAD, BLOCKED))
     reporter.tick()
     values = port.sent[-1][SUMMARY].values
@@ -122,8 +122,8 @@ def test_layers_are_part_of_the_name() -> None:
     assert "phm/agent_1/docker: container/ros_app" in port.sent[-1]
 
 
-def test_a_change_goes_out_at_once_and_a_burst_once() -> None:
-    """The first event publishes; what follows within a tenth of a second waits for the tick."""
+def test_a_change_is_published_immediately_and_a_burst_once() -> None:
+    """The first event publishes; events within the next tenth of a second wait for the tick."""
     clock = FakeClock()
     reporter, port = make((DEAD,), clock=clock)
     reporter.handle(transition(DEAD))
@@ -134,23 +134,23 @@ def test_a_change_goes_out_at_once_and_a_burst_once() -> None:
     assert len(port.sent) == 2
 
 
-def test_a_stalled_engine_publishes_nothing() -> None:
-    """A dead man's switch: old states must not look fresh."""
+def test_a_stalled_scheduler_publishes_nothing() -> None:
+    """A dead man's switch: outdated states must not look current."""
     reporter, port = make((WELL,), alive=lambda: False)
     reporter.tick()
     reporter.handle(transition(WELL))
     assert port.sent == []
 
 
-def test_the_end_is_said() -> None:
-    """The last array says of each status that it is not known any more."""
+def test_close_publishes_the_end() -> None:
+    """The last array states for each status that it is no longer known."""
     reporter, port = make((WELL, DEAD))
     reporter.close()
     assert {(fact.level, fact.message) for fact in port.sent[-1].values()} == {(3, "PHM has stopped")}
     assert set(port.sent[-1]) == {SUMMARY, CONTAINER, NODE}
 
 
-def test_what_grows_is_capped() -> None:
+def test_the_size_of_an_array_is_limited() -> None:
     """Units, texts and values: an array must fit through the pipe."""
     long = unit("x/y", Slot.HOST, Level.WARN, "a\n" * 500, values={f"v{n}": "b" * 999 for n in range(99)})
     states = (long, *(unit(f"x/{n}", Slot.HOST) for n in range(2 * MAX_UNITS)))
@@ -163,15 +163,15 @@ def test_what_grows_is_capped() -> None:
 
 
 def test_a_contract_key_is_not_replaced_by_a_measured_one() -> None:
-    """A check's own `fault` or `slot` does not hide PHM's."""
+    """A check's own value `fault` or `slot` does not hide PHM's."""
     reporter, port = make((unit("x", Slot.HOST, values={"slot": 99, "flag": True, "none": None}),))
     reporter.tick()
     values = port.sent[-1]["phm/agent_1/ros: x"].values
     assert (values["slot"], values["flag"], values["none"]) == ("9", "true", "")
 
 
-def test_a_child_that_takes_nothing_is_a_problem() -> None:
-    """One array that had to wait is none; five in a row are."""
+def test_a_child_that_accepts_nothing_is_a_problem() -> None:
+    """One array that had to wait is not a problem; five consecutive ones are."""
     reporter, port = make()
     port.not_taken = 4
     reporter.tick()
@@ -181,8 +181,8 @@ def test_a_child_that_takes_nothing_is_a_problem() -> None:
     assert "last 5 arrays" in reporter.problem()
 
 
-def test_faults_from_before_a_restart_of_phm_are_known() -> None:
-    """They were reported then, and are open."""
+def test_faults_from_before_a_restart_of_phm_are_published() -> None:
+    """They were reported then, and are still open."""
     settings = Settings.model_validate({"ros": ROS})
     port = Port()
     made = DiagnosticsReporter.build(replace(context(settings), ros=port, restored=(fault(DEAD),)))
@@ -191,8 +191,8 @@ def test_faults_from_before_a_restart_of_phm_are_known() -> None:
     assert port.sent[-1][SUMMARY].message == "1 open fault: node_1 dead"
 
 
-def test_it_is_there_when_ros_is_used_and_not_refused() -> None:
-    """By default with nodes, topics or watched diagnostics; by itself when asked for; never without a ROS child."""
+def test_the_reporter_exists_when_ros_is_used_and_not_disabled() -> None:
+    """By default with nodes, topics or watched diagnostics; also alone when enabled; never without a ROS child."""
 
     def built(ros: Any, port: Port | None = PORT) -> bool:
         settings = Settings.model_validate({"ros": ros})

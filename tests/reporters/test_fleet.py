@@ -1,4 +1,4 @@
-"""What the reporter has published and when, with a link that keeps it and a clock that the test moves."""
+"""What the reporter publishes and when, with a link that keeps it and a clock that the test moves."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CONNECTED = FleetFact(True, 100.0, "", 3, 1, 900, 1, ())
 
 
 class Link:
-    """Keeps what it is given."""
+    """Keeps what is published."""
 
     def __init__(self) -> None:
         self.put_: list[dict[str, Any]] = []
@@ -64,13 +64,13 @@ class Bench:
         return self.link.put_[-1]
 
 
-def test_nothing_is_made_where_it_is_off() -> None:
+def test_no_reporter_exists_when_it_is_disabled() -> None:
     """By default there is no such reporter, and Zenoh is not imported."""
     assert FleetReporter.build(context(Settings())) is None
 
 
-def test_the_state_goes_out_at_once_and_again_from_time_to_time() -> None:
-    """The first tick publishes; the next when the refresh is due; the sequence counts on."""
+def test_the_state_is_published_immediately_and_refreshed() -> None:
+    """The first tick publishes; the next when the refresh is due; the sequence number continues."""
     bench = Bench()
     bench.fleet.tick()
     bench.fleet.tick()
@@ -81,7 +81,7 @@ def test_the_state_goes_out_at_once_and_again_from_time_to_time() -> None:
     assert bench.last["mono"] > bench.link.put_[0]["mono"]
 
 
-def test_before_the_first_report_is_complete_it_says_boot() -> None:
+def test_the_state_is_boot_before_the_first_report() -> None:
     """As the MAVLink heartbeat does."""
     bench = Bench()
     bench.fleet.tick()
@@ -99,7 +99,7 @@ def test_before_the_first_report_is_complete_it_says_boot() -> None:
 
 
 def test_a_change_is_published_immediately_and_a_burst_once() -> None:
-    """What follows within a moment waits for the next tick."""
+    """Changes within the next moment wait for the next tick."""
     bench = Bench()
     bench.fleet.tick()
     bench.clock.advance(1)
@@ -127,8 +127,8 @@ def test_a_change_is_published_once_more() -> None:
     assert [entry["mono"] - bench.link.put_[0]["mono"] for entry in bench.link.put_] == [0.0, 5.0, 5.0 + AGAIN_S]
 
 
-def test_a_fault_that_is_over_is_not_listed() -> None:
-    """Also one that was open before PHM was started again."""
+def test_a_closed_fault_is_not_listed() -> None:
+    """Also one that was open before PHM was restarted."""
     bench = Bench((DEAD,), restored=(fault(DEAD),))
     bench.fleet.tick()
     assert bench.last["open_faults"] == 1
@@ -137,8 +137,8 @@ def test_a_fault_that_is_over_is_not_listed() -> None:
     assert bench.last["open_faults"] == 0
 
 
-def test_a_stalled_engine_takes_the_presence_back() -> None:
-    """A dead man's switch: no token, no status, until checks come back."""
+def test_a_stalled_scheduler_withdraws_the_presence() -> None:
+    """A dead man's switch: no token, no status, until checks run again."""
     bench = Bench()
     bench.fleet.tick()
     assert bench.link.is_present is True
@@ -151,14 +151,14 @@ def test_a_stalled_engine_takes_the_presence_back() -> None:
     assert (bench.link.is_present, len(bench.link.put_)) == (True, 2)
 
 
-def test_an_end_on_purpose_is_said() -> None:
+def test_an_intended_shutdown_is_published() -> None:
     """The last status is POWEROFF."""
     bench = Bench()
     bench.fleet.close()
     assert bench.link.last["state"] == "POWEROFF"
 
 
-def test_only_a_long_loss_is_a_problem() -> None:
+def test_only_a_long_disconnection_is_a_problem() -> None:
     """Two deadlines without the fleet, or another PHM of the same name, are reported in slot 1."""
     bench = Bench()
     assert not bench.fleet.problem()
@@ -171,7 +171,7 @@ def test_only_a_long_loss_is_a_problem() -> None:
 
 
 def test_phm_status_shows_the_connection(capsys: Any) -> None:
-    """Whether it is connected, else why not."""
+    """Whether it is connected, otherwise the reason."""
     bench = Bench()
     document = {"agent": "agent_3", "checks": [], "health": {"reporters": {"fleet": bench.fleet.report()}}}
     render.status(document, "")

@@ -1,4 +1,4 @@
-"""A hold on its way to the ground: lines, status word, digest and what `phm gcs` makes of them."""
+"""A hold as the ground sees it: lines, status word, digest and the output of `phm gcs`."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def changed(target: str, *, began: bool, for_s: float = 1200.0, reason: str = "n
     ],
 )
 def test_a_hold_is_a_line(target: str, began: bool, for_s: float, reason: str, text: str) -> None:
-    """What, for how long and why; and that it is over. It is read back as a change that says nothing is bad."""
+    """Target, duration and reason; and its end. It is parsed as a change without a failure."""
     line = StatusTextBuilder(1).hold(changed(target, began=began, for_s=for_s, reason=reason))[0]
     assert (line.text, int(line.severity)) == (text, 5)
     found = statustext_parser.parse(line.text)
     assert found is not None and (found.kind, found.word, found.level) == (LineKind.CHANGE, "HOLD", None)
 
 
-def test_a_hold_fits_whatever_it_is_called() -> None:
+def test_a_hold_line_fits_whatever_its_target_is_called() -> None:
     """At most 50 printable characters, and the end stays recognizable."""
     for began in (True, False):
         text = StatusTextBuilder(250).hold(changed("x" * 128, began=began, reason="\x1bümlaut " * 40))[0].text
@@ -50,16 +50,16 @@ def test_a_hold_fits_whatever_it_is_called() -> None:
         assert text.endswith(" released") is not began
 
 
-def test_the_refresh_says_hold_where_all_that_is_not_known_is_on_hold() -> None:
-    """Anything that is bad or not known for another reason goes first."""
+def test_the_refresh_says_hold_when_all_unknown_units_are_on_hold() -> None:
+    """A bad unit, or one unknown for another reason, comes first."""
     assert status_line.refresh(1, [HELD, BELOW, WELL]) == "A01 HOLD --1----- 2 ros_app on hold"
     assert status_line.refresh(1, [HELD, replace(BELOW, blocked_by=""), WELL]) == "A01 STALE --1----- 2"
     bad = unit("files/b", Slot.FILES, Level.ERROR, brief="b missing")
     assert status_line.refresh(1, [HELD, bad]).startswith("A01 FAIL ")
 
 
-def test_a_held_slot_is_not_a_failed_one() -> None:
-    """Neither in the status word and in the heartbeat's state, nor in the digest of the swarm."""
+def test_a_held_slot_is_not_a_failed_slot() -> None:
+    """Neither in the status word and the heartbeat's state, nor in the digest of the swarm."""
     states: tuple[UnitState, ...] = (HELD, BELOW, WELL)
     word = status_word.encode(worst_by_slot(states))
     assert status_word.decode(word) == {Slot.FILES: Level.OK}
@@ -67,19 +67,19 @@ def test_a_held_slot_is_not_a_failed_one() -> None:
     assert digest.worst_slot(word)[0] is Level.OK
 
 
-def test_what_is_still_bad_after_a_hold_is_said_again() -> None:
-    """Once it is on hold, the failure that was reported before is no longer current for the ground."""
-    teller = StatusTextBuilder(1)
+def test_a_failure_that_outlasts_a_hold_is_reported_again() -> None:
+    """After a hold, the ground must not rely on the failure that was reported before it."""
+    builder = StatusTextBuilder(1)
     bad = replace(unit("container/ros_app", Slot.CONTAINER, Level.ERROR, brief="ros_app exited"), fault="ab12-1")
-    teller.fault(opened(bad))
-    first = teller.transition(transition(bad))
-    teller.transition(transition(replace(HELD, fault="ab12-1"), Level.ERROR))
-    again = teller.transition(transition(bad, Level.STALE))
+    builder.fault(opened(bad))
+    first = builder.transition(transition(bad))
+    builder.transition(transition(replace(HELD, fault="ab12-1"), Level.ERROR))
+    again = builder.transition(transition(bad, Level.STALE))
     assert [line.text for line in first] == [line.text for line in again] == ["A01 FAIL 2 ros_app exited"]
 
 
 def test_the_ground_shows_a_hold_and_its_end() -> None:
-    """By the line that begins it, and by each refresh."""
+    """From the line that begins it, and from each refresh."""
     ground = Ground()
 
     def how() -> tuple[str, bool]:

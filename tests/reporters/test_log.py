@@ -1,4 +1,4 @@
-"""The JSON log is the record: every event, complete, one line each, whatever ends the process."""
+"""The JSON log is the record: every event, complete, one line each, however the process ends."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def make(directory: Path, clock: FakeClock | None = None, **log: object) -> LogR
 
 
 def written(directory: Path, *events: Event) -> list[dict[str, object]]:
-    """What the events become, without the first line (`start`)."""
+    """The lines of the events, without the first line (`start`)."""
     log = make(directory)
     for event in events:
         log.handle(event)
@@ -49,7 +49,7 @@ def written(directory: Path, *events: Event) -> list[dict[str, object]]:
     return list(json_log.read(directory))[1:]
 
 
-def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
+def test_every_line_has_agent_boot_number_and_time(tmp_path: Path) -> None:
     """Agent, boot, number and both clocks are in each line, and numbers have no gap."""
     started = ReportStarted(at(), 1)
     report = Report(at(2), 1, at(), (DEAD, unit("host", Slot.HOST)))
@@ -74,7 +74,7 @@ def test_every_line_says_who_where_and_when(tmp_path: Path) -> None:
     assert (first["utc"], first["utc_s"], first["mono"]) == ("2026-03-01T12:00:00.123Z", 1772366400.123, 100.0)
 
 
-def test_a_transition_carries_all_that_is_known(tmp_path: Path) -> None:
+def test_a_transition_has_all_keys(tmp_path: Path) -> None:
     """The keys of `docs/reference/logs.md`, with their values."""
     (line,) = written(tmp_path, transition(DEAD))
     assert {key: line[key] for key in set(line) - HEAD} == {
@@ -100,7 +100,7 @@ def test_a_transition_carries_all_that_is_known(tmp_path: Path) -> None:
 
 
 def test_a_fault_is_recorded_from_opening_to_outcome(tmp_path: Path) -> None:
-    """Opened, acted upon and closed share the fault's id; the closing line has outcome, by and duration."""
+    """Opened, acted upon and closed lines share the fault's id; the closing line has outcome, by and duration."""
     act = ActionEvent(at(1), "ab12-1", DEAD.unit, "restart", "ros_app", Phase.STARTED, "", 1)
     lines = written(tmp_path, transition(DEAD), opened(DEAD), act, closed(DEAD, Outcome.RESOLVED, "restart", 4.5))
     assert [line["event"] for line in lines] == ["transition", "fault_opened", "action", "fault_closed"]
@@ -111,7 +111,7 @@ def test_a_fault_is_recorded_from_opening_to_outcome(tmp_path: Path) -> None:
     assert (end["outcome"], end["by"], end["duration_s"], end["kind"]) == ("resolved", "restart", 4.5, "RESOLVED")
 
 
-def test_a_report_says_counts_array_and_slots(tmp_path: Path) -> None:
+def test_a_report_has_counts_array_and_slots(tmp_path: Path) -> None:
     """The same numbers as in the text log; unknown and unused slots are null."""
     line = written(tmp_path, Report(at(2), 3, at(), (DEAD, unit("host", Slot.HOST))))[-1]
     assert (line["successes"], line["failures"], line["number"], line["took_s"]) == (0, 1, 3, 2.0)
@@ -120,7 +120,7 @@ def test_a_report_says_counts_array_and_slots(tmp_path: Path) -> None:
 
 
 def test_both_files_contain_the_same_events(tmp_path: Path) -> None:
-    """The text log is written beside the record, in its own words."""
+    """The text log is written beside the record, in its own format."""
     written(tmp_path, transition(DEAD))
     assert (tmp_path / "phm.log").read_text() == (
         "2026-03-01 12:00:00.123 ---- FAILURE: (6) "
@@ -129,7 +129,7 @@ def test_both_files_contain_the_same_events(tmp_path: Path) -> None:
 
 
 def test_text_from_outside_cannot_forge_an_event(tmp_path: Path) -> None:
-    """Line breaks, separators and lone surrogates stay inside their JSON string, and come back unchanged."""
+    """Line breaks, separators and lone surrogates stay inside their JSON string, and are read back unchanged."""
     evil = 'x"}\n{"v":1,"event":"fault_closed"}\u2028\x00\udcff'
     (line,) = written(tmp_path, Note(at(), "DOCKER", evil))
     assert line["text"] == evil
@@ -138,8 +138,8 @@ def test_text_from_outside_cannot_forge_an_event(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("char", ["x", "\x00", "無"])
-def test_an_event_without_bound_is_cut(tmp_path: Path, char: str) -> None:
-    """However much a check says, a line fits into the smallest log, stays JSON and is marked."""
+def test_an_oversized_event_is_cut(tmp_path: Path, char: str) -> None:
+    """However long a check's result is, a line fits into the smallest log, stays JSON and is marked."""
     long = char * 100_000
     huge = unit(
         "nodes/a", Slot.NODES, Level.ERROR, long, brief=long, condition=long, values={f"k{n}": n for n in range(5000)}
@@ -153,7 +153,7 @@ def test_an_event_without_bound_is_cut(tmp_path: Path, char: str) -> None:
 
 
 def test_lost_lines_leave_a_line_that_explains_the_gap(tmp_path: Path) -> None:
-    """Numbers go on without a gap but for one `lost` event, whose `lines` is the size of the gap."""
+    """Numbers continue without a gap except for one `lost` event, whose `lines` is the size of the gap."""
     clock = FakeClock()
     (tmp_path / "logs").write_text("in the way")
     log = make(tmp_path / "logs", clock)
@@ -176,8 +176,8 @@ def test_lost_lines_leave_a_line_that_explains_the_gap(tmp_path: Path) -> None:
     assert text[0] == "2026-03-01 12:00:08.123 ---- PHM: 9 lines before this one were lost: File exists"
 
 
-def test_sync_is_asked_for_faults_and_reports_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`log.sync` waits for the disk after what matters, not after each line: SD cards wear."""
+def test_only_faults_and_reports_are_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`log.sync` waits for the disk after important events, not after each line: SD cards wear out."""
     synced: list[int] = []
     monkeypatch.setattr(os, "fdatasync", synced.append)
     log = make(tmp_path, sync=True)
@@ -207,8 +207,8 @@ while True:
 """
 
 
-def test_sigkill_loses_no_line_that_was_handed_over(tmp_path: Path) -> None:
-    """A process killed in the middle of writing leaves everything that `handle` had returned from."""
+def test_sigkill_loses_no_accepted_line(tmp_path: Path) -> None:
+    """A process killed in the middle of writing leaves every line for which `handle` had returned."""
     with subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         for line in process.stdout:
@@ -227,8 +227,8 @@ def test_sigkill_loses_no_line_that_was_handed_over(tmp_path: Path) -> None:
     assert [int(number) for number in text if number][:handed_over] == list(range(1, handed_over + 1))
 
 
-def test_a_torn_record_is_readable_and_goes_on(tmp_path: Path) -> None:
-    """After a power cut the torn line and zero bytes are skipped, and the next boot's lines follow."""
+def test_a_truncated_record_is_readable_and_continued(tmp_path: Path) -> None:
+    """After a power cut the truncated line and zero bytes are skipped, and the next boot's lines follow."""
     written(tmp_path, Note(at(), "PHM", "first"))
     whole = (tmp_path / "phm.jsonl").read_bytes()
     (tmp_path / "phm.jsonl").write_bytes(whole[:-20] + bytes(100))
@@ -238,7 +238,7 @@ def test_a_torn_record_is_readable_and_goes_on(tmp_path: Path) -> None:
 
 
 def test_the_reader_takes_rotated_files_in_order_and_skips_other_lines(tmp_path: Path) -> None:
-    """Oldest first, by number and not by name; foreign files and lines do not disturb."""
+    """Oldest first, by number and not by name; foreign files and lines are ignored."""
     for number in (1, 2, 10):
         (tmp_path / f"phm.jsonl.{number}").write_text(json.dumps({"seq": 100 - number}) + "\n[1]\nnull\n")
     (tmp_path / "phm.jsonl").write_text('{"seq": 100}\n\n{"seq": 101}\n{"seq": 1')
@@ -249,7 +249,7 @@ def test_the_reader_takes_rotated_files_in_order_and_skips_other_lines(tmp_path:
 
 
 def test_a_rotation_while_reading_neither_repeats_nor_skips(tmp_path: Path) -> None:
-    """What was there when reading began is read once, though files are renamed meanwhile."""
+    """The lines that exist when reading begins are read once, though files are renamed meanwhile."""
     for name, seq in (("phm.jsonl.1", 1), ("phm.jsonl", 2)):
         (tmp_path / name).write_text(json.dumps({"seq": seq}) + "\n")
     reader = json_log.read(tmp_path)

@@ -51,7 +51,7 @@ class Scene:
         self.reporter = built
 
     def become(self, unit: str, level: Level, brief: str = "", *, blocked_by: str = "", by: str = "itself") -> None:
-        """Move a unit to a level, with the events that the tracker sends, in its order."""
+        """Change the level of a unit, with the events that the tracker sends, in its order."""
         old, now = self.units[unit], self.clock.stamp()
         fault = Fault("F1", unit, old.slot, old.layer, old.result, now, by=by)
         opens = level is Level.ERROR and not old.fault
@@ -77,7 +77,7 @@ class Scene:
             self.reporter.tick()
 
     def running(self) -> Scene:
-        """After the first report and its refresh line, with nothing remembered as sent."""
+        """A scene after the first report and its refresh line, with no sent messages remembered."""
         self.reporter.tick()
         self.report()
         self.reporter.tick()
@@ -94,7 +94,7 @@ def status(scene: Scene) -> int:
 
 
 def test_a_fault_is_reported_once_at_its_severity() -> None:
-    """A lost mission function is CRITICAL, anything else lost is ERROR, and time alone repeats neither."""
+    """A lost mission function is CRITICAL, any other loss is ERROR, and neither is repeated as time passes."""
     scene = Scene().running()
     scene.become("nodes/a", Level.ERROR, "a dead")
     scene.become("host", Level.ERROR, "disk / 99%")
@@ -103,8 +103,8 @@ def test_a_fault_is_reported_once_at_its_severity() -> None:
     assert [line for line in lines if line[0] <= 5] == [(2, "A01 FAIL 6 a dead"), (3, "A01 FAIL 9 disk / 99%")]
 
 
-def test_the_end_of_a_fault_says_who_ended_it() -> None:
-    """One NOTICE, with the action that healed it, or that it went by itself."""
+def test_the_end_of_a_fault_names_its_cause() -> None:
+    """One NOTICE, with the action that recovered it, or that it recovered without one."""
     scene = Scene().running()
     for by, words in (("restart", "restarted"), ("itself", "recovered")):
         scene.become("nodes/a", Level.ERROR, "a dead")
@@ -113,7 +113,7 @@ def test_the_end_of_a_fault_says_who_ended_it() -> None:
         assert scene.port.lines() == [(5, f"A01 OK 6 a {words}")]
 
 
-def test_a_warning_comes_and_goes() -> None:
+def test_a_warning_and_its_end_are_each_reported_once() -> None:
     """WARNING once, then a NOTICE that it is over."""
     scene = Scene().running()
     scene.become("host", Level.WARN, "disk / 88%")
@@ -121,8 +121,8 @@ def test_a_warning_comes_and_goes() -> None:
     assert scene.port.lines() == [(4, "A01 WARN 9 disk / 88%"), (5, "A01 OK 9 cleared: disk / 88%")]
 
 
-def test_a_change_of_words_is_a_change() -> None:
-    """A second network lost while the first still is: the operator hears it; the same text is not sent again."""
+def test_a_changed_brief_is_reported() -> None:
+    """A second network is lost while the first one still is: the operator gets a line; the same text is not sent again."""
     scene = Scene().running()
     scene.become("nodes/a", Level.ERROR, "a dead")
     scene.become("nodes/a", Level.ERROR, "a, b dead")
@@ -130,8 +130,8 @@ def test_a_change_of_words_is_a_change() -> None:
     assert [words for _, words in scene.port.lines()] == ["A01 FAIL 6 a dead", "A01 FAIL 6 a, b dead"]
 
 
-def test_what_follows_from_another_fault_says_nothing() -> None:
-    """STALE is silent, blocked or not; coming back from it is silent too when no failure was sent."""
+def test_a_consequence_of_another_fault_is_not_reported() -> None:
+    """STALE is silent, blocked or not; so is its end when no failure was sent."""
     scene = Scene().running()
     scene.become("nodes/a", Level.STALE, blocked_by="container/app")
     scene.become("nodes/a", Level.OK)
@@ -139,7 +139,7 @@ def test_what_follows_from_another_fault_says_nothing() -> None:
     assert scene.port.lines() == []
 
 
-def test_not_knowing_for_a_while_repeats_nothing() -> None:
+def test_an_unknown_period_repeats_no_alarm() -> None:
     """ERROR, STALE, ERROR of the same fault is one alarm."""
     scene = Scene().running()
     scene.become("nodes/a", Level.ERROR, "a dead")
@@ -148,8 +148,8 @@ def test_not_knowing_for_a_while_repeats_nothing() -> None:
     assert len(scene.port.lines()) == 1
 
 
-def test_a_fault_found_to_follow_from_another_is_taken_back() -> None:
-    """A reattributed fault is reported as recovered when its unit is OK."""
+def test_a_reattributed_fault_is_cleared() -> None:
+    """It is reported as recovered when its unit is OK."""
     scene = Scene().running()
     scene.become("nodes/a", Level.ERROR, "a dead")
     scene.become("nodes/a", Level.STALE, blocked_by="container/app")
@@ -181,8 +181,10 @@ def act(scene: Scene, phase: Phase, fault: str = "ab12-17") -> None:
     scene.reporter.handle(ActionEvent(scene.clock.stamp(), fault, "container/app", "restart", "app", phase))
 
 
-def test_what_an_operator_may_approve_has_its_number() -> None:
-    """The number of the fault, by which the ground approves; a station that connects later gets it, too, until it ends."""
+def test_an_action_to_approve_has_its_number() -> None:
+    """The number of the fault, by which the ground approves; a station that connects later gets it, too, until the
+    fault ends.
+    """
     scene = Scene().running()
     scene.become("container/app", Level.ERROR, "app exited")
     scene.port.sent.clear()
@@ -210,14 +212,14 @@ def test_what_an_operator_may_approve_has_its_number() -> None:
     ],
 )
 def test_the_result_of_an_operators_request_is_reported(phase: Phase, expected: list[tuple[int, str]]) -> None:
-    """No fault is open, so nothing else would report it."""
+    """No fault is open, so no other line would report it."""
     scene = Scene().running()
     act(scene, phase, fault="")
     assert scene.port.lines() == expected
 
 
-def test_the_refresh_comes_at_its_period_as_info() -> None:
-    """From the first report on, one INFO line a period: the array and the worst unit."""
+def test_the_refresh_is_sent_at_its_period_as_info() -> None:
+    """From the first report on, one INFO line per period: the array and the worst unit."""
     scene = Scene(refresh=10).running()
     scene.become("nodes/a", Level.ERROR, "a dead")
     scene.port.sent.clear()
@@ -225,8 +227,8 @@ def test_the_refresh_comes_at_its_period_as_info() -> None:
     assert scene.port.lines() == [(6, "A01 FAIL -1---0-- 6 a dead")] * 3
 
 
-def test_the_refresh_follows_the_size_of_the_swarm() -> None:
-    """Without `mavlink.refresh` the line comes every 10 s for a small swarm, every 60 s for a large one."""
+def test_the_refresh_period_depends_on_the_size_of_the_swarm() -> None:
+    """Without `mavlink.refresh` the line is sent every 10 s in a small swarm, every 60 s in a large one."""
     scene = Scene().running()
     scene.pass_time(21.0)
     assert scene.port.lines() == [(6, "A01 OK -1---1--")] * 2
@@ -242,15 +244,15 @@ def test_heartbeats_carry_the_status_word() -> None:
     scene = Scene(heartbeat=2).running()
     scene.become("nodes/a", Level.WARN, "a slow")
     scene.pass_time(20.05)
-    beats = scene.port.heartbeats()
-    assert len(beats) == 10
-    beat = beats[-1]
-    assert (beat.type, beat.autopilot, beat.base_mode) == (18, 8, 0)
+    heartbeats = scene.port.heartbeats()
+    assert len(heartbeats) == 10
+    heartbeat = heartbeats[-1]
+    assert (heartbeat.type, heartbeat.autopilot, heartbeat.base_mode) == (18, 8, 0)
     levels = {Slot.CONTAINER: Level.OK, Slot.NODES: Level.WARN, Slot.HOST: Level.OK}
-    assert status_word.decode(beat.custom_mode) == levels
+    assert status_word.decode(heartbeat.custom_mode) == levels
 
 
-def test_the_system_status_says_how_bad_it_is() -> None:
+def test_the_system_status_is_the_severity() -> None:
     """BOOT before the first report, then ACTIVE, CRITICAL when degraded, EMERGENCY when the mission function is lost."""
     scene = Scene()
     scene.reporter.tick()
@@ -266,7 +268,7 @@ def test_the_system_status_says_how_bad_it_is() -> None:
 
 
 def test_the_dead_mans_switch_silences_heartbeat_and_refresh() -> None:
-    """When the engine stalls nothing claims that it looks; when it is back both go on."""
+    """When the scheduler stalls, no message claims that checks run; when it is back both are sent again."""
     scene = Scene(refresh=5).running()
     scene.alive = False
     scene.pass_time(30.0)
@@ -276,7 +278,7 @@ def test_the_dead_mans_switch_silences_heartbeat_and_refresh() -> None:
     assert sorted(message.get_type() for message in scene.port.sent) == ["HEARTBEAT", "STATUSTEXT"]
 
 
-def test_a_new_ground_station_hears_everything_once() -> None:
+def test_a_new_ground_station_receives_the_full_state_once() -> None:
     """Heartbeat, each bad unit at its severity, the refresh; then nothing more for the same station."""
     scene = Scene().running()
     gcs = Sender(255, 190)
@@ -294,8 +296,8 @@ def test_a_new_ground_station_hears_everything_once() -> None:
     ]
 
 
-def test_a_ground_station_that_was_lost_hears_everything_again() -> None:
-    """Silence for longer than `gcs_timeout` means that it missed what was sent meanwhile."""
+def test_a_returning_ground_station_receives_the_full_state_again() -> None:
+    """Silence for longer than `gcs_timeout` means that it missed the messages sent meanwhile."""
     scene = Scene(gcs_timeout=10).running()
     gcs = Sender(255, 190)
     scene.become("nodes/a", Level.ERROR, "a dead")
@@ -321,7 +323,7 @@ def test_answers_of_a_swarm_are_spread() -> None:
 
 
 @pytest.mark.parametrize(("system", "kind"), [(255, mavlink.MAV_TYPE_QUADROTOR), (1, mavlink.MAV_TYPE_GCS)])
-def test_other_senders_are_no_ground_station(system: int, kind: int) -> None:
+def test_other_senders_are_not_ground_stations(system: int, kind: int) -> None:
     """Another vehicle, or a program on board that acts as a ground station, gets no answer."""
     scene = Scene().running()
     scene.port.hear(Sender(system, 190).received(heartbeat(kind=kind)))
@@ -329,8 +331,8 @@ def test_other_senders_are_no_ground_station(system: int, kind: int) -> None:
     assert scene.port.lines() == []
 
 
-def test_a_storm_of_changes_stays_within_the_budget_gravest_first() -> None:
-    """Through a real outbox: each unit's newest word is what is sent, mission functions before the rest."""
+def test_a_burst_of_changes_stays_within_the_budget_worst_first() -> None:
+    """Through a real send queue: each unit's latest state is sent, mission functions before the rest."""
     scene = Scene().running()
     outbox, codec = SendQueue(scene.clock, 158.0), Codec(1, 193, lambda _: False)
     scene.port.to = lambda message, kind, key, urgency: outbox.put(message, codec.size(message), kind, key, urgency)
@@ -349,15 +351,15 @@ def test_a_storm_of_changes_stays_within_the_budget_gravest_first() -> None:
 
 
 def test_a_flapping_unit_is_reported_as_such_and_again_when_it_is_stable() -> None:
-    """Three failures in a minute, one warning, silence; then how it is."""
+    """Three failures in a minute, one warning, silence; then its state."""
     scene = Scene(refresh=600).running()
     for _ in range(10):
         scene.become("nodes/a", Level.ERROR, "a dead")
         scene.pass_time(2.0)
         scene.become("nodes/a", Level.OK)
         scene.pass_time(2.0)
-    told = [words for severity, words in scene.port.lines() if severity < 6]
-    assert told == ["A01 FAIL 6 a dead", "A01 OK 6 a recovered"] * 2 + [
+    changes_sent = [words for severity, words in scene.port.lines() if severity < 6]
+    assert changes_sent == ["A01 FAIL 6 a dead", "A01 OK 6 a recovered"] * 2 + [
         "A01 FAIL 6 a dead",
         "A01 WARN 6 flapping: a dead",
     ]
@@ -367,8 +369,8 @@ def test_a_flapping_unit_is_reported_as_such_and_again_when_it_is_stable() -> No
     assert scene.port.lines() == [(2, "A01 FAIL 6 a dead")]
 
 
-def test_lost_events_are_made_up_for_at_the_refresh() -> None:
-    """A queue that overflowed must not leave a fault untold, nor one that is over standing."""
+def test_lost_events_are_compensated_at_the_refresh() -> None:
+    """A queue that overflowed must not leave a fault unreported, nor a closed one listed."""
     scene = Scene(refresh=10).running()
     well = scene.units["nodes/a"]
     scene.units["nodes/a"] = replace(well, level=Level.ERROR, result=Result(Level.ERROR, "", "a dead"), fault="F9")
@@ -380,13 +382,15 @@ def test_lost_events_are_made_up_for_at_the_refresh() -> None:
 
 
 def test_no_reporter_is_built_without_endpoints() -> None:
-    """An agent without MAVLink pays nothing for it."""
+    """An agent without MAVLink has no cost for it."""
     context = ReporterContext(settings(), FakeClock(), "boot", tuple, lambda: True, dict, None)
     assert MavlinkReporter.build(context) is None
 
 
-def test_behind_a_bad_radio_a_change_is_followed_by_refreshes() -> None:
-    """Its line may be lost on the air; the refresh is INFO and is not spoken. Where the radio is well it comes at its period."""
+def test_a_change_over_a_bad_radio_is_followed_by_refreshes() -> None:
+    """Its line may be lost on the radio link; the refresh is INFO and is not spoken. Over a good radio it is sent at
+    its period.
+    """
     scene = Scene(refresh=60).running()
     scene.become("nodes/a", Level.ERROR, "a dead")
     scene.pass_time(6.0)
@@ -403,7 +407,7 @@ def test_behind_a_bad_radio_a_change_is_followed_by_refreshes() -> None:
 
 
 def test_a_hold_and_its_end_are_reported_once() -> None:
-    """NOTICE: somebody wants it so."""
+    """As NOTICE, since an operator requested it."""
     scene = Scene().running()
     now = scene.clock.stamp()
     for began in (True, False):

@@ -1,4 +1,4 @@
-"""The reporters of one PHM: what one does wrong is its own affair."""
+"""The reporters of one PHM: a failure of one does not affect the others."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from tests.fakes.records import at, context
 
 
 class Plain(Reporter):
-    """Remembers the events that it received."""
+    """Records the events that it received."""
 
     name = "plain"
-    heard: ClassVar[list[Event]] = []
+    received: ClassVar[list[Event]] = []
     closed = 0
 
     @classmethod
@@ -30,7 +30,7 @@ class Plain(Reporter):
         return cls()
 
     def handle(self, event: Event) -> None:
-        self.heard.append(event)
+        self.received.append(event)
 
     def problem(self) -> str:
         return f"{self.name} has a problem"
@@ -56,10 +56,10 @@ class Unclosable(Plain):
         raise OSError("gone")
 
 
-def test_a_reporter_that_fails_costs_the_others_nothing(
+def test_a_failing_reporter_does_not_affect_the_others(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Not loaded, not built, not wanted, not closed: the others are built, get events, are asked and closed."""
+    """Not loaded, not built, not enabled, not closed: the others are built, get events, are queried and closed."""
     kinds = {"a_broken": Unbuildable, "b_unwanted": Unwanted, "c_stuck": Unclosable, "plain": Plain}
     found = [Plugin(name, "test 1.0", kind) for name, kind in kinds.items()]
     monkeypatch.setattr(registry, "find", lambda group, base: [Plugin("x", "test 1.0", None, "no module"), *found])
@@ -68,7 +68,7 @@ def test_a_reporter_that_fails_costs_the_others_nothing(
     reporters.start(context(Settings()))
     bus.publish(Note(at(), "PHM", "hello"))
     bus.close()
-    assert len(Plain.heard) == 2
+    assert len(Plain.received) == 2
     assert reporters.problems() == ["plain has a problem"] * 2
     closing = ShutdownSequence(SystemClock(), 60.0)
     for name, close in reporters.closers():

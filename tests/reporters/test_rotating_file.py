@@ -1,4 +1,4 @@
-"""Lines reach the disk, whatever happens to the disk."""
+"""Lines reach the disk, whatever happens to it."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def make(path: Path, clock: FakeClock | None = None, *, max_size: int = 10_000, 
     return RotatingFile(str(path), max_size=max_size, files=files, clock=clock or FakeClock(), lost_line=lost)
 
 
-def test_lines_are_there_as_soon_as_they_were_handed_over(tmp_path: Path) -> None:
-    """Nothing is kept in user space: another reader sees each line at once, without close."""
+def test_lines_are_written_immediately(tmp_path: Path) -> None:
+    """Nothing is buffered in user space: another reader sees each line immediately, without close."""
     lines = make(tmp_path / "log")
     for number in range(3):
         lines.write(b"line %d" % number)
@@ -35,7 +35,7 @@ def test_lines_are_there_as_soon_as_they_were_handed_over(tmp_path: Path) -> Non
 
 
 def test_rotation_keeps_the_newest_files(tmp_path: Path) -> None:
-    """The file is renamed before it passes the size; the oldest of the kept ones goes."""
+    """The file is renamed before it exceeds the size; the oldest of the kept ones is removed."""
     lines = make(tmp_path / "log", max_size=100, files=2)
     for number in range(100):
         lines.write(b"%019d" % number)
@@ -52,7 +52,9 @@ def test_rotation_keeps_the_newest_files(tmp_path: Path) -> None:
 def test_all_files_together_never_exceed_the_cap(
     tmp_path_factory: pytest.TempPathFactory, lengths: list[int], files: int, reopen: list[bool]
 ) -> None:
-    """At most (files + 1) * max_size bytes, whatever the lines and however often PHM restarts; the rest is in order."""
+    """At most (files + 1) * max_size bytes, whatever the lines and however often PHM restarts; the kept lines are in
+    order.
+    """
     where = tmp_path_factory.mktemp("rotate")
     lines = make(where / "log", max_size=100, files=files)
     for index, length in enumerate(lengths):
@@ -71,7 +73,7 @@ def test_all_files_together_never_exceed_the_cap(
 
 
 def test_files_beyond_a_smaller_number_are_removed(tmp_path: Path) -> None:
-    """A configuration that keeps fewer files frees what an earlier one kept, and touches nothing else."""
+    """A configuration that keeps fewer files removes those that an earlier one kept, and touches nothing else."""
     for name in ("log.1", "log.7", "log.old", "other.9"):
         (tmp_path / name).write_text("x\n")
     make(tmp_path / "log", files=2).write(b"line")
@@ -79,7 +81,7 @@ def test_files_beyond_a_smaller_number_are_removed(tmp_path: Path) -> None:
 
 
 def test_an_operators_copy_is_never_removed(tmp_path: Path) -> None:
-    """Only names that rotation itself gives are pruned: .1 to .100, no leading zero; a date is not one of them."""
+    """Only names that rotation creates are removed: .1 to .100, without a leading zero; a date is not one of them."""
     theirs = ["log.007", "log.101", "log.20261121", "log.3.gz", "log.\u0663"]
     for name in theirs:
         (tmp_path / name).write_text("theirs\n")
@@ -88,8 +90,8 @@ def test_an_operators_copy_is_never_removed(tmp_path: Path) -> None:
     assert sorted(entry.name for entry in tmp_path.iterdir()) == sorted(["log", *theirs])
 
 
-def test_what_cannot_be_pruned_does_not_keep_the_log_from_being_written(tmp_path: Path) -> None:
-    """A directory or a link with the name of a rotated file stays where it is, and lines are written beside it."""
+def test_a_file_that_cannot_be_removed_does_not_stop_the_log(tmp_path: Path) -> None:
+    """A directory or a link with the name of a rotated file stays in place, and lines are written beside it."""
     (tmp_path / "log.7").mkdir()
     (tmp_path / "log.8").symlink_to(tmp_path / "nowhere")
     lines = make(tmp_path / "log", files=2)
@@ -99,8 +101,8 @@ def test_what_cannot_be_pruned_does_not_keep_the_log_from_being_written(tmp_path
     assert (tmp_path / "log.7").is_dir() and (tmp_path / "log.8").is_symlink()
 
 
-def test_rotation_goes_round_a_directory_in_its_way(tmp_path: Path) -> None:
-    """A directory named as a rotated file is neither moved nor replaced; the other names are used."""
+def test_rotation_skips_a_directory_in_its_way(tmp_path: Path) -> None:
+    """A directory named like a rotated file is neither moved nor replaced; the other names are used."""
     (tmp_path / "log.1").mkdir()
     (tmp_path / "log.1" / "kept").write_text("theirs\n")
     lines = make(tmp_path / "log", max_size=100, files=3)
@@ -112,8 +114,8 @@ def test_rotation_goes_round_a_directory_in_its_way(tmp_path: Path) -> None:
     assert kept == list(range(85, 100))
 
 
-def test_with_no_name_to_rotate_to_the_newest_lines_are_kept(tmp_path: Path) -> None:
-    """Where every rotated name is a directory, the file is begun again: it neither grows beyond its size nor stops."""
+def test_the_newest_lines_are_kept_without_a_name_to_rotate_to(tmp_path: Path) -> None:
+    """Where every rotated name is a directory, the file is truncated: it neither exceeds its size nor stops."""
     (tmp_path / "log.1").mkdir()
     lines = make(tmp_path / "log", max_size=100, files=1)
     for number in range(12):
@@ -122,8 +124,8 @@ def test_with_no_name_to_rotate_to_the_newest_lines_are_kept(tmp_path: Path) -> 
     assert [int(line) for line in (tmp_path / "log").read_text().split()] == [10, 11]
 
 
-def test_a_torn_last_line_stays_by_itself(tmp_path: Path) -> None:
-    """After a power cut the next line starts on a new line, and the torn piece is kept."""
+def test_a_truncated_last_line_stays_separate(tmp_path: Path) -> None:
+    """After a power cut the next line starts on a new line, and the truncated one is kept."""
     (tmp_path / "log").write_bytes(b"whole\ntor")
     lines = make(tmp_path / "log")
     lines.write(b"next")
@@ -132,7 +134,7 @@ def test_a_torn_last_line_stays_by_itself(tmp_path: Path) -> None:
 
 
 def test_a_log_moved_away_is_created_again(tmp_path: Path) -> None:
-    """After someone else's rotation or deletion, lines go into a file of the right name."""
+    """After rotation or deletion by another program, lines go into a file with the right name."""
     lines = make(tmp_path / "log")
     lines.write(b"one")
     (tmp_path / "log").rename(tmp_path / "taken")
@@ -143,8 +145,8 @@ def test_a_log_moved_away_is_created_again(tmp_path: Path) -> None:
     assert (tmp_path / "log").read_bytes() == b"three\n"
 
 
-def test_a_vanished_directory_is_made_again(tmp_path: Path) -> None:
-    """Deleting the log directory under the running daemon costs no later line."""
+def test_a_deleted_directory_is_created_again(tmp_path: Path) -> None:
+    """Deleting the log directory under the running daemon loses no later line."""
     lines = make(tmp_path / "logs" / "log")
     lines.write(b"one")
     shutil.rmtree(tmp_path / "logs")
@@ -153,8 +155,8 @@ def test_a_vanished_directory_is_made_again(tmp_path: Path) -> None:
     assert lines.problem() == ""
 
 
-def test_what_cannot_be_written_waits_in_order_and_is_written_later(tmp_path: Path) -> None:
-    """Lines are kept while the directory cannot be made, `problem` says so, and none is lost or reordered."""
+def test_unwritable_lines_are_queued_and_written_later(tmp_path: Path) -> None:
+    """Lines are kept while the directory cannot be created, `problem` reports it, and none is lost or reordered."""
     clock = FakeClock()
     (tmp_path / "logs").write_text("a file in the way")
     lines = make(tmp_path / "logs" / "log", clock)
@@ -162,7 +164,7 @@ def test_what_cannot_be_written_waits_in_order_and_is_written_later(tmp_path: Pa
     lines.write(b"two")
     assert "2 lines are kept in memory, 0 lost" in lines.problem()
     (tmp_path / "logs").unlink()
-    lines.write(b"three")  # the back-off has not passed
+    lines.write(b"three")  # the back-off has not expired
     assert not (tmp_path / "logs").exists()
     clock.advance(FIRST_RETRY_S)
     lines.retry()
@@ -171,7 +173,7 @@ def test_what_cannot_be_written_waits_in_order_and_is_written_later(tmp_path: Pa
 
 
 def test_the_back_off_doubles_up_to_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A disk that stays broken is asked less and less often, but at least every 30 s."""
+    """A broken disk is tried less and less often, but at least every 30 s."""
     clock = FakeClock()
     tries: list[float] = []
 
@@ -190,8 +192,10 @@ def test_the_back_off_doubles_up_to_its_limit(tmp_path: Path, monkeypatch: pytes
     assert set(gaps[6:]) == {LAST_RETRY_S}
 
 
-def test_memory_is_bounded_and_the_loss_is_said(tmp_path: Path) -> None:
-    """Beyond 1000 waiting lines the oldest go, and a line in their place says how many, why and which was last."""
+def test_memory_is_limited_and_the_loss_is_reported(tmp_path: Path) -> None:
+    """Beyond 1000 queued lines the oldest are dropped, and a line in their place has their number, the reason and the
+    last one.
+    """
     (tmp_path / "logs").write_text("a file in the way")
     lines = make(tmp_path / "logs" / "log", max_size=1_000_000)
     for number in range(RING_LINES + 5):
@@ -217,21 +221,21 @@ def test_a_disk_that_hangs_is_reported(tmp_path: Path, monkeypatch: pytest.Monke
     """While a write hangs in the kernel, `problem` reports it to another thread."""
     clock = FakeClock()
     lines = make(tmp_path / "log", clock)
-    real, told = os.write, []
+    real, reported = os.write, []
 
     def hang(descriptor: int, data: bytes) -> int:
         clock.advance(60.0)
-        told.append(lines.problem())
+        reported.append(lines.problem())
         return real(descriptor, data)
 
     monkeypatch.setattr(os, "write", hang)
     lines.write(b"one")
-    assert told == [f"the disk has not answered for 60 s to a write to {tmp_path / 'log'}"]
+    assert reported == [f"the disk has not answered for 60 s to a write to {tmp_path / 'log'}"]
     assert lines.problem() == ""
 
 
-def test_a_full_device_keeps_lines_until_there_is_room(tmp_path: Path) -> None:
-    """The kernel's own ENOSPC (from /dev/full) is survived, and the lines appear when the log is a file again."""
+def test_lines_are_kept_until_a_full_device_has_space(tmp_path: Path) -> None:
+    """The kernel's own ENOSPC (from /dev/full) is handled, and the lines are written when the log is a file again."""
     clock = FakeClock()
     (tmp_path / "log").symlink_to("/dev/full")
     lines = make(tmp_path / "log", clock)
@@ -261,10 +265,10 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(where)], check=True)
 
 
-if _may_mount():  # a mount needs root; the same rules are tested above and below without
+if _may_mount():  # a mount needs root; the tests above and below cover the same rules without it
 
-    def test_a_full_disk_leaves_only_whole_lines_and_loses_none(small_disk: Path) -> None:
-        """On a disk that is really full, a short write is taken back; with room again all lines are there in order."""
+    def test_a_full_disk_leaves_only_complete_lines_and_loses_none(small_disk: Path) -> None:
+        """On a disk that is really full, a short write is undone; with space again all lines are written in order."""
         clock = FakeClock()
         ballast = small_disk / "ballast"
         ballast.write_bytes(b"x" * 40 * 1024)
@@ -298,7 +302,7 @@ print(lines.problem())
 
 
 def test_a_limit_on_the_size_of_files_starts_a_new_file(tmp_path: Path) -> None:
-    """RLIMIT_FSIZE below `max_size` cuts a write in the middle: it is taken back and goes into the next file whole."""
+    """RLIMIT_FSIZE below `max_size` truncates a write: it is undone and goes into the next file completely."""
     done = subprocess.run(
         [sys.executable, "-c", LIMITED, str(tmp_path / "log")], capture_output=True, text=True, timeout=30, check=True
     )

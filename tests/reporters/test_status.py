@@ -1,4 +1,4 @@
-"""The status file says how the daemon does, and cannot be mistaken when the daemon is gone."""
+"""The status file shows the daemon's state, and is recognized as outdated when the daemon has ended."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def fresh(tmp_path: Path, **changes: Any) -> dict[str, Any]:
     return {**document(tmp_path), **changes}
 
 
-def test_the_status_holds_the_report_the_faults_and_phm_itself(tmp_path: Path) -> None:
-    """Everything that `phm status` shows is in one file that everyone may read."""
+def test_the_status_has_the_report_the_faults_and_phm_itself(tmp_path: Path) -> None:
+    """All output of `phm status` comes from one world-readable file."""
     status = make(tmp_path / "run", (DEAD, BLOCKED), health=lambda: {"uptime_s": 4.0})
     status.handle(opened(DEAD))
     seen = document(tmp_path / "run")
@@ -54,7 +54,7 @@ def test_the_status_holds_the_report_the_faults_and_phm_itself(tmp_path: Path) -
 
 
 def test_closed_faults_are_kept_up_to_twenty(tmp_path: Path) -> None:
-    """A closed fault moves from open to closed with its outcome; the oldest go first."""
+    """A closed fault moves from open to closed with its outcome; the oldest are removed first."""
     status = make(tmp_path)
     for number in range(CLOSED_FAULTS + 3):
         status.handle(opened(DEAD, f"f{number}"))
@@ -66,8 +66,8 @@ def test_closed_faults_are_kept_up_to_twenty(tmp_path: Path) -> None:
     assert faults["closed"][0]["by"] == "restart"
 
 
-def test_a_change_is_written_at_once_and_a_burst_once(tmp_path: Path) -> None:
-    """The first event writes; what follows within a tenth of a second waits for the tick."""
+def test_a_change_is_written_immediately_and_a_burst_once(tmp_path: Path) -> None:
+    """The first event writes; events within the next tenth of a second wait for the tick."""
     clock = FakeClock()
     level: list[UnitState] = []
     status = StatusReporter.build(context(Settings(run_dir=str(tmp_path)), clock=clock, states=lambda: tuple(level)))
@@ -80,8 +80,8 @@ def test_a_change_is_written_at_once_and_a_burst_once(tmp_path: Path) -> None:
     assert len(document(tmp_path)["checks"]) == 1
 
 
-def test_a_reader_never_sees_half_a_status(tmp_path: Path) -> None:
-    """Writing replaces the file: a reader that has it open keeps the whole old one, and no temporary stays."""
+def test_a_reader_never_sees_an_incomplete_status(tmp_path: Path) -> None:
+    """Writing replaces the file: a reader that has it open keeps the complete old one, and no temporary file remains."""
     status = make(tmp_path)
     status.tick()
     with (tmp_path / "status.json").open() as old:
@@ -90,8 +90,8 @@ def test_a_reader_never_sees_half_a_status(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["status.json"]
 
 
-def test_the_status_goes_with_an_orderly_end(tmp_path: Path) -> None:
-    """`close` removes the file, and does not mind when it is gone."""
+def test_the_status_is_removed_at_shutdown(tmp_path: Path) -> None:
+    """`close` removes the file, and ignores that it is already gone."""
     status = make(tmp_path)
     status.tick()
     status.close()
@@ -99,8 +99,8 @@ def test_the_status_goes_with_an_orderly_end(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unwritable_run_dir_is_a_problem_and_no_crash(tmp_path: Path) -> None:
-    """The reporter says what is wrong, goes on, and recovers."""
+def test_an_unwritable_run_dir_is_a_problem_without_a_crash(tmp_path: Path) -> None:
+    """The reporter reports the problem, continues, and recovers."""
     (tmp_path / "run").write_text("a file in the way")
     status = make(tmp_path / "run")
     status.tick()
@@ -110,8 +110,8 @@ def test_an_unwritable_run_dir_is_a_problem_and_no_crash(tmp_path: Path) -> None
     assert status.problem() == ""
 
 
-def test_a_fresh_status_of_a_living_process_is_healthy(tmp_path: Path) -> None:
-    """Written now, on this boot, alive, by a process that exists."""
+def test_a_current_status_of_a_live_process_is_healthy(tmp_path: Path) -> None:
+    """Written now, on this boot, live, by an existing process."""
     assert status_file.unhealthy(fresh(tmp_path)) == ""
 
 
@@ -127,20 +127,20 @@ def test_a_fresh_status_of_a_living_process_is_healthy(tmp_path: Path) -> None:
         ({"written_mono": float("nan")}, "before the machine's last start"),
     ],
 )
-def test_a_status_that_proves_nothing_is_unhealthy(tmp_path: Path, changes: dict[str, Any], reason: str) -> None:
-    """Each condition is needed; what is missing or odd counts as unhealthy."""
+def test_a_status_with_missing_evidence_is_unhealthy(tmp_path: Path, changes: dict[str, Any], reason: str) -> None:
+    """Each condition is needed; a missing or unexpected value counts as unhealthy."""
     assert reason in status_file.unhealthy(fresh(tmp_path, **changes))
 
 
 def test_a_status_is_valid_for_five_seconds(tmp_path: Path) -> None:
-    """Age is measured on the monotonic clock: setting the clock of the day changes nothing."""
+    """Age is measured on the monotonic clock: setting the wall clock changes nothing."""
     seen = fresh(tmp_path, written_utc="1970-01-01T00:00:00.000Z", written_mono=500.0)
     assert status_file.unhealthy(seen, now_mono=505.0) == ""
     assert "6 s old" in status_file.unhealthy(seen, now_mono=506.0)
 
 
-def test_the_status_of_a_killed_process_is_unhealthy_at_once(tmp_path: Path) -> None:
-    """Gone, or dead and not yet collected by its parent: both are seen before the file grows old."""
+def test_the_status_of_a_killed_process_is_unhealthy_immediately(tmp_path: Path) -> None:
+    """Ended, or a zombie: both are detected before the file is outdated."""
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
         seen = fresh(tmp_path, pid=process.pid)
         assert status_file.unhealthy(seen) == ""
@@ -150,8 +150,8 @@ def test_the_status_of_a_killed_process_is_unhealthy_at_once(tmp_path: Path) -> 
     assert "is gone" in status_file.unhealthy(seen)
 
 
-def test_a_process_of_another_pid_namespace_is_not_looked_for(tmp_path: Path) -> None:
-    """Read from the host, the number means another process; freshness alone decides."""
+def test_a_process_of_another_pid_namespace_is_not_looked_up(tmp_path: Path) -> None:
+    """Read from the host, the pid means another process; only the age decides."""
     assert status_file.unhealthy(fresh(tmp_path, pid=2**22 + 1, pid_namespace="pid:[1]")) == ""
 
 
@@ -159,16 +159,18 @@ def test_a_process_of_another_pid_namespace_is_not_looked_for(tmp_path: Path) ->
     ("content", "reason"),
     [("{", "is not JSON"), ("[]", "is not a PHM status"), ("\xff", "is not JSON"), (None, "there is no")],
 )
-def test_no_status_has_a_reason(tmp_path: Path, content: str | None, reason: str) -> None:
-    """Missing, torn and foreign files have different messages."""
+def test_a_missing_status_has_a_reason(tmp_path: Path, content: str | None, reason: str) -> None:
+    """Missing, truncated and foreign files have different messages."""
     if content is not None:
         (tmp_path / "status.json").write_bytes(content.encode("latin-1"))
     with pytest.raises(status_file.NoStatus, match=reason):
         status_file.read(str(tmp_path))
 
 
-def test_a_health_check_without_packages_says_the_same(tmp_path: Path) -> None:
-    """As the image runs it: the file alone, the standard library alone; no typing, which would be a fifth of its time."""
+def test_a_health_check_without_packages_gives_the_same_result(tmp_path: Path) -> None:
+    """As run in the image: this file and the standard library only; without typing, which would take a fifth of its
+    time.
+    """
     script = Path(status_file.__file__)
 
     def answer(*before: str) -> subprocess.CompletedProcess[str]:

@@ -1,4 +1,4 @@
-"""The text log reads like Fig. 5 of the PHM paper."""
+"""The text log looks like Fig. 5 of the PHM paper."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def figure_5() -> Report:
     )
 
 
-def test_a_blocked_unit_says_what_it_would_have_said() -> None:
-    """By what it is blocked, and the symptom: an operator sees both."""
+def test_a_blocked_unit_has_its_cause_and_its_own_summary() -> None:
+    """The operator sees both what blocks it and its symptom."""
     summary = "blocked by pressure/ros_app: topic /x at 3 Hz, expected 10"
     state = unit("rates/x", Slot.RATES, Level.STALE, summary, blocked_by="pressure/ros_app")
     report = Report(at(20.9), 7, at(), (state,))
@@ -46,7 +46,7 @@ def test_a_blocked_unit_says_what_it_would_have_said() -> None:
 
 
 def test_a_report_is_written_as_in_figure_5() -> None:
-    """From `Start of a new report` to the status array, one line per unit, well ones of a check in one line."""
+    """From `Start of a new report` to the status array, one line per unit, the OK ones of a check in one line."""
     lines = TextLogFormatter()
     written = [*lines.format(ReportStarted(at(), 7)), *lines.format(figure_5())]
     end = "2026-03-01 12:00:21.023"
@@ -66,7 +66,7 @@ def test_a_report_is_written_as_in_figure_5() -> None:
     ]
 
 
-def test_all_nodes_well_are_one_line() -> None:
+def test_all_ok_nodes_are_one_line() -> None:
     """Several OK units of one check are folded, worded as in the paper."""
     nodes = tuple(unit(f"nodes/agent_1/node_{n}", Slot.NODES) for n in (1, 2, 3))
     lines = TextLogFormatter().format(Report(at(), 1, at(), nodes))
@@ -76,7 +76,7 @@ def test_all_nodes_well_are_one_line() -> None:
 
 
 def test_folded_topics_show_their_rates() -> None:
-    """As in Fig. 5, a rate that was measured follows its topic."""
+    """As in Fig. 5, a measured rate follows its topic."""
     rates = (
         unit("rates/agent_1/topic_1", Slot.RATES, values={"hz": 0.99949}),
         unit("rates/agent_1/map", Slot.RATES, values={"publishers": 1}),
@@ -85,8 +85,8 @@ def test_folded_topics_show_their_rates() -> None:
     assert lines[1].endswith("SUCCESS: (8) All 2 topics have their rate: agent_1/topic_1: 0.999, agent_1/map")
 
 
-def test_checks_of_others_are_folded_too() -> None:
-    """A slot without words of its own is named after its check."""
+def test_plug_in_checks_are_folded_too() -> None:
+    """A slot without its own wording is named after its check."""
     units = tuple(unit(f"battery/{n}", Slot.USER_1) for n in (1, 2))
     assert (
         TextLogFormatter().format(Report(at(), 1, at(), units))[1].endswith("(13) All 2 units of battery are OK: 1, 2")
@@ -94,14 +94,14 @@ def test_checks_of_others_are_folded_too() -> None:
 
 
 def test_watched_diagnostics_are_not_called_nodes() -> None:
-    """Checks that share a slot have words of their own."""
+    """Checks that share a slot have different wordings."""
     units = tuple(unit(f"diagnostics/camera: {name}", Slot.NODES) for name in ("Frequency", "Frames"))
     line = TextLogFormatter().format(Report(at(), 1, at(), units))[1]
     assert line.endswith("(6) All 2 watched diagnostics say OK: camera: Frequency, camera: Frames")
 
 
-def test_what_had_nothing_to_judge_does_not_count_as_unwell() -> None:
-    """A BYPASS has its own line, and the others are still all of them."""
+def test_a_bypassed_unit_does_not_count_as_failed() -> None:
+    """A BYPASS has its own line, and the others still count as all."""
     units = (*(unit(f"host/{name}", Slot.HOST) for name in ("cpu", "disk")), unit("host/heat", Slot.HOST, bypass=True))
     lines = TextLogFormatter().format(Report(at(), 1, at(), units))
     assert [line.partition(" ---- ")[2] for line in lines[1:3]] == [
@@ -128,12 +128,12 @@ def test_the_report_counts_slots_not_units() -> None:
 
 
 def test_a_report_whose_start_was_dropped_still_begins() -> None:
-    """The start line is made up from the report when the bus had to drop the event."""
+    """The start line is created from the report when the bus had to drop the event."""
     lines = TextLogFormatter().format(figure_5())
     assert lines[0] == f"{STAMP} ---- Start of a new report"
 
 
-def test_a_transition_is_a_line_at_once() -> None:
+def test_a_transition_is_logged_immediately() -> None:
     """Between reports a change does not wait for the next one."""
     assert TextLogFormatter().format(transition(NODE_DEAD)) == [
         f"{STAMP} ---- FAILURE: (6) Node /agent_1/node_1 is not running"
@@ -183,14 +183,14 @@ def action(phase: Phase, detail: str = "") -> ActionEvent:
     ],
 )
 def test_each_event_has_its_line(event: Event, line: str) -> None:
-    """Kind, slot and words of every event that is not about a level."""
+    """Kind, slot and text of every event without a level."""
     lines = TextLogFormatter()
     lines.format(transition(NODE_DEAD))
     written = lines.format(event)
     assert [text.partition(" ---- ")[2] for text in written] == [line]
 
 
-def test_giving_up_is_said_once() -> None:
+def test_giving_up_is_logged_once() -> None:
     """The action's escalation and the fault's closing are one line."""
     lines = TextLogFormatter()
     assert len(lines.format(action(Phase.ESCALATED, "land"))) == 1
@@ -198,15 +198,15 @@ def test_giving_up_is_said_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("summary", "suspects", "told"),
+    ("summary", "suspects", "logged"),
     [
         ("ros_app exited 137 (killed)", (), "ros_app exited 137 (killed): blocks nodes, topics"),
         ("ros_app is dead: remove it", (), "ros_app is dead: remove it; blocks nodes, topics"),
         ("ros_app exited", ("host/disk",), "ros_app exited: blocks nodes, topics; host/disk is also bad"),
     ],
 )
-def test_a_failure_names_cause_and_consequences(summary: str, suspects: tuple[str, ...], told: str) -> None:
-    """While the fault is open its line says what it blocks and what else is bad; after it nothing remains."""
+def test_a_failure_names_cause_and_consequences(summary: str, suspects: tuple[str, ...], logged: str) -> None:
+    """While the fault is open its line has what it blocks and other failures; afterwards neither."""
     state = replace(unit("container/ros_app", Slot.CONTAINER, Level.ERROR, summary), fault="ab12-1")
     event = opened(state)
     lines = TextLogFormatter()
@@ -214,43 +214,43 @@ def test_a_failure_names_cause_and_consequences(summary: str, suspects: tuple[st
         lines.format(replace(event, fault=replace(event.fault, consequences=("nodes", "topics"), suspects=suspects)))
         == []
     )
-    assert lines.format(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {told}"]
-    assert lines.format(Report(at(), 1, at(), (state,)))[1] == f"{STAMP} ---- FAILURE: (2) {told}"
+    assert lines.format(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {logged}"]
+    assert lines.format(Report(at(), 1, at(), (state,)))[1] == f"{STAMP} ---- FAILURE: (2) {logged}"
     lines.format(closed(state, Outcome.RESOLVED, "itself", 1.0))
     assert lines.format(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {summary}"]
 
 
-def test_what_a_transition_has_logged_is_not_repeated() -> None:
-    """An opened fault and one that follows from another have their line already."""
+def test_a_logged_transition_is_not_repeated() -> None:
+    """An opened fault and a consequence of another one have their line already."""
     assert TextLogFormatter().format(opened(NODE_DEAD)) == []
     assert TextLogFormatter().format(closed(NODE_DEAD, Outcome.REATTRIBUTED, "", 1.0)) == []
 
 
 @pytest.mark.parametrize("breaker", ["\n", "\r", "\r\n", "\x0b", "\x0c", "\x1c", "\x85", "\u2028", "\u2029", "\x00"])
 def test_text_from_outside_cannot_forge_a_line(breaker: str) -> None:
-    """Log injection: whatever breaks lines somewhere comes out as an escape."""
+    """Log injection: every line-breaking character is escaped."""
     evil = f"bad{breaker}2026-03-01 12:00:00.123 ---- SUCCESS: (6) All is well"
     (line,) = TextLogFormatter().format(transition(unit("nodes/a", Slot.NODES, Level.ERROR, evil)))
     assert len(line.splitlines()) == 1
     assert "\\" in line
 
 
-def test_text_from_outside_cannot_steer_the_terminal() -> None:
-    """Escape sequences and direction overrides are shown, not obeyed; other languages stay as they are."""
+def test_text_from_outside_cannot_control_the_terminal() -> None:
+    """Escape sequences and direction overrides are shown, not executed; other languages are unchanged."""
     (line,) = TextLogFormatter().format(Note(at(), "DOCKER", "\x1b[2J\u202e Füße 無人機 \x7f"))
     assert line.endswith(r"DOCKER: \x1b[2J\u202e Füße 無人機 \x7f")
 
 
-def test_a_very_long_line_is_cut_with_a_mark() -> None:
-    """A line never exceeds what the smallest log can hold, and is cut at a whole character."""
+def test_an_overlong_line_is_cut_with_a_mark() -> None:
+    """A line never exceeds the size of the smallest log, and is cut between characters."""
     data = encode("é" * MAX_BYTES)
     assert len(data) <= MAX_BYTES
     assert data.decode().endswith("é [cut]")
     assert encode("\udcff") == b"\\udcff"
 
 
-def test_a_report_names_the_units_whose_check_did_not_come_back() -> None:
-    """The line before the totals says which units are older than the report."""
+def test_a_report_names_the_units_whose_check_has_not_returned() -> None:
+    """The line before the totals names the units that are older than the report."""
     hung = unit("custom/x", Slot.USER_1, Level.STALE, "no result yet")
     lines = TextLogFormatter().format(Report(at(), 1, at(), (hung,), missing=("custom/x",)))
     assert lines[-2] == f"{STAMP} ---- PHM: not in this report, its check has not returned: custom/x"

@@ -19,7 +19,7 @@ from tests.fakes.ros_bench import Bench, gone, seen, until
 
 
 def test_nodes_form_a_ring() -> None:
-    """Node i publishes topic_i and listens to the one before it, the first to the last."""
+    """Node i publishes topic_i and subscribes to that of its predecessor, the first to that of the last."""
     assert node_argv("agent_1", ring(3, 10.0)[0])[3:] == [
         "--namespace",
         "/agent_1",
@@ -35,13 +35,13 @@ def test_nodes_form_a_ring() -> None:
 
 @pytest.mark.parametrize("text", ["topic", "topic:", "topic:0", "topic:-1", ":5", "topic:nan", "topic:x"])
 def test_a_rate_must_be_above_zero(text: str) -> None:
-    """A wrong TOPIC:HZ is refused with what is allowed."""
+    """A wrong TOPIC:HZ is rejected with the allowed form."""
     with pytest.raises(argparse.ArgumentTypeError, match="rate above zero"):
         topic_rate(text)
 
 
 def test_the_application_runs_and_stops_as_a_container_would(bench: Bench, tmp_path: Path) -> None:
-    """Pid files lead to the nodes, a killed node stays dead, a stale marker is gone, SIGTERM ends all with code 0."""
+    """Pid files identify the nodes, a killed node stays dead, a stale marker is removed, SIGTERM ends all with code 0."""
     marker, pids = tmp_path / "unhealthy", tmp_path / "nodes"
     marker.touch()
     command = [
@@ -73,8 +73,8 @@ def test_the_application_runs_and_stops_as_a_container_would(bench: Bench, tmp_p
         app.wait()
 
 
-def test_a_node_gives_its_ends_up_and_takes_them_back(bench: Bench) -> None:
-    """SIGHUP: no subscription; SIGRTMIN+1: a publisher that offers less; a second one of each: as before. Its name stays."""
+def test_a_node_drops_its_endpoints_and_recreates_them(bench: Bench) -> None:
+    """SIGHUP: no subscription; SIGRTMIN+1: a publisher with a weaker QoS; a second signal restores it. Its name stays."""
     node = bench.node("node_1", "--publish", "out:10", "--subscribe", "into")
     probe = bench.probe([{"name": f"/agent_1/{topic}"} for topic in ("out", "into")])
 
@@ -97,7 +97,7 @@ def test_a_node_gives_its_ends_up_and_takes_them_back(bench: Bench) -> None:
 
 
 def test_a_node_is_left_out_once(bench: Bench, tmp_path: Path) -> None:
-    """The file names it; the start after that has all nodes again."""
+    """The file names it; the next start has all nodes again."""
     left_out, pids = tmp_path / "left_out", tmp_path / "nodes"
     left_out.write_text("node_1\n")
     command = [

@@ -1,4 +1,4 @@
-"""The beacon in real processes, heard by the real child: what lives beats, what hangs says so, what is dead is silent."""
+"""The beacon in real processes, received by the real child: live nodes send, hung ones report it, dead ones are silent."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ HUNG_S = 1.5
 NODES = [{"name": f"/agent_1/{name}"} for name in ("a", "b", "c", "d", *(f"n{number}" for number in range(10)))]
 
 
-def beats(fact: RosFact, *names: str) -> bool:
-    """All of them beat and turn."""
+def all_alive(fact: RosFact, *names: str) -> bool:
+    """Whether all of them send beacons and their executors run."""
     return all(name in fact.beacons and fact.beacons[name].missed < 2 and fact.beacons[name].turns for name in names)
 
 
-def agree(fact: RosFact, *names: str) -> bool:
-    """Each of them hears all others."""
+def all_see_each_other(fact: RosFact, *names: str) -> bool:
+    """Whether each of them receives all others."""
     return all(
         fact.beacons[name].views.get(other) is not None and fact.beacons[name].views[other].alive
         for name in names
         for other in names
         if name in fact.beacons and name != other
-    ) and beats(fact, *names)
+    ) and all_alive(fact, *names)
 
 
 def beacon(probe: RosSupervisor, name: str) -> BeaconFact:
     return probe.look().beacons[name]
 
 
-def test_nodes_with_a_beacon_are_heard_and_hear_each_other(bench: Bench) -> None:
-    """One line in each node: PHM hears all, each hears the others, and a hidden node is all that is added to the graph."""
+def test_nodes_with_a_beacon_are_received_by_phm_and_each_other(bench: Bench) -> None:
+    """One line in each node: PHM receives all, each receives the others, and only a hidden node is added to the graph."""
     for name in ("a", "b", "c"):
         bench.script(SCRIPT, name)
     probe = bench.probe(nodes=NODES)
-    fact = seen(probe, lambda fact: agree(fact, A, B, C) and fact, "three nodes that hear each other")
+    fact = seen(probe, lambda fact: all_see_each_other(fact, A, B, C) and fact, "three nodes that hear each other")
     assert set(fact.nodes) == {A, B, C}
     assert "/phm/beacon" not in fact.others and fact.refused == 0
     assert {beacon.period_s for beacon in fact.beacons.values()} == {0.2}
@@ -52,42 +52,44 @@ def test_nodes_with_a_beacon_are_heard_and_hear_each_other(bench: Bench) -> None
 
 
 def test_a_killed_node_falls_silent_and_checks_are_woken(bench: Bench) -> None:
-    """SIGKILL: no beat comes any more; the probe says so by itself, and the neighbour says so too."""
+    """SIGKILL: no more beacons arrive; the probe reports it without being polled, and the neighbour reports it too."""
     node = bench.script(SCRIPT, "a")
     bench.script(SCRIPT, "b")
     probe = bench.probe(nodes=NODES)
-    seen(probe, lambda fact: agree(fact, A, B), "both nodes")
+    seen(probe, lambda fact: all_see_each_other(fact, A, B), "both nodes")
     doubts: list[float] = []
     bench.on_change = lambda: doubts.append(beacon(probe, A).missed)
     node.kill()
     until(lambda: any(missed > 3 for missed in doubts), "a wake-up for its silence")
     seen(probe, lambda fact: not fact.beacons[B].views[A].alive, "its neighbour's word")
-    seen(probe, lambda fact: beats(fact, B), "the neighbour's own beats")
+    seen(probe, lambda fact: all_alive(fact, B), "the neighbour's own beacons")
 
 
-def test_a_stopped_node_is_silent_and_goes_on_as_the_same(bench: Bench) -> None:
-    """SIGSTOP and SIGCONT: silence, then the same life; the time that it stood still is not held against its executor."""
+def test_a_stopped_node_is_silent_and_resumes_with_its_identity(bench: Bench) -> None:
+    """SIGSTOP and SIGCONT: silence, then the same life; the suspended time does not count as executor lateness."""
     node = bench.script(SCRIPT, "a")
     probe = bench.probe(nodes=NODES)
-    before = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "the node")
+    before = seen(probe, lambda fact: all_alive(fact, A) and fact.beacons[A], "the node")
     node.send_signal(signal.SIGSTOP)
     seen(probe, lambda fact: fact.beacons[A].age_s > 3.0, "its silence")
     lateness: list[float] = []
     bench.on_change = lambda: lateness.append(beacon(probe, A).late_s)
     node.send_signal(signal.SIGCONT)
-    after = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "its return")
+    after = seen(probe, lambda fact: all_alive(fact, A) and fact.beacons[A], "its return")
     assert after.birth == before.birth
     until(lambda: lateness, "a wake-up for its return")
     assert max([beacon(probe, A).late_s, *lateness]) < 1.0
 
 
 @pytest.mark.parametrize("executor", ["single", "multi"])
-def test_a_deadlocked_executor_is_told_by_a_process_that_lives(bench: Bench, executor: str) -> None:
-    """A callback that never returns: beats go on, lateness grows, and the neighbour passes it on. The same with several threads."""
+def test_a_deadlocked_executor_is_reported_by_its_live_process(bench: Bench, executor: str) -> None:
+    """A callback that never returns: beacons continue, lateness grows, and the neighbour forwards it; also with several
+    threads.
+    """
     node = bench.script(SCRIPT, "a", "--executor", executor)
     bench.script(SCRIPT, "b")
     probe = bench.probe(nodes=NODES)
-    seen(probe, lambda fact: agree(fact, A, B), "both nodes")
+    seen(probe, lambda fact: all_see_each_other(fact, A, B), "both nodes")
     node.send_signal(signal.SIGUSR1)
     fact = seen(probe, lambda fact: fact.beacons[A].late_s > HUNG_S and fact, "its lateness")
     assert fact.beacons[A].missed < 3
@@ -95,11 +97,11 @@ def test_a_deadlocked_executor_is_told_by_a_process_that_lives(bench: Bench, exe
     assert beacon(probe, B).late_s == 0.0
 
 
-def test_a_hanging_callback_group_of_its_own_is_no_hanging_executor(bench: Bench) -> None:
-    """With several threads, what hangs in a group of its own stops nobody else: the node's other callbacks run on."""
+def test_a_separate_hanging_callback_group_does_not_hang_the_executor(bench: Bench) -> None:
+    """With several threads, a hanging callback in a separate group blocks no other callback of the node."""
     node = bench.script(SCRIPT, "a", "--executor", "multi", "--hang", "own")
     probe = bench.probe(nodes=NODES)
-    seen(probe, lambda fact: beats(fact, A), "the node")
+    seen(probe, lambda fact: all_alive(fact, A), "the node")
     node.send_signal(signal.SIGUSR1)
     turns = beacon(probe, A).turns
     seen(probe, lambda fact: fact.beacons[A].turns > turns + 4, "the turns that go on")
@@ -107,11 +109,13 @@ def test_a_hanging_callback_group_of_its_own_is_no_hanging_executor(bench: Bench
 
 
 def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
-    """As a process, and as a node that is made anew in the same process: one more life, of the same witness there."""
+    """As a process, and as a node that is recreated in the same process: one more life, reported by the same process
+    there.
+    """
     process = bench.script(SCRIPT, "a")
     bench.script(SCRIPT, "b", "c")
     probe = bench.probe(nodes=NODES)
-    before = seen(probe, lambda fact: agree(fact, A, B) and dict(fact.beacons), "both processes")
+    before = seen(probe, lambda fact: all_see_each_other(fact, A, B) and dict(fact.beacons), "both processes")
     process.kill()
     bench.script(SCRIPT, "a")
     after = seen(probe, lambda fact: fact.beacons[A].birth != before[A].birth and fact.beacons[A], "another birth")
@@ -119,41 +123,45 @@ def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
     assert after.heartbeats < before[A].heartbeats + 20
 
 
-def test_a_node_that_is_destroyed_falls_silent_and_its_successor_is_another(bench: Bench) -> None:
-    """destroy_node ends its beacon, while the other node of the process beats on."""
+def test_a_destroyed_node_falls_silent_and_its_successor_is_a_new_one(bench: Bench) -> None:
+    """destroy_node ends its beacon, while the other node of the process continues."""
     process = bench.script(SCRIPT, "a", "b")
     probe = bench.probe(nodes=NODES)
-    before = seen(probe, lambda fact: beats(fact, A, B) and dict(fact.beacons), "both nodes")
+    before = seen(probe, lambda fact: all_alive(fact, A, B) and dict(fact.beacons), "both nodes")
     assert before[A].witness == before[B].witness and before[A].birth != before[B].birth
     process.send_signal(signal.SIGUSR2)
     after = seen(probe, lambda fact: fact.beacons[A].birth != before[A].birth and dict(fact.beacons), "its successor")
     assert after[A].witness == before[A].witness
     assert after[B].birth == before[B].birth
-    seen(probe, lambda fact: beats(fact, A, B), "both nodes")
+    seen(probe, lambda fact: all_alive(fact, A, B), "both nodes")
 
 
-def test_a_split_is_seen_by_those_who_are_split(bench: Bench) -> None:
-    """Two and two that do not hear each other, while PHM hears all."""
+def test_a_network_split_is_seen_by_the_separated_nodes(bench: Bench) -> None:
+    """Two pairs that do not receive each other, while PHM receives all."""
     for name in ("a", "b"):
         bench.script(SCRIPT, name)
     for name in ("c", "d"):
         bench.script(SCRIPT, name, "--hello", "/elsewhere")
     probe = bench.probe(nodes=NODES)
     names = {A, B, C, "/agent_1/d"}
-    fact = seen(probe, lambda fact: agree(fact, A, B) and agree(fact, C, "/agent_1/d") and fact, "two groups")
+    fact = seen(
+        probe,
+        lambda fact: all_see_each_other(fact, A, B) and all_see_each_other(fact, C, "/agent_1/d") and fact,
+        "two groups",
+    )
     assert set(fact.beacons) == names
     assert set(fact.beacons[A].views) == {B} and set(fact.beacons["/agent_1/d"].views) == {C}
 
 
-def test_ten_nodes_hear_each_other(bench: Bench) -> None:
-    """Five processes with two nodes each: everyone knows of everyone in another process."""
+def test_ten_nodes_receive_each_other(bench: Bench) -> None:
+    """Five processes with two nodes each: every node knows all nodes of other processes."""
     for first in range(0, 10, 2):
         bench.script(SCRIPT, f"n{first}", f"n{first + 1}")
     probe = bench.probe(nodes=NODES)
     names = [f"/agent_1/n{number}" for number in range(10)]
 
     def complete(fact: RosFact) -> bool:
-        if not beats(fact, *names):
+        if not all_alive(fact, *names):
             return False
         processes = {name: fact.beacons[name].witness for name in names}
         return all(
@@ -167,18 +175,18 @@ def test_ten_nodes_hear_each_other(bench: Bench) -> None:
 
 @pytest.mark.parametrize("option", ["--lifecycle", "--sim-time"])
 def test_lifecycle_nodes_and_simulated_time_make_no_difference(bench: Bench, option: str) -> None:
-    """An inactive lifecycle node lives and turns; and so does one whose clock stands still."""
+    """An inactive lifecycle node is alive and its executor runs; so does a node whose clock is stopped."""
     bench.script(SCRIPT, "a", option)
     seen(
         bench.probe(nodes=NODES),
-        lambda fact: beats(fact, A) and fact.beacons[A].turns > 2 and fact.beacons[A].late_s == 0,
+        lambda fact: all_alive(fact, A) and fact.beacons[A].turns > 2 and fact.beacons[A].late_s == 0,
         option,
     )
 
 
 @pytest.mark.parametrize("option", ["--no-spin", "--no-watch"])
 def test_a_node_that_is_never_spun_or_not_watched_never_looks_hung(bench: Bench, option: str) -> None:
-    """Its process is all that its beacon vouches for."""
+    """Its beacon reports only that its process is alive."""
     bench.script(SCRIPT, "a", option)
     fact = seen(
         bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 10 and fact, option
@@ -186,8 +194,8 @@ def test_a_node_that_is_never_spun_or_not_watched_never_looks_hung(bench: Bench,
     assert (fact.beacons[A].turns, fact.beacons[A].late_s) == (0, 0.0)
 
 
-def test_other_periods_are_told_and_kept(bench: Bench) -> None:
-    """A slow beacon is not silent between its beats."""
+def test_other_periods_are_reported_and_respected(bench: Bench) -> None:
+    """A slow beacon is not silent between its messages."""
     bench.script(SCRIPT, "a", "--period", "1.0")
     fact = seen(
         bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 3 and fact, "the node"
@@ -196,7 +204,7 @@ def test_other_periods_are_told_and_kept(bench: Bench) -> None:
     assert fact.beacons[A].missed < 2
 
 
-STANDS_ALONE = """
+STANDALONE = """
 import sys, time
 import rclpy
 from beacon import Beacon
@@ -240,35 +248,37 @@ if sys.argv[1] == "late":
 
 
 def alone(bench: Bench, folder: Path, how: str, **environ: str) -> subprocess.Popen[bytes]:
-    """A program with the one file beside it, and nothing else of PHM."""
+    """A program with only this file beside it, and nothing else of PHM."""
     (folder / "beacon.py").write_bytes((ROOT / "phm" / "beacon.py").read_bytes())
-    (folder / "node.py").write_text(STANDS_ALONE, encoding="ascii")
+    (folder / "node.py").write_text(STANDALONE, encoding="ascii")
     environ = {**bench.environ, "PYTHONPATH": "", **environ}
     return subprocess.Popen(
         [sys.executable, str(folder / "node.py"), how], env=environ, cwd=folder, stderr=subprocess.PIPE
     )
 
 
-def test_the_file_stands_alone(bench: Bench, tmp_path: Path) -> None:
-    """Copied beside a node it is all that is needed: neither PHM nor std_msgs is imported."""
+def test_the_file_works_standalone(bench: Bench, tmp_path: Path) -> None:
+    """Copied beside a node it is sufficient: neither PHM nor std_msgs is imported."""
     process = alone(bench, tmp_path, "wait")
     try:
-        seen(bench.probe(nodes=NODES), lambda fact: beats(fact, "/alone"), "the node")
+        seen(bench.probe(nodes=NODES), lambda fact: all_alive(fact, "/alone"), "the node")
     finally:
         process.kill()
         process.communicate()
 
 
 @pytest.mark.parametrize("how", ["return", "close", "destroy", "shutdown", "all", "again", "broken", "late"])
-def test_programs_end_as_they_would_without_it(bench: Bench, tmp_path: Path, how: str) -> None:
-    """However a program leaves, with code 0 and no complaint; a beacon that cannot be is not the program's end."""
+def test_programs_end_as_without_a_beacon(bench: Bench, tmp_path: Path, how: str) -> None:
+    """However a program ends, with code 0 and no error output; a beacon that cannot be created does not end the
+    program.
+    """
     _, errors = (process := alone(bench, tmp_path, how)).communicate(timeout=60)
     assert process.returncode == 0, errors.decode()
     assert b"Traceback" not in errors and b"terminate" not in errors, errors.decode()
 
 
 def test_the_environment_turns_it_off(bench: Bench, tmp_path: Path) -> None:
-    """PHM_BEACON=off: the node runs without."""
+    """PHM_BEACON=off: the node runs without a beacon."""
     process = alone(bench, tmp_path, "wait", PHM_BEACON="off")
     try:
         probe = bench.probe(nodes=NODES)
@@ -280,7 +290,7 @@ def test_the_environment_turns_it_off(bench: Bench, tmp_path: Path) -> None:
 
 
 def test_a_forked_process_does_not_join_the_parents_beacon(bench: Bench, tmp_path: Path) -> None:
-    """The parent's thread does not exist in it, so a beacon that joined it would be silent."""
+    """The parent's thread does not exist in it, so joining its beacon would be silent."""
     script = tmp_path / "fork.py"
     script.write_text(
         "import os, rclpy\nfrom phm import beacon\nrclpy.init(args=[])\nnode = rclpy.create_node('a')\n"
@@ -291,21 +301,21 @@ def test_a_forked_process_does_not_join_the_parents_beacon(bench: Bench, tmp_pat
     assert subprocess.run([sys.executable, "-W", "ignore", str(script)], env=bench.environ, timeout=60).returncode == 10
 
 
-def test_what_strangers_send_is_refused_and_counted(bench: Bench) -> None:
-    """Other texts, other types of content, forged names of living nodes: nothing breaks and nobody is displaced."""
+def test_foreign_messages_are_rejected_and_counted(bench: Bench) -> None:
+    """Other texts, other content types, forged names of live nodes: nothing breaks and no node is displaced."""
     bench.script(SCRIPT, "a")
     probe = bench.probe(nodes=NODES)
-    before = seen(probe, lambda fact: beats(fact, A) and fact.beacons[A], "the node")
+    before = seen(probe, lambda fact: all_alive(fact, A) and fact.beacons[A], "the node")
     forger = bench.script("ros_forger.py", A)
     fact = seen(probe, lambda fact: fact.refused > 20 and fact, "refused messages")
     assert forger.poll() is None
     assert set(fact.beacons) == {A}
     assert fact.beacons[A].birth == before.birth
-    seen(probe, lambda fact: beats(fact, A), "its beats beside the forger's")
+    seen(probe, lambda fact: all_alive(fact, A), "its beacons beside the forger's")
 
 
-def test_a_copied_identity_is_refused_and_reported_with_its_publisher(bench: Bench) -> None:
-    """The first writer goes on to count while it beats; when it is killed, its copy does not keep it alive."""
+def test_a_copied_identity_is_rejected_and_reported_with_its_publisher(bench: Bench) -> None:
+    """The first writer keeps counting while it sends; when it is killed, the copy does not keep it alive."""
     node = bench.script("ros_beaconed.py", "a")
     probe = bench.probe(nodes=[{"name": A}])
     seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 5, "its beacon")
@@ -319,18 +329,18 @@ def test_a_copied_identity_is_refused_and_reported_with_its_publisher(bench: Ben
     seen(probe, lambda fact: fact.beacons[A].missed < 3.0 and fact.beacons[A].birth != "", "the next one of its name")
 
 
-def test_large_beacons_of_strangers_displace_no_honest_one(bench: Bench) -> None:
-    """However much they say, it fits into messages, and the configured node beats on."""
+def test_large_foreign_beacons_displace_no_configured_node(bench: Bench) -> None:
+    """However large they are, the report fits into messages, and the configured node's beacons are kept."""
     bench.script("ros_beaconed.py", "a")
     probe = bench.probe(nodes=[{"name": A}])
     seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 5, "its beacon")
     bench.script("ros_copycat.py", A, "crowd")
     began = seen(probe, lambda fact: len(fact.beacons) > 100 and fact, "the crowd").beacons[A].heartbeats
 
-    def beats_on(fact: RosFact) -> bool:
+    def advances(fact: RosFact) -> bool:
         assert fact.beacons[A].missed < 20.0, "it was displaced"
         return fact.beacons[A].age_s < 0.6 and fact.up_s > first_s + 5.0
 
     first_s = probe.look().up_s
-    seen(probe, beats_on, "honest beats beside the crowd", 60.0)
+    seen(probe, advances, "its beacons beside many others", 60.0)
     assert probe.restarts == 0 and not probe.problems() and began

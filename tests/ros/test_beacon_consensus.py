@@ -1,4 +1,4 @@
-"""The consensus of real nodes: what the check says while they live, die, stop, hang, fall apart and come back."""
+"""The consensus of real nodes: the check's result while they run, die, stop, hang, are split and return."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCRIPT = "ros_beaconed.py"
 
 
 class Scene:
-    """Three nodes, the probe, and the check over it."""
+    """Three nodes, the probe, and the check that uses it."""
 
     def __init__(self, bench: Bench, *extra: str) -> None:
         nodes = [{"name": f"/agent_1/{name}"} for name in (*NAMES, *extra)]
@@ -32,15 +32,15 @@ class Scene:
         return result
 
     def wait(self, alive: int, condition: str = "", observers: int = 0) -> api.Result:
-        """Until so many are alive, by so many observers, and this is what is wrong."""
+        """Wait until `alive` nodes are alive, seen by `observers` observers, with this condition."""
 
-        def there() -> api.Result | None:
+        def matches() -> api.Result | None:
             result = self.run()
             values = result.values
             fits = values.get("alive") == alive and (not observers or values.get("observers") == observers)
             return result if fits and result.condition == condition else None
 
-        found = until(there, f"{alive} alive, {condition or 'no trouble'}: {self.run()}", limit_s=30.0)
+        found = until(matches, f"{alive} alive, {condition or 'no trouble'}: {self.run()}", limit_s=30.0)
         assert isinstance(found, api.Result)
         return found
 
@@ -54,8 +54,8 @@ def scene(bench: Bench) -> Scene:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_node_that_is_killed_or_stopped_is_dead_by_all(scene: Scene, number: signal.Signals) -> None:
-    """The others agree in the end, and nothing but the check of nodes has to be told."""
+def test_a_killed_or_stopped_node_is_dead_by_consensus(scene: Scene, number: signal.Signals) -> None:
+    """The others agree eventually; only the check of nodes publishes it."""
     scene.nodes["c"].send_signal(number)
     result = scene.wait(2, observers=3)
     assert result.level is api.Level.OK
@@ -63,8 +63,8 @@ def test_a_node_that_is_killed_or_stopped_is_dead_by_all(scene: Scene, number: s
     assert scene.run().level is api.Level.OK
 
 
-def test_a_restarted_node_is_taken_back(scene: Scene, bench: Bench) -> None:
-    """Under its name it is another one, and all hear it."""
+def test_a_restarted_node_rejoins(scene: Scene, bench: Bench) -> None:
+    """It has the same name but a new identity, and all receive it."""
     scene.nodes["c"].kill()
     scene.wait(2, observers=3)
     bench.script(SCRIPT, "c")
@@ -72,7 +72,7 @@ def test_a_restarted_node_is_taken_back(scene: Scene, bench: Bench) -> None:
     assert result.level is api.Level.OK
 
 
-def test_a_hung_executor_is_known_and_leaves_the_agreement_whole(scene: Scene) -> None:
+def test_a_hung_executor_is_reported_without_breaking_consensus(scene: Scene) -> None:
     """All nodes report it alive, and its executor is blocked."""
     scene.nodes["b"].send_signal(signal.SIGUSR1)
     result = until(lambda: (found := scene.run()).values.get("hung") == 1 and found, "the hung executor")
@@ -81,7 +81,7 @@ def test_a_hung_executor_is_known_and_leaves_the_agreement_whole(scene: Scene) -
 
 
 def test_a_split_names_its_sides(scene: Scene, bench: Bench) -> None:
-    """One node comes back where the others do not hear it, nor it them; PHM hears all three."""
+    """One node returns where the others do not receive it, and it does not receive them; PHM receives all three."""
     scene.nodes["c"].kill()
     bench.script(SCRIPT, "c", "--hello", "/elsewhere")
     result = scene.wait(2, "split", observers=4)
@@ -90,19 +90,19 @@ def test_a_split_names_its_sides(scene: Scene, bench: Bench) -> None:
     assert "agent_1/a, agent_1/b | agent_1/c do not receive each other" in result.summary
 
 
-def test_a_node_without_a_beacon_takes_part_by_its_topic(bench: Bench) -> None:
-    """The demo's node without its beacon: PHM's word alone."""
+def test_a_node_without_a_beacon_is_observed_by_its_topic(bench: Bench) -> None:
+    """The demo's node without its beacon: only PHM observes it."""
     nodes = [{"name": "/agent_1/a"}, {"name": "/agent_1/plain"}]
     (check,) = Consensus.build(testing.settings(ros={"nodes": nodes}))
     bench.script(SCRIPT, "a")
     plain: subprocess.Popen[bytes] = bench.node("plain", "--publish", "topic_1:10", "--no-beacon")
     probe = bench.probe([{"name": "/agent_1/topic_1", "rate": 10}], nodes=nodes)
 
-    def told() -> bool:
+    def observed() -> bool:
         result = check.run(testing.world(ros=probe))
         assert isinstance(result, api.Result)
         return result.summary.endswith("; agent_1/plain without a beacon, observed by PHM only")
 
-    until(told, "its part")
+    until(observed, "its observation")
     plain.kill()
-    until(lambda: not told(), "the end of its part")
+    until(lambda: not observed(), "the end of its observation")

@@ -1,4 +1,4 @@
-"""Beacons from anybody in the DDS domain: CDR, text, the ledger, and the pipe to the daemon."""
+"""Beacons from any participant in the DDS domain: CDR, text, the registry, and the pipe to the daemon."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SAID = {
 
 
 def cdr(name: str, text: str, order: str = "<") -> bytes:
-    """A serialized rcl_interfaces/msg/Log as far as the child reads it."""
+    """A serialized rcl_interfaces/msg/Log, as far as the child reads it."""
     data = (b"\0\1" if order == "<" else b"\0\0") + b"\0\0" + bytes(9)
     for word in (name.encode(), text.encode()):
         data += bytes(-len(data) % 4) + struct.pack(f"{order}I", len(word) + 1) + word + b"\0"
@@ -41,7 +41,7 @@ WHOLE = [cdr(BEACON_FORMAT, json.dumps(SAID)), cdr(BEACON_FORMAT, json.dumps(SAI
 
 
 @fuzzed("beacon CDR", data=st.sampled_from(WHOLE).flatmap(torn) | st.binary(max_size=300))
-def test_any_bytes_are_two_texts_or_refused(data: bytes) -> None:
+def test_any_bytes_are_two_strings_or_rejected(data: bytes) -> None:
     """With ValueError or struct.error, which the child counts."""
     with contextlib.suppress(ValueError, struct.error):
         texts = log_texts(data)
@@ -50,8 +50,8 @@ def test_any_bytes_are_two_texts_or_refused(data: bytes) -> None:
 
 
 @fuzzed("beacon", said=st.lists(st.tuples(messages(SAID), st.floats(0, 100), WRITERS), max_size=6))
-def test_any_beacon_is_counted_or_told(said: list[tuple[bytes, float, bytes | None]]) -> None:
-    """Nothing raises, and what is told goes through the pipe and is kept by the daemon."""
+def test_any_beacon_is_rejected_or_reported(said: list[tuple[bytes, float, bytes | None]]) -> None:
+    """Nothing raises, and an accepted beacon passes the pipe and is kept by the daemon."""
     nodes = frozenset({"/agent_1/a"})
     ledger, kept = BeaconRegistry(nodes, lambda: {b"1": "/agent_1/a"}), SelfReports()
     for text, at_s, writer in said:

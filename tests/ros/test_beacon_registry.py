@@ -1,4 +1,4 @@
-"""What the child makes of beacons: parsed or refused, told when there is news, nobody displaced."""
+"""How the child processes beacons: parsed or rejected, reported on changes, no node displaced."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def ledger(*names: str) -> BeaconRegistry:
     return BeaconRegistry(frozenset(names))
 
 
-def heard(book: BeaconRegistry, now_s: float) -> SelfReportUpdate:
+def registered(book: BeaconRegistry, now_s: float) -> SelfReportUpdate:
     news = book.changes(now_s)
     assert news is not None
     return news
@@ -43,7 +43,7 @@ def heard(book: BeaconRegistry, now_s: float) -> SelfReportUpdate:
 VIEWS = {B: {"alive": True, "age_s": 0.4, "late_s": 0.0}}
 
 
-def test_a_beacon_is_read() -> None:
+def test_a_beacon_is_parsed() -> None:
     """Every field arrives."""
     ((name, fact, has_views),) = beacons_in(text(views=VIEWS))
     assert (name, has_views) == (A, True)
@@ -87,101 +87,101 @@ WRONG: list[Any] = [
 
 
 @pytest.mark.parametrize("wrong", WRONG)
-def test_whatever_is_no_beacon_is_refused_and_counted(wrong: str) -> None:
-    """Nothing of it is kept, and nothing is raised."""
+def test_other_messages_are_rejected_and_counted(wrong: str) -> None:
+    """Nothing of them is kept, and nothing is raised."""
     book = ledger(A)
     book.add(BEACON_FORMAT, wrong, 1.0)
     assert book.changes(1.0) == SelfReportUpdate(refused=1)
     assert book.changes(1.1) is None
 
 
-def test_another_format_is_refused() -> None:
-    """A version that this PHM does not know shows as a count, not as nonsense."""
+def test_another_format_version_is_rejected() -> None:
+    """A version that this PHM does not know is counted, not misread."""
     book = ledger(A)
     book.add("phm.beacon/2", text(), 1.0)
     assert book.refused == 1
 
 
-def test_the_first_beat_is_told_whole_and_the_next_by_its_age() -> None:
-    """What a beat costs on the pipe is one number, unless there is news in it."""
+def test_the_first_beacon_is_sent_in_full_and_the_next_by_its_age() -> None:
+    """On the pipe, a beacon without changes is a single number."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text(), 1.0)
-    assert set(heard(book, 1.1).beacons) == {A}
+    assert set(registered(book, 1.1).beacons) == {A}
     book.add(BEACON_FORMAT, text(), 1.2)
     assert book.changes(1.25) == SelfReportUpdate(ages={A: 0.05})
     assert book.changes(1.3) is None
 
 
 @pytest.mark.parametrize("news", [text({A: node(late_s=2.0)}), text({A: node("w.2")}), text(views=VIEWS)])
-def test_news_is_told_whole(news: str) -> None:
+def test_a_change_is_sent_in_full(news: str) -> None:
     """Lateness, another life, a view."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text(), 1.0)
     book.changes(1.0)
     book.add(BEACON_FORMAT, news, 1.2)
-    assert set(heard(book, 1.2).beacons) == {A}
+    assert set(registered(book, 1.2).beacons) == {A}
 
 
 @pytest.mark.parametrize("configured", [(), (A,)], ids=["stranger", "configured"])
-def test_the_first_turn_of_an_executor_is_news(configured: tuple[str, ...]) -> None:
-    """A beat that was heard before the executor ran does not stand for all later ones, whoever's node it is."""
+def test_the_first_turn_of_an_executor_is_a_change(configured: tuple[str, ...]) -> None:
+    """A beacon from before the executor ran does not represent later ones, also for nodes that are not configured."""
     book = ledger(*configured)
     book.add(BEACON_FORMAT, text({A: {**node(), "turns": 0}}), 1.0)
-    assert heard(book, 1.0).beacons[A].turns == 0
+    assert registered(book, 1.0).beacons[A].turns == 0
     book.add(BEACON_FORMAT, text(), 1.2)
-    assert heard(book, 1.2).beacons[A].turns == 3
+    assert registered(book, 1.2).beacons[A].turns == 3
 
 
 def test_a_view_is_kept_until_the_next() -> None:
-    """Views come once a second, beats five times."""
+    """Views arrive once a second, beacons five times."""
     book = ledger(A, B)
     book.add(BEACON_FORMAT, text(views=VIEWS), 1.0)
     book.add(BEACON_FORMAT, text(), 1.2)
-    assert set(heard(book, 1.2).beacons[A].views) == {B}
+    assert set(registered(book, 1.2).beacons[A].views) == {B}
     book.add(BEACON_FORMAT, text(views={}), 1.4)
-    assert heard(book, 1.4).beacons[A].views == {}
+    assert registered(book, 1.4).beacons[A].views == {}
 
 
-def test_silence_is_told_when_it_begins_and_when_it_ends() -> None:
-    """After two missed beats, after three, and not again; then when it beats anew."""
+def test_silence_is_reported_when_it_begins_and_when_it_ends() -> None:
+    """After two missed beacons, after three, and not again; then when a beacon arrives again."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text(), 1.0)
     book.changes(1.0)
     assert book.changes(1.35) is None
-    assert heard(book, 1.41).beacons[A].age_s == 0.41
-    assert heard(book, 1.61).beacons[A].age_s == 0.61
+    assert registered(book, 1.41).beacons[A].age_s == 0.41
+    assert registered(book, 1.61).beacons[A].age_s == 0.61
     assert book.changes(2.0) is None
     book.add(BEACON_FORMAT, text(), 2.1)
-    assert set(heard(book, 2.1).beacons) == {A}
+    assert set(registered(book, 2.1).beacons) == {A}
 
 
-def test_a_second_one_of_a_name_takes_its_place_only_when_it_is_silent() -> None:
-    """A forged or doubled node cannot hide that the first one lives, nor that it is dead for long."""
+def test_a_second_node_of_a_name_replaces_only_a_silent_one() -> None:
+    """A forged or duplicate node cannot hide that the first one is alive, nor hide its death for long."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text(), 1.0)
     book.add(BEACON_FORMAT, text(witness="v"), 1.1)
-    assert heard(book, 1.1).beacons[A].birth == "w.1"
+    assert registered(book, 1.1).beacons[A].birth == "w.1"
     book.add(BEACON_FORMAT, text(witness="v"), 1.61)
-    assert heard(book, 1.61).beacons[A].birth == "v.1"
+    assert registered(book, 1.61).beacons[A].birth == "v.1"
 
 
-def test_configured_nodes_have_room_whatever_strangers_do() -> None:
-    """Strangers fill what is theirs, are refused then, and are forgotten when they are silent."""
+def test_configured_nodes_have_reserved_space() -> None:
+    """Other nodes fill their own share, are rejected beyond it, and are forgotten when they are silent."""
     book = ledger(A)
     for number in range(MAX_STRANGERS + 5):
         book.add(BEACON_FORMAT, text({f"/x{number}": node()}), 1.0)
     book.add(BEACON_FORMAT, text(), 1.0)
-    news = heard(book, 1.0)
+    news = registered(book, 1.0)
     assert (len(news.beacons), news.refused) == (MAX_STRANGERS + 1, 5)
     assert A in news.beacons
     book.changes(2.0)
     book.changes(1.1 + FORGET_S)
     book.add(BEACON_FORMAT, text({"/y": node()}), 2.0 + FORGET_S)
-    assert set(heard(book, 2.0 + FORGET_S).beacons) == {"/y"}
+    assert set(registered(book, 2.0 + FORGET_S).beacons) == {"/y"}
 
 
 def test_the_daemon_keeps_the_newest_and_its_age() -> None:
-    """An age alone makes a known beacon young again; an unknown name is passed over."""
+    """An age alone updates a known beacon; an unknown name is ignored."""
     kept = SelfReports().with_update(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2)}, refused=2), 10.0)
     kept = kept.with_update(SelfReportUpdate(ages={A: 0.05, B: 0.05}, refused=2), 10.5)
     beacons, _ = kept.since(10.6)
@@ -200,8 +200,8 @@ def test_the_daemon_keeps_the_newest_and_its_age() -> None:
         (BeaconFact(0.0, 0.2, 0.0, "w.2"), True),
     ],
 )
-def test_checks_are_woken_by_what_matters(fact: BeaconFact, differs: bool) -> None:
-    """Silence, lateness, another life; not by each beat."""
+def test_checks_are_woken_by_relevant_changes(fact: BeaconFact, differs: bool) -> None:
+    """Silence, lateness, another life; not each beacon."""
     kept = SelfReports().with_update(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2, 0.0, "w.1")}), 10.0)
     assert kept.differs(SelfReportUpdate(beacons={A: fact})) is differs
     assert SelfReports().differs(SelfReportUpdate(beacons={A: fact}))
@@ -213,7 +213,7 @@ def hello(witness: str, name: str, period_s: float = 0.4) -> str:
 
 
 def test_a_neighbour_is_alive_until_it_has_missed_three_greetings() -> None:
-    """By the period that it said itself; then not alive, and forgotten after a minute."""
+    """By the period that it announced; then it is not alive, and forgotten after a minute."""
     neighbours = _Neighbours("me")
     neighbours.hear(HELLO_FORMAT, hello("w", A), 10.0)
     neighbours.hear(HELLO_FORMAT, hello("me", B), 10.0)
@@ -225,16 +225,18 @@ def test_a_neighbour_is_alive_until_it_has_missed_three_greetings() -> None:
 @pytest.mark.parametrize(
     "wrong", ["", "[]", "{}", "null", "x" * 90_000, hello("w", A).replace("0.4", "1e9"), "[" * 10_000]
 )
-def test_what_is_no_greeting_is_passed_over(wrong: str) -> None:
-    """In the application's own process nothing that comes from outside may raise, or be passed on so that PHM refuses it."""
+def test_other_messages_on_the_topic_are_ignored_by_nodes(wrong: str) -> None:
+    """In the application's own process, input from outside must neither raise nor be forwarded in a form that PHM
+    rejects.
+    """
     neighbours = _Neighbours("me")
     neighbours.hear(HELLO_FORMAT, wrong, 1.0)
     neighbours.hear("other", hello("w", A), 1.0)
     assert neighbours.views(1.0) == {} and neighbours.processes == 0
 
 
-def test_neighbours_are_no_more_than_a_message_can_tell() -> None:
-    """The first ones stay."""
+def test_neighbours_are_limited_to_what_fits_into_a_message() -> None:
+    """The first ones are kept."""
     neighbours = _Neighbours("me")
     for number in range(MAX_NEIGHBOURS + 9):
         neighbours.hear(HELLO_FORMAT, hello(f"w{number}", f"/n{number}"), 1.0)
@@ -245,12 +247,12 @@ def test_neighbours_are_no_more_than_a_message_can_tell() -> None:
 # ---------------------------------------------------------------- bytes
 
 
-@pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # of lark, which rclpy brings
+@pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # of lark, which rclpy depends on
 @pytest.mark.parametrize(
     ("name", "said"), [("phm.beacon/1", "{}"), ("", ""), ("abc", "x" * 1001), ("ä", "\u20ac \U0001f681 end")]
 )
 def test_texts_are_read_from_bytes_as_rclpy_reads_them(name: str, said: str) -> None:
-    """Of whatever length, and so wherever they begin."""
+    """Of any length, and so at any alignment."""
     from rcl_interfaces.msg import Log
     from rclpy.serialization import deserialize_message, serialize_message
 
@@ -262,8 +264,8 @@ def test_texts_are_read_from_bytes_as_rclpy_reads_them(name: str, said: str) -> 
 WHOLE = b"\0\1\0\0" + b"\0" * 8 + b"\x14\0\0\0" + b"\3\0\0\0ab\0\0" + b"\2\0\0\0c\0"
 
 
-def test_what_is_cut_or_strange_is_no_message() -> None:
-    """Whoever publishes on this topic may send anything."""
+def test_truncated_or_foreign_bytes_are_rejected() -> None:
+    """Anyone who publishes on this topic may send anything."""
     assert log_texts(WHOLE) == ("ab", "c")
     swapped = b"\0\0\0\0" + b"\0" * 8 + b"\x14\0\0\0" + b"\0\0\0\3ab\0\0" + b"\0\0\0\2c\0"
     assert log_texts(swapped) == ("ab", "c")
@@ -275,23 +277,23 @@ def test_what_is_cut_or_strange_is_no_message() -> None:
             log_texts(data)
 
 
-def test_two_processes_of_one_name_that_both_go_on_are_told() -> None:
-    """Each beats several times after the second came; then the second ends."""
+def test_two_active_processes_of_one_name_are_reported() -> None:
+    """Each sends several beacons after the second appeared; then the second ends."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text(), 1.0)
-    told = []
+    reported = []
     for number in range(1, 20):
         at_s = 1.0 + 0.2 * number
         book.add(BEACON_FORMAT, text(), at_s)
         if 5 <= number < 12:
             book.add(BEACON_FORMAT, text(witness="v"), at_s + 0.1)
         news = book.changes(at_s + 0.1)
-        told += [(number, news.beacons[A].rivals)] if news is not None and A in news.beacons else []
-    assert told == [(1, 0), (7, 1), (15, 0)]
+        reported += [(number, news.beacons[A].rivals)] if news is not None and A in news.beacons else []
+    assert reported == [(1, 0), (7, 1), (15, 0)]
 
 
-def test_a_node_that_relieves_another_is_no_rival() -> None:
-    """The first one falls silent as the second begins to beat: from then on it is the node."""
+def test_a_node_that_replaces_another_is_not_a_rival() -> None:
+    """The first one falls silent as the second begins to send: from then on the second is the node."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text(), 1.0)
     for number in range(1, 10):
@@ -304,8 +306,8 @@ def test_a_node_that_relieves_another_is_no_rival() -> None:
     assert news is not None
 
 
-def test_rivals_without_end_are_capped() -> None:
-    """Anyone may beat under any name."""
+def test_the_number_of_rivals_is_capped() -> None:
+    """Anyone may send under any name."""
     book = ledger(A)
     for number in range(100):
         book.add(BEACON_FORMAT, text(), 1.0)
@@ -321,60 +323,64 @@ def listing(*writers: bytes) -> Any:
 
 
 def test_an_identity_belongs_to_the_writer_that_used_it_first() -> None:
-    """What another one says in its name is refused, and who that is is reported; the first one goes on to count."""
+    """A message of another writer with this identity is rejected, and that writer is reported; the first one keeps
+    counting.
+    """
     book = BeaconRegistry(frozenset({A}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     book.changes(1.0)
     book.add(BEACON_FORMAT, text({A: node(late_s=99.0)}), 1.1, TWO)
-    fact = heard(book, 1.2).beacons[A]
+    fact = registered(book, 1.2).beacons[A]
     assert (fact.late_s, fact.age_s, fact.copied_by, book.refused) == (0.0, 0.2, "/elsewhere/forger", 1)
     book.add(BEACON_FORMAT, text(), 1.2, ONE)
     assert book.changes(1.2) == SelfReportUpdate(ages={A: 0.0}, refused=1)
     book.add(BEACON_FORMAT, text(), 20.0, ONE)
-    assert heard(book, 20.0).beacons[A].copied_by == ""
+    assert registered(book, 20.0).beacons[A].copied_by == ""
 
 
 def test_a_copied_identity_does_not_keep_a_dead_node_alive() -> None:
-    """Its first writer is listed until its lease ends: so long the silence is what it is."""
+    """Its first writer is listed until its lease ends: until then its silence counts."""
     book = BeaconRegistry(frozenset({A}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     for number in range(1, 20):
         book.add(BEACON_FORMAT, text(), 1.0 + number / 10, TWO)
-    assert heard(book, 3.0).beacons[A].age_s == 2.0
+    assert registered(book, 3.0).beacons[A].age_s == 2.0
 
 
 def test_a_copied_identity_adds_no_nodes_to_a_process() -> None:
-    """The message is refused as one."""
+    """The message is rejected entirely."""
     book = BeaconRegistry(frozenset({A, B}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     book.add(BEACON_FORMAT, text({B: node()}), 1.0, TWO)
-    assert set(heard(book, 1.0).beacons) == {A}
+    assert set(registered(book, 1.0).beacons) == {A}
 
 
 @pytest.mark.parametrize("listed", [(TWO,), (ONE, TWO)])
 def test_an_identity_is_free_again_when_its_writer_is_silent_and_gone(listed: tuple[bytes, ...]) -> None:
-    """As behind a bridge that was restarted. Neither will do alone: PHM may have lost a lease, and a node may be stopped."""
+    """As behind a bridge that was restarted. A writer that is only silent, or only gone, is not enough: PHM may have
+    lost a lease, and a node may be stopped.
+    """
     book = BeaconRegistry(frozenset({A}), listing(*listed))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     book.add(BEACON_FORMAT, text(), 1.3, TWO)
-    assert heard(book, 1.3).beacons[A].age_s == 0.3
+    assert registered(book, 1.3).beacons[A].age_s == 0.3
     book.add(BEACON_FORMAT, text(), 2.0, TWO)
-    news = heard(book, 2.0)
+    news = registered(book, 2.0)
     age_s = news.beacons[A].age_s if A in news.beacons else news.ages[A]
     assert age_s == (1.0 if ONE in listed else 0.0)
 
 
-def test_a_node_that_was_started_again_is_taken_at_once() -> None:
-    """It is another process with another writer; the first one, which is silent, may be listed for as long as its lease."""
+def test_a_restarted_node_is_accepted_immediately() -> None:
+    """It is another process with another writer; the first one, now silent, may be listed until its lease ends."""
     book = BeaconRegistry(frozenset({A}), listing(ONE, TWO))
     book.add(BEACON_FORMAT, text(), 1.0, ONE)
     book.add(BEACON_FORMAT, text(witness="v"), 1.7, TWO)
-    fact = heard(book, 1.7).beacons[A]
+    fact = registered(book, 1.7).beacons[A]
     assert (fact.birth, fact.age_s, fact.copied_by) == ("v.1", 0.0, "")
 
 
-def test_writers_that_are_bound_are_no_more_than_nodes() -> None:
-    """Names of processes come from outside without end."""
+def test_the_number_of_bound_writers_is_limited_like_nodes() -> None:
+    """Process names from outside are unlimited."""
     book = BeaconRegistry(frozenset({A}), listing())
     for number in range(MAX_STRANGERS * 3):
         book.add(BEACON_FORMAT, text({f"/x{number}": node()}, witness=f"w{number}"), 1.0, ONE)
@@ -385,7 +391,7 @@ def test_writers_that_are_bound_are_no_more_than_nodes() -> None:
 
 
 def test_messages_of_configured_nodes_are_read_first() -> None:
-    """Others share what is left, each in its turn, the short ones first; nothing is read of what is too long."""
+    """Others share the remaining space in turn, short ones first; a message that is too long is not read at all."""
     large, short = b"x" * 70_000, b"x" * 500
     flood = [(large, TWO, number) for number in range(100)]
     honest = [(short, ONE, 200), (short, b"3" * 16, 201), (b"x" * (MAX_BYTES + 1), ONE, 202), (short, ONE, 203)]
@@ -396,8 +402,8 @@ def test_messages_of_configured_nodes_are_read_first() -> None:
     assert len(choose([(large, ONE, number) for number in range(100)], {ONE})) == 1 + OTHERS_BYTES // len(large)
 
 
-def test_news_of_any_size_fit_into_messages_and_begin_with_the_configured_nodes() -> None:
-    """As many neighbours as a beacon may name, with the longest names there may be."""
+def test_changes_fit_into_messages_and_begin_with_the_configured_nodes() -> None:
+    """As many neighbours as a beacon may name, with names of maximum length."""
     names = [f"/{'n' * 250}{number:03}" for number in range(400)]
     views = {name: NeighbourFact(alive=True, age_s=123456.789, late_s=123456.789) for name in names[:MAX_NEIGHBOURS]}
     beacons = {name: BeaconFact(0.1, 0.2, birth="w" * 60, witness="\u00e9" * 60, views=views) for name in names}
@@ -410,24 +416,24 @@ def test_news_of_any_size_fit_into_messages_and_begin_with_the_configured_nodes(
     assert all(len(encode(message)) < LINE_LIMIT and message.lost for message in messages)
 
 
-def test_what_strangers_say_of_strangers_is_dropped() -> None:
-    """Nothing asks for it, and it is what makes messages long."""
+def test_views_of_unconfigured_nodes_about_each_other_are_dropped() -> None:
+    """Nothing uses them, and they make messages long."""
     book = ledger(A)
     book.add(BEACON_FORMAT, text({A: node(), "/x": node()}, views={**VIEWS, A: VIEWS[B]}), 1.0)
-    beacons = heard(book, 1.0).beacons
+    beacons = registered(book, 1.0).beacons
     assert set(beacons[A].views) == {A} and beacons["/x"].views == {}
 
 
-def test_strangers_displace_no_configured_node_in_the_daemon() -> None:
-    """The oldest of the configured ones is kept: a dead node is known by its silence."""
+def test_unconfigured_nodes_displace_no_configured_node_in_the_daemon() -> None:
+    """The oldest configured one is kept: a dead node is recognized by its silence."""
     kept = SelfReports(own=Own(frozenset({A}))).with_update(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2)}), 1.0)
     for number in range(3 * MAX_NAMES):
         kept = kept.with_update(SelfReportUpdate(beacons={f"/x{number}": BeaconFact(0.1, 0.2)}), 2.0 + number)
     assert A in kept.beacons and len(kept.beacons) == MAX_NAMES + 1
 
 
-def test_silence_while_beacons_are_lost_proves_nothing() -> None:
-    """Whoever has been silent since before the loss is not known; one that beat after it is."""
+def test_silence_while_beacons_are_lost_is_not_evidence() -> None:
+    """A node silent since before the loss is unknown; one whose beacon arrived after it is known."""
     kept = SelfReports().with_update(SelfReportUpdate(beacons={A: BeaconFact(0.0, 0.2), B: BeaconFact(0.0, 0.2)}), 10.0)
     kept = kept.with_update(SelfReportUpdate(lost=True), 12.0)
     kept = kept.with_update(SelfReportUpdate(ages={B: 0.0}), 13.0)
@@ -435,8 +441,8 @@ def test_silence_while_beacons_are_lost_proves_nothing() -> None:
     assert kept.with_update(SelfReportUpdate(ages={A: 0.0}), 15.0).since(18.0)[0].keys() == {A, B}
 
 
-def test_a_rival_is_news_worth_a_look() -> None:
-    """Checks are to look at once."""
+def test_a_rival_wakes_the_checks() -> None:
+    """Checks run immediately."""
     known = SelfReports().with_update(SelfReportUpdate(beacons={A: BeaconFact(0.0, 0.2)}), 1.0)
     assert known.differs(SelfReportUpdate(beacons={A: BeaconFact(0.0, 0.2, rivals=1)}))
     assert not known.differs(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2)}))

@@ -1,4 +1,4 @@
-"""The tests' own bench: runs of the tests at the same time must not hear each other."""
+"""The test bench: concurrent test runs must not receive each other's messages."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from tests.fakes import ros_bench
 
 
-def test_a_domain_in_use_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another run that counts from the same number finds the next one that is free."""
+def test_a_domain_in_use_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another run that counts from the same number finds the next free one."""
     locks = []
     domains = []
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""Diagnostics through the real child: the application's are heard, PHM's own arrive at a real subscriber."""
+"""Diagnostics through the real child: those of the application are received, PHM's own reach a real subscriber."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FINE = [FREQUENCY, 0, "fine", "cam-07", {"fps": "30.0"}]
 
 
 class Speaker:
-    """A real node that publishes what it is told, ten times a second."""
+    """A real node that publishes the given status ten times a second."""
 
     def __init__(self, bench: Bench, name: str = "camera") -> None:
         self.process = bench.script("ros_status.py", "say", name)
@@ -47,14 +47,14 @@ class Listener:
 
     def _read(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None
-        with contextlib.suppress(ValueError):  # at the test's end the pipe is closed, in the midst of a line
+        with contextlib.suppress(ValueError):  # at the end of the test the pipe is closed, in the middle of a line
             for line in process.stdout:
                 frame, statuses = json.loads(line)
                 self.heard.update({name: rest for name, *rest in statuses})
                 self.frames.update({name: frame for name, *_ in statuses})
 
 
-def heard(fact: RosFact, name: str = FREQUENCY) -> DiagnosticFact | None:
+def received(fact: RosFact, name: str = FREQUENCY) -> DiagnosticFact | None:
     return fact.diagnostics.get(name)
 
 
@@ -62,15 +62,17 @@ def listening(bench: Bench, **diagnostics: Any) -> RosSupervisor:
     return bench.probe(nodes=[{"name": "/agent_1/camera"}], diagnostics=diagnostics)
 
 
-def told(level: int, message: str, **values: str) -> Mapping[str, DiagnosticFact]:
+def statuses(level: int, message: str, **values: str) -> Mapping[str, DiagnosticFact]:
     return {"phm/agent_1: summary": DiagnosticFact(0.0, level, message, "agent_1", values)}
 
 
-def test_what_a_node_says_is_heard(bench: Bench) -> None:
-    """Each status with its level, message, hardware id and values; a new level is a change at once; silence shows as age."""
+def test_a_nodes_status_is_received(bench: Bench) -> None:
+    """Each status with its level, message, hardware id and values; a new level is reported immediately; silence shows
+    as age.
+    """
     camera, probe = Speaker(bench), listening(bench)
     camera.say(FINE, ["camera: Frames", 1, "few", "", {}])
-    fact = seen(probe, lambda fact: heard(fact) and heard(fact, "camera: Frames") and fact, "both statuses")
+    fact = seen(probe, lambda fact: received(fact) and received(fact, "camera: Frames") and fact, "both statuses")
     frequency = fact.diagnostics[FREQUENCY]
     assert (frequency.level, frequency.message, frequency.hardware_id) == (0, "fine", "cam-07")
     assert dict(frequency.values) == {"fps": "30.0"} and fact.diagnostics["camera: Frames"].level == 1
@@ -82,8 +84,8 @@ def test_what_a_node_says_is_heard(bench: Bench) -> None:
     seen(probe, lambda fact: fact.diagnostics[FREQUENCY].age_s > 1.0, "silence")
 
 
-def test_two_nodes_are_heard_side_by_side(bench: Bench) -> None:
-    """Arrays of one topic share a queue, and all that wait in it are taken."""
+def test_two_nodes_are_received_on_one_topic(bench: Bench) -> None:
+    """Arrays of one topic share a queue, and all waiting ones are read."""
     camera, lidar, probe = Speaker(bench), Speaker(bench, "lidar"), listening(bench)
     camera.say(FINE)
     lidar.say(["lidar: Frequency", 0, "", "", {}])
@@ -95,22 +97,22 @@ def test_two_nodes_are_heard_side_by_side(bench: Bench) -> None:
     )
 
 
-def test_what_phm_says_is_not_heard_by_phm(bench: Bench) -> None:
+def test_phm_ignores_diagnostics_of_phm(bench: Bench) -> None:
     """Neither its own array nor that of another agent's PHM in the same domain."""
     camera, probe = Speaker(bench), listening(bench)
     camera.say(["phm/agent_2: summary", 2, "", "", {}], FINE)
-    until(lambda: probe.publish(told(2, "x")) == 0 and seen(probe, heard, "the status"), "the status")
+    until(lambda: probe.publish(statuses(2, "x")) == 0 and seen(probe, received, "the status"), "the status")
     seen(probe, lambda fact: fact.up_s > 3.0, "a while")
     assert set(probe.look().diagnostics) == {FREQUENCY}
 
 
-def test_what_phm_says_arrives(bench: Bench) -> None:
-    """A real subscriber gets level, texts and values, and the frame by which PHM knows its own."""
+def test_phms_diagnostics_reach_a_subscriber(bench: Bench) -> None:
+    """A real subscriber gets level, texts and values, and the frame by which PHM recognizes its own."""
     probe, monitor = listening(bench), Listener(bench)
     message = "größer\u202e" + "x" * 200
 
     def arrived() -> Any:
-        probe.publish(told(1, message, slot="6", empty=""))
+        probe.publish(statuses(1, message, slot="6", empty=""))
         return monitor.heard.get("phm/agent_1: summary")
 
     assert until(arrived, "the status") == [1, message, "agent_1", {"slot": "6", "empty": ""}]
@@ -118,7 +120,7 @@ def test_what_phm_says_arrives(bench: Bench) -> None:
 
 
 def test_a_long_array_goes_through_the_pipe_in_pieces(bench: Bench) -> None:
-    """Longer than the pipe holds: nothing blocks, and it arrives whole."""
+    """Longer than the pipe's capacity: nothing blocks, and it arrives complete."""
     probe, monitor = listening(bench), Listener(bench)
     long = {
         f"phm/agent_1/ros: x/{n}": DiagnosticFact(0.0, 0, "x" * 250, "agent_1", {"k": "v" * 100}) for n in range(400)
@@ -128,11 +130,11 @@ def test_a_long_array_goes_through_the_pipe_in_pieces(bench: Bench) -> None:
 
 
 def test_an_array_that_is_too_long_is_not_read(bench: Bench) -> None:
-    """The log says so, once, and the others are heard all the same."""
+    """The log states it once, and other arrays are still received."""
     camera, lidar, probe = Speaker(bench), Speaker(bench, "lidar"), listening(bench)
     lidar.say(["lidar: Log", 0, "x" * 300_000, "", {}])
     camera.say(FINE)
-    seen(probe, heard, "the short one")
+    seen(probe, received, "the short one")
     until(lambda: bench.notes, "the note")
     seen(probe, lambda fact: fact.up_s > 2.0, "a while")
     assert bench.notes == ["an array of more than 200 kB on /diagnostics is ignored"]
@@ -140,37 +142,37 @@ def test_an_array_that_is_too_long_is_not_read(bench: Bench) -> None:
 
 
 def test_texts_and_values_are_cut(bench: Bench) -> None:
-    """Names and values come from outside: they fill neither the pipe nor the memory."""
+    """Names and values come from outside: they must fill neither the pipe nor the memory."""
     camera, probe = Speaker(bench), listening(bench)
     camera.say(["n" * 999, 77, "m" * 999, "h" * 999, {f"k{n}": "v" * 999 for n in range(99)}], ["", 2, "", "", {}])
     name = "n" * 255
-    fact = seen(probe, lambda fact: heard(fact, name), "the status")
+    fact = seen(probe, lambda fact: received(fact, name), "the status")
     assert (fact.level, fact.message, fact.hardware_id) == (77, "m" * 255, "h" * 255)
     assert len(fact.values) == 32 and set(fact.values.values()) == {"v" * 255}
     assert set(probe.look().diagnostics) == {name}
 
 
 def test_no_more_names_are_kept_than_the_cap(bench: Bench) -> None:
-    """500 at most; what is heard now wins over what was heard."""
+    """500 at most; recently received names replace older ones."""
     camera, probe = Speaker(bench), listening(bench)
     camera.say(*([f"a{n}", 0, "", "", {}] for n in range(400)))
-    seen(probe, lambda fact: heard(fact, "a399"), "the first")
+    seen(probe, lambda fact: received(fact, "a399"), "the first")
     camera.say(*([f"b{n}", 0, "", "", {}] for n in range(400)))
-    fact = seen(probe, lambda fact: heard(fact, "b399") and fact, "the next")
+    fact = seen(probe, lambda fact: received(fact, "b399") and fact, "the next")
     assert len(fact.diagnostics) == 500
 
 
-def test_other_topics_may_be_listened_to(bench: Bench) -> None:
-    """And none at all: then nothing is heard, and PHM still publishes."""
+def test_other_topics_may_be_subscribed(bench: Bench) -> None:
+    """And none at all: then nothing is received, and PHM still publishes."""
     camera, probe, monitor = Speaker(bench), listening(bench, listen=[]), Listener(bench)
     camera.say(FINE)
-    until(lambda: probe.publish(told(0, "x")) == 0 and "phm/agent_1: summary" in monitor.heard, "PHM's status")
+    until(lambda: probe.publish(statuses(0, "x")) == 0 and "phm/agent_1: summary" in monitor.heard, "PHM's status")
     until(lambda: FREQUENCY in monitor.heard, "the camera's status, elsewhere")
     assert probe.look().diagnostics == {}
 
 
-def test_without_diagnostic_msgs_a_sentence_and_no_harm(bench: Bench) -> None:
-    """It is said once, also when the child is made anew; the graph is seen all the same."""
+def test_missing_diagnostic_msgs_is_reported_and_harmless(bench: Bench) -> None:
+    """It is reported once, also when the child is restarted; the graph is still seen."""
     bench.node("node_1")
     hidden = (
         "import sys; sys.modules['diagnostic_msgs'] = None\n"
@@ -178,11 +180,11 @@ def test_without_diagnostic_msgs_a_sentence_and_no_harm(bench: Bench) -> None:
     )
     probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}], command=(sys.executable, "-c", hidden))
     seen(probe, lambda fact: fact.nodes, "the node")
-    assert probe.publish(told(0, "x")) == 0
+    assert probe.publish(statuses(0, "x")) == 0
     first = probe.pid
     probe.renew("for the test")
     seen(probe, lambda fact: fact.nodes and probe.pid != first, "the node again")
-    probe.publish(told(0, "x"))
+    probe.publish(statuses(0, "x"))
     seen(probe, lambda fact: fact.up_s > 1.0, "a while")
     assert [note for note in bench.notes if "restarted" not in note] == [
         "diagnostic_msgs is not installed beside PHM: /diagnostics is neither read nor published; "
@@ -191,12 +193,12 @@ def test_without_diagnostic_msgs_a_sentence_and_no_harm(bench: Bench) -> None:
     assert probe.restarts == 0
 
 
-def test_a_child_that_does_not_read_blocks_nobody(bench: Bench) -> None:
-    """What waits is replaced by what is newer, and counted; pictures go on."""
+def test_a_child_that_does_not_read_blocks_nothing(bench: Bench) -> None:
+    """Waiting data are replaced by newer ones, and counted; graph snapshots continue."""
     fake = (sys.executable, str(ROOT / "tests" / "fakes" / "ros_child.py"), "no_input")
     probe = bench.probe(nodes=[{"name": "/a/n"}], command=fake)
     big = {f"s{n}": DiagnosticFact(0.0, 0, "x" * 250) for n in range(400)}
-    assert probe.publish(big) == 0  # no picture yet: there is nobody to hand it to
+    assert probe.publish(big) == 0  # no snapshot yet: no child to send it to
     seen(probe, lambda fact: fact.nodes, "a picture")
     until(lambda: probe.publish(big) >= 3, "arrays that were not taken")
     up_s = probe.look().up_s
@@ -204,8 +206,8 @@ def test_a_child_that_does_not_read_blocks_nobody(bench: Bench) -> None:
     assert probe.restarts == 0
 
 
-def test_what_is_no_order_is_ignored() -> None:
-    """A line that was cut, or is not JSON, does no harm to the next; a closed pipe is the end."""
+def test_invalid_requests_are_ignored() -> None:
+    """A truncated line, or one that is not JSON, does not affect the next; a closed pipe ends the reader."""
     code = (
         "import time; from types import SimpleNamespace\n"
         "from phm.probes.ros import child; from phm.probes.ros.line_splitter import LineSplitter\n"
@@ -241,8 +243,10 @@ ros:
 """
 
 
-def test_a_running_daemon_judges_what_it_hears_and_is_seen_by_others(bench: Bench, tmp_path: Path) -> None:
-    """The whole way: a node's ERROR becomes a fault in the log and on /diagnostics, and is over when the node says OK."""
+def test_a_running_daemon_judges_and_publishes_diagnostics(bench: Bench, tmp_path: Path) -> None:
+    """End to end: a node's ERROR becomes a fault in the log and on /diagnostics, and is resolved when the node reports
+    OK.
+    """
     (tmp_path / "phm.yaml").write_text(CONFIG.format(folder=tmp_path, domain=bench.domain))
     camera, monitor = Speaker(bench), Listener(bench)
     camera.say(FINE)
@@ -278,7 +282,7 @@ def test_a_running_daemon_judges_what_it_hears_and_is_seen_by_others(bench: Benc
 
 
 def test_statuses_of_any_size_fit_into_messages() -> None:
-    """As many, and as long, as are read; characters that JSON writes with six bytes."""
+    """The maximum number and length; characters that JSON writes with six bytes."""
     text = "\u20ac" * MAX_TEXT
     fact = DiagnosticFact(0.0, 2, text, text, {f"{number:03}{text[3:]}": text for number in range(MAX_VALUES)})
     messages = portions([(f"{number:03}{text[3:]}", fact) for number in range(50)])
@@ -287,8 +291,8 @@ def test_statuses_of_any_size_fit_into_messages() -> None:
     assert portions([]) == []
 
 
-def test_strangers_displace_no_status_that_is_watched() -> None:
-    """The daemon keeps what is configured, by name or pattern, however long ago it was heard."""
+def test_other_statuses_displace_no_configured_status() -> None:
+    """The daemon keeps configured statuses, by name or pattern, however old they are."""
     kept = SelfReports(own=Own(statuses=("camera: *",))).with_update(
         SelfReportUpdate(diagnostics={"camera: a": DiagnosticFact(0.0, 0)}), 1.0
     )

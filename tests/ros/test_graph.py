@@ -1,4 +1,4 @@
-"""The real child against real nodes: what is there is seen, and what is gone is gone."""
+"""The real child and real nodes: existing nodes are seen, and departed ones disappear."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ STRING = "std_msgs/msg/String"
 
 
 def rate_of(fact: RosFact) -> RateFact:
-    """The rate of the only topic; one that knows nothing where there is none yet."""
+    """The rate of the only topic; an unknown rate while there is none."""
     return fact.topics[TOPIC].rate or RateFact(None, None)
 
 
-def named(fact: RosFact) -> bool:
-    """The only topic has both ends, each with the name of its node, which may come a moment later."""
+def has_named_endpoints(fact: RosFact) -> bool:
+    """Whether both endpoints of the only topic have the names of their nodes, which may arrive a moment later."""
     return all(side and side[0].node for side in (fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers))
 
 
-def test_a_killed_node_leaves_the_picture(bench: Bench) -> None:
-    """With the profile that we ship, a node ended by SIGKILL is out of the picture long before the usual 20 s."""
+def test_a_killed_node_leaves_the_graph(bench: Bench) -> None:
+    """With the shipped profile, a node ended by SIGKILL is delisted long before the default 20 s."""
     node = bench.node("node_1", "--publish", "topic_1:10")
     probe = bench.probe([{"name": "agent_1/topic_1", "rate": 10}])
     seen(probe, lambda fact: fact.nodes.get("/agent_1/node_1") == 1 and fact.topics[TOPIC].publishers, "the node")
@@ -41,8 +41,8 @@ def test_a_killed_node_leaves_the_picture(bench: Bench) -> None:
     assert bench.changes > changes
 
 
-def test_a_node_that_leaves_properly_says_so(bench: Bench) -> None:
-    """SIGTERM ends the demo node with code 0 and takes it off the graph."""
+def test_a_node_that_shuts_down_is_delisted(bench: Bench) -> None:
+    """SIGTERM ends the demo node with code 0 and removes it from the graph."""
     node = bench.node("node_1")
     probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}])
     seen(probe, lambda fact: "/agent_1/node_1" in fact.nodes, "the node")
@@ -51,16 +51,16 @@ def test_a_node_that_leaves_properly_says_so(bench: Bench) -> None:
     seen(probe, lambda fact: not fact.nodes, "its absence")
 
 
-def test_endpoints_are_told_by_node_type_and_quality(bench: Bench) -> None:
-    """Publishers and subscribers carry the node's full name; PHM's own reader is not among them."""
+def test_endpoints_are_reported_with_node_type_and_qos(bench: Bench) -> None:
+    """Publishers and subscribers have the node's full name; PHM's own reader is not among them."""
     bench.node("node_1", "--publish", "topic_1:10")
     bench.node("node_2", "--subscribe", "topic_1")
     probe = bench.probe([{"name": TOPIC, "rate": 10}, {"name": "/agent_1/other"}])
 
-    def whole(fact: RosFact) -> RosFact | None:
-        return fact if len(fact.nodes) == 2 and named(fact) and rate_of(fact).hz else None
+    def complete(fact: RosFact) -> RosFact | None:
+        return fact if len(fact.nodes) == 2 and has_named_endpoints(fact) and rate_of(fact).hz else None
 
-    fact = seen(probe, whole, "both ends, their nodes and a rate")
+    fact = seen(probe, complete, "both ends, their nodes and a rate")
     (publisher,), (subscriber,) = fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers
     plain = EndpointFact(
         "/agent_1/node_1", STRING, "reliable", "volatile", None, "automatic", None, publisher.type_hash
@@ -72,12 +72,12 @@ def test_endpoints_are_told_by_node_type_and_quality(bench: Bench) -> None:
     assert set(fact.nodes) == {"/agent_1/node_1", "/agent_1/node_2"}
 
 
-def test_every_policy_of_an_endpoint_is_told(bench: Bench) -> None:
-    """Both sides as DDS has them; what has no end is None."""
+def test_every_policy_of_an_endpoint_is_reported(bench: Bench) -> None:
+    """Both sides as in DDS; an infinite duration is None."""
     strict = "reliability=best_effort,durability=transient_local,liveliness=manual_by_topic,deadline=0.5,lease=2"
     bench.script("ros_ends.py", "talker", f"pub:topic_1:{strict}", "sub:topic_1")
     probe = bench.probe([{"name": TOPIC}])
-    fact = seen(probe, lambda fact: named(fact) and fact, "both ends")
+    fact = seen(probe, lambda fact: has_named_endpoints(fact) and fact, "both ends")
     (publisher,), (subscriber,) = fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers
     assert replace(publisher, type_hash="") == EndpointFact(
         "/agent_1/talker", STRING, "best_effort", "transient_local", 0.5, "manual_by_topic", 2.0
@@ -85,8 +85,8 @@ def test_every_policy_of_an_endpoint_is_told(bench: Bench) -> None:
     assert (subscriber.deadline_s, subscriber.liveliness, subscriber.lease_s) == (None, "automatic", None)
 
 
-def test_a_middleware_that_connects_everything_is_not_judged(bench: Bench) -> None:
-    """Zenoh has no quality of service that keeps two ends apart: it is not told then."""
+def test_qos_is_not_reported_for_a_middleware_that_ignores_it(bench: Bench) -> None:
+    """Zenoh has no QoS that keeps two endpoints from matching."""
     code = (
         "import phm.probes.ros.graph as g; g.quality_matters = lambda: False\n"
         "from phm.probes.ros.child import main; raise SystemExit(main())"
@@ -99,8 +99,8 @@ def test_a_middleware_that_connects_everything_is_not_judged(bench: Bench) -> No
     assert replace(fact.topics[TOPIC].publishers[0], type_hash="") == EndpointFact("/agent_1/talker", STRING)
 
 
-def test_topics_that_nobody_configured_are_told_with_their_nodes(bench: Bench) -> None:
-    """A misspelt name shows there; configured names, hidden ones and those of every node are left out; gone is gone."""
+def test_unconfigured_topics_are_reported_with_their_nodes(bench: Bench) -> None:
+    """A misspelt name appears there; configured, hidden and standard topics are left out; a departed one disappears."""
     node = bench.script("ros_ends.py", "talker", "pub:topc_1", "sub:topc_1", "sub:topic_1", "sub:_hidden", "sub:/other")
     bench.script("ros_ends.py", "second", "sub:topc_1")
     probe = bench.probe([{"name": TOPIC}])
@@ -117,14 +117,14 @@ def test_topics_that_nobody_configured_are_told_with_their_nodes(bench: Bench) -
 
 @pytest.mark.parametrize("hz", [10.0, 200.0])
 def test_the_measured_rate_is_the_true_rate(bench: Bench, tmp_path: Path, hz: float) -> None:
-    """Within 2 % of what was really published, at 10 and at 200 Hz."""
+    """Within 2 % of the published rate, at 10 and at 200 Hz."""
     bench.source(hz, tmp_path / "sent")
     probe = bench.probe([{"name": TOPIC, "rate": hz}])
     seen(probe, lambda fact: within_2_percent(rate_of(fact), tmp_path / "sent"), "a rate within 2 %")
 
 
 def test_a_stopped_node_is_listed_and_silent(bench: Bench) -> None:
-    """SIGSTOP: the topic falls silent, which is told at once, and flows again after SIGCONT."""
+    """SIGSTOP: the topic falls silent, which is reported immediately, and flows again after SIGCONT."""
     node = bench.node("node_1", "--publish", "topic_1:10")
     probe = bench.probe([{"name": TOPIC, "rate": 10}], silence=0.5)
 
@@ -137,8 +137,8 @@ def test_a_stopped_node_is_listed_and_silent(bench: Bench) -> None:
     seen(probe, lambda fact: rate_of(fact).hz, "a rate again")
 
 
-def test_an_unknown_type_is_a_problem_and_not_a_crash(bench: Bench) -> None:
-    """A topic whose type can be had in no way has publishers, no rate, and a reason."""
+def test_an_unknown_type_is_reported_without_a_crash(bench: Bench) -> None:
+    """A topic whose type is not available has publishers, no rate, and a reason."""
     bench.node("node_1", "--publish", "topic_1:10")
     hidden = (
         "import sys; sys.modules['std_msgs'] = None; from phm.probes.ros.child import main\n"
@@ -166,7 +166,7 @@ def test_the_real_child_is_replaced(bench: Bench, number: signal.Signals) -> Non
 
 
 def test_a_leaking_child_is_replaced(bench: Bench) -> None:
-    """Above the memory limit it is killed, and the note gives both figures."""
+    """Above the memory limit it is killed, and the note has both figures."""
     limits = SupervisorLimits(weigh_s=0.1, backoff_s=0.1)
     probe = bench.probe(
         nodes=[{"name": "/a"}], max_memory="120MB", limits=limits, environ={"PHM_DEBUG_ROS_LEAK_MB": "20"}
@@ -176,7 +176,7 @@ def test_a_leaking_child_is_replaced(bench: Bench) -> None:
 
 
 def test_the_child_ends_with_its_parent(bench: Bench) -> None:
-    """A daemon that is killed leaves no child behind: neither a running nor a stopped one."""
+    """A killed daemon leaves no child behind, neither running nor stopped."""
     code = (
         "import sys, time; from phm.core.clock import SystemClock; from phm.core.settings import RosSettings\n"
         "from phm.probes.ros.supervisor import RosSupervisor\n"
@@ -196,11 +196,13 @@ SLEEPY = (
     "import phm.probes.ros.child as child; plain = child._report\n"
     "child._report = lambda watch, out, tick_s: plain(watch, out, 3600.0); raise SystemExit(child.main())"
 )
-"""A child that looks once an hour, and when the middleware tells of a change."""
+"""A child that polls once an hour, and when the middleware reports a change."""
 
 
-def test_a_change_of_the_graph_is_seen_at_once(bench: Bench) -> None:
-    """Nodes and ends that come and go, and a publisher that is made anew with another quality: nobody waits for the next look."""
+def test_a_change_of_the_graph_is_seen_immediately(bench: Bench) -> None:
+    """Nodes and endpoints that appear and disappear, and a publisher recreated with another QoS, do not wait for a
+    poll.
+    """
     probe = bench.probe(
         [{"name": TOPIC}], command=(sys.executable, "-c", SLEEPY), limits=SupervisorLimits(start_s=60.0, silent_s=60.0)
     )
@@ -214,7 +216,7 @@ def test_a_change_of_the_graph_is_seen_at_once(bench: Bench) -> None:
     seen(
         probe,
         lambda fact: [end.reliability for end in fact.topics[TOPIC].publishers] == ["best_effort"],
-        "the publisher that was made anew",
+        "the recreated publisher",
     )
     node.terminate()
     seen(probe, lambda fact: not fact.nodes and not fact.topics[TOPIC].publishers, "its absence")

@@ -1,4 +1,4 @@
-"""The graph's own events, with the middleware that is installed: seen without a look, and let go of at once."""
+"""The graph events of the installed middleware: seen without polling, and released immediately."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ rclpy.shutdown(context=context)
 """
 
 
-def test_a_node_that_comes_and_one_that_goes_are_events(bench: Bench) -> None:
-    """And the thread that waits for them ends when it is told to."""
+def test_a_new_node_and_a_departed_node_are_events(bench: Bench) -> None:
+    """And the thread that waits for them ends on request."""
     environ = {
         **os.environ,
         "PYTHONPATH": str(ROOT),

@@ -1,4 +1,4 @@
-"""What strangers announce in the ROS domain neither blinds PHM nor displaces what is configured."""
+"""Announcements of foreign participants in the ROS domain neither blind PHM nor displace configured nodes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ TOPIC, NODE = "/agent_1/topic_1", "/agent_1/node_1"
 STRING = "std_msgs/msg/String"
 
 
-def looking(bench: Bench) -> RosSupervisor:
-    """PHM, that sees the node and measures its topic."""
+def observing(bench: Bench) -> RosSupervisor:
+    """A probe that sees the node and measures its topic."""
     probe = bench.probe([{"name": TOPIC, "rate": 10}], nodes=[{"name": NODE}])
     seen(probe, lambda fact: NODE in fact.nodes and measured(fact) and NODE in fact.beacons, "node, rate and beacon")
     return probe
@@ -33,9 +33,9 @@ def measured(fact: RosFact) -> bool:
 
 
 def test_thousands_of_forged_names_hide_no_death(bench: Bench) -> None:
-    """A picture is never longer than a message may be: the configured node is in it while it lives, and not after."""
+    """A snapshot never exceeds the size of a message: the configured node is in it while it is alive, and not after."""
     node = bench.node("node_1", "--publish", "topic_1:10")
-    probe = looking(bench)
+    probe = observing(bench)
     bench.script("ros_discovery_forger.py", "5000")
     fact = seen(probe, lambda fact: len(fact.nodes) > MAX_STRANGERS and fact, "the forged names")
     assert NODE in fact.nodes and len(fact.nodes) <= MAX_STRANGERS + 1
@@ -46,28 +46,28 @@ def test_thousands_of_forged_names_hide_no_death(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("bad", ["node", "topic", "name"])
-def test_a_name_that_is_not_utf_8_is_reported_and_blinds_nobody(bench: Bench, bad: str) -> None:
-    """Of a node, of one that publishes a configured topic, of a topic: nodes, ends, rates and beacons are seen all the same."""
+def test_a_name_that_is_not_utf_8_is_reported_and_hides_nothing(bench: Bench, bad: str) -> None:
+    """Of a node, of a publisher of a configured topic, of a topic: nodes, endpoints, rates and beacons are still seen."""
     node = bench.node("node_1", "--publish", "topic_1:10")
-    probe = looking(bench)
+    probe = observing(bench)
     first = probe.pid
     bench.script("ros_discovery_forger.py", "1", bad)
     until(lambda: any(r"no_\xff\xfe" in problem for problem in probe.problems()), "the report")
 
-    def all_there(fact: RosFact) -> bool:
+    def all_seen(fact: RosFact) -> bool:
         ends = [end.node for end in fact.topics[TOPIC].publishers]
         others = [name for name in ends if name != NODE]
         known = not others if bad != "topic" else others and all(r"\xff" in name for name in others)
         return NODE in fact.nodes and NODE in ends and bool(known) and measured(fact) and fact.beacons[NODE].missed < 3
 
-    seen(probe, all_there, "all that is configured")
+    seen(probe, all_seen, "all that is configured")
     node.send_signal(signal.SIGKILL)
     seen(probe, lambda fact: NODE not in fact.nodes, "its absence", 60.0)
     assert probe.restarts == 0 and probe.pid == first
 
 
-def test_a_message_that_is_too_long_is_a_loss_of_sight(bench: Bench) -> None:
-    """Nothing is known until the next picture, the reason is given, and PHM says so of itself."""
+def test_an_oversized_message_invalidates_the_snapshot(bench: Bench) -> None:
+    """Nothing is known until the next snapshot, the reason is given, and PHM reports it as its own problem."""
     probe = bench.probe(command=fake("blind"), limits=FAST)
     seen(probe, lambda fact: fact.nodes == {"/a/n": 1}, "a picture")
     until(lambda: stale(probe) == OVERLONG, "the loss")
@@ -75,17 +75,17 @@ def test_a_message_that_is_too_long_is_a_loss_of_sight(bench: Bench) -> None:
     assert probe.restarts == 0
 
 
-def test_a_tick_does_not_refresh_another_picture() -> None:
-    """The age of a picture is its own: a tick counts for the picture that it names alone, and other messages for none."""
-    view = GraphSnapshot().with_message(GraphMessage(5.0, {NODE: 1}, number=1), 100.0)
-    assert view.graph is not None
-    assert view.with_message(Tick(6.0, {}, 1), 101.0).fact(view.graph, 101.5).age_s == 0.5
+def test_a_tick_does_not_refresh_another_snapshot() -> None:
+    """A tick refreshes only the snapshot that it names, and other messages refresh none."""
+    view = GraphSnapshot().with_message(Picture(5.0, {NODE: 1}, number=1), 100.0)
+    assert view.picture is not None
+    assert view.with_message(Tick(6.0, {}, 1), 101.0).fact(view.picture, 101.5).age_s == 0.5
     lost = view.with_message(Tick(6.0, {}, 2), 101.0)
     assert lost.graph is not None and lost.fact(lost.graph, 101.5).age_s == 1.5
 
 
-def test_a_line_that_is_too_long_is_counted_once_and_dropped() -> None:
-    """Whether it comes in one piece or in many."""
+def test_an_oversized_line_is_counted_once_and_dropped() -> None:
+    """Whether it arrives in one piece or in many."""
     for size in (1000, LINE_LIMIT * 4):
         lines, data, got = LineSplitter(), b"a\n" + b"x" * (LINE_LIMIT + 1) + b"\nb\n", []
         for at in range(0, len(data), size):
@@ -93,16 +93,16 @@ def test_a_line_that_is_too_long_is_counted_once_and_dropped() -> None:
         assert (got, lines.dropped) == ([b"a", b"b"], 1)
 
 
-def test_configured_nodes_are_kept_whatever_strangers_announce() -> None:
-    """Strangers share what room there is."""
+def test_configured_nodes_are_kept_whatever_others_announce() -> None:
+    """Other nodes share the remaining space."""
     listed = {f"/a/{number}": 1 for number in range(10_000)} | {"/z/own": 2}
     kept, left_out = kept_nodes(listed, {"/z/own"})
     assert kept["/z/own"] == 2 and len(kept) == MAX_STRANGERS + 1 and left_out
     assert kept_nodes({"/b": 1, "/a": 1}, ()) == ({"/a": 1, "/b": 1}, False)
 
 
-def test_configured_ends_are_kept_whatever_strangers_announce() -> None:
-    """Those of strangers, and one node listed very often, give way; what is left fits into a message."""
+def test_configured_endpoints_are_kept_whatever_others_announce() -> None:
+    """Other endpoints, and one node listed very often, are dropped first; the rest fits into a message."""
     long = '"' * LONGEST
     strangers = tuple(EndpointFact(f"{long[:-5]}{number:05}", long) for number in range(3000))
     copies = (EndpointFact("/z/own", STRING),) * 3000
@@ -116,7 +116,7 @@ def test_configured_ends_are_kept_whatever_strangers_announce() -> None:
 
 
 def test_a_name_from_outside_is_short_and_printable() -> None:
-    """Whatever is not is escaped."""
+    """Other characters are escaped."""
     assert printable("/a/b_1") == "/a/b_1"
     assert printable("a\x1b[2J\n\u00e9") == r"a\x1b[2J\n\xe9"
     assert len(printable("\x00" * 1000)) == LONGEST

@@ -1,4 +1,4 @@
-"""Real nodes that die, stop, compute, come back and double, judged by the real checks and the real tracker."""
+"""Real nodes that die, stop, compute, return and run twice, judged by the real checks and the real tracker."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NODE, TOPIC, RATE = "nodes/agent_1/node_1", "topics/agent_1/topic_1", "rates/age
 
 
 class HostList(testing.FakeDocker):
-    """One running container whose processes are those of this machine that the test started."""
+    """One running container whose processes are those that the test started on this machine."""
 
     def __init__(self) -> None:
         super().__init__(testing.container(APP))
@@ -48,7 +48,9 @@ class HostList(testing.FakeDocker):
 
 
 class Agent:
-    """Nodes, topics and rates of one agent, judged as in the daemon: engine, tracker, wake-ups. Kept: all its events."""
+    """Nodes, topics and rates of one agent, judged as in the daemon by scheduler, tracker and wake-ups; keeps all
+    events.
+    """
 
     def __init__(self, bench: Bench, *, grace: str = "8s", nodes: int = 1) -> None:
         self.bench, self.docker = bench, HostList()
@@ -61,11 +63,11 @@ class Agent:
         self.bus = Bus(self.clock)
         self.pipeline = Pipeline(Tracker(made.tracked, made.graph, self.clock.stamp()), self.bus, self.clock)
         world = testing.world(clock=self.clock, ros=self.probe, docker=self.docker)
-        self.engine = CheckScheduler(made.scheduled, world, self.clock, self._take)
-        self.pipeline.attach(self.engine.wake_units)
-        bench.on_change = lambda: self.engine.wake_subject("ros")
+        self.scheduler = CheckScheduler(made.scheduled, world, self.clock, self._take)
+        self.pipeline.attach(self.scheduler.wake_units)
+        bench.on_change = lambda: self.scheduler.wake_subject("ros")
         self.bus.subscribe("test", self.events.append, kinds=(Transition, FaultOpened, FaultClosed))
-        self.engine.start()
+        self.scheduler.start()
 
     def _take(self, batch: CheckRun) -> None:
         self.pipeline.observe(dict(batch.units), batch.started, batch.duration_s, overdue=batch.overdue)
@@ -79,7 +81,7 @@ class Agent:
         return next(state for state in self.pipeline.states() if state.unit == unit)
 
     def until(self, condition: Callable[[], Any], what: str, limit_s: float = 120.0) -> Any:
-        """Let time pass, as the daemon's heart does, until something is so."""
+        """Let time pass, as the daemon's main loop does, until `condition` is true."""
 
         def ticked() -> Any:
             self.pipeline.tick()
@@ -87,28 +89,30 @@ class Agent:
 
         return until(ticked, what, limit_s)
 
-    def well(self) -> None:
-        """Until the node and its topic have been well for so long that grace is over."""
-        self.until(lambda: self._well_s() > GRACE_ENDS_AFTER_OK_S + 0.5, "a node and a rate that are OK, and stay so")
+    def wait_ok(self) -> None:
+        """Wait until the node and its topic have been OK for so long that grace is over."""
+        self.until(lambda: self._ok_for_s() > GRACE_ENDS_AFTER_OK_S + 0.5, "a node and a rate that are OK, and stay so")
         self.events.clear()
 
-    def _well_s(self) -> float:
+    def _ok_for_s(self) -> float:
         states = [self.state(NODE), self.state(RATE)]
         since = max(state.since.mono for state in states)
         return self.clock.mono() - since if all(state.level is Level.OK for state in states) else 0.0
 
-    def told(self) -> Fault:
-        """The first fault."""
+    def first_fault(self) -> Fault:
+        """Wait for the first fault and return it."""
         self.until(lambda: self.faults, "a fault")
         return self.faults[0]
 
-    def blames(self, unit: str) -> None:
-        """Until the topic's rate is told as a consequence of `unit`, and it is the only fault."""
+    def wait_blocked_by(self, unit: str) -> None:
+        """Wait until the topic's rate is published as a consequence of `unit`, and assert that `unit` has the only
+        fault.
+        """
         self.until(lambda: self.state(RATE).blocked_by == unit, f"the rate blocked by {unit}")
         assert [fault.unit for fault in self.faults] == [unit]
 
-    def rests(self, seconds: float) -> None:
-        """Let time pass: what must not happen has had the time to."""
+    def wait(self, seconds: float) -> None:
+        """Let time pass, in which an unwanted event would occur."""
         end = self.clock.mono() + seconds
         self.until(lambda: self.clock.mono() >= end, "the end")
 
@@ -117,7 +121,7 @@ class Agent:
         return [event.fault for event in self.events if isinstance(event, FaultOpened)]
 
     def close(self) -> None:
-        self.engine.stop()
+        self.scheduler.stop()
         self.bus.close()
 
 
@@ -128,52 +132,52 @@ def agent(bench: Bench) -> Iterator[Agent]:
     made.close()
 
 
-def test_a_killed_node_is_told_by_its_process(agent: Agent) -> None:
-    """SIGKILL: still listed, but its process has ended. One alarm; the silence of its topic follows from it."""
+def test_a_killed_node_is_detected_by_its_process(agent: Agent) -> None:
+    """SIGKILL: still listed, but its process has ended. One alarm; the silence of its topic is a consequence."""
     node = agent.start()
-    agent.well()
+    agent.wait_ok()
     node.kill()
-    fault = agent.told()
+    fault = agent.first_fault()
     assert (fault.unit, fault.result.condition) == (NODE, "node_missing")
     assert f"its process {node.pid} has ended" in fault.result.summary
     assert "it is listed in the graph" in fault.result.summary
-    agent.blames(NODE)
+    agent.wait_blocked_by(NODE)
 
 
-def test_a_killed_node_is_told_by_its_beacon(agent: Agent) -> None:
-    """Without any list of processes, when it has missed three beats, listed as it still is. One alarm."""
+def test_a_killed_node_is_detected_by_its_beacon(agent: Agent) -> None:
+    """Without a list of processes, after three missed beacons, while it is still listed. One alarm."""
     agent.docker.permitted = False
     node = agent.start()
-    agent.well()
+    agent.wait_ok()
     agent.until(lambda: agent.probe.look().beacons, "its beacon")
     node.kill()
-    fault = agent.told()
+    fault = agent.first_fault()
     assert (fault.unit, fault.result.condition) == (NODE, "node_missing")
     assert "its beacon has been silent for" in fault.result.summary
-    agent.blames(NODE)
+    agent.wait_blocked_by(NODE)
 
 
-def test_a_killed_node_is_told_by_the_graph_alone(agent: Agent) -> None:
-    """Without any list of processes and without a beacon, as soon as its lease of one second is over. One alarm."""
+def test_a_killed_node_is_detected_by_the_graph_alone(agent: Agent) -> None:
+    """Without a list of processes and without a beacon, once its lease of one second is over. One alarm."""
     agent.docker.permitted = False
     node = agent.start("node_1", "--publish", "topic_1:10", "--no-beacon")
-    agent.well()
+    agent.wait_ok()
     node.kill()
-    fault = agent.told()
+    fault = agent.first_fault()
     assert (fault.unit, fault.result.condition) == (NODE, "node_missing")
     assert "it is not in the graph" in fault.result.summary
-    agent.blames(NODE)
+    agent.wait_blocked_by(NODE)
 
 
-def test_a_stopped_node_hangs_and_goes_on(agent: Agent) -> None:
-    """SIGSTOP: state T in the list of processes. One alarm, closed when it is let go."""
+def test_a_stopped_node_is_hung_until_it_resumes(agent: Agent) -> None:
+    """SIGSTOP: state T in the list of processes. One alarm, closed when it resumes."""
     node = agent.start()
-    agent.well()
+    agent.wait_ok()
     node.send_signal(signal.SIGSTOP)
-    fault = agent.told()
+    fault = agent.first_fault()
     assert (fault.unit, fault.result.condition) == (NODE, "node_hung")
     assert f"its process {node.pid} is stopped" in fault.result.summary
-    agent.blames(NODE)
+    agent.wait_blocked_by(NODE)
     node.send_signal(signal.SIGCONT)
     agent.until(lambda: any(isinstance(event, FaultClosed) for event in agent.events), "its end")
     agent.until(lambda: agent.state(RATE).level is Level.OK, "the rate again")
@@ -181,10 +185,10 @@ def test_a_stopped_node_hangs_and_goes_on(agent: Agent) -> None:
 
 
 @pytest.mark.parametrize("more", [(), ("--no-beacon",)])
-def test_a_busy_node_is_not_called_dead(agent: Agent, more: tuple[str, ...]) -> None:
-    """A callback computes for 5 s: the topic is silent and told, the node is not, with its process as the reason."""
+def test_a_busy_node_is_not_reported_dead(agent: Agent, more: tuple[str, ...]) -> None:
+    """A callback computes for 5 s: the silent topic is published, the node is not, because its process is running."""
     node = agent.start("node_1", "--seconds", "5", *more, module="tests.fakes.ros_busy")
-    agent.well()
+    agent.wait_ok()
     node.send_signal(signal.SIGUSR1)
     agent.until(lambda: agent.state(RATE).level is Level.ERROR, "the silence of its topic")
     assert agent.state(NODE).level is Level.OK
@@ -192,37 +196,39 @@ def test_a_busy_node_is_not_called_dead(agent: Agent, more: tuple[str, ...]) -> 
     assert [fault.unit for fault in agent.faults] == [RATE]
 
 
-def test_an_executor_that_waits_for_ever_hangs(agent: Agent) -> None:
-    """Its process sleeps and its beacon says for how long: one alarm, at the node, closed when it turns again."""
+def test_a_blocked_executor_is_hung(agent: Agent) -> None:
+    """Its process sleeps and its beacon states for how long: one alarm, at the node, closed when the executor runs
+    again.
+    """
     node = agent.start("node_1", "--seconds", "12", "--asleep", module="tests.fakes.ros_busy")
-    agent.well()
+    agent.wait_ok()
     node.send_signal(signal.SIGUSR1)
-    fault = agent.told()
+    fault = agent.first_fault()
     assert (fault.unit, fault.result.condition) == (NODE, "node_hung")
     assert "its executor has been blocked for" in fault.result.summary
-    agent.blames(NODE)
+    agent.wait_blocked_by(NODE)
     agent.until(lambda: agent.state(NODE).level is Level.OK and agent.state(RATE).level is Level.OK, "its return")
     assert len(agent.faults) == 1
 
 
-def test_a_silent_topic_of_a_living_node_is_told_at_the_topic(agent: Agent) -> None:
-    """Its process runs and it is listed: the node is well."""
+def test_a_silent_topic_of_a_live_node_is_a_fault_of_the_topic(agent: Agent) -> None:
+    """Its process runs and it is listed: the node is OK."""
     node = agent.start()
-    agent.well()
+    agent.wait_ok()
     node.send_signal(signal.SIGUSR1)
-    assert (agent.told().unit, agent.state(NODE).level) == (RATE, Level.OK)
+    assert (agent.first_fault().unit, agent.state(NODE).level) == (RATE, Level.OK)
 
 
-def test_a_node_that_says_good_bye_is_dead(agent: Agent) -> None:
-    """SIGTERM: gone from the graph and from the list of processes."""
+def test_a_node_that_shuts_down_is_dead(agent: Agent) -> None:
+    """SIGTERM: removed from the graph and from the list of processes."""
     node = agent.start()
-    agent.well()
+    agent.wait_ok()
     node.terminate()
-    fault = agent.told()
+    fault = agent.first_fault()
     assert (fault.unit, fault.result.brief) == (NODE, "node_1 dead")
 
 
-def test_a_node_that_never_started(bench: Bench) -> None:
+def test_a_node_that_never_started_is_reported(bench: Bench) -> None:
     """Its neighbour runs; the picture is old enough to prove the absence."""
     agent = Agent(bench, grace="3s", nodes=2)
     agent.start()
@@ -233,23 +239,25 @@ def test_a_node_that_never_started(bench: Bench) -> None:
     agent.close()
 
 
-def test_a_node_that_runs_twice(agent: Agent) -> None:
+def test_a_node_that_runs_twice_is_one_fault(agent: Agent) -> None:
     """Both alive, each with a process of its own: one fault, at the node, and none of its rate that doubles."""
     agent.start()
-    agent.well()
+    agent.wait_ok()
     agent.start()
-    fault = agent.told()
+    fault = agent.first_fault()
     assert (fault.unit, fault.result.condition) == (NODE, "node_duplicate")
-    agent.rests(2.0)
+    agent.wait(2.0)
     assert len(agent.faults) == 1
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_a_node_that_is_restarted_is_neither_twice_nor_left_behind(agent: Agent, number: signal.Signals) -> None:
-    """Started anew at once: whatever is told of the gap, it ends well, and no double is told before the old lease ends."""
+def test_a_restarted_node_is_neither_duplicate_nor_dead(agent: Agent, number: signal.Signals) -> None:
+    """Restarted immediately: whatever the gap causes, the node ends OK, and no duplicate is reported before the old
+    lease ends.
+    """
     node = agent.start()
-    agent.well()
+    agent.wait_ok()
     old = seen(agent.probe, lambda fact: fact.beacons.get(NAME), "its beacon")
     node.send_signal(number)
     node.wait()
@@ -257,7 +265,7 @@ def test_a_node_that_is_restarted_is_neither_twice_nor_left_behind(agent: Agent,
     agent.until(lambda: str(again.pid) in str(agent.state(NODE).result.values["process"]), "its new process")
     seen(agent.probe, lambda fact: fact.beacons.get(NAME, old).birth != old.birth, "its new beacon")
     agent.until(lambda: agent.state(RATE).level is Level.OK and agent.state(NODE).level is Level.OK, "its return")
-    agent.rests(2.0)
+    agent.wait(2.0)
     assert agent.state(NODE).level is Level.OK, agent.state(NODE).result.summary
     briefs = {event.state.result.brief for event in agent.events if isinstance(event, Transition)}
     assert "node_1 runs twice" not in briefs
@@ -265,9 +273,9 @@ def test_a_node_that_is_restarted_is_neither_twice_nor_left_behind(agent: Agent,
 
 
 def test_a_restarted_ros_child_raises_no_alarm(agent: Agent) -> None:
-    """Its first pictures are empty: nothing is told from them, and afterwards all is as before."""
+    """Its first snapshots are empty: no unit is published from them, and afterwards everything is OK again."""
     agent.start()
-    agent.well()
+    agent.wait_ok()
     agent.probe.renew("the test wants it")
     agent.until(lambda: agent.state(NODE).level is Level.STALE, "STALE in between")
     agent.until(lambda: agent.state(NODE).level is Level.OK and agent.state(RATE).level is Level.OK, "all as before")
@@ -275,13 +283,12 @@ def test_a_restarted_ros_child_raises_no_alarm(agent: Agent) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.long
-def test_the_list_of_processes_is_asked_for_rarely_while_all_is_well(agent: Agent) -> None:
+def test_processes_are_listed_rarely_while_all_units_are_ok(agent: Agent) -> None:
     """A node with a topic of 10 Hz: fewer than one list in three seconds."""
     agent.start()
-    agent.well()
+    agent.wait_ok()
     seen(agent.probe, lambda fact: fact.nodes, "the node")
-    agent.rests(5.5)
+    agent.wait(5.5)
     before, runs = agent.docker.listings, agent.clock.mono()
-    agent.rests(9.0)
+    agent.wait(9.0)
     assert agent.docker.listings - before <= (agent.clock.mono() - runs) / 3

@@ -1,4 +1,6 @@
-"""The class of a message type: installed, made from its name, or from the application's install folder; else a reason."""
+"""The class of a message type: installed, created from its name, or from the application's install folder; else a
+reason.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ from phm.probes.ros.protocol import INSTALLS
 from tests.fakes import app_messages
 from tests.fakes.app_messages import OTHER_DISTRIBUTION, OWN_DISTRIBUTION, OWN_PYTHON
 
-# The parser that comes with ROS's generated messages imports a module that Python has deprecated.
+# The parser in ROS's generated messages imports a module that Python has deprecated.
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
 
 NAMES = (
@@ -37,20 +39,20 @@ NAMES = (
 
 @pytest.fixture
 def by_name_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on a middleware that is not known: classes cannot be made from a name."""
+    """As on unknown middleware: classes cannot be created from a name."""
     monkeypatch.setattr(opaque_types, "KNOWN", {})
     monkeypatch.setattr(message_types, "_any_types", OpaqueTypes())
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_is_no_name_of_a_type_is_told(name: str) -> None:
-    """Names come from the network: nothing is imported for them, and they end in a sentence."""
+def test_an_invalid_type_name_is_reported(name: str) -> None:
+    """Names come from the network: nothing is imported for them, and they result in an error message."""
     with pytest.raises(UnknownType, match=r"^type unknown: .* is not the name of a ROS type$"):
         load_type(name)
 
 
-def test_an_installed_type_is_used_as_it_is() -> None:
-    """What is installed beside PHM comes first."""
+def test_an_installed_type_is_used_unchanged() -> None:
+    """A type installed beside PHM has precedence."""
     from std_msgs.msg import String
 
     assert load_type("std_msgs/msg/String") is String
@@ -59,15 +61,17 @@ def test_an_installed_type_is_used_as_it_is() -> None:
 @pytest.mark.parametrize(
     "name", ["sensor_msgs/msg/Imu", "std_msgs/msg/NoSuchType", "nav2_msgs/action/Spin_FeedbackMessage"]
 )
-def test_a_type_that_is_not_installed_is_made_from_its_name(name: str) -> None:
-    """Without the package there is a class all the same, the same one each time."""
+def test_a_missing_type_is_created_from_its_name(name: str) -> None:
+    """Without the package a class is created, once per type."""
     made = load_type(name)
     assert made.__name__ == "AnyType"
     assert load_type(name) is made
 
 
-def test_without_any_way_each_is_told(by_name_unknown: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not installed, not by its name, not mounted: one sentence with every reason and what to do."""
+def test_an_unavailable_type_is_reported_with_every_reason(
+    by_name_unknown: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not installed, not by its name, not mounted: one message with every reason and what to do."""
     monkeypatch.delenv(INSTALLS, raising=False)
     with pytest.raises(UnknownType) as caught:
         load_type("sensor_msgs/msg/Imu")
@@ -87,10 +91,10 @@ def test_without_any_way_each_is_told(by_name_unknown: None, monkeypatch: pytest
         (["/usr/lib/libfastrtps.so.2.14.5"], {"ROS_DISTRO": "rolling"}, "the distribution is rolling"),
     ],
 )
-def test_a_middleware_that_is_not_known_is_left_alone(
+def test_unknown_middleware_is_not_modified(
     monkeypatch: pytest.MonkeyPatch, lines: list[str], variables: dict[str, str], reason: str
 ) -> None:
-    """By the library that is loaded, and by the distribution where the environment names one."""
+    """By the loaded library, and by the distribution where the environment names one."""
     monkeypatch.setattr(opaque_types, "_maps", lambda: [f"7f00-7f01 r-xp 0 0:0 1 {line}" for line in lines])
     monkeypatch.delenv("ROS_DISTRO", raising=False)
     for name, value in variables.items():
@@ -100,18 +104,16 @@ def test_a_middleware_that_is_not_known_is_left_alone(
     assert reason in str(caught.value)
 
 
-def test_another_middleware_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The layout is that of one middleware; what another one makes of it is not known."""
+def test_other_middleware_is_not_modified(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The memory layout is that of Fast DDS; with another middleware the effect is unknown."""
     monkeypatch.setattr("rclpy.utilities.get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
     with pytest.raises(TypeUnavailable, match="the middleware is rmw_cyclonedds_cpp, not rmw_fastrtps_cpp"):
         OpaqueTypes().make("a", "msg", "B")
 
 
 @pytest.mark.parametrize("offset", [-(2**20) * 2**30, -8, 8, 16, 2**13])
-def test_memory_that_is_laid_out_otherwise_is_told_and_not_followed(
-    monkeypatch: pytest.MonkeyPatch, offset: int
-) -> None:
-    """Pointers that lead elsewhere, or nowhere, end in a sentence: this very process would have ended otherwise."""
+def test_an_unknown_memory_layout_is_reported_and_not_followed(monkeypatch: pytest.MonkeyPatch, offset: int) -> None:
+    """Wrong or invalid pointers result in an error message: following them would terminate this process."""
     real = opaque_types._peek
 
     def shifted(address: int, size: int) -> bytes:
@@ -123,21 +125,21 @@ def test_memory_that_is_laid_out_otherwise_is_told_and_not_followed(
 
 
 def test_the_copied_names_must_be_where_they_are_expected(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The original's own names, found where they are to be changed, say that the layout is the known one."""
+    """The original's own names, found where they are to be changed, prove that the layout is the known one."""
     monkeypatch.setattr(opaque_types, "_BASE", ("rcl_interfaces", "msg", "Log"))
     with pytest.raises(TypeUnavailable, match="its names are elsewhere"):
         OpaqueTypes().make("a", "msg", "B")
 
 
 def test_functions_must_be_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where functions are expected there must be addresses of code."""
+    """The addresses of functions must point to code."""
     monkeypatch.setattr(opaque_types, "_code", lambda: [(0, 1)])
     with pytest.raises(TypeUnavailable, match="its functions are elsewhere"):
         OpaqueTypes().make("a", "msg", "B")
 
 
-def test_what_is_made_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was made stays for ever, and names come from outside."""
+def test_the_number_of_created_types_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Created types are never freed, and names come from outside."""
     monkeypatch.setattr(opaque_types, "MAX_TYPES", 2)
     types = OpaqueTypes()
     for name in ("A", "B", "A"):
@@ -148,7 +150,7 @@ def test_what_is_made_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def installs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Install folders of applications, by what is special about them."""
+    """Install folders of applications, by their special property."""
     folder = tmp_path_factory.mktemp("installs")
     merged = app_messages.install(OWN_DISTRIBUTION)
     old = folder / "old" / "lib" / "python3.8"
@@ -170,7 +172,7 @@ def installs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def loaded(installs: list[Path], *names: str) -> str:
-    """What a process of its own says of types that it can only find in these folders."""
+    """What a separate process reports about types that it can only find in these folders."""
     code = (
         "import sys\nfrom phm.probes.ros import opaque_types, message_types\n"
         "opaque_types.KNOWN.clear()\n"
@@ -188,13 +190,13 @@ def loaded(installs: list[Path], *names: str) -> str:
 
 
 @pytest.mark.parametrize("names", [("merged",), ("isolated",), ("none", "empty", "isolated")])
-def test_a_mounted_install_is_the_last_way(installs: dict[str, Path], names: tuple[str, ...]) -> None:
-    """Merged or isolated, the application's folder gives the type with its support, and no variable needs to be set."""
+def test_a_mounted_install_is_the_last_resort(installs: dict[str, Path], names: tuple[str, ...]) -> None:
+    """Merged or isolated, the application's folder provides the type with its support, and no variable needs to be set."""
     assert loaded([installs[name] for name in names], "sensor_msgs/msg/Imu") == "sensor_msgs.msg._imu True"
 
 
-def test_each_package_of_an_install_is_loaded_with_what_it_needs(installs: dict[str, Path], tmp_path: Path) -> None:
-    """A package that Python finds because another one of the same folder was loaded before is still loaded as a whole."""
+def test_each_package_of_an_install_is_loaded_with_its_dependencies(installs: dict[str, Path], tmp_path: Path) -> None:
+    """A package that Python finds because another one of the same folder was loaded before is still loaded completely."""
     second = tmp_path / "second_msgs" / "lib" / f"python{OWN_PYTHON}" / "site-packages" / "second_msgs"
     (second / "msg").mkdir(parents=True)
     (second / "__init__.py").touch()
@@ -217,19 +219,19 @@ def test_each_package_of_an_install_is_loaded_with_what_it_needs(installs: dict[
         ("poor", "sensor_msgs/msg/Imu", "needs libsensor_msgs__rosidl_generator_c.so, which PHM's ROS lacks"),
     ],
 )
-def test_a_mounted_install_that_does_not_fit_is_told(
+def test_an_incompatible_mounted_install_is_reported(
     installs: dict[str, Path], name: str, kind: str, reason: str
 ) -> None:
-    """Each thing that can be wrong with it has its sentence, and none is a crash."""
+    """Each possible problem has its message, and none is a crash."""
     assert reason in loaded([installs[name]], kind)
 
 
-def test_a_mounted_install_of_another_distribution_does_no_harm(installs: dict[str, Path]) -> None:
-    """It is either told or its messages work; the process goes on."""
+def test_a_mounted_install_of_another_distribution_is_harmless(installs: dict[str, Path]) -> None:
+    """It is reported, or its messages work; the process continues."""
     said = loaded([installs["other"]], "sensor_msgs/msg/Imu")
     assert said == "sensor_msgs.msg._imu True" or "cannot be loaded" in said
 
 
 def test_this_environment_has_no_such_package() -> None:
-    """What the tests of types call not installed is not installed."""
+    """The type that these tests consider missing is not installed."""
     assert importlib.util.find_spec("sensor_msgs") is None

@@ -1,4 +1,6 @@
-"""Topics whose messages only the application has, for real: this environment has no sensor_msgs, the publisher has."""
+"""Real topics whose message packages only the application has: this environment has no sensor_msgs, the publisher's
+has.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ UNKNOWN_MIDDLEWARE = (
 
 
 class Application:
-    """A publisher of these topics in an environment of its own."""
+    """A publisher of these topics in a separate environment."""
 
     def __init__(self, bench: Bench, folder: Path) -> None:
         self._environ: Mapping[str, str] = bench.environ
@@ -62,42 +64,42 @@ def application(bench: Bench, tmp_path: Path) -> Iterator[Application]:
 
 
 def all_measured(probe: RosSupervisor, sent: Path) -> None:
-    """Each topic's rate is that with which it was published, by a child that never had to be replaced."""
+    """Whether each topic's rate equals its publication rate, measured by a child that was never replaced."""
 
-    def right(fact: RosFact) -> bool:
+    def matches(fact: RosFact) -> bool:
         return all(within_2_percent(fact.topics[name].rate, sent) for name in TOPICS)
 
-    seen(probe, right, "three rates within 2 %")
+    seen(probe, matches, "three rates within 2 %")
     types = {name: topic.publishers[0].type for name, topic in probe.look().topics.items()}
     assert types == TOPICS
     assert probe.restarts == 0
 
 
 def test_this_environment_has_no_such_package() -> None:
-    """Otherwise nothing here would prove anything."""
+    """Otherwise these tests would prove nothing."""
     assert importlib.util.find_spec("sensor_msgs") is None
 
 
 def test_types_that_only_the_application_has_are_measured(bench: Bench, application: Application) -> None:
-    """A plain message, a nested one, and one with 20 kB in an array: by their names alone, within 2 %."""
+    """A flat message, a nested one, and one with an array of 20 kB: from their names alone, within 2 %."""
     application.start()
     all_measured(bench.probe(WANTED), application.sent)
 
 
-def test_what_is_in_the_messages_does_not_matter(bench: Bench, application: Application) -> None:
-    """Random bytes instead of messages, 3 to 20000 of them: nobody looks into them, and the rates are right."""
+def test_the_content_of_messages_is_not_parsed(bench: Bench, application: Application) -> None:
+    """Random bytes instead of messages, 3 to 20000 of them: the content is not read, and the rates are right."""
     application.start(OWN_DISTRIBUTION, "garbage")
     all_measured(bench.probe(WANTED), application.sent)
 
 
 def test_the_other_distribution_is_measured(bench: Bench, application: Application) -> None:
-    """Jazzy's reader and Kilted's publishers, and the other way round in Kilted's environment."""
+    """Jazzy's reader and Kilted's publishers, and the reverse in Kilted's environment."""
     application.start(OTHER_DISTRIBUTION)
     all_measured(bench.probe(WANTED), application.sent)
 
 
-def test_the_reader_tells_the_hash_of_its_publisher(bench: Bench, application: Application) -> None:
-    """Whoever lists the ends of the topic sees one type, not another one at PHM."""
+def test_the_reader_announces_the_type_hash_of_its_publisher(bench: Bench, application: Application) -> None:
+    """A tool that lists the endpoints of the topic sees one type, not a different one at PHM."""
     application.start()
     all_measured(bench.probe(WANTED), application.sent)
     readers = Path(f"{application.sent}.readers")
@@ -112,14 +114,16 @@ def test_the_reader_tells_the_hash_of_its_publisher(bench: Bench, application: A
 
 
 def test_an_unknown_middleware_takes_the_mounted_install(bench: Bench, application: Application) -> None:
-    """Where the name alone does not do, the application's own folder gives the types."""
+    """Where the name is not enough, the application's install folder provides the types."""
     application.start()
     installs = [str(app_messages.install(OWN_DISTRIBUTION))]
     all_measured(bench.probe(WANTED, command=UNKNOWN_MIDDLEWARE, installs=installs), application.sent)
 
 
-def test_a_definition_that_differs_is_no_silence(bench: Bench, application: Application) -> None:
-    """Jazzy matches by name alone; Kilted keeps ends apart whose definitions differ, which is told and is no rate of 0."""
+def test_a_different_type_definition_is_not_silence(bench: Bench, application: Application) -> None:
+    """Jazzy matches by name alone; Kilted separates endpoints with different definitions, which is reported and is not
+    0 Hz.
+    """
     differing = (
         "from phm.probes.ros import opaque_types, child\n"
         "for library, (name, _) in opaque_types.KNOWN.items(): opaque_types.KNOWN[library] = (name, True)\n"
@@ -131,18 +135,18 @@ def test_a_definition_that_differs_is_no_silence(bench: Bench, application: Appl
         all_measured(probe, application.sent)
         return
 
-    def told(fact: RosFact) -> bool:
+    def reported(fact: RosFact) -> bool:
         rates = [fact.topics[name].rate for name in TOPICS]
         return all(rate is not None and "another definition of its type" in rate.problem for rate in rates)
 
-    seen(probe, told, "the reason")
+    seen(probe, reported, "the reason")
     rates = [topic.rate for topic in probe.look().topics.values()]
     assert [(rate.hz, rate.silent_s) for rate in rates if rate is not None] == [(None, None)] * len(TOPICS)
     assert probe.restarts == 0
 
 
-def test_without_any_way_the_graph_alone_is_told(bench: Bench, application: Application) -> None:
-    """Publishers and types are there, no rate is, the reason is, and no child was lost over it."""
+def test_an_unavailable_type_leaves_only_the_graph(bench: Bench, application: Application) -> None:
+    """Publishers and types are listed, the rate is missing with a reason, and no child crashed."""
     application.start()
     probe = bench.probe(WANTED, command=UNKNOWN_MIDDLEWARE)
     fact = seen(

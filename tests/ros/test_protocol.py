@@ -1,4 +1,4 @@
-"""Messages survive the pipe, and nothing else is taken for one."""
+"""Messages pass the pipe unchanged, and nothing else is accepted as one."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ END = EndpointFact("/a/n", "std_msgs/msg/String", "reliable", "volatile")
         Missing("rclpy", "No module named 'rclpy'"),
     ],
 )
-def test_what_is_written_is_what_is_read(message: Message) -> None:
-    """Each message comes back equal, on one line."""
+def test_a_message_is_read_as_written(message: Message) -> None:
+    """Each message is returned equal, on one line."""
     line = encode(message)
     assert line.count(b"\n") == 1
     assert decode(line) == message
 
 
-def test_the_configuration_comes_through() -> None:
-    """The child gets exactly what the daemon wants."""
+def test_the_configuration_passes_the_pipe() -> None:
+    """The child gets exactly the daemon's configuration."""
     wanted = Wanted("agent_1", 3, (WantedTopic("/t", 10.0, 2.0), WantedTopic("/u")), 0.1, 2.0, ("/diagnostics",))
     assert decode_wanted(encode_wanted(wanted)) == wanted
 
@@ -80,20 +80,20 @@ def test_the_configuration_comes_through() -> None:
         b"[" * 100_000,
     ],
 )
-def test_anything_else_is_refused(line: bytes) -> None:
-    """Stray output and cut lines raise ProtocolError and nothing else."""
+def test_any_other_line_is_rejected(line: bytes) -> None:
+    """Stray output and truncated lines raise ProtocolError and nothing else."""
     with pytest.raises(ProtocolError):
         decode(line)
 
 
-def test_a_wrong_configuration_is_refused() -> None:
-    """Unknown keys are a mistake between versions, not something to guess about."""
+def test_a_wrong_configuration_is_rejected() -> None:
+    """Unknown keys are a version mismatch, and are not guessed."""
     with pytest.raises(ProtocolError):
         decode_wanted(b'{"agent":"a","topics":[],"colour":1}')
 
 
-def test_what_is_to_be_published_comes_through() -> None:
-    """An order of the daemon comes back equal, on one line."""
+def test_a_publish_request_passes_the_pipe() -> None:
+    """A request of the daemon is returned equal, on one line."""
     order = Publish(1.5, {"phm/a: summary": DiagnosticFact(0.0, 1, "two\nlines", "a", {"slot": "6"})})
     line = encode_order(order)
     assert line.count(b"\n") == 1
@@ -103,14 +103,14 @@ def test_what_is_to_be_published_comes_through() -> None:
 @pytest.mark.parametrize(
     "line", [b"", b"[]", b"[1]", b'[1,{"a":[]}]', b'[1,{"a":[0,"x","","",{}]}]', b"[NaN,{}]", b"x" * 99]
 )
-def test_an_order_that_is_none_is_refused(line: bytes) -> None:
-    """Whatever else stands in the pipe raises ProtocolError and nothing else."""
+def test_an_invalid_request_is_rejected(line: bytes) -> None:
+    """Any other content of the pipe raises ProtocolError and nothing else."""
     with pytest.raises(ProtocolError):
         decode_order(line)
 
 
-def test_silence_goes_on_between_two_pictures() -> None:
-    """A tick tells how long topics with a rate are silent; all else is as in the last picture, and all ages grow."""
+def test_silence_grows_between_two_snapshots() -> None:
+    """A tick states how long topics with a rate are silent; all else is as in the last snapshot, and all ages grow."""
     topics = {"/t": TopicFact((END,), (), RateFact(9.9, 0.1)), "/u": TopicFact((), (END,))}
     view = GraphSnapshot().with_message(GraphMessage(5.0, {"/a/n": 1}, topics), 100.0)
     view = view.with_message(SelfReportUpdate({"/a/n": BeaconFact(0.1, 0.2)}), 100.0)

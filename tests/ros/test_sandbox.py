@@ -1,4 +1,4 @@
-"""The ROS child loads foreign code and reads hostile samples: it reaches nothing that its work does not need."""
+"""The ROS child loads foreign code and reads hostile samples: it can access only what its work requires."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ REFUSED_TEXT = "rclpy cannot be loaded here"
 
 @pytest.fixture
 def targets(tmp_path: Path) -> Iterator[dict[str, object]]:
-    """What belongs to PHM and the machine: local socket, port, key, state folder, another process; and the application's packages."""
+    """PHM's and the machine's: local socket, port, key, state directory, another process; and the application's
+    packages.
+    """
     for name in ("state", "install"):
         (tmp_path / name).mkdir()
     (tmp_path / "mavlink.key").write_text("00" * 32)
@@ -46,8 +48,8 @@ def targets(tmp_path: Path) -> Iterator[dict[str, object]]:
     port.close()
 
 
-def test_code_in_the_child_reaches_nothing_that_it_does_not_need(bench: Bench, targets: dict[str, object]) -> None:
-    """Not the engine's and PHM's sockets, keys, state, other processes or programs; only its own work is possible."""
+def test_code_in_the_child_accesses_only_what_it_needs(bench: Bench, targets: dict[str, object]) -> None:
+    """No sockets of the Docker Engine and PHM, keys, state, other processes or programs; only its own work is possible."""
     environ = {
         "PYTHONPATH": os.pathsep.join((str(ROOT / "tests" / "fakes" / "intruder"), str(ROOT))),
         "PHM_ROS_TARGETS": json.dumps(targets),
@@ -59,8 +61,8 @@ def test_code_in_the_child_reaches_nothing_that_it_does_not_need(bench: Bench, t
     assert probe.sandbox == sandbox.COMPLETE
 
 
-def test_without_restriction_the_same_code_reaches_all_of_it(targets: dict[str, object]) -> None:
-    """What the test above finds refused is refused by the sandbox, and not because the attempts are wrong."""
+def test_the_same_code_accesses_everything_without_the_sandbox(targets: dict[str, object]) -> None:
+    """The refusals in the test above come from the sandbox, not from faulty attempts."""
     environ = {
         **os.environ,
         "PYTHONPATH": str(ROOT / "tests" / "fakes" / "intruder"),
@@ -74,8 +76,8 @@ def test_without_restriction_the_same_code_reaches_all_of_it(targets: dict[str, 
     assert {"write to a folder of PHM", "find a secret in the environment", "signal another process"} <= reached
 
 
-def test_the_real_child_is_restricted_and_looks_as_before(bench: Bench) -> None:
-    """With real rclpy: nodes and rates are seen, nothing is missing, and the kernel says that a filter is at work."""
+def test_the_real_child_is_restricted_and_still_works(bench: Bench) -> None:
+    """With real rclpy: nodes and rates are seen, nothing is missing, and the kernel reports an active filter."""
     bench.node("node_1", "--publish", "topic_1:20")
     probe = bench.probe([{"name": "/agent_1/topic_1", "rate": "20Hz"}])
     seen(probe, lambda fact: "/agent_1/node_1" in fact.nodes, "the node")
@@ -86,8 +88,8 @@ def test_the_real_child_is_restricted_and_looks_as_before(bench: Bench) -> None:
     assert probe.sandbox == sandbox.COMPLETE
 
 
-def test_what_the_kernel_lacks_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A kernel without Landlock or seccomp is named with its own reason, and the child goes on."""
+def test_missing_kernel_features_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel without Landlock or seccomp is reported with the respective reason, and the child continues."""
 
     def no_landlock(readable: list[str], writable: list[str]) -> None:
         raise OSError(38, "Function not implemented")
@@ -115,12 +117,12 @@ def test_what_the_kernel_lacks_is_reported(monkeypatch: pytest.MonkeyPatch) -> N
     ],
 )
 def test_tcp_is_open_only_to_a_middleware_that_uses_it(variables: dict[str, str], streams: bool) -> None:
-    """An engine behind a TCP port is out of reach unless the user's own choice of transport needs TCP."""
+    """A Docker Engine behind a TCP port is unreachable unless the user's choice of transport needs TCP."""
     assert sandbox._needs_streams(variables.get) is streams
 
 
-def test_the_daemons_environment_stays_with_the_daemon() -> None:
-    """The child gets what ROS and Python read, and nothing else."""
+def test_the_daemons_environment_is_not_passed_on() -> None:
+    """The child gets the variables that ROS and Python read, and no others."""
     environ = {"ROS_DOMAIN_ID": "3", "LD_LIBRARY_PATH": "/opt/ros/lib", "MAVLINK_KEY": "secret", "AWS_TOKEN": "secret"}
     passed = child_environ(RosSettings(), environ)
     assert passed["ROS_DOMAIN_ID"] == "3"

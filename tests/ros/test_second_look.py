@@ -1,4 +1,4 @@
-"""What PHM's own participant has missed for good is seen with a second one, and is not taken for dead."""
+"""Entities that PHM's own participant missed permanently are seen with a second one, and not reported dead."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ ALL: Known = frozenset({(NODE,), (TOPIC, "publisher", NODE), (TOPIC, "subscriber
 NOTHING: Known = frozenset()
 TICK_S = 0.25
 FOUND_S = CALM_S + TICK_S + CONFIRM_S
-"""The second participant is first asked a tick after it was opened."""
+"""The second participant is first polled one tick after it was opened."""
 
 
 class Participant:
-    """Knows what the test says."""
+    """A participant that knows what the test sets."""
 
     def __init__(self, knows: Callable[[float], Known]) -> None:
         self._knows = knows
@@ -33,7 +33,7 @@ class Participant:
 
 
 class World:
-    """A first participant that is asked four times a second, and the second ones that were opened beside it."""
+    """A first participant that is polled four times a second, and the second ones that were opened beside it."""
 
     def __init__(self, second: Callable[[float], Known]) -> None:
         self.opened: list[float] = []
@@ -57,8 +57,8 @@ class World:
         return found
 
 
-def test_after_its_start_it_looks_once_while_nothing_is_missing() -> None:
-    """A picture that is whole costs one second participant, for some seconds."""
+def test_one_second_participant_is_opened_after_the_start() -> None:
+    """A complete snapshot costs one second participant for some seconds."""
     world = World(lambda now_s: ALL)
     assert world.run(1000.0, ALL) == []
     assert world.opened == [CALM_S]
@@ -66,34 +66,34 @@ def test_after_its_start_it_looks_once_while_nothing_is_missing() -> None:
 
 
 def test_a_node_that_the_first_participant_missed_is_found() -> None:
-    """The second one has known it for some seconds; then it is closed, and there is a rest."""
+    """The second one has known it for some seconds; then it is closed, and a pause follows."""
     world = World(lambda now_s: ALL)
     assert world.run(20.0, NOTHING, lacking=True) == [(FOUND_S, [NODE, TOPIC])]
     assert [scout.open for scout in world.scouts] == [False]
 
 
-def test_an_end_that_is_missing_is_found_though_nothing_that_is_configured_lacks() -> None:
-    """A node that is listed may lack its subscription alone."""
+def test_a_missing_endpoint_is_found_while_all_configured_nodes_are_listed() -> None:
+    """A listed node may lack only its subscription."""
     world = World(lambda now_s: ALL)
     assert world.run(20.0, ALL - {(TOPIC, "subscriber", OTHER)}) == [(FOUND_S, [TOPIC])]
 
 
-def test_what_comes_late_has_not_been_missed() -> None:
-    """The second participant may be the quicker one, by less than it takes to be believed."""
+def test_a_late_entity_was_not_missed() -> None:
+    """The second participant may be faster, by less than the time after which its view counts."""
     world = World(lambda now_s: ALL if now_s > CALM_S + 1.0 else NOTHING)
     found = world.run(CALM_S + 1.0 + CONFIRM_S, NOTHING)
     assert found + world.run(60.0, ALL) == []
 
 
-def test_what_left_is_looked_for_with_a_second_participant() -> None:
-    """It may be the lease that ran out for PHM alone: what comes back of it may not be all."""
+def test_a_departed_node_is_looked_up_with_a_second_participant() -> None:
+    """Its lease may have expired for PHM alone, and it may return incompletely."""
     world = World(lambda now_s: ALL)
     world.run(100.0, ALL)
     assert world.run(120.0, ALL - {(NODE,)}) == [(100.0 + FOUND_S, [NODE])]
 
 
-def test_what_is_not_there_is_looked_for_more_and_more_rarely() -> None:
-    """A node that is configured and switched off."""
+def test_a_missing_node_is_looked_up_less_and_less_often() -> None:
+    """A configured node that is switched off."""
     world = World(lambda now_s: NOTHING)
     assert world.run(5000.0, NOTHING, lacking=True) == []
     assert all(not scout.open for scout in world.scouts)
@@ -102,36 +102,36 @@ def test_what_is_not_there_is_looked_for_more_and_more_rarely() -> None:
 
 
 def leaves_every(world: World, period_s: int, until_s: int) -> None:
-    """A short node, such as a command line tool in a health check, comes and goes."""
+    """A short-lived node, such as a command line tool in a health check, appears and disappears."""
     for at_s in range(int(world.now_s), until_s, period_s):
         world.run(at_s + period_s - 2.0, ALL)
         world.run(at_s + period_s, ALL | {("/tool",)})
 
 
-def test_what_leaves_again_and_again_is_looked_for_more_and_more_rarely() -> None:
-    """A health check that joins the graph every 20 s must not keep a second participant in it."""
+def test_a_recurring_short_lived_node_is_looked_up_less_and_less_often() -> None:
+    """A health check that joins the graph every 20 s must not keep a second participant open."""
     world = World(lambda now_s: ALL)
     leaves_every(world, 20, 7200)
     assert len([at_s for at_s in world.opened if at_s >= 3600.0]) <= 3600.0 / REST_MOST_S + 1
 
 
-def test_what_leaves_seldom_is_looked_for_at_once() -> None:
-    """After a calm time the pause between two looks is short again."""
+def test_a_rare_departure_is_looked_up_immediately() -> None:
+    """After a period without departures the pause between two lookups is short again."""
     world = World(lambda now_s: ALL)
     leaves_every(world, 20, 7200)
     world.run(12000.0, ALL)
     assert world.run(12020.0, ALL - {(NODE,)}) == [(12000.0 + FOUND_S, [NODE])]
 
 
-def test_what_is_configured_is_looked_for_soon_whatever_else_leaves() -> None:
-    """A node that is wanted does not wait out the pause that health checks brought about."""
+def test_a_configured_node_is_looked_up_soon_whatever_else_leaves() -> None:
+    """A configured node does not wait for the end of a pause caused by health checks."""
     world = World(lambda now_s: ALL)
     leaves_every(world, 20, 7200)
     assert world.run(7230.0, ALL - {(NODE,)}, lacking=True)
 
 
-def test_a_new_participant_that_misses_it_too_is_replaced_after_a_rest() -> None:
-    """An overload that lasts must not have the participant replaced again and again."""
+def test_a_new_participant_that_also_misses_it_is_replaced_after_a_pause() -> None:
+    """A lasting overload must not replace the participant repeatedly."""
     world = World(lambda now_s: ALL)
     (first,) = world.run(20.0, NOTHING)
     world.look.renewed(20.0)
@@ -139,8 +139,8 @@ def test_a_new_participant_that_misses_it_too_is_replaced_after_a_rest() -> None
     assert second[0] - first[0] == 2 * REST_S + TICK_S + CONFIRM_S
 
 
-def test_where_no_second_participant_can_be_had_the_first_has_to_do() -> None:
-    """At a limit of threads or participants nothing is raised, and it is tried again after a rest."""
+def test_the_first_participant_is_kept_when_no_second_can_be_opened() -> None:
+    """At a limit of threads or participants nothing is raised, and PHM tries again after a pause."""
     tried: list[float] = []
 
     def refuse() -> Participant:
@@ -153,7 +153,7 @@ def test_where_no_second_participant_can_be_had_the_first_has_to_do() -> None:
     assert tried == [CALM_S, CALM_S + 2 * REST_S, CALM_S + 6 * REST_S]
 
 
-DEAF = (
+BLIND = (
     "import phm.probes.ros.graph as g; plain = g.GraphReader.look; first = []\n"
     "def look(self, now_s, *, notified=False):\n"
     "    first.append(self) if not first else None\n"
@@ -163,19 +163,19 @@ DEAF = (
     "    return changed\n"
     "g.GraphReader.look = look; from phm.probes.ros.child import main; raise SystemExit(main())"
 )
-"""A child whose first participant misses all nodes and publishers for good."""
+"""A child whose first participant permanently misses all nodes and publishers."""
 
 
-def test_a_child_that_missed_a_node_for_good_gets_a_new_participant(bench: Bench) -> None:
-    """The node is listed by its name and its rate is measured, without another process."""
+def test_a_child_that_permanently_missed_a_node_gets_a_new_participant(bench: Bench) -> None:
+    """The node is listed by name and its rate is measured, without another process."""
     bench.node("node_1", "--publish", "topic_1:10", "--no-beacon")
-    probe = bench.probe([{"name": TOPIC, "rate": 10}], nodes=[{"name": NODE}], command=(sys.executable, "-c", DEAF))
+    probe = bench.probe([{"name": TOPIC, "rate": 10}], nodes=[{"name": NODE}], command=(sys.executable, "-c", BLIND))
     first = seen(probe, lambda fact: fact.topics and probe.pid, "the child")
 
-    def whole(fact: RosFact) -> bool:
+    def complete(fact: RosFact) -> bool:
         topic = fact.topics[TOPIC]
         return NODE in fact.nodes and bool(topic.publishers and topic.rate and topic.rate.hz)
 
-    seen(probe, whole, "the node and its rate")
+    seen(probe, complete, "the node and its rate")
     assert (probe.pid, probe.restarts) == (first, 0)
     assert [note for note in bench.notes if "a new participant" in note and NODE in note]

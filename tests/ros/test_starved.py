@@ -1,4 +1,4 @@
-"""What the ROS child did not see because it did not get to run is no fault of nodes and topics, nor of the child."""
+"""What the ROS child missed because it was starved of CPU is not a fault of nodes or topics, nor of the child."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Child:
 
 
 def test_a_beacon_is_not_silent_while_the_child_does_not_run() -> None:
-    """Its silence is what is left of its age; while the child runs, silence counts in full."""
+    """Its silence is its age minus the child's lateness; while the child runs, silence counts in full."""
     child = Child()
     child.hear()
     fact = child.tick(5.0, 4.8)
@@ -61,8 +61,8 @@ def test_a_beacon_is_not_silent_while_the_child_does_not_run() -> None:
     assert silent(fact.beacons[NODE])
 
 
-def test_a_child_that_is_starved_for_good_halves_a_silence_at_most() -> None:
-    """A node that died is found all the same."""
+def test_a_permanently_starved_child_halves_a_silence_at_most() -> None:
+    """A dead node is still found."""
     child = Child()
     child.hear()
     for _ in range(20):
@@ -70,8 +70,8 @@ def test_a_child_that_is_starved_for_good_halves_a_silence_at_most() -> None:
     assert fact.beacons[NODE].silent_s >= 4.5
 
 
-def test_after_a_break_the_graph_proves_absence_as_after_a_start() -> None:
-    """Leases may have ended meanwhile; but breaks that follow each other do not hide for ever what is missing."""
+def test_the_graph_proves_absence_after_a_gap_as_after_a_start() -> None:
+    """Leases may have expired meanwhile; but consecutive gaps do not hide a missing node permanently."""
     child = Child()
     assert child.tick(0.25).up_s == pytest.approx(100.0)
     assert child.tick(2.0, BREAK_S).up_s == 0.0
@@ -85,8 +85,10 @@ def sample(number: int, at_s: float) -> Sample:
 
 
 @pytest.mark.parametrize(("gap_s", "most_s"), [(0.9, 7.0), (2.0, 8.5), (5.0, 15.5)])
-def test_looks_that_are_late_count_half_at_most(gap_s: float, most_s: float) -> None:
-    """A topic is not silent because PHM looked late; one that is, is found within twice its limit, the longest pause and a look."""
+def test_late_polls_count_half_at_most(gap_s: float, most_s: float) -> None:
+    """A topic is not silent because PHM polled late; a silent one is found within twice its limit, the longest pause
+    and a poll.
+    """
     meter = RateEstimator(10.0, 3.0)
     meter.look(100.0, [sample(1, 100.0)])
     now = 100.0
@@ -97,8 +99,8 @@ def test_looks_that_are_late_count_half_at_most(gap_s: float, most_s: float) -> 
 
 
 @pytest.mark.parametrize("gap_s", [0.5, 1.0, 2.0, 5.0])
-def test_late_looks_at_most_double_a_silence_beside_the_longest(gap_s: float) -> None:
-    """What a check makes of a silence is found within twice its limit, the longest pause and a look."""
+def test_late_polls_at_most_double_the_silence_limit(gap_s: float) -> None:
+    """The check reports a silence within twice its limit, the longest pause and a poll."""
     child, silent_s = Child(), 0.0
     while True:
         silent_s += gap_s
@@ -113,8 +115,8 @@ def test_late_looks_at_most_double_a_silence_beside_the_longest(gap_s: float) ->
 
 
 @pytest.mark.parametrize("grace_s", [8.0, 60.0, 120.0])
-def test_breaks_do_not_hide_for_ever_what_is_missing(grace_s: float) -> None:
-    """A child that is late every half minute still proves absence, however long the grace."""
+def test_gaps_do_not_hide_a_missing_node_permanently(grace_s: float) -> None:
+    """A child that is late every half minute still proves absence, however long the grace is."""
     child = Child(grace_s)
     child.up_s = 10_000.0
     longest_s = 0.0
@@ -124,15 +126,15 @@ def test_breaks_do_not_hide_for_ever_what_is_missing(grace_s: float) -> None:
     assert 2 * grace_s <= longest_s < child.up_s
 
 
-def test_a_break_does_not_undo_that_a_slow_topic_was_listened_for() -> None:
-    """Its three periods may be longer than the time between two breaks."""
+def test_a_gap_does_not_reset_the_wait_for_a_slow_topic() -> None:
+    """Its three periods may be longer than the time between two gaps."""
     child = Child()
     fact = child.tick(5.0, BREAK_S)
     assert (fact.up_s, fact.listened_s) == (0.0, pytest.approx(100.0))
 
 
-def test_looks_in_time_count_in_full() -> None:
-    """On a machine with time to spare a silent topic is found as soon as ever."""
+def test_polls_in_time_count_in_full() -> None:
+    """On a machine with spare CPU a silent topic is found as soon as usual."""
     meter = RateEstimator(10.0, 3.0)
     meter.look(100.0, [sample(1, 100.0)])
     found = [step for step in range(1, 20) if meter.look(100.0 + 0.25 * step, []).hz == 0.0]
@@ -158,18 +160,18 @@ def proc(folder: Path, state: str, ran_s: float, waited_s: float) -> str:
     ],
     ids=["it waited", "it waits for a core", "it waits for the disk", "it sleeps", "it computes", "it is stopped"],
 )
-def test_only_a_process_that_would_run_if_it_could_is_kept_from_running(
+def test_only_a_runnable_process_counts_as_starved(
     tmp_path: Path, state: str, ran_s: float, waited_s: float, held_s: float
 ) -> None:
-    """By its state and what the kernel counts; one that sleeps, computes or is stopped has no such excuse."""
+    """By its state and the kernel's counters; a process that sleeps, computes or is stopped does not count as starved."""
     progress = ProcessStallMeter(7, proc(tmp_path, "S", 10.0, 20.0))
     assert progress.turn(100.0) == 0.0
     proc(tmp_path, state, 10.0 + ran_s, 20.0 + waited_s)
     assert progress.turn(102.0) == pytest.approx(held_s)
 
 
-def test_without_the_kernels_count_nothing_is_excused(tmp_path: Path) -> None:
-    """A kernel without schedstat, and a process that is gone."""
+def test_nothing_counts_as_starved_without_the_kernels_counters(tmp_path: Path) -> None:
+    """A kernel without schedstat, and a process that has ended."""
     progress = ProcessStallMeter(7, str(tmp_path))
     assert (progress.turn(1.0), progress.turn(5.0)) == (0.0, 0.0)
     mine = ProcessStallMeter(os.getpid())
@@ -181,7 +183,9 @@ def test_without_the_kernels_count_nothing_is_excused(tmp_path: Path) -> None:
 def test_a_child_is_replaced_for_silence_only_if_it_could_run(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, share: float, replaced: bool
 ) -> None:
-    """A starved child is waited for up to `starved_s`, since its successor would be starved as well; one that hangs is not."""
+    """PHM waits for a starved child up to `starved_s`, since its successor would be starved too; not for one that
+    hangs.
+    """
     held(monkeypatch, share)
     limits = SupervisorLimits(start_s=20.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, farewell_s=0.2, starved_s=2.0)
     probe = bench.probe(command=fake("mute"), limits=limits)
@@ -205,8 +209,8 @@ def held(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
     monkeypatch.setattr(supervisor, "ProcessStallMeter", Held)
 
 
-def test_what_was_heard_is_sent_before_the_picture(bench: Bench) -> None:
-    """So that no silence is judged by a picture that is newer than what was heard until then."""
+def test_received_beacons_are_sent_before_the_snapshot(bench: Bench) -> None:
+    """So that no silence is judged by a snapshot newer than the latest beacons."""
     from phm.probes.ros.observer import Observer
 
     order: list[str] = []

@@ -1,4 +1,4 @@
-"""The child is replaced whatever it does, and the daemon is never harmed by it."""
+"""The child is replaced however it fails, and the daemon is never affected."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def fake(behaviour: str, folder: Path | str = "") -> tuple[str, ...]:
         ("never", "was unresponsive for 2 s and was killed"),
     ],
 )
-def test_a_child_that_fails_is_replaced_with_a_sentence(bench: Bench, behaviour: str, words: str) -> None:
-    """However a child fails, the probe says how, counts it, and starts another."""
+def test_a_failed_child_is_replaced_and_reported(bench: Bench, behaviour: str, words: str) -> None:
+    """However a child fails, the probe reports how, counts it, and starts another."""
     probe = bench.probe(command=fake(behaviour), limits=FAST)
     until(lambda: probe.restarts >= 2, "two replacements")
     assert any(words in note for note in bench.notes)
@@ -40,40 +40,40 @@ def test_a_child_that_fails_is_replaced_with_a_sentence(bench: Bench, behaviour:
 
 
 def test_the_same_failure_is_noted_once(bench: Bench) -> None:
-    """A child that fails for ever must not fill the log."""
+    """A child that fails permanently must not fill the log."""
     probe = bench.probe(command=fake("exit"), limits=FAST)
     until(lambda: probe.restarts >= 4, "four replacements")
     assert len(bench.notes) == 1
 
 
-def test_a_command_that_does_not_exist_is_a_sentence(bench: Bench) -> None:
-    """A child that cannot even be started leaves the probe STALE and trying."""
+def test_a_missing_command_is_reported(bench: Bench) -> None:
+    """A child that cannot be started leaves the probe STALE, and PHM keeps trying."""
     probe = bench.probe(command=("/nonexistent/python",), limits=FAST)
     until(lambda: probe.restarts >= 2, "two attempts")
     assert "cannot be started" in stale(probe)
 
 
-def test_an_interpreter_without_rclpy_says_what_to_install(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interpreter_without_rclpy_reports_what_to_install(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without rclpy the probe is STALE with the remedy, tries rarely, and counts no restart."""
     monkeypatch.chdir(ROOT)
     probe = bench.probe(command=(sys.executable, "-S", "-m", "phm.probes.ros.child"), environ={"PYTHONPATH": ""})
     until(lambda: stale(probe) == NOT_INSTALLED, "the sentence about rclpy")
     restricted, *notes = bench.notes
-    assert restricted.startswith("the ROS child is not fully restricted")  # -S hides the libraries for that as well
+    assert restricted.startswith("the ROS child is not fully restricted")  # -S hides the libraries for the sandbox, too
     assert notes == [NOT_INSTALLED]
     assert probe.restarts == 0
 
 
 @pytest.mark.parametrize("behaviour", ["garbage", "long"])
-def test_stray_output_does_no_harm(bench: Bench, behaviour: str) -> None:
-    """Lines that are no messages, and lines without end, are dropped; the messages between them count."""
+def test_stray_output_is_harmless(bench: Bench, behaviour: str) -> None:
+    """Lines that are not messages, and unterminated lines, are dropped; the messages between them count."""
     probe = bench.probe(command=fake(behaviour), limits=FAST)
     seen(probe, lambda fact: fact.up_s > 0.5 and fact.nodes == {"/a/n": 1}, "a picture among the garbage")
     assert probe.restarts == 0
 
 
 def test_a_stopped_child_is_replaced(bench: Bench) -> None:
-    """SIGSTOP looks like a deadlock in the middleware: it is killed, and another answers."""
+    """SIGSTOP looks like a deadlock in the middleware: the child is killed, and another answers."""
     probe = bench.probe(command=fake("good"), limits=FAST)
     seen(probe, lambda fact: fact.nodes, "a picture")
     first = probe.pid
@@ -84,8 +84,10 @@ def test_a_stopped_child_is_replaced(bench: Bench) -> None:
     assert probe.restarts == 1
 
 
-def test_a_ghost_in_the_graph_is_gone_with_the_child_that_saw_it(bench: Bench, tmp_path: Path) -> None:
-    """A node that one participant lists twice for longer than any lease is looked at by another, which is no fault of the child."""
+def test_a_stale_node_in_the_graph_disappears_with_its_child(bench: Bench, tmp_path: Path) -> None:
+    """A node that one participant lists twice for longer than any lease is looked up by another, which does not count
+    as a failure of the child.
+    """
     limits = replace(FAST, doubt_s=0.3)
     probe = bench.probe(command=fake("stale_name", tmp_path), limits=limits, nodes=[{"name": "/a/n"}])
     seen(probe, lambda fact: fact.nodes == {"/a/n": 2}, "the stale name")
@@ -94,29 +96,29 @@ def test_a_ghost_in_the_graph_is_gone_with_the_child_that_saw_it(bench: Bench, t
     assert probe.restarts == 0
 
 
-def test_a_node_that_does_run_twice_is_looked_at_anew_once(bench: Bench, tmp_path: Path) -> None:
-    """Two nodes of one name are no reason to start child after child."""
+def test_a_node_that_really_runs_twice_is_looked_up_once_more(bench: Bench, tmp_path: Path) -> None:
+    """Two nodes of one name must not restart child after child."""
     probe = bench.probe(command=fake("twice", tmp_path), limits=replace(FAST, doubt_s=0.2), nodes=[{"name": "/a/n"}])
     until(lambda: len(list(tmp_path.iterdir())) == 2, "a second child")
     seen(
         probe,
         lambda fact: fact.nodes == {"/a/n": 2} and fact.up_s > 1.0,
-        "a second child that has looked for long enough",
+        "a second child that has run for long enough",
     )
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_stranger_that_is_listed_twice_has_no_child_replaced(bench: Bench, tmp_path: Path) -> None:
-    """Anyone can announce name after name twice: only the configured nodes are worth another participant."""
+def test_an_unconfigured_node_listed_twice_does_not_replace_the_child(bench: Bench, tmp_path: Path) -> None:
+    """Anyone can announce names twice: only the configured nodes justify another participant."""
     probe = bench.probe(
         command=fake("twice", tmp_path), limits=replace(FAST, doubt_s=0.1), nodes=[{"name": "/a/other"}]
     )
-    seen(probe, lambda fact: fact.up_s > 2.0, "a child that has looked for long enough")
+    seen(probe, lambda fact: fact.up_s > 2.0, "a child that has run for long enough")
     assert len(list(tmp_path.iterdir())) == 1 and not bench.notes
 
 
 def test_a_killed_child_is_replaced(bench: Bench) -> None:
-    """SIGKILL from outside (the kernel's out-of-memory killer) is named, and another answers."""
+    """SIGKILL from outside (the kernel's out-of-memory killer) is reported, and another child answers."""
     probe = bench.probe(command=fake("good"), limits=FAST)
     seen(probe, lambda fact: fact.nodes, "a picture")
     first = probe.pid
@@ -125,8 +127,8 @@ def test_a_killed_child_is_replaced(bench: Bench) -> None:
     seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
 
 
-def test_renewing_replaces_it_without_counting_a_fault(bench: Bench) -> None:
-    """After a network was joined the child is made anew: on purpose, so it is no restart."""
+def test_renewing_replaces_the_child_without_counting_a_failure(bench: Bench) -> None:
+    """After PHM joined a network the child is restarted on purpose, so it does not count."""
     probe = bench.probe(command=fake("good"), limits=FAST)
     seen(probe, lambda fact: fact.nodes, "a picture")
     first = probe.pid
@@ -138,8 +140,8 @@ def test_renewing_replaces_it_without_counting_a_fault(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("behaviour", ["good", "stubborn", "never", "exit"])
-def test_closing_leaves_no_process(bench: Bench, tmp_path: Path, behaviour: str) -> None:
-    """After `close` none of the children exists, and the probe says so."""
+def test_close_leaves_no_process(bench: Bench, tmp_path: Path, behaviour: str) -> None:
+    """After `close` none of the children exists, and the probe reports it."""
     probe = bench.probe(command=fake(behaviour, tmp_path), limits=FAST)
     until(lambda: list(tmp_path.iterdir()), "a start")
     probe.close()
@@ -148,8 +150,8 @@ def test_closing_leaves_no_process(bench: Bench, tmp_path: Path, behaviour: str)
     assert "closed" in stale(probe)
 
 
-def test_before_the_start_it_cannot_tell() -> None:
-    """Silence is never OK: a probe that has seen nothing yet says so."""
+def test_the_probe_cannot_tell_before_its_start() -> None:
+    """A probe without any data is never OK."""
     from phm.core.clock import SystemClock
     from phm.probes.ros.supervisor import RosSupervisor
 
@@ -158,8 +160,8 @@ def test_before_the_start_it_cannot_tell() -> None:
     probe.close()
 
 
-def test_the_first_picture_and_its_loss_are_changes(bench: Bench) -> None:
-    """Checks are woken when there is a view and when it is lost, and not by every message."""
+def test_the_first_snapshot_and_its_loss_are_changes(bench: Bench) -> None:
+    """Checks are woken when there is a snapshot and when it is lost, and not by every message."""
     probe = bench.probe(command=fake("good"), limits=FAST)
     seen(probe, lambda fact: fact.up_s > 0.5, "several pictures")
     assert bench.changes == 1
@@ -178,7 +180,7 @@ def test_the_environment_of_the_child() -> None:
     assert child_environ(installs, {})[INSTALLS] == "/a/install:/b"
 
 
-def test_topics_are_asked_for_by_their_full_names() -> None:
-    """A missing first slash is added, as the configuration promises."""
+def test_topics_are_requested_by_their_full_names() -> None:
+    """A missing leading slash is added, as documented in the configuration."""
     settings = RosSettings.model_validate({"topics": [{"name": "a/b", "rate": 5}, {"name": "/c"}], "silence": 2})
     assert [(t.name, t.rate_hz, t.silence_s) for t in wanted(settings, "a").topics] == [("/a/b", 5, 2), ("/c", None, 2)]

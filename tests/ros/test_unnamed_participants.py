@@ -1,4 +1,4 @@
-"""What PHM's own participant has forgotten comes back with a new one, and no alarm is raised for it meanwhile."""
+"""Entities that PHM's own participant has lost are found with a new one, and raise no alarm meanwhile."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FLOWING = RateFact(10.0, 0.1)
 
 
 def test_a_node_that_lost_its_lease_is_listed_again_by_name(bench: Bench) -> None:
-    """Its endpoints come back without the name, which no later announcement brings: PHM looks with a new participant."""
+    """Its endpoints return without the node name, which no later announcement contains: PHM opens a new participant."""
     node = bench.node("node_1", "--publish", "topic_1:10")
     probe = bench.probe([{"name": TOPIC, "rate": 10}], nodes=[{"name": NODE}])
     seen(probe, lambda fact: NODE in fact.nodes and fact.topics[TOPIC].publishers and NODE in fact.beacons, "the node")
@@ -32,8 +32,10 @@ def test_a_node_that_lost_its_lease_is_listed_again_by_name(bench: Bench) -> Non
     assert probe.restarts == 0
 
 
-def test_names_that_are_lost_are_looked_for_with_a_new_participant() -> None:
-    """After some seconds, as an endpoint comes a moment before its name; and not again and again when that does not help."""
+def test_lost_names_are_looked_up_with_a_new_participant() -> None:
+    """After some seconds, since an endpoint arrives a moment before its name; and not repeatedly when that does not
+    help.
+    """
     unnamed = UnnamedParticipants()
     assert unnamed.look(NAMED, 0.0) == ()
     assert unnamed.look(NAMELESS, 1.0) == ()
@@ -49,24 +51,24 @@ def test_names_that_are_lost_are_looked_for_with_a_new_participant() -> None:
     ]
 
 
-def test_an_endpoint_that_never_had_a_name_is_left_alone_unless_its_data_come() -> None:
-    """Where data are blocked no name ever comes, and a new participant gets none either."""
+def test_an_endpoint_that_never_had_a_name_is_ignored_unless_its_data_arrive() -> None:
+    """Where data are blocked no name ever arrives, and a new participant gets none either."""
     unnamed = UnnamedParticipants()
     assert not any(unnamed.look(NAMELESS, float(at)) for at in range(100))
     flowing = {TOPIC: TopicFact((EndpointFact("", STRING),), (), FLOWING)}
     assert any(unnamed.look(flowing, float(at)) for at in range(100, 110))
 
 
-def test_data_of_a_publisher_that_is_not_listed_are_a_reason_to_look_anew() -> None:
-    """The picture contradicts itself: it is not the vehicle that is at fault."""
+def test_data_of_an_unlisted_publisher_open_a_new_participant() -> None:
+    """The snapshot contradicts itself: the vehicle is not at fault."""
     flowing = {TOPIC: TopicFact((), (), FLOWING)}
     unnamed = UnnamedParticipants()
     assert any(unnamed.look(flowing, float(at)) for at in range(10))
     assert not any(UnnamedParticipants().look({TOPIC: TopicFact()}, float(at)) for at in range(100))
 
 
-def test_a_node_that_beats_and_is_not_listed_is_a_reason_to_look_anew() -> None:
-    """Its beacon comes through the same participant that does not list it."""
+def test_a_beacon_of_an_unlisted_node_opens_a_new_participant() -> None:
+    """Its beacon arrives through the same participant that does not list it."""
     unnamed = UnnamedParticipants()
     assert any(unnamed.look({}, float(at), {NODE}) for at in range(10))
     assert not any(UnnamedParticipants().look({}, float(at), {NODE} if at % 4 else set()) for at in range(100))

@@ -1,4 +1,4 @@
-"""The daemon's heart: what it says of a pause, and that it rests while nothing waits."""
+"""The daemon's main loop: what it reports about a pause, and that it sleeps while nothing waits."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from tests.fakes.until import until
 LIMIT_S = 20.0
 
 
-class Told(DaemonWatchdog):
-    """A guard that has let PHM go on when the test says so; counts the beats that it hears."""
+class FakeWatchdog(DaemonWatchdog):
+    """A watchdog that reports a resume when the test sets it, and counts iterations of the main loop."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.let_go = threading.Event()
-        self.beats = 0
+        self.resumed = threading.Event()
+        self.iterations = 0
 
     def beat(self) -> bool:
-        self.beats += 1
-        told = self.let_go.is_set()
-        self.let_go.clear()
-        return told
+        self.iterations += 1
+        reported = self.resumed.is_set()
+        self.resumed.clear()
+        return reported
 
 
 @pytest.fixture
-def daemon(tmp_path: Path) -> Iterator[tuple[Daemon, Told]]:
-    guard = Told()
+def daemon(tmp_path: Path) -> Iterator[tuple[Daemon, FakeWatchdog]]:
+    guard = FakeWatchdog()
     made = settings(
         state_dir=str(tmp_path / "state"),
         run_dir=str(tmp_path / "run"),
@@ -57,28 +57,28 @@ def companion(daemon: Daemon) -> UnitState:
     return state
 
 
-def test_that_it_was_let_go_on_is_told_however_short_it_stood_still(daemon: tuple[Daemon, Told]) -> None:
-    """Its guard knows; a pause of the heart alone would have to last seconds to prove anything."""
+def test_a_resume_is_reported_however_short_the_suspension(daemon: tuple[Daemon, FakeWatchdog]) -> None:
+    """The watchdog knows it; without it only a pause of several seconds would be evidence."""
     made, guard = daemon
-    until(lambda: companion(made).level is Level.OK, "a companion that is well")
-    guard.let_go.set()
-    until(lambda: companion(made).level is Level.WARN, "the word that it was stopped")
+    until(lambda: companion(made).level is Level.OK, "an OK companion")
+    guard.resumed.set()
+    until(lambda: companion(made).level is Level.WARN, "the report of the suspension")
     assert companion(made).result.condition == "phm_suspended"
     assert "SIGSTOP" in companion(made).result.summary
 
 
-def test_the_heart_rests_while_nothing_waits_and_beats_when_called(daemon: tuple[Daemon, Told]) -> None:
-    """Twice a second then; a call, as a change or a SIGCONT makes it, is a beat at once, without end if need be."""
+def test_the_main_loop_sleeps_while_idle_and_runs_when_woken(daemon: tuple[Daemon, FakeWatchdog]) -> None:
+    """Twice a second when idle; each wake-up, as by a change or a SIGCONT, is an immediate iteration, without limit."""
     made, guard = daemon
     until(lambda: made.pipeline.complete and not made.pipeline.waiting, "nothing to wait for")
-    began, before = time.monotonic(), guard.beats
-    until(lambda: guard.beats >= before + 4, "four beats")
-    assert time.monotonic() - began > 2 * IDLE_S, "more than ten times a second: it does not rest"
-    before = guard.beats
+    began, before = time.monotonic(), guard.iterations
+    until(lambda: guard.iterations >= before + 4, "four iterations")
+    assert time.monotonic() - began > 2 * IDLE_S, "more than ten times a second: it does not sleep"
+    before = guard.iterations
 
     def called() -> bool:
         made.wake()
-        return guard.beats >= before + 50
+        return guard.iterations >= before + 50
 
-    until(called, "fifty beats, which its rests alone would make 25 s", limit_s=LIMIT_S)
+    until(called, "fifty iterations, which would take 25 s without wake-ups", limit_s=LIMIT_S)
     assert made.components.health.alive()

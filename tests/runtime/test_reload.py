@@ -1,4 +1,4 @@
-"""Reloading the configuration: a bad one changes nothing, a good one applies, and what is known stays known."""
+"""Reloading the configuration: an invalid one changes nothing, a valid one applies, and known states are kept."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEARTBEAT, POWEROFF = 0, 8
 
 
 class Agent:
-    """`phm run` with a disk that is too full for its limit, and a ground station that hears it."""
+    """`phm run` with a disk that exceeds its limit, and a ground station that receives its heartbeats."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -76,8 +76,8 @@ class Agent:
             check=False,
         )
 
-    def heard(self) -> list[int]:
-        """The system states of the heartbeats that came since the last call."""
+    def heartbeat_states(self) -> list[int]:
+        """The system states of the heartbeats that arrived since the last call."""
         found = []
         while True:
             try:
@@ -100,11 +100,13 @@ def agent(tmp_path: Path) -> Iterator[Agent]:
     made.close()
 
 
-def test_a_good_configuration_applies_and_faults_stay_open(agent: Agent) -> None:
-    """The fault keeps its id and is reported once; heartbeats go on with no farewell; what needs a restart is named."""
+def test_a_valid_configuration_applies_and_faults_stay_open(agent: Agent) -> None:
+    """The fault keeps its id and is reported once; heartbeats continue without POWEROFF; keys that need a restart are
+    named.
+    """
     before = agent.status()
     agent.write(interval="3s", agent={"id": 3, "name": "other"})
-    agent.heard()
+    agent.heartbeat_states()
     done = agent.reload()
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "configuration reloaded: interval; restart PHM to apply: agent\n"
@@ -115,7 +117,7 @@ def test_a_good_configuration_applies_and_faults_stay_open(agent: Agent) -> None
     assert after["agent"] == before["agent"], "the agent's name stays until a restart"
     assert after["faults"]["open"][0]["fault"] == before["faults"]["open"][0]["fault"]
     seen: list[int] = []
-    until(lambda: seen.extend(agent.heard()) or len(seen) >= 3, "three heartbeats")
+    until(lambda: seen.extend(agent.heartbeat_states()) or len(seen) >= 3, "three heartbeats")
     assert POWEROFF not in seen
     opened = [
         each
@@ -128,7 +130,7 @@ def test_a_good_configuration_applies_and_faults_stay_open(agent: Agent) -> None
 
 
 def test_a_hold_outlives_a_reload(agent: Agent) -> None:
-    """An operator's hold goes on until its own end, and can be released afterwards."""
+    """An operator's hold lasts until its own end, and can be released afterwards."""
     run_dir = str(agent.folder / "run")
     control.ask(run_dir, {"do": "hold", "container": "", "for_s": 600.0, "reason": "maintenance"})
     agent.write(interval="3s")
@@ -139,7 +141,7 @@ def test_a_hold_outlives_a_reload(agent: Agent) -> None:
     until(lambda: agent.status().get("holds") == [], "the release")
 
 
-def test_a_bad_configuration_is_rejected_and_the_old_one_stays(agent: Agent) -> None:
+def test_an_invalid_configuration_is_rejected_and_the_old_one_stays(agent: Agent) -> None:
     """Exit code 78 and every problem as file:line; nothing is stopped, nothing changes."""
     boot = agent.status()["boot_id"]
     agent.file.write_text("interval: soon\nagent: {id: 3000}\n")
@@ -155,7 +157,7 @@ def test_a_bad_configuration_is_rejected_and_the_old_one_stays(agent: Agent) -> 
 
 
 def test_sighup_reloads(agent: Agent) -> None:
-    """As `phm reload`, several times in a row, and a fault that a new limit ends is closed."""
+    """As `phm reload`, several times in succession, and a fault that a new limit ends is closed."""
     agent.process.send_signal(signal.SIGHUP)
     agent.write(interval="3s")
     agent.process.send_signal(signal.SIGHUP)
@@ -167,16 +169,16 @@ def test_sighup_reloads(agent: Agent) -> None:
     assert agent.process.poll() is None
 
 
-def test_what_has_not_changed_is_not_touched(agent: Agent) -> None:
-    """Reloading the same configuration replaces nothing."""
+def test_an_unchanged_configuration_replaces_nothing(agent: Agent) -> None:
+    """Reloading the same configuration keeps all components."""
     boot = agent.status()["boot_id"]
     done = agent.reload()
     assert (done.returncode, done.stdout) == (0, "configuration reloaded: no changes\n")
     assert agent.status()["boot_id"] == boot
 
 
-def test_checks_that_go_in_a_circle_are_rejected(agent: Agent) -> None:
-    """What shows only when the new daemon is built changes nothing either."""
+def test_cyclic_dependencies_are_rejected(agent: Agent) -> None:
+    """A problem that only shows while the new daemon is built changes nothing either."""
     agent.write(
         checks={"files": {"needs": ["devices"]}, "devices": {"needs": ["files"]}},
         containers=[{"name": "app", "files": [{"path": "/x"}], "devices": [{"path": "/dev/null"}]}],
@@ -187,8 +189,8 @@ def test_checks_that_go_in_a_circle_are_rejected(agent: Agent) -> None:
     assert control.ask(str(agent.folder / "run"), {"do": "ping"}) == "PHM is running"
 
 
-def test_without_a_daemon_reload_says_so(tmp_path: Path) -> None:
-    """One sentence, exit code 1."""
+def test_reload_without_a_daemon_is_an_error(tmp_path: Path) -> None:
+    """One message, exit code 1."""
     done = subprocess.run(
         [sys.executable, "-m", "phm.cli", "reload", "--run-dir", str(tmp_path)],
         text=True,

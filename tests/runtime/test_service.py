@@ -1,4 +1,4 @@
-"""The process of `phm run`: one PHM for its directories, signals, and an end that nothing holds up."""
+"""The process of `phm run`: one PHM per directory, signals, and a shutdown that nothing can block."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.fakes.until import until
 ROOT = Path(__file__).parents[2]
 LIMIT_S = 60.0
 
-# Whenever the main thread waits for an event, a SIGTERM comes while it holds the event's lock, as it may by chance.
+# While the main thread waits for an event, a SIGTERM arrives when it holds the event's lock, as can happen by chance.
 UNLUCKY = """
 import os, signal, sys, threading
 wait = threading.Event.wait
@@ -46,7 +46,7 @@ main(sys.argv[1:])
 
 
 class Running:
-    """`phm run` with a configuration of its own."""
+    """`phm run` with its own configuration."""
 
     def __init__(self, folder: Path, *before: str, **more: Any) -> None:
         self.folder = folder
@@ -92,11 +92,13 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Running]]:
         running.process.communicate()
 
 
-# ---------------------------------------------------------------- one for its directories
+# ---------------------------------------------------------------- one PHM per directory
 
 
-def test_a_second_phm_with_the_same_directories_is_refused(start: Callable[..., Running]) -> None:
-    """Exit code 75 and a sentence with the directory, the process and what to do; the first goes on, and a killed one locks nobody out."""
+def test_a_second_phm_with_the_same_directories_is_rejected(start: Callable[..., Running]) -> None:
+    """Exit code 75 and a message with the directory, the process and what to do; the first continues, and a killed one
+    leaves no lock.
+    """
     first = start()
     first.ready()
     second = first.another()
@@ -124,8 +126,8 @@ def _answers(folder: Path) -> bool:
         return False
 
 
-def test_either_directory_is_enough_to_be_refused(tmp_path: Path) -> None:
-    """State or run directory, by whatever path; a refusal locks nothing."""
+def test_either_shared_directory_rejects_a_second_phm(tmp_path: Path) -> None:
+    """State or run directory, by any path; a rejected start locks nothing."""
     first = InstanceLock(str(tmp_path / "state"), str(tmp_path / "run"))
     first.acquire()
     (tmp_path / "link").symlink_to(tmp_path / "run")
@@ -138,8 +140,8 @@ def test_either_directory_is_enough_to_be_refused(tmp_path: Path) -> None:
     both.release()
 
 
-def test_a_lock_file_that_was_removed_is_made_again(tmp_path: Path) -> None:
-    """Who locks a file that is no longer there has locked nothing: the file at the path counts."""
+def test_a_removed_lock_file_is_created_again(tmp_path: Path) -> None:
+    """A lock on a deleted file has no effect: the file at the path counts."""
     first = InstanceLock(str(tmp_path))
     first.acquire()
     (tmp_path / NAME).unlink()
@@ -149,8 +151,8 @@ def test_a_lock_file_that_was_removed_is_made_again(tmp_path: Path) -> None:
         InstanceLock(str(tmp_path)).acquire()
 
 
-def test_a_directory_that_cannot_be_locked_is_a_problem_and_no_end(tmp_path: Path) -> None:
-    """PHM runs on a read-only disk, too, and says what it cannot promise."""
+def test_a_directory_that_cannot_be_locked_is_a_problem_without_an_exit(tmp_path: Path) -> None:
+    """PHM runs on a read-only disk, too, and reports what it cannot detect."""
     (tmp_path / "file").touch()
     lock = InstanceLock(str(tmp_path / "file" / "below"))
     lock.acquire()
@@ -160,8 +162,8 @@ def test_a_directory_that_cannot_be_locked_is_a_problem_and_no_end(tmp_path: Pat
 # ---------------------------------------------------------------- signals
 
 
-def test_a_signal_that_comes_while_an_event_is_locked_is_read_later(tmp_path: Path) -> None:
-    """The handler takes no lock; numbers come in their order, and others keep their handlers."""
+def test_a_signal_that_arrives_while_an_event_is_locked_is_read_later(tmp_path: Path) -> None:
+    """The handler takes no lock; signals are read in order, and others keep their handlers."""
     event = threading.Event()
     before = signal.getsignal(signal.SIGUSR1)
     with Signals(signal.SIGUSR1, signal.SIGUSR2) as signals:
@@ -202,12 +204,12 @@ def test_a_sigterm_at_the_worst_moment_ends_the_ground_station(tmp_path: Path) -
     assert done.returncode in (1, 130)
 
 
-# ---------------------------------------------------------------- the end
+# ---------------------------------------------------------------- shutdown
 
 
 @pytest.fixture
 def hung_engine(tmp_path: Path) -> Iterator[str]:
-    """An engine that takes every call and never answers."""
+    """A Docker Engine that accepts every call and never answers."""
     path = str(tmp_path / "engine.sock")
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(path)
@@ -215,8 +217,8 @@ def hung_engine(tmp_path: Path) -> Iterator[str]:
         yield f"unix://{path}"
 
 
-def test_a_hung_engine_does_not_hold_up_the_end(start: Callable[..., Running], hung_engine: str) -> None:
-    """Calls under way are cut, not waited for; the next start finds an orderly end."""
+def test_a_hung_engine_does_not_delay_the_shutdown(start: Callable[..., Running], hung_engine: str) -> None:
+    """Calls in progress are aborted; the next start finds an orderly shutdown."""
     running = start(docker={"socket": hung_engine, "timeout": "60s"}, containers=[{"name": "app", "networks": ["n"]}])
     running.ready()
     running.process.terminate()
@@ -225,8 +227,10 @@ def test_a_hung_engine_does_not_hold_up_the_end(start: Callable[..., Running], h
     assert not running.marker.exists()
 
 
-def test_an_end_that_was_asked_for_is_marked_before_anything_can_hang(tmp_path: Path) -> None:
-    """A disk that hangs in the middle of it is named, costs its own share, and is no crash at the next start."""
+def test_an_intended_shutdown_is_marked_before_anything_can_hang(tmp_path: Path) -> None:
+    """A disk that hangs during the shutdown is named, uses only its own time limit, and does not count as a crash at
+    the next start.
+    """
     daemon = Daemon(
         settings(
             state_dir=str(tmp_path / "state"),
@@ -248,8 +252,10 @@ def test_an_end_that_was_asked_for_is_marked_before_anything_can_hang(tmp_path: 
     released.set()
 
 
-def test_steps_that_hang_share_one_budget() -> None:
-    """Each has its own limit, all together the budget; what comes after still gets its turn, and what raises is no end."""
+def test_hanging_steps_share_one_budget() -> None:
+    """Each has its own limit, all together the budget; later steps still run, and an exception does not end the
+    shutdown.
+    """
     clock, never, ran = FakeClock(), threading.Event(), list[str]()
     closing = ShutdownSequence(clock, 5.0)
     over = threading.Event()
@@ -275,8 +281,8 @@ def test_steps_that_hang_share_one_budget() -> None:
     never.set()
 
 
-def test_what_ends_in_time_is_not_waited_for_longer() -> None:
-    """No step costs more than it takes."""
+def test_a_finished_step_is_not_waited_for() -> None:
+    """No step takes longer than its work."""
     closing = ShutdownSequence(SystemClock(), 3600.0)
     closing.step("quick", lambda: None, 3600.0)
     assert closing.hung == []

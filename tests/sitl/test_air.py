@@ -1,4 +1,4 @@
-"""The air: what a link does to frames, what a vehicle's router passes on, who hears whom, and the process around it."""
+"""The link emulator: how a link treats frames, what a vehicle's router forwards, who receives what, and its process."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from tests.fakes.until import until
 
 
 def pipe(*, filled: bool = False, **how: Any) -> Pipe[str]:
-    """A link of 8000 bytes a second without delay, unless said else."""
+    """A link of 8000 bytes/s without delay by default."""
     return Pipe(Conditions(**{"delay_s": 0.0, "rate_bps": 64_000, **how}), random.Random(1), share=1.0, filled=filled)
 
 
 # ---------------------------------------------------------------- one link
 
 
-def test_a_frame_arrives_after_its_time_on_the_air_and_the_delay() -> None:
-    """800 bytes at 8000 bytes a second take 0.1 s, then comes the delay."""
+def test_a_frame_arrives_after_its_transmission_time_and_the_delay() -> None:
+    """800 bytes at 8000 bytes/s take 0.1 s, plus the delay."""
     link = pipe(delay_s=0.5)
     assert link.offer(10.0, 800, "a")
     assert link.arrived(10.59) == []
@@ -41,7 +41,7 @@ def test_a_frame_arrives_after_its_time_on_the_air_and_the_delay() -> None:
 
 
 def test_frames_share_the_rate() -> None:
-    """Each waits for the one before it, so a burst takes as long as its bytes need; order stays."""
+    """Each waits for the previous one, so a burst takes as long as its bytes need; the order is kept."""
     link = pipe()
     for name in "abc":
         link.offer(0.0, 400, name)
@@ -49,8 +49,8 @@ def test_frames_share_the_rate() -> None:
     assert link.arrived(0.16) == ["c"]
 
 
-def test_a_sik_pair_carries_what_was_measured() -> None:
-    """64 kbit/s in the air are 3170 bytes a second each way (docs/reference/mavlink.md)."""
+def test_a_sik_pair_has_the_measured_rate() -> None:
+    """An air data rate of 64 kbit/s gives 3170 bytes/s each way (docs/reference/mavlink.md)."""
     link: Pipe[int] = Pipe(Conditions(delay_s=0.0), random.Random(1))
     arrived = 0
     for step in range(1000):
@@ -60,8 +60,8 @@ def test_a_sik_pair_carries_what_was_measured() -> None:
     assert arrived / 10 == pytest.approx(3170, rel=0.05)
 
 
-def test_a_full_buffer_takes_no_more() -> None:
-    """What finds no room is dropped whole and counted; txbuf says how much is free."""
+def test_a_full_buffer_drops_frames() -> None:
+    """A frame that does not fit is dropped entirely and counted; txbuf is the free share."""
     link = pipe(rate_bps=100)
     assert link.free_percent(0.0) == 100
     for _ in range(4):
@@ -71,8 +71,8 @@ def test_a_full_buffer_takes_no_more() -> None:
     assert link.full == 1
 
 
-def test_a_cut_holds_what_waits_and_lets_it_go_after() -> None:
-    """As in a SiK radio: the buffer fills up, and leaves from when the link is back."""
+def test_a_cut_link_buffers_frames_and_sends_them_afterwards() -> None:
+    """As in a SiK radio: the buffer fills up, and is sent once the link is back."""
     link = pipe()
     link.conditions.cut = True
     link.offer(0.0, 800, "a")
@@ -84,8 +84,8 @@ def test_a_cut_holds_what_waits_and_lets_it_go_after() -> None:
 
 
 @pytest.mark.parametrize("burst", [1.0, 5.0])
-def test_as_many_get_lost_as_was_said(burst: float) -> None:
-    """In the long run the share is `loss`, in bursts or not; and bursts are as long as was said."""
+def test_the_share_of_lost_frames_is_the_configured_one(burst: float) -> None:
+    """In the long run the share is `loss`, with or without bursts; and bursts have the configured length."""
     losses = Losses(random.Random(3))
     drawn = [losses.next(0.2, burst) for _ in range(40_000)]
     assert sum(drawn) / len(drawn) == pytest.approx(0.2, abs=0.02)
@@ -94,7 +94,7 @@ def test_as_many_get_lost_as_was_said(burst: float) -> None:
     assert sum(drawn) / starts == pytest.approx(expected, rel=0.1)
 
 
-def test_what_is_lost_is_counted_and_not_delivered() -> None:
+def test_lost_frames_are_counted_and_not_delivered() -> None:
     """With a loss of 1 nothing arrives."""
     link = pipe(loss=1.0)
     link.offer(0.0, 80, "a")
@@ -103,7 +103,7 @@ def test_what_is_lost_is_counted_and_not_delivered() -> None:
 
 
 def test_foreign_traffic_fills_the_buffer() -> None:
-    """More than the air carries: txbuf falls to nothing; without it the buffer is empty again soon."""
+    """With more than the link can carry, txbuf falls to zero; without it the buffer is soon empty again."""
     link = pipe(filled=True, fill_bps=640_000)
     for step in range(100):
         link.arrived(step / 10)
@@ -123,8 +123,8 @@ def test_foreign_traffic_fills_the_buffer() -> None:
     ],
     ids=lambda value: str(value),
 )
-def test_what_a_link_cannot_be_is_refused_whole(values: dict[str, Any], said: str) -> None:
-    """The sentence has what is allowed, and nothing of it is done."""
+def test_invalid_link_settings_are_rejected_entirely(values: dict[str, Any], said: str) -> None:
+    """The message states what is allowed, and no setting is applied."""
     conditions = Conditions()
     with pytest.raises(ValueError, match=said):
         conditions.change({"delay_s": 1.0, **values})
@@ -135,12 +135,12 @@ def test_what_a_link_cannot_be_is_refused_whole(values: dict[str, Any], said: st
 
 
 def framed(message: Any, system: int, component: int) -> Frame:
-    """A message as it comes from somebody, decoded anew."""
+    """A message as another system sends it, decoded again."""
     raw = message.pack(mavlink.MAVLink(None, srcSystem=system, srcComponent=component))
     return Frame.of(messages(parser(), raw)[0])
 
 
-def beat(system: int, component: int) -> Frame:
+def heartbeat(system: int, component: int) -> Frame:
     return framed(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), system, component)
 
 
@@ -149,28 +149,28 @@ def vehicle(*, pilot: bool = False) -> Vehicle:
 
 
 def kinds(one: Vehicle, place: str) -> list[int]:
-    """Message ids that went there since the last look, and nothing else is left."""
+    """Ids of the messages that arrived there since the last call; asserts that nothing else remains."""
     found = [Frame.of(messages(parser(), raw)[0]).kind for where, raw in one.out if where == place]
     one.out = [entry for entry in one.out if entry[0] != place]
     return found
 
 
-def test_the_router_passes_on_what_is_for_all() -> None:
-    """PHM's heartbeat goes to the autopilot and, over the air, to the ground; not back."""
+def test_the_router_forwards_broadcasts() -> None:
+    """PHM's heartbeat goes to the autopilot and, over the radio link, to the ground; not back to PHM."""
     one = vehicle()
-    one.take(0.0, "phm", beat(3, 193))
+    one.take(0.0, "phm", heartbeat(3, 193))
     one.turn(1.0)
     assert kinds(one, "pilot") == [HEARTBEAT, RADIO_STATUS]
     assert kinds(one, "ground") == [HEARTBEAT]
     assert kinds(one, "phm") == [RADIO_STATUS]
 
 
-def test_a_radio_answers_each_heartbeat_of_its_own_side() -> None:
-    """As system 51 component 68, also while the other radio is not heard, with what is free of the buffer."""
+def test_a_radio_answers_each_local_heartbeat() -> None:
+    """As system 51 component 68, also while the other radio is not received, with the free share of its buffer."""
     one = vehicle()
     one.ground.cut = True
     for second in range(40):
-        one.take(float(second), "phm", beat(3, 193))
+        one.take(float(second), "phm", heartbeat(3, 193))
     answers = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
     assert {(answer.get_srcSystem(), answer.get_srcComponent()) for answer in answers} == {(51, 68)}
     assert len(answers) == 40
@@ -178,38 +178,40 @@ def test_a_radio_answers_each_heartbeat_of_its_own_side() -> None:
     assert kinds(one, "ground") == []
 
 
-def test_a_radio_forgets_the_other_one_that_it_no_longer_hears() -> None:
-    """As SiK firmware does some seconds after the last packet; its own signal is told as before."""
+def test_a_radio_resets_the_remote_values_of_a_lost_radio() -> None:
+    """Like SiK firmware, some seconds after the last packet; its own signal is reported unchanged."""
     one = vehicle()
 
-    def told(now: float) -> tuple[int, int, int]:
+    def signals(now: float) -> tuple[int, int, int]:
         one.out.clear()
-        one.take(now, "phm", beat(3, 193))
+        one.take(now, "phm", heartbeat(3, 193))
         (report,) = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
         return report.rssi, report.remrssi, report.remnoise
 
-    assert told(0.0) == (180, 180, 40)
+    assert signals(0.0) == (180, 180, 40)
     one.change("ground", {"cut": True})
-    assert [told(now) for now in (3.0, 3.6, 5.0)] == [(180, 180, 40), (180, 0, 0), (180, 0, 0)]
+    assert [signals(now) for now in (3.0, 3.6, 5.0)] == [(180, 180, 40), (180, 0, 0), (180, 0, 0)]
     one.change("ground", {"cut": False})
-    assert told(6.0) == (180, 180, 40)
+    assert signals(6.0) == (180, 180, 40)
 
 
-def test_the_radio_on_the_ground_answers_too() -> None:
-    """The ground station's heartbeat gets a RADIO_STATUS at once and reaches PHM and the autopilot over the air."""
+def test_the_ground_radio_answers_too() -> None:
+    """The ground station's heartbeat is answered with RADIO_STATUS immediately, and reaches PHM and the autopilot by
+    radio.
+    """
     one = vehicle()
-    one.take(0.0, "ground", beat(255, 190))
+    one.take(0.0, "ground", heartbeat(255, 190))
     one.turn(1.0)
     assert kinds(one, "ground") == [RADIO_STATUS]
     assert kinds(one, "phm") == [HEARTBEAT]
     assert kinds(one, "pilot") == [HEARTBEAT]
 
 
-def test_what_is_for_somebody_goes_only_there() -> None:
-    """A command for PHM does not reach the autopilot; one for nobody known reaches nobody."""
+def test_an_addressed_message_goes_only_to_its_target() -> None:
+    """A command for PHM does not reach the autopilot; one for an unknown target reaches no one."""
     one = vehicle()
-    one.take(0.0, "phm", beat(3, 193))
-    one.take(0.0, "pilot", beat(3, 1))
+    one.take(0.0, "phm", heartbeat(3, 193))
+    one.take(0.0, "pilot", heartbeat(3, 1))
     one.turn(5.0)
     one.out.clear()
     for component, place in ((193, "phm"), (1, "pilot"), (77, "")):
@@ -222,43 +224,43 @@ def test_what_is_for_somebody_goes_only_there() -> None:
 
 
 def test_damaged_packets_are_in_the_radio_status() -> None:
-    """rxerrors grows with the loss of the link, as the margin of a real one would show."""
+    """rxerrors grows with the loss of the link, as with a weak signal of a real radio."""
     one = vehicle()
     one.ground.loss = 0.5
     for second in range(1, 6):
-        one.take(float(second), "phm", beat(3, 193))
+        one.take(float(second), "phm", heartbeat(3, 193))
     answers = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
     errors = [answer.rxerrors for answer in answers]
     assert errors == sorted(errors)
     assert errors[-1] == pytest.approx(40, abs=2)
 
 
-def test_a_radio_without_power_says_nothing() -> None:
+def test_a_radio_without_power_sends_nothing() -> None:
     """Neither RADIO_STATUS nor frames, either way."""
     one = vehicle()
     one.change("ground", {"off": True})
-    one.take(0.0, "phm", beat(3, 193))
-    one.take(0.0, "ground", beat(255, 190))
+    one.take(0.0, "phm", heartbeat(3, 193))
+    one.take(0.0, "ground", heartbeat(255, 190))
     one.turn(1.0)
     assert kinds(one, "phm") == []
-    assert kinds(one, "ground") == [RADIO_STATUS]  # the radio on the ground has power
+    assert kinds(one, "ground") == [RADIO_STATUS]  # the ground radio has power
 
 
-def test_a_killed_router_passes_nothing() -> None:
-    """Not between PHM and the autopilot either; `reset` starts it again."""
+def test_a_killed_router_forwards_nothing() -> None:
+    """Not between PHM and the autopilot either; `reset` restarts it."""
     one = vehicle(pilot=True)
     one.change("router", {"off": True})
-    one.take(5.0, "phm", beat(3, 193))
+    one.take(5.0, "phm", heartbeat(3, 193))
     assert one.out == []
     one.reset()
     one.turn(7.0)
     assert kinds(one, "phm")
 
 
-def test_the_simulated_autopilot_obeys_through_the_router() -> None:
-    """Arming by the ground: acknowledged to the ground, heard armed by PHM."""
+def test_the_simulated_autopilot_executes_commands_through_the_router() -> None:
+    """Arming from the ground: acknowledged to the ground, and PHM receives the armed state."""
     one = vehicle(pilot=True)
-    one.take(0.0, "ground", beat(255, 190))
+    one.take(0.0, "ground", heartbeat(255, 190))
     command = mavlink.MAVLink_command_long_message(3, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
     one.take(0.1, "ground", framed(command, 255, 190))
     one.turn(0.5)
@@ -268,8 +270,8 @@ def test_the_simulated_autopilot_obeys_through_the_router() -> None:
     assert mavlink.MAVLINK_MSG_ID_COMMAND_ACK in kinds(one, "ground")
 
 
-def test_an_autopilot_reboots_disarmed_and_counts_its_time_anew() -> None:
-    """It is silent meanwhile, and hangs only until it is told to go on."""
+def test_an_autopilot_reboots_disarmed_with_a_new_boot_time() -> None:
+    """It is silent meanwhile; a hang lasts until it is ended."""
     one = vehicle(pilot=True)
     one.order(10.0, "arm", {})
     one.turn(10.0)
@@ -278,8 +280,8 @@ def test_an_autopilot_reboots_disarmed_and_counts_its_time_anew() -> None:
     one.turn(11.9)
     assert kinds(one, "phm") == []
     one.turn(12.1)
-    heard = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
-    assert any(message.get_type() == "SYSTEM_TIME" and message.time_boot_ms < 1000 for message in heard)
+    receivers = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
+    assert any(message.get_type() == "SYSTEM_TIME" and message.time_boot_ms < 1000 for message in receivers)
     assert one.state()["autopilot"] == {"off": False, "armed": False, "hung": False}
     one.order(13.0, "hang", {})
     one.out.clear()
@@ -290,34 +292,34 @@ def test_an_autopilot_reboots_disarmed_and_counts_its_time_anew() -> None:
 # ---------------------------------------------------------------- between agents
 
 
-def heard(mesh: Mesh, now: float) -> set[int]:
+def receivers(mesh: Mesh, now: float) -> set[int]:
     return {agent for agent, _ in mesh.turn(now)}
 
 
-def test_all_others_hear_an_agent() -> None:
-    """And it does not hear itself."""
+def test_all_others_receive_an_agent() -> None:
+    """And it does not receive itself."""
     mesh = Mesh(range(1, 4), random.Random(1))
     mesh.take(0.0, 1, b"x" * 30)
-    assert heard(mesh, 1.0) == {2, 3}
+    assert receivers(mesh, 1.0) == {2, 3}
 
 
-def test_a_cut_or_split_is_both_ways() -> None:
-    """An agent that is cut neither hears nor is heard; groups hear themselves alone."""
+def test_a_cut_or_split_acts_both_ways() -> None:
+    """An agent that is cut neither sends nor receives; groups receive only themselves."""
     mesh = Mesh(range(1, 5), random.Random(1))
     mesh.change(2, {"cut": True})
     mesh.take(0.0, 1, b"x")
     mesh.take(0.0, 2, b"x")
-    assert heard(mesh, 1.0) == {3, 4}
+    assert receivers(mesh, 1.0) == {3, 4}
     mesh.reset(2)
-    assert heard(mesh, 2.0) == set()
+    assert receivers(mesh, 2.0) == set()
     mesh.split([[1, 2], [3]])
     mesh.take(3.0, 1, b"x")
     mesh.take(3.0, 3, b"x")
     mesh.take(3.0, 4, b"x")
-    assert heard(mesh, 4.0) == {2}
+    assert receivers(mesh, 4.0) == {2}
     mesh.split([])
     mesh.take(5.0, 4, b"x")
-    assert heard(mesh, 6.0) == {1, 2, 3}
+    assert receivers(mesh, 6.0) == {1, 2, 3}
     with pytest.raises(ValueError, match="each once"):
         mesh.split([[1], [1]])
 
@@ -336,7 +338,7 @@ def process() -> Iterator[LinkEmulator]:
     assert not thread.is_alive()
 
 
-def test_the_ground_hears_each_vehicle_and_phm_hears_radio_and_autopilot(process: LinkEmulator) -> None:
+def test_the_ground_receives_each_vehicle_and_phm_receives_radio_and_autopilot(process: LinkEmulator) -> None:
     """Over real sockets, with RADIO_STATUS, and counted."""
     control = LinkEmulatorClient(("127.0.0.1", process.control_port))
     ground = Ground(f"tcp:127.0.0.1:{process.station.bound_port}")
@@ -345,7 +347,7 @@ def test_the_ground_hears_each_vehicle_and_phm_hears_radio_and_autopilot(process
     seen: set[str] = set()
 
     def both() -> bool:
-        phm.send(beat(2, 193).raw)
+        phm.send(heartbeat(2, 193).raw)
         for sock in phm.sockets():
             seen.update(message.get_type() for _, message in phm.receive(sock))
         return {"RADIO_STATUS", "HEARTBEAT"} <= seen and {(1, 1), (2, 1), (2, 193)} <= set(ground.heartbeats)
@@ -359,8 +361,8 @@ def test_the_ground_hears_each_vehicle_and_phm_hears_radio_and_autopilot(process
     phm.close()
 
 
-def test_a_killed_router_refuses_and_comes_back_at_the_same_place(process: LinkEmulator) -> None:
-    """So PHM sees `connection refused`, and finds it again."""
+def test_a_killed_router_refuses_connections_and_returns_on_the_same_port(process: LinkEmulator) -> None:
+    """So PHM sees `connection refused`, and reconnects later."""
     control, url = (
         LinkEmulatorClient(("127.0.0.1", process.control_port)),
         f"tcp:{process.routers[1].partition(':')[2]}",
@@ -378,8 +380,8 @@ def test_a_killed_router_refuses_and_comes_back_at_the_same_place(process: LinkE
     again.close()
 
 
-def test_orders_that_make_no_sense_are_answered_with_why(process: LinkEmulator) -> None:
-    """And the process goes on."""
+def test_invalid_requests_are_answered_with_a_reason(process: LinkEmulator) -> None:
+    """And the process continues."""
     control = LinkEmulatorClient(("127.0.0.1", process.control_port))
     for order, said in (
         (lambda: control.set(9, "ground", cut=True), "no agent 9: allowed are 1 to 2"),

@@ -1,4 +1,4 @@
-"""Which faults are drawn, and what an agent's record becomes in a trial."""
+"""Which faults are drawn, and how the record of an agent is assigned to a trial."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sitl.harness.config_overrides import overridden
 from tests.fakes.campaign_trials import trial
 
 
-def test_every_fault_is_drawn_or_there_is_a_reason() -> None:
-    """With eight agents and emulated links, nothing is left out but what is two faults already, and what starves."""
+def test_every_fault_is_drawn_or_excluded_with_a_reason() -> None:
+    """With eight agents and emulated links, the only excluded faults are double faults and starvation."""
     faults = all_faults()
     left = {name for name, fault in faults.items() if unsuitable_because(fault, 8, air=True)}
     assert left == {name for name, fault in faults.items() if fault.also or "starvation" in fault.needs}
@@ -32,7 +32,7 @@ def test_every_fault_is_drawn_or_there_is_a_reason() -> None:
     assert drawn == faults.keys() - left
 
 
-def test_phm_itself_is_among_the_victims() -> None:
+def test_phm_is_among_the_victims() -> None:
     """Twenty trials of any seed kill or stop PHM, and inject faults of every layer."""
     faults = chosen(all_faults(), (), 8, air=True)
     for seed in range(20):
@@ -45,22 +45,22 @@ def test_phm_itself_is_among_the_victims() -> None:
         assert {faults[name].layer for name in drawn} == {"companion", "container", "ros", "link"}
 
 
-def test_what_was_asked_for_and_cannot_be_had_is_refused() -> None:
-    """A fault that does not exist, or needs more agents, is told by name."""
+def test_an_unavailable_fault_is_rejected() -> None:
+    """A fault that does not exist, or needs more agents, is named in the message."""
     with pytest.raises(ValueError, match="no such fault: nonsense"):
         chosen(all_faults(), ["nonsense"], 8, air=True)
     with pytest.raises(ValueError, match="peer_lost: it needs 3 agents"):
         chosen(all_faults(), ["peer_lost"], 2, air=True)
 
 
-def test_the_changes_fit_the_shipped_configuration() -> None:
-    """What a campaign changes is there to be changed; all that the recovery-off run injects exists."""
+def test_the_changes_apply_to_the_shipped_configuration() -> None:
+    """Each value that a campaign changes exists; every fault of the recovery-off run exists."""
     assert overridden({**CHANGES, **OFF})
     assert set(LEFT_ALONE) <= all_faults().keys()
 
 
-def test_the_page_of_results_has_room() -> None:
-    """docs/development/results.md has the marks, in their order, once."""
+def test_the_page_of_results_has_the_marks() -> None:
+    """docs/development/results.md has each mark once, in order."""
     page = (ROOT / "docs" / "development" / "results.md").read_text("utf-8")
     assert page.count(BEGIN) == page.count(END) == 1
     assert page.index(BEGIN) < page.index(END)
@@ -70,8 +70,8 @@ def event(kind: str, mono: float, **more: Any) -> dict[str, Any]:
     return {"event": kind, "mono": mono, "fault": "", "unit": "nodes/a", "slot": 6, **more}
 
 
-def test_a_fault_is_followed_to_its_end() -> None:
-    """Opened, known by a second condition, closed; the end of what opened before the trial is not part of it."""
+def test_a_fault_is_tracked_to_its_end() -> None:
+    """Opened, changed to a second condition, closed; the end of an earlier fault is not part of it."""
     made = trial(alarms=[], acts=[], lines=[])
     for each in (
         event("fault_closed", 1.0, fault="f0", outcome="resolved", by="itself"),
@@ -93,8 +93,8 @@ def test_a_fault_is_followed_to_its_end() -> None:
     assert [act.phase for act in made.acts] == ["started"]
 
 
-def test_a_warning_is_followed_to_its_end() -> None:
-    """From the transition to WARN to OK; a change of its wording is no second one."""
+def test_a_warning_is_tracked_to_its_end() -> None:
+    """From the transition to WARN until OK; a changed summary is not a second warning."""
     made = trial(alarms=[], acts=[], lines=[])
     changes = (
         (1.0, "WARN", "OK", "radio_errors"),
@@ -109,7 +109,7 @@ def test_a_warning_is_followed_to_its_end() -> None:
     ]
 
 
-def test_a_new_life_of_phm_is_whole_with_its_first_report() -> None:
+def test_a_restarted_phm_is_complete_with_its_first_report() -> None:
     """Its start, and the first report after it."""
     made = trial(alarms=[], acts=[], lines=[])
     for each in (event("report", 1.0), event("start", 2.0), event("report", 3.0), event("report", 4.0)):
@@ -117,8 +117,8 @@ def test_a_new_life_of_phm_is_whole_with_its_first_report() -> None:
     assert [(start.mono, start.report) for start in made.starts] == [(2.0, 3.0)]
 
 
-def test_well_is_as_it_was() -> None:
-    """Not before the first report; not with a fault open; a unit that was never known need not be; the shared machine's load does not count."""
+def test_an_agent_has_recovered_when_its_units_are_as_before() -> None:
+    """Not before the first report; not with a fault open; units that were never known and the host's load do not count."""
     levels = Levels()
     assert levels.unwell({}) == ["no report yet"]
     for unit, level in (("nodes/a", "OK"), ("gcs", "STALE"), ("host/cpu", "ERROR")):
@@ -141,15 +141,15 @@ def test_well_is_as_it_was() -> None:
 
 
 def test_the_plan_is_printed_without_a_swarm(capsys: pytest.CaptureFixture[str]) -> None:
-    """`--plan` needs nothing that runs; a record of another campaign, or a wrong fault, ends with 2."""
+    """`--plan` needs no running swarm; a record of another campaign, or a wrong fault, ends with exit code 2."""
     assert main(["--plan", "--trials", "3", "--record", "none.jsonl"]) == 0
     assert len(capsys.readouterr().out.strip().splitlines()) == 3
     assert main(["--plan", "--only", "nonsense"]) == 2
     assert "no such fault" in capsys.readouterr().err
 
 
-def test_a_record_of_another_campaign_is_refused(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    """Trials of two seeds in one file would be no campaign."""
+def test_a_record_of_another_campaign_is_rejected(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    """Trials of two seeds in one file are not one campaign."""
     file = tmp_path / "trials.jsonl"
     append(file, trial(setting={"seed": 2, "agents": 8}))
     assert main(["--plan", "--record", str(file), "--seed", "1"]) == 2

@@ -1,4 +1,4 @@
-"""How a trial's record is judged: each rule of docs/development/campaign.md by name."""
+"""Scoring of a trial's record: each rule of docs/development/campaign.md by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def only(made: Trial) -> Verdict:
 
 
 def test_times_count_from_the_injection() -> None:
-    """Logged, received at the ground, proven: each minus the injector's moment."""
+    """Logged, received on the ground, verified: each relative to the time of injection."""
     verdict = only(trial())
     assert verdict.detected_s == pytest.approx(0.4)
     assert verdict.response_s == pytest.approx(0.9)
@@ -23,28 +23,30 @@ def test_times_count_from_the_injection() -> None:
     assert (verdict.by, verdict.count, verdict.right, verdict.missed) == ("restart", 1, True, False)
 
 
-def test_what_is_never_told_is_missed() -> None:
-    """No alarm of its own: missed, and neither right nor healed."""
+def test_a_fault_without_an_alarm_is_missed() -> None:
+    """Without its own alarm it is missed, and neither correct nor recovered."""
     verdict = only(trial(alarms=[], acts=[], lines=[]))
     assert (verdict.missed, verdict.right, verdict.healed_s) == (True, False, None)
 
 
 def test_an_alarm_before_the_injection_is_false() -> None:
-    """What was told before the fault was there cannot be about it."""
+    """An alarm from before the fault cannot be about it."""
     judged = judge(trial(alarms=[alarm(-0.5), alarm(0.4)]))
     assert [each.mono for each in judged.false] == [T0 - 0.5]
 
 
-def test_what_the_injector_does_on_the_way_belongs_to_its_fault() -> None:
-    """A restart that is needed to cause a fault may be told before the fault is there: that is no false alarm, but a wrong cause."""
+def test_a_side_effect_of_the_injector_belongs_to_its_fault() -> None:
+    """A restart that is needed to cause a fault may raise an alarm before the fault exists: not a false alarm, but a
+    wrong cause.
+    """
     late = injection(asked=T0 - 2)
     judged = judge(trial(injections=[late], alarms=[alarm(-0.5, "container/ros_app"), alarm(0.4)]))
     assert (judged.false, judged.verdicts[0].count) == ([], 2)
     assert judged.verdicts[0].wrong == f"reported at container/ros_app first, then at {NODE}"
 
 
-def test_what_clearing_breaks_is_not_the_faults() -> None:
-    """A restart by which a fault is cleared may be told: listed, and counted for neither the fault nor as false."""
+def test_a_side_effect_of_clearing_is_not_counted() -> None:
+    """A restart that clears a fault may raise an alarm: listed, but counted neither for the fault nor as false."""
     judged = judge(trial(alarms=[alarm(0.4), alarm(20.5, "container/ros_app")]))
     assert (judged.verdicts[0].count, judged.false, [each.unit for each in judged.clearing]) == (
         1,
@@ -53,15 +55,15 @@ def test_what_clearing_breaks_is_not_the_faults() -> None:
     )
 
 
-def test_an_alarm_aboard_another_agent_is_false() -> None:
-    """Where nothing was injected there is nothing to tell."""
+def test_an_alarm_on_another_agent_is_false() -> None:
+    """An agent without an injected fault has nothing to report."""
     judged = judge(trial(alarms=[alarm(0.4), alarm(0.5, "rates/agent_4/topic_1", 4)]))
     assert [each.agent for each in judged.false] == [4]
     assert judged.verdicts[0].count == 1
 
 
-def test_the_load_of_the_machine_is_nobodys_fault() -> None:
-    """host/* is told by whoever sees it, unless it is what was injected."""
+def test_host_load_is_not_a_false_alarm() -> None:
+    """host/* may be reported by any agent, unless it is the injected fault."""
     judged = judge(trial(alarms=[alarm(0.4), alarm(1.0, "host/cpu", 5)]))
     assert (len(judged.beside), judged.false) == (1, [])
     hog = injection(unit="host/cpu", condition="cpu_busy", group="host")
@@ -69,8 +71,8 @@ def test_the_load_of_the_machine_is_nobodys_fault() -> None:
     assert (judged.beside, judged.verdicts[0].right) == ([], True)
 
 
-def test_a_chain_is_counted_and_wrong_where_it_began() -> None:
-    """A second alarm aboard the victim belongs to the fault; one before the cause makes the cause wrong."""
+def test_a_chain_is_counted_and_wrong_if_it_began_elsewhere() -> None:
+    """A second alarm on the victim belongs to the fault; one before the cause makes the cause wrong."""
     topic = alarm(0.2, "rates/agent_3/topic_1")
     verdict = only(trial(alarms=[alarm(0.4), topic]))
     assert verdict.count == 2
@@ -79,23 +81,27 @@ def test_a_chain_is_counted_and_wrong_where_it_began() -> None:
     assert (later.count, later.wrong) == (2, "")
 
 
-def test_told_elsewhere_alone_is_a_wrong_cause_and_not_missed() -> None:
-    """PHM said something, but not where the cause is."""
+def test_an_alarm_only_elsewhere_is_a_wrong_cause_and_not_missed() -> None:
+    """PHM raised an alarm, but not at the cause."""
     verdict = only(trial(alarms=[alarm(0.4, "network/ros_app")]))
     assert (verdict.missed, verdict.detected_s) == (False, None)
     assert verdict.wrong == f"reported at network/ros_app, expected at {NODE}"
 
 
-def test_the_condition_must_have_been_known() -> None:
-    """The right unit for the wrong reason is a wrong cause; it may become the right one while the fault lasts."""
+def test_the_condition_must_be_the_expected_one() -> None:
+    """The right unit with the wrong condition is a wrong cause, unless the condition becomes right while the fault
+    lasts.
+    """
     assert (
         only(trial(alarms=[alarm(0.4, conditions=["node_hung"])])).wrong == "known as node_hung, expected node_missing"
     )
     assert only(trial(alarms=[alarm(0.4, conditions=["node_hung", "node_missing"])])).right
 
 
-def test_healed_only_before_it_was_cleared() -> None:
-    """What the injector undid is not what PHM healed; closed as resolved counts where no proof was needed."""
+def test_a_fault_is_recovered_only_before_it_is_cleared() -> None:
+    """A fault that the injector cleared was not recovered by PHM; closed as resolved counts if no verification was
+    needed.
+    """
     assert only(trial(acts=[verified(25.0)], alarms=[alarm(0.4)])).healed_s is None
     itself = alarm(0.4, closed=T0 + 3, outcome="resolved", by="itself")
     verdict = only(trial(acts=[], alarms=[itself]))
@@ -103,20 +109,20 @@ def test_healed_only_before_it_was_cleared() -> None:
     assert only(trial(acts=[], alarms=[alarm(0.4, closed=T0 + 3, outcome="reattributed")])).healed_s is None
 
 
-def test_a_trial_that_still_runs_can_be_judged() -> None:
-    """While nothing is cleared and the end is not known, what is healed is healed."""
+def test_a_running_trial_can_be_scored() -> None:
+    """While nothing is cleared and the end is unknown, a recovered fault counts as recovered."""
     assert only(trial(injections=[injection(cleared=None)], ended=0.0)).healed_s == pytest.approx(4.0)
 
 
-def test_nothing_is_healed_with_recovery_off() -> None:
-    """In that run the only question is whether anything changed."""
+def test_nothing_is_recovered_with_recovery_off() -> None:
+    """In that run, only changes are scored."""
     made = trial()
     made.kind = OFF
     assert only(made).healed_s is None
 
 
-def test_several_units_are_several_alarms() -> None:
-    """A fault that breaks two independent things is due two alarms, and healed when both are."""
+def test_several_units_need_several_alarms() -> None:
+    """A fault that breaks two independent units needs two alarms, and is recovered when both units are."""
     both = injection(also=["files/ros_app"])
     verdict = only(trial(injections=[both], alarms=[alarm(0.4), alarm(2.0, "files/ros_app")]))
     assert (verdict.expected, verdict.count, verdict.healed_s) == (2, 2, None)
@@ -126,7 +132,7 @@ def test_several_units_are_several_alarms() -> None:
 
 
 def test_compound_faults_each_keep_their_own_alarms() -> None:
-    """Alarms go to the fault aboard their agent; on one agent to the one of their group."""
+    """An alarm belongs to the fault on its agent; for several faults on one agent, to the fault of its group."""
     file = injection(fault="file_deleted", unit="files/ros_app", condition="file_missing", group="files")
     other = injection(agent=5, unit="container/ros_app", condition="exited", group="app")
     alarms = [
@@ -141,14 +147,14 @@ def test_compound_faults_each_keep_their_own_alarms() -> None:
     ]
 
 
-def test_a_lost_peer_is_one_alarm_though_all_tell_it() -> None:
-    """Seven agents that miss the same one say one thing, beside what it says itself; said twice by one of them it is two."""
+def test_a_lost_peer_reported_by_all_is_one_alarm() -> None:
+    """Seven agents that miss the same peer count once, beside the peer's own alarm; twice from one agent counts twice."""
     gone = injection(
         unit="peers/swarm", others="peers/A03", condition="alone", layer="link", group="link", healable=False
     )
     alone = alarm(10.0, "peers/swarm", slot=12, conditions=["alone"])
-    told = [alarm(10.0 + agent / 10, "peers/A03", agent, slot=12, conditions=["peer_lost"]) for agent in (1, 2, 4)]
-    made = trial(injections=[gone], alarms=[alone, *told], acts=[], lines=[line(11.0, "A01 FAIL 12 A03 lost", 1)])
+    by_peers = [alarm(10.0 + agent / 10, "peers/A03", agent, slot=12, conditions=["peer_lost"]) for agent in (1, 2, 4)]
+    made = trial(injections=[gone], alarms=[alone, *by_peers], acts=[], lines=[line(11.0, "A01 FAIL 12 A03 lost", 1)])
     verdict = only(made)
     assert (verdict.expected, verdict.count, verdict.right, judge(made).false) == (2, 2, True, [])
     assert (verdict.detected_s, verdict.response_s) == (pytest.approx(10.0), pytest.approx(11.0))
@@ -156,13 +162,13 @@ def test_a_lost_peer_is_one_alarm_though_all_tell_it() -> None:
     assert only(made).count == 3
 
 
-def test_a_lost_peer_where_no_link_was_touched_is_false() -> None:
-    """A killed node takes no peer away."""
+def test_a_lost_peer_without_a_link_fault_is_false() -> None:
+    """A killed node does not disconnect a peer."""
     assert len(judge(trial(alarms=[alarm(0.4), alarm(5.0, "peers/A03", 1)])).false) == 1
 
 
-def test_phm_itself_is_back_when_it_says_so() -> None:
-    """A fault told nowhere: its next life begins with a line, and is whole with the first report."""
+def test_phm_is_back_when_it_reports() -> None:
+    """A fault without an alarm: PHM's next run begins with a line, and is complete with the first report."""
     gone = injection(unit="", condition="", layer="companion", group="phm", phm=True)
     back = {"starts": [Start(3, T0 + 1.5, T0 + 3.0)], "lines": [line(3.5, "A03 OK 11111111")], "alarms": [], "acts": []}
     verdict = only(trial(injections=[gone], **back))
@@ -171,8 +177,8 @@ def test_phm_itself_is_back_when_it_says_so() -> None:
     assert only(trial(injections=[gone], alarms=[], acts=[], lines=[])).missed
 
 
-def test_a_warning_is_a_detection_where_a_warning_is_due() -> None:
-    """Faults that are WARN open no fault; the transition counts."""
+def test_a_warning_counts_as_detection_of_a_warning_fault() -> None:
+    """Faults with level WARN open no fault; the transition counts."""
     slow = injection(unit="radio/ground", condition="radio_lossy", layer="link", group="link", level="WARN")
     warned = [Warned(3, "radio/ground", 11, T0 + 2.0, ["radio_lossy"], "it loses 40 %")]
     verdict = only(
@@ -184,18 +190,20 @@ def test_a_warning_is_a_detection_where_a_warning_is_due() -> None:
     assert only(trial(injections=[slow], alarms=[], acts=[], warned=warned)).healed_s == pytest.approx(5.0)
 
 
-def test_a_stopped_phm_is_healed_when_it_can_say_so() -> None:
-    """What it tells is that it had stood still: by then its guard has let it go on."""
+def test_a_stopped_phm_is_recovered_when_it_reports_the_suspension() -> None:
+    """It reports that it was suspended: by then its watchdog has resumed it."""
     stopped = injection(
         unit="companion", condition="phm_suspended", layer="companion", group="phm", phm=True, level="WARN"
     )
-    warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_suspended"], "it had stood still for 3 s")]
+    warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_suspended"], "it was suspended for 3 s")]
     verdict = only(trial(injections=[stopped], warned=warned, alarms=[], acts=[]))
     assert (verdict.healed_s, verdict.by) == (3.0, "its own guard")
 
 
-def test_a_killed_phm_is_healed_when_it_reports_again() -> None:
-    """Its next life warns of the death of the one before; healed is the first complete report, not the end of the warning."""
+def test_a_killed_phm_is_recovered_when_it_reports_again() -> None:
+    """Its next run warns of the crash of the previous one; the first complete report counts as recovery, not the end of
+    the warning.
+    """
     gone = injection(
         unit="companion", condition="phm_restarted", layer="companion", group="phm", phm=True, level="WARN"
     )
@@ -204,8 +212,8 @@ def test_a_killed_phm_is_healed_when_it_reports_again() -> None:
     assert (verdict.detected_s, verdict.healed_s, verdict.by, verdict.right) == (2.0, 3.0, "its own restart", True)
 
 
-def test_what_could_not_be_injected_is_not_judged() -> None:
-    """No moment, no verdict."""
+def test_a_failed_injection_is_not_scored() -> None:
+    """Without a time of injection there is no verdict."""
     assert judge(trial(injections=[injection(moment=None, error="no such container")], alarms=[])).verdicts == []
 
 
@@ -223,11 +231,11 @@ def test_what_could_not_be_injected_is_not_judged() -> None:
         ("A03 no GCS radio, heard by A01 A02: 2 ERROR", 1, False),
     ],
 )
-def test_which_lines_tell_of_a_fault(text: str, system: int, reported: bool) -> None:
-    """Its agent, a bad word, its slot: as a change or in the refresh. A warning tells of no fault that is an error."""
+def test_a_line_is_matched_to_its_fault(text: str, system: int, reported: bool) -> None:
+    """By agent, bad level and slot: as a change or in the refresh. A WARN line does not match a fault with level ERROR."""
     assert reports(line(1.0, text, system), injection(), 6) is reported
 
 
-def test_who_has_lost_its_radio_is_told_by_others() -> None:
-    """Of a link fault the neighbours may tell, since the agent cannot."""
+def test_a_lost_radio_is_reported_by_other_agents() -> None:
+    """Neighbours report a link fault, since the agent itself cannot."""
     assert reports(line(1.0, "A03 no GCS radio, heard by A01 A02: 2 ERROR", 1), injection(layer="link"), 1)

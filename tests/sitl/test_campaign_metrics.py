@@ -1,4 +1,4 @@
-"""Figures, uptime and aims, on trials made by hand and on drawn ones."""
+"""Figures, uptime and targets, for hand-written and for drawn trials."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SPANS = st.lists(st.tuples(st.floats(-50, 150), st.floats(-50, 150)), max_size=6
 
 
 @given(TIMES)
-def test_statistics_are_values_that_were_seen(values: list[float]) -> None:
-    """p50 and p95 are values of the list, and in order with the mean's bounds."""
+def test_statistics_are_measured_values(values: list[float]) -> None:
+    """p50 and p95 are values of the list, in order, and the mean lies within the bounds."""
     found = stats([*values, None])
     assert found.n == len(values)
     assert {found.p50, found.p95, found.max} <= set(values)
@@ -30,32 +30,32 @@ def test_statistics_are_values_that_were_seen(values: list[float]) -> None:
 
 
 def test_percentiles_by_nearest_rank() -> None:
-    """The 95th of 20 values is the 19th; of one it is the one."""
+    """The 95th of 20 values is the 19th; of one value it is that value."""
     ordered = [float(value) for value in range(1, 21)]
     assert (rank(ordered, 0.5), rank(ordered, 0.95), rank([7.0], 0.95)) == (10.0, 19.0, 7.0)
     assert stats([]).mean is None
 
 
 @given(st.lists(st.floats(0, 100), max_size=40), st.floats(0.5, 5))
-def test_gaps_are_the_overdue_time(beats: list[float], period: float) -> None:
-    """Overdue time begins a period after a heartbeat, ends with the next, and never overlaps."""
-    found = uptime.gaps(beats, period, 100.0)
+def test_gaps_are_the_overdue_time(heartbeats: list[float], period: float) -> None:
+    """Overdue time begins one period after a heartbeat, ends with the next, and never overlaps."""
+    found = uptime.gaps(heartbeats, period, 100.0)
     for start, end in found:
-        assert any(math.isclose(start - period, beat, abs_tol=1e-9) for beat in beats)
+        assert any(math.isclose(start - period, heartbeat, abs_tol=1e-9) for heartbeat in heartbeats)
         assert end > start
     assert all(first[1] <= second[0] for first, second in pairwise(found))
 
 
-def test_one_late_heartbeat_is_no_gap_and_one_lost_is() -> None:
-    """Up to 1.5 periods is jitter; a lost one counts from when it was due."""
+def test_a_late_heartbeat_is_not_a_gap_and_a_lost_one_is() -> None:
+    """Up to 1.5 periods is jitter; a lost heartbeat counts from its due time."""
     assert uptime.gaps([0.0, 2.0, 4.9, 7.0], 2.0, 8.0) == []
     assert uptime.gaps([0.0, 2.0, 6.0], 2.0, 7.0) == [(4.0, 6.0)]
     assert uptime.gaps([0.0, 2.0], 2.0, 20.0) == [(4.0, 20.0)]
 
 
 @given(SPANS, st.floats(0, 100), st.floats(0, 100))
-def test_holes_are_cut_out_once(holes: list[tuple[float, float]], one: float, other: float) -> None:
-    """What remains lies in the span and in no hole, and is as long as the span less the holes' union."""
+def test_excluded_spans_are_subtracted_once(holes: list[tuple[float, float]], one: float, other: float) -> None:
+    """The rest lies in the span and in no excluded span; its length is the span minus the union of the excluded ones."""
     span = (min(one, other), max(one, other))
     left = uptime.without(span, holes)
     covered = sorted((max(a, span[0]), min(b, span[1])) for a, b in holes if b > a)
@@ -69,33 +69,33 @@ def test_holes_are_cut_out_once(holes: list[tuple[float, float]], one: float, ot
 
 
 def quiet(kind: str = NOMINAL, seconds: float = 100.0, **more: object) -> Trial:
-    beats = {agent: [-2.0 + 2 * number for number in range(53)] for agent in range(1, 9)}
-    made = Trial(kind, 1, 8, 0.0, 1.7e9, seconds, heartbeats=beats, well_after=0.0)
+    heartbeats = {agent: [-2.0 + 2 * number for number in range(53)] for agent in range(1, 9)}
+    made = Trial(kind, 1, 8, 0.0, 1.7e9, seconds, heartbeats=heartbeats, well_after=0.0)
     for name, value in more.items():
         setattr(made, name, value)
     return made
 
 
 def test_uptime_of_a_killed_phm() -> None:
-    """One of eight agents silent for 8 s of 100 s is down for the 6 s after its heartbeat was due."""
+    """One of eight agents, silent for 8 s of 100 s, is down for the 6 s after its heartbeat was due."""
     made = quiet()
-    made.heartbeats[3] = [beat for beat in made.heartbeats[3] if not 40 < beat < 48]
+    made.heartbeats[3] = [heartbeat for heartbeat in made.heartbeats[3] if not 40 < heartbeat < 48]
     assert uptime.of_agent(made, 3) == (pytest.approx(100), pytest.approx(6))
     assert uptime.share([made]) == pytest.approx(1 - 6 / 800)
 
 
-def test_a_cut_radio_is_not_a_dead_phm() -> None:
-    """While the injector keeps the ground from hearing an agent, that agent is not watched; `heard` counts it as silence."""
+def test_a_cut_radio_does_not_count_as_a_dead_phm() -> None:
+    """While the injector cuts an agent from the ground, its uptime is not measured; `heard` counts it as silence."""
     made = quiet(blind=[(3, 40.5, 60.0)])
-    made.heartbeats[3] = [beat for beat in made.heartbeats[3] if not 40 < beat < 61]
+    made.heartbeats[3] = [heartbeat for heartbeat in made.heartbeats[3] if not 40 < heartbeat < 61]
     assert uptime.of_agent(made, 3) == (pytest.approx(100 - 21.5), pytest.approx(0))
     assert uptime.share([made]) == 1.0
     heard = uptime.share([made], net=False)
     assert heard is not None and heard < 1.0
 
 
-def test_who_was_never_heard_was_down() -> None:
-    """No heartbeat at all is no uptime, and no watch is no figure."""
+def test_an_agent_that_was_never_received_was_down() -> None:
+    """No heartbeat at all means no uptime, and no measured time means no figure."""
     made = quiet()
     made.heartbeats = {}
     assert uptime.share([made]) == 0.0
@@ -103,7 +103,7 @@ def test_who_was_never_heard_was_down() -> None:
 
 
 def test_the_figures_of_a_good_trial() -> None:
-    """One fault, told once, rightly, and healed: every aim is met that can be."""
+    """One fault, reported once, correctly, and recovered: every target that can be met is met."""
     costs = [Cost(agent, 100.0, 2.0, 70.0) for agent in range(1, 9)]
     found = figures([quiet(cost=costs, received=dict.fromkeys(range(1, 9), 2000)), quiet(OFF), trial()])
     assert (found.injected, found.trials, found.missed, found.false, found.nominal_alarms) == (1, 1, 0, 0, 0)
@@ -114,8 +114,8 @@ def test_the_figures_of_a_good_trial() -> None:
     assert (one.fault, one.resolved, one.alarms) == ("node_killed", 1, 1.0)
 
 
-def test_what_falls_short_is_said() -> None:
-    """Missed faults, chains, false alarms and changes with recovery off each break an aim."""
+def test_missed_targets_are_reported() -> None:
+    """Missed faults, chains, false alarms and changes with recovery off each miss a target."""
     missed = trial(alarms=[], acts=[], lines=[])
     chain = trial(alarms=[alarm(0.4), alarm(0.6, "rates/agent_3/topic_1")])
     lone = quiet(alarms=[alarm(5.0, "rates/agent_4/topic_1", 4)], ended=T0 + 40)
@@ -127,15 +127,15 @@ def test_what_falls_short_is_said() -> None:
     assert "Alarms per fault" in names
 
 
-def test_nothing_measured_is_no_aim_met() -> None:
-    """An empty campaign proves nothing."""
+def test_an_empty_campaign_meets_no_target() -> None:
+    """Without trials nothing is proven."""
     rows = judged(figures([]))
     assert len(rows) == len(AIMS)
     assert [row.met for row in rows if row.name != "False alarms"] == [None] * (len(AIMS) - 1)
 
 
-def test_the_paper_would_not_meet_our_aims() -> None:
-    """The aims are better than each figure of the paper's Table 2."""
+def test_the_paper_would_not_meet_our_targets() -> None:
+    """Each target is better than the figure of the paper's Table 2."""
     paper = trial(alarms=[alarm(5.2)], acts=[], lines=[], injections=[injection(healable=False)])
     names = {row.name for row in judged(figures([paper])) if row.met is False}
     assert {"Average fault detection", "Self-resolved, of all"} <= names

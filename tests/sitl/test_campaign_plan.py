@@ -1,4 +1,4 @@
-"""What the plan of a campaign promises, whatever the seed."""
+"""Properties of a campaign's plan for every seed."""
 
 from __future__ import annotations
 
@@ -27,16 +27,18 @@ SEEDS, AGENTS = st.integers(0, 10**6), st.integers(1, 10)
 
 
 @given(SEEDS, AGENTS, CLASSES, st.integers(0, 30), st.integers(0, 30))
-def test_a_seed_is_a_campaign(seed: int, agents: int, classes: list[Class], few: int, more: int) -> None:
-    """The same seed gives the same trials, and a longer campaign begins with the shorter one: so it can be resumed and extended."""
+def test_a_seed_determines_the_campaign(seed: int, agents: int, classes: list[Class], few: int, more: int) -> None:
+    """The same seed gives the same trials, and a longer campaign begins with the shorter one, so it can be resumed and
+    extended.
+    """
     short, long = (plan(seed, agents, trials, classes) for trials in sorted((few, more)))
     assert long[: len(short)] == short
     assert plan(seed, agents, len(long), list(reversed(classes))) == long
 
 
 @given(SEEDS, AGENTS, CLASSES)
-def test_what_comes_together_does_not_hide_each_other(seed: int, agents: int, classes: list[Class]) -> None:
-    """No two faults of one group on one agent, nothing beside one that takes the whole agent, or the whole swarm."""
+def test_simultaneous_faults_do_not_hide_each_other(seed: int, agents: int, classes: list[Class]) -> None:
+    """No two faults of one group on one agent, and none beside one that affects the entire agent or swarm."""
     known = {each.name: each for each in classes}
     for number, trial in enumerate(plan(seed, agents, 24, classes), 1):
         assert trial.number == number
@@ -51,8 +53,8 @@ def test_what_comes_together_does_not_hide_each_other(seed: int, agents: int, cl
 
 
 @given(SEEDS, CLASSES)
-def test_every_class_has_its_turn(seed: int, classes: list[Class]) -> None:
-    """In each layer no class comes a third time before all others have come once: a bag holds each class once."""
+def test_every_class_is_drawn_in_turn(seed: int, classes: list[Class]) -> None:
+    """In each layer no class is drawn a third time before all others were drawn once: a bag contains each class once."""
     layers = {each.name: each.layer for each in classes}
     drawn: Counter[str] = Counter()
     for trial in plan(seed, 8, 60, classes):
@@ -63,14 +65,14 @@ def test_every_class_has_its_turn(seed: int, classes: list[Class]) -> None:
 
 
 @given(SEEDS, st.integers(2, 10))
-def test_agents_take_turns(seed: int, agents: int) -> None:
-    """The victims of single faults differ from one trial to the next."""
+def test_victims_alternate(seed: int, agents: int) -> None:
+    """Consecutive single faults have different victims."""
     trials = plan(seed, agents, 40, [Class("a", "ros", "app")])
     assert len({draw.agent for trial in trials[: 2 * agents] for draw in trial.draws}) == agents
 
 
-def test_other_seeds_are_other_campaigns() -> None:
-    """The seed decides."""
+def test_different_seeds_give_different_campaigns() -> None:
+    """The seed determines the order."""
     classes = [Class(f"fault_{number}", "ros", "app") for number in range(10)]
     assert len({plan(seed, 8, 20, classes) for seed in range(20)}) == 20
 
@@ -79,7 +81,7 @@ def test_other_seeds_are_other_campaigns() -> None:
     ("agents", "trials", "classes"),
     [(0, 1, [Class("a", "ros", "app")]), (1, -1, [Class("a", "ros", "app")]), (1, 1, [])],
 )
-def test_nothing_to_draw_from(agents: int, trials: int, classes: list[Class]) -> None:
-    """No agents, a negative number of trials or no classes is refused."""
+def test_invalid_plan_arguments_are_rejected(agents: int, trials: int, classes: list[Class]) -> None:
+    """No agents, a negative number of trials or no classes raises an error."""
     with pytest.raises(ValueError, match="a campaign needs"):
         plan(1, agents, trials, classes)

@@ -1,4 +1,4 @@
-"""The record of trials on the disk, and the reports made from it."""
+"""The record of trials on disk, and the reports generated from it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.fakes.campaign_trials import alarm, injection, trial
 SETTING = Setting(7, "x86_64, 2 cores", "2026-01-01", planned=20)
 
 
-def full() -> Trial:
+def full_trial() -> Trial:
     """A trial that uses every part of the record."""
     return trial(
         warned=[Warned(1, "rates/a", 8, 5.0, ["rate_low"], "slow")],
@@ -32,28 +32,32 @@ def full() -> Trial:
     )
 
 
-def test_a_trial_survives_its_line() -> None:
-    """What is written is what is read, whole."""
-    assert from_json(to_json(full())) == full()
+def test_a_trial_is_read_as_written() -> None:
+    """All fields are read as they were written."""
+    assert from_json(to_json(full_trial())) == full_trial()
 
 
-def test_keys_of_tomorrow_are_left_out() -> None:
-    """A newer program may say more."""
-    data = json.loads(to_json(full()))
+def test_unknown_keys_are_ignored() -> None:
+    """A newer version may write more."""
+    data = json.loads(to_json(full_trial()))
     data["more"] = data["injections"][0]["more"] = 1
-    assert from_json(json.dumps(data)) == full()
+    assert from_json(json.dumps(data)) == full_trial()
 
 
 @pytest.mark.parametrize("line", ["", "7", "[]", "{}", '{"v": 1}', '{"v": 2}', '{"v": 1, "injections": [7]}', "{"])
-def test_what_is_no_trial_is_refused(line: str) -> None:
-    """ValueError, whatever stands there."""
+def test_an_invalid_trial_is_rejected(line: str) -> None:
+    """ValueError for any content."""
     with pytest.raises(ValueError):
         from_json(line)
 
 
 @given(st.data())
-def test_a_torn_file_keeps_its_whole_trials(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    """A campaign that was killed while it wrote goes on: the torn line is skipped, and what is appended stands alone."""
+def test_a_truncated_file_keeps_its_complete_trials(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """A campaign that was killed while writing resumes: the truncated line is skipped, and new trials start on a new
+    line.
+    """
     file = tmp_path_factory.mktemp("campaign") / "trials.jsonl"
     for number in (1, 2, 3):
         append(file, trial(number=number))
@@ -68,8 +72,8 @@ def test_a_torn_file_keeps_its_whole_trials(tmp_path_factory: pytest.TempPathFac
     assert [each.number for each in load(file)][: len(kept)] == kept
 
 
-def test_a_trial_done_again_replaces_the_first(tmp_path: Path) -> None:
-    """Of several with one kind and number the last one counts; a file that is not there is empty."""
+def test_a_repeated_trial_replaces_the_first(tmp_path: Path) -> None:
+    """Of several with one kind and number the last one counts; a missing file is empty."""
     file = tmp_path / "trials.jsonl"
     assert load(file) == []
     append(file, trial())
@@ -78,7 +82,7 @@ def test_a_trial_done_again_replaces_the_first(tmp_path: Path) -> None:
 
 
 class Page(HTMLParser):
-    """What an HTML page asks for from elsewhere."""
+    """The external resources that an HTML page requests."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -90,8 +94,8 @@ class Page(HTMLParser):
         self.foreign += [value or "" for name, value in attrs if name in ("src", "href")]
 
 
-def test_the_page_stands_by_itself() -> None:
-    """No script, no font, nothing from elsewhere; what came from outside cannot become markup."""
+def test_the_page_is_self_contained() -> None:
+    """No script, font or external resource; external text cannot become markup."""
     made = trial(injections=[injection(title="<script>alert(1)</script>")])
     html = as_html([made], SETTING)
     page = Page()
@@ -102,9 +106,9 @@ def test_the_page_stands_by_itself() -> None:
         ElementTree.fromstring(drawing)
 
 
-def test_reports_of_nothing_and_of_everything() -> None:
-    """Each form is made of an empty campaign, too, and says how many of the planned trials were made."""
-    for trials in ([], [full()], [full(), trial(number=2, alarms=[], acts=[], lines=[], well_after=None)]):
+def test_reports_can_be_made_of_empty_and_full_campaigns() -> None:
+    """Each format can be made of an empty campaign, too, and states how many of the planned trials were made."""
+    for trials in ([], [full_trial()], [full_trial(), trial(number=2, alarms=[], acts=[], lines=[], well_after=None)]):
         assert json.loads(as_json(trials, SETTING))["setting"]["seed"] == 7
         assert "Table 2" in as_html(trials, SETTING)
         text = as_markdown(trials, SETTING)
@@ -112,8 +116,8 @@ def test_reports_of_nothing_and_of_everything() -> None:
         assert "14.82 s" in text
 
 
-def test_what_falls_short_stands_in_every_report() -> None:
-    """A missed fault is named with its trial and agent, in JSON, HTML and Markdown alike."""
+def test_a_missed_fault_is_in_every_report() -> None:
+    """It is named with its trial and agent, in JSON, HTML and Markdown."""
     bad = [trial(number=4, alarms=[alarm(0.4, "network/ros_app")], acts=[], lines=[])]
     sentence = "trial 4, node_killed on A03: reported at network/ros_app, expected at nodes/agent_3/node_1"
     assert sentence in json.loads(as_json(bad, SETTING))["short"]
@@ -121,8 +125,8 @@ def test_what_falls_short_stands_in_every_report() -> None:
     assert sentence in as_markdown(bad, SETTING)
 
 
-def test_markdown_tables_hold_together() -> None:
-    """A bar or a line break in a summary does not break a table; every row has as many cells as its head."""
+def test_markdown_tables_are_well_formed() -> None:
+    """A bar or a line break in a summary does not break a table; every row has as many cells as its header."""
     bad = trial(injections=[injection(title="a|b\nc")])
     columns: int | None = None
     for line in as_markdown([bad], SETTING).splitlines():
@@ -133,8 +137,8 @@ def test_markdown_tables_hold_together() -> None:
         assert line.count("|") == columns
 
 
-def test_the_result_replaces_the_one_before() -> None:
-    """Only what stands between the marks changes; a page without marks is refused."""
+def test_the_result_replaces_the_previous_one() -> None:
+    """Only the text between the marks changes; a page without marks is rejected."""
     assert between_marks(f"a\n{BEGIN}\nold\n{END}\nz", "new") == f"a\n{BEGIN}\nnew\n{END}\nz"
     with pytest.raises(ValueError, match="no marks"):
         between_marks("a", "new")
@@ -142,6 +146,6 @@ def test_the_result_replaces_the_one_before() -> None:
 
 @given(st.floats(0, 1e6, allow_nan=False))
 def test_times_stay_on_the_axis(seconds: float) -> None:
-    """What is off the axis stands at its end; longer is never further left."""
+    """A value off the axis is drawn at its end; a longer time is never further left."""
     assert plots.LEFT <= plots.x_of(seconds) <= plots.WIDTH - plots.RIGHT
     assert plots.x_of(seconds) <= plots.x_of(seconds * 2)

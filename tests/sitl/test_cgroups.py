@@ -1,4 +1,4 @@
-"""Where limits of a container's disk are written, on both versions of cgroups."""
+"""Where limits of a container's disk are written, for both cgroup versions."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ def test_version_1_has_a_folder_for_each_controller(tmp_path: Path, proc: Path) 
 
 
 def test_version_2_has_one_folder(tmp_path: Path, proc: Path) -> None:
-    """Whatever the controller."""
+    """For every controller."""
     (tmp_path / "cgroup.controllers").write_text("cpu io memory pids\n")
     (proc / "42" / "cgroup").write_text("0::/system.slice/docker-abc.scope\n")
     assert _cgroups.cgroup(container(42), "blkio", tmp_path, proc) == tmp_path / "system.slice" / "docker-abc.scope"
 
 
-def test_what_does_not_run_has_no_cgroup(tmp_path: Path) -> None:
-    """Process 0 is no process."""
+def test_a_stopped_container_has_no_cgroup(tmp_path: Path) -> None:
+    """Its process id is 0."""
     with pytest.raises(LookupError, match="does not run"):
         _cgroups.cgroup(container(0), "cpu", tmp_path, tmp_path)
 
 
-def test_a_disk_is_throttled_and_freed_on_version_2(tmp_path: Path) -> None:
-    """`io.max` has both directions in one line, and `max` lifts the limit."""
+def test_a_disk_is_throttled_and_released_on_version_2(tmp_path: Path) -> None:
+    """`io.max` has both directions in one line, and `max` removes the limit."""
     (tmp_path / "io.max").touch()
     _cgroups.throttle(tmp_path, "8:0", 1024)
     assert (tmp_path / "io.max").read_text() == "8:0 rbps=1024 wbps=1024\n"
@@ -55,8 +55,8 @@ def test_a_disk_is_throttled_and_freed_on_version_2(tmp_path: Path) -> None:
     assert (tmp_path / "io.max").read_text() == "8:0 rbps=max wbps=max\n"
 
 
-def test_a_partition_is_throttled_as_its_disk(tmp_path: Path) -> None:
-    """The kernel takes limits for a disk alone."""
+def test_a_partition_is_throttled_by_its_disk(tmp_path: Path) -> None:
+    """The kernel accepts limits only for a disk."""
     number = os.stat(tmp_path).st_dev
     part = tmp_path / "sda" / "sda1"
     part.mkdir(parents=True)
@@ -67,7 +67,7 @@ def test_a_partition_is_throttled_as_its_disk(tmp_path: Path) -> None:
     assert _cgroups.disk(str(tmp_path), tmp_path) == "8:0"
 
 
-def test_what_is_on_no_disk_cannot_be_throttled(tmp_path: Path) -> None:
-    """A file system in memory has no block device."""
+def test_a_file_system_in_memory_cannot_be_throttled(tmp_path: Path) -> None:
+    """It has no block device."""
     with pytest.raises(LookupError, match="not on a block device"):
         _cgroups.disk(str(tmp_path), tmp_path)

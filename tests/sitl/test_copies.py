@@ -1,4 +1,4 @@
-"""Faults that freeze a container or put a copy in its place: a busy engine fails them cleanly, or not at all."""
+"""Faults that freeze a container or replace it with a copy: on a busy engine they fail cleanly, or not at all."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def test_a_container_that_the_kernel_does_not_freeze_in_time_is_paused_again() -
 
 @pytest.mark.parametrize(("error", "calls"), [(UNABLE, FREEZES), (APIError("is not running"), 1)])
 def test_a_container_that_cannot_be_paused_is_reported(error: APIError, calls: int) -> None:
-    """After FREEZES attempts, and immediately when it would not help to try again."""
+    """After FREEZES attempts, and immediately when a retry would not help."""
     made = container(*[error] * FREEZES)
     with pytest.raises(APIError):
         freeze(made)
     assert made.pause.call_count == calls
 
 
-def test_a_copy_that_could_not_take_the_place_of_the_application_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_copy_that_could_not_replace_the_application_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its nodes would run beside those of the application."""
     copy, agent = mock.Mock(), mock.Mock(spec=Agent)
     agent.sidecar = container(APIError("is not running"))

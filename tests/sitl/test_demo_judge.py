@@ -1,4 +1,4 @@
-"""What the demonstration makes of a record and of the lines at the ground."""
+"""How the demonstration evaluates a record and the lines received on the ground."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def judged(*lines: TextLine) -> Outcome:
 
 
 def test_the_line_about_the_injected_fault_counts_as_received() -> None:
-    """As a change or in the refresh, whatever else the agent reports before it."""
+    """As a change or in the refresh, whatever the agent reports before it."""
     busy = line("A01 FAIL 9 CPU 100%", BEGAN - 0.9)
     change, refresh = line("A01 FAIL 6 node_1 dead", BEGAN + 0.6), line("A01 FAIL 11111011 6 node_1 dead", BEGAN + 2)
     found = judged(busy, change, refresh)
@@ -44,8 +44,8 @@ def test_the_line_about_the_injected_fault_counts_as_received() -> None:
     assert judged(busy, refresh).reported_s == refresh.mono - BEGAN
 
 
-def test_a_line_about_another_slot_is_not_about_the_injected_fault() -> None:
-    """An alarm about the machine's load is no proof that the ground knows of the fault."""
+def test_a_line_about_another_slot_does_not_count() -> None:
+    """An alarm about host load does not prove that the ground knows the fault."""
     found = judged(
         line("A01 FAIL 9 CPU 100%", BEGAN + 0.6), line("A01 WARN 6 node_1 slow", BEGAN + 0.7), line("FAIL", 101.0)
     )

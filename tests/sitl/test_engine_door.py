@@ -1,4 +1,4 @@
-"""The door before the engine's socket: what goes through it, and that it can be shut for one agent alone."""
+"""The proxy in front of the Docker Engine's socket, which can be closed for one agent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LIMIT_S = 20.0
 
 @pytest.fixture
 def engine(tmp_path: Path) -> Iterator[Path]:
-    """Something at a unix socket that says back what it is told."""
+    """An echo server on a Unix socket."""
     path = tmp_path / "engine"
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(path))
@@ -45,8 +45,8 @@ def engine(tmp_path: Path) -> Iterator[Path]:
         thread.join()
 
 
-def asked(path: Path) -> bytes:
-    """What comes back through the door; empty when it is shut."""
+def response(path: Path) -> bytes:
+    """What the proxy returns; empty when it is closed."""
     with socket.socket(socket.AF_UNIX) as client:
         client.settimeout(LIMIT_S)
         try:
@@ -57,8 +57,8 @@ def asked(path: Path) -> bytes:
             return b""
 
 
-def test_it_passes_on_and_can_be_shut_and_opened(tmp_path: Path, engine: Path) -> None:
-    """Open: as if it were not there. Shut: connections are cut, new ones too. Then all is as before."""
+def test_the_proxy_forwards_until_it_is_closed_and_reopened(tmp_path: Path, engine: Path) -> None:
+    """Open: transparent. Closed: existing and new connections are cut. Reopened: as before."""
     path = tmp_path / "door"
     made = door.Proxy(path, str(engine))
     thread = threading.Thread(target=made.serve)
@@ -70,16 +70,16 @@ def test_it_passes_on_and_can_be_shut_and_opened(tmp_path: Path, engine: Path) -
         assert lasting.recv(1) == b"a"
         door.block(path, 600.0)
         assert lasting.recv(1) == b""
-        assert asked(path) == b""
+        assert response(path) == b""
     door.block(path, 0.0)
-    until(lambda: asked(path) == b"ping", "the door being open again")
+    until(lambda: response(path) == b"ping", "the door being open again")
     path.unlink()
     thread.join(LIMIT_S)
     assert not thread.is_alive()
 
 
-def test_it_is_a_process_of_its_own_until_it_is_taken_down(tmp_path: Path) -> None:
-    """Put up twice it is one; taken down nothing of it is left."""
+def test_the_proxy_is_a_separate_process_until_it_is_removed(tmp_path: Path) -> None:
+    """Starting it twice gives one process; after removal nothing is left."""
     path = tmp_path / "door"
     door.start(path)
     pid = door._pid(path)

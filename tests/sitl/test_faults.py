@@ -1,4 +1,4 @@
-"""The folder of faults: complete, named as its files, each expected at a unit that the demonstration watches."""
+"""The folder of faults: complete, named like its files, each expected at a unit that the demonstration monitors."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ FILES = sorted(path.stem for path in Path(faults.__file__).parent.glob("[!_]*.py
 
 
 def test_every_file_is_one_fault() -> None:
-    """Each file gives exactly one fault, under the name of the file."""
+    """Each file defines exactly one fault, with the name of the file."""
     assert sorted(faults.all_faults()) == FILES
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_fault_says_what_it_is(name: str) -> None:
-    """A fault has a title, a unit, a way in, and an own way out."""
+def test_a_fault_is_fully_defined(name: str) -> None:
+    """A fault has a title, a unit, an injection and its own clearing."""
     fault = faults.all_faults()[name]
     assert fault.name == name
     assert fault.title.strip() == fault.title != ""
@@ -49,20 +49,22 @@ def test_titles_differ() -> None:
 
 
 def agent() -> Agent:
-    """An agent without an engine."""
+    """An agent without a Docker Engine."""
     return Agent("phm-test", "agent_1", docker=mock.Mock())
 
 
-def test_the_demonstration_and_the_proof_play_faults_that_exist() -> None:
-    """The proof plays every fault exactly once that starves nothing and is not the campaign's; the demonstration some of them."""
+def test_the_demonstration_and_the_proof_use_existing_faults() -> None:
+    """The proof injects once every fault that neither starves nor belongs to the campaign; the demonstration some of
+    them.
+    """
     assert sorted((*plan.ORDER, *plan.APART, *plan.CAMPAIGN, *plan.STARVING)) == FILES
     assert set(plan.STARVING) == {name for name, fault in faults.all_faults().items() if "starvation" in fault.needs}
     assert set(STORY) <= set(FILES)
     assert set(plan.LEFT_ALONE) <= set(FILES)
 
 
-def test_only_faults_that_need_a_configuration_are_played_apart() -> None:
-    """What needs a configuration of its own could not be seen among the others, and says so."""
+def test_only_faults_that_need_a_configuration_are_injected_separately() -> None:
+    """A fault that needs a separate configuration is not detectable among the others, and states so."""
     needing = [name for name, fault in faults.all_faults().items() if fault.configuration(agent())]
     assert [name for name in needing if name not in plan.CAMPAIGN] == list(plan.APART)
     assert needing == [name for name, fault in faults.all_faults().items() if "configuration" in fault.needs]
@@ -84,22 +86,22 @@ UNPROVEN = {
 }
 
 
-def test_every_ladder_is_proven() -> None:
-    """Each condition for which PHM has a ladder has a fault, or a reason why not (docs/reference/recovery.md gives it, too)."""
+def test_every_ladder_is_covered_by_the_proof() -> None:
+    """Each condition with a ladder in PHM has a fault, or a reason why not (docs/reference/recovery.md states it, too)."""
     known = faults.all_faults()
     proven = {known[name].condition for name in (*plan.ORDER, *plan.APART)}
     assert set(LADDERS) - proven == set(UNPROVEN)
 
 
-def test_neighbours_in_the_proof_break_different_units() -> None:
-    """The same unit broken twice in a row could pass for one fault that came back."""
+def test_consecutive_faults_of_the_proof_affect_different_units() -> None:
+    """The same unit twice in a row could be mistaken for one recurring fault."""
     known = faults.all_faults()
     units = [{known[name].unit, *known[name].also} for name in plan.ORDER]
     assert all(not one & two for one, two in itertools.pairwise(units))
 
 
-def test_the_programme_can_be_narrowed() -> None:
-    """By fault and by mode; what is left keeps its order, and nothing is played that was not asked for."""
+def test_the_programme_can_be_restricted() -> None:
+    """By fault and by mode; the rest keeps its order, and no other fault is injected."""
     whole = list(plan.plays())
     assert [play.mode for play in whole if not play.first] == ["act", "act", "off", "advise"]
     assert list(plan.plays(["container_stopped"], ["advise"])) == [plan.Play("advise", ("container_stopped",))]
@@ -109,7 +111,7 @@ def test_the_programme_can_be_narrowed() -> None:
 
 @pytest.mark.parametrize("mode", plan.MODES)
 def test_the_proof_has_a_valid_configuration(mode: str) -> None:
-    """What is derived from the shipped file is a configuration without mistakes, in every mode and with relaunch."""
+    """The configuration derived from the shipped file is valid, in every mode and with relaunch."""
     for relaunch in (False, True):
         settings = load(write(plan.configuration(mode, relaunch=relaunch)))
         assert settings.recovery.mode == mode
@@ -121,19 +123,19 @@ def test_the_proof_has_a_valid_configuration(mode: str) -> None:
 @pytest.mark.parametrize(
     "name", [name for name, fault in faults.all_faults().items() if "configuration" in fault.needs]
 )
-def test_what_a_fault_adds_to_the_configuration_is_valid(name: str) -> None:
-    """With the changes of its own the configuration has no mistakes, and is another one than without."""
+def test_a_faults_changes_to_the_configuration_are_valid(name: str) -> None:
+    """With its changes the configuration is valid and differs from the one without."""
     more = faults.all_faults()[name].configuration(agent())
     assert load(write(plan.configuration(more=more))) != load(write(plan.configuration()))
 
 
 def test_lasting_is_longer_than_the_shipped_verify() -> None:
-    """The proof waits for what it must wait for when the shipped value changes."""
+    """The proof waits long enough even when the shipped value changes."""
     assert load(write(plan.configuration())).recovery.verify < main.LASTING_S
 
 
-def test_deriving_refuses_what_is_not_there() -> None:
-    """A line that the shipped configuration no longer has is an error, not a change that silently does nothing."""
+def test_a_change_of_a_missing_line_is_rejected() -> None:
+    """A line that the shipped configuration no longer has is an error, not a change without effect."""
     with pytest.raises(ValueError, match="0 times, expected once"):
         overridden({"\n  budget: 6": "\n  budget: 7"})
 
@@ -148,7 +150,7 @@ def test_the_critical_file_is_the_one_of_the_image() -> None:
 
 
 def test_the_document_has_every_fault_with_its_unit_and_condition() -> None:
-    """docs/development/sitl_faults.md names each fault once, in the table of its layer, and what it must be told as."""
+    """docs/development/sitl_faults.md names each fault once, in the table of its layer, with its expected condition."""
     text = (ROOT / "docs" / "development" / "sitl_faults.md").read_text("utf-8")
     tables = {part.partition("\n")[0].lower(): part for part in text.split("\n## ")[1:5]}
     for name, fault in faults.all_faults().items():

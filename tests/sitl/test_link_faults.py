@@ -1,4 +1,6 @@
-"""Faults of the link layer against the real air process: they break what they say, in one agent, and give it back."""
+"""Faults of the link layer against the real link emulator: each affects the stated links of one agent and restores
+them.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ from sitl.simulation.ports import Ports
 from sitl.swarm.control import LinkEmulatorClient
 
 LINKED = sorted(name for name, fault in all_faults().items() if "air" in fault.needs and name != "router_killed")
-"""The router is a container of its own, which no air process has."""
+"""The router is a separate container, which the emulator's process does not have."""
 TOUCHED = {
     "autopilot_silent": ("autopilot",),
     "gcs_radio_cut": ("ground",),
@@ -26,7 +28,7 @@ TOUCHED = {
     "autopilot_reboot": (),
     "peer_split": (),
 }
-"""What of the agent's links is other than before; a reboot passes, and a split is not the agent's own."""
+"""Which links of the agent differ from before; a reboot ends by itself, and a split belongs to no single agent."""
 AGENTS = 5
 
 
@@ -46,8 +48,8 @@ def links(air: LinkEmulatorClient) -> dict[int, dict[str, Any]]:
 
 
 @pytest.mark.parametrize("name", LINKED)
-def test_it_breaks_its_own_link_of_one_agent_and_gives_it_back(name: str, air: LinkEmulatorClient) -> None:
-    """Injected: exactly the named links of agent 2 differ. Cleared, twice: nothing does."""
+def test_a_fault_affects_its_link_of_one_agent_and_restores_it(name: str, air: LinkEmulatorClient) -> None:
+    """Injected: exactly the named links of agent 2 differ. Cleared, twice: none does."""
     fault, agent = all_faults()[name], Agent("phm-test", "agent_2", mock.Mock(), number=2, air=air)
     before = links(air)
     fault.inject(agent)
@@ -62,8 +64,8 @@ def test_it_breaks_its_own_link_of_one_agent_and_gives_it_back(name: str, air: L
     assert not air.state()["groups"]
 
 
-def test_a_router_that_is_off_is_one_agents_own(air: LinkEmulatorClient) -> None:
-    """Its own end in the air refuses connections, and is given back."""
+def test_a_disabled_router_affects_one_agent(air: LinkEmulatorClient) -> None:
+    """Its endpoint in the emulator refuses connections, and is restored."""
     before = links(air)
     air.set(2, "router", off=True)
     after = links(air)
@@ -75,7 +77,7 @@ def test_a_router_that_is_off_is_one_agents_own(air: LinkEmulatorClient) -> None
 
 
 def test_a_killed_router_is_killed_in_its_container(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And started again by `clear`, whether it runs or not."""
+    """And restarted by `clear`, whether it runs or not."""
     container = mock.Mock(attrs={"State": {"FinishedAt": "0001-01-01T00:00:00Z"}})
     agent = Agent("phm-test", "agent_2", mock.Mock(), number=2)
     monkeypatch.setattr(Agent, "container", lambda self, service: {"router": container}[service])
@@ -86,7 +88,7 @@ def test_a_killed_router_is_killed_in_its_container(monkeypatch: pytest.MonkeyPa
     container.start.assert_called_once_with()
 
 
-def test_a_split_leaves_two_groups(air: LinkEmulatorClient) -> None:
+def test_a_split_makes_two_groups(air: LinkEmulatorClient) -> None:
     """Each agent is in one group, and a group has at least two."""
     fault, agent = all_faults()["peer_split"], Agent("phm-test", "agent_4", mock.Mock(), number=4, air=air)
     fault.inject(agent)
@@ -97,7 +99,7 @@ def test_a_split_leaves_two_groups(air: LinkEmulatorClient) -> None:
     assert min(len(here), len(there)) == AGENTS // 2
 
 
-def test_without_emulated_links_it_says_what_is_needed() -> None:
-    """An agent on its own has none."""
+def test_a_link_fault_without_emulated_links_states_what_is_needed() -> None:
+    """A single agent has no emulated links."""
     with pytest.raises(LookupError, match="python -m sitl up"):
         all_faults()["gcs_radio_cut"].inject(Agent("phm-test", "agent_1", mock.Mock()))

@@ -1,4 +1,4 @@
-"""The bench of the reports' bytes runs, and weighs what is really sent."""
+"""The bench of the reports' bytes runs, and measures the bytes that are really sent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sitl.bench import mavlink, report_sizes
 REPORTS = mavlink.REPORTS
 
 
-def test_the_recorded_reports_are_read_as_they_were() -> None:
+def test_the_recorded_reports_are_read_unchanged() -> None:
     """Units in, the same JSON out; the failing one has one fault at its cause."""
     for name in ("well", "failing"):
         path = REPORTS / f"{name}.json"
@@ -39,8 +39,8 @@ def test_the_bench_prints_the_figures_of_each_swarm(capsys: pytest.CaptureFixtur
     assert failing["texts"] > idle["texts"]
 
 
-def test_a_report_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In words, with what makes one."""
+def test_an_invalid_report_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With a message that states how to make one."""
     wrong = tmp_path / "wrong.json"
     wrong.write_text("{}")
     with pytest.raises(SystemExit) as ended:
@@ -50,8 +50,8 @@ def test_a_report_that_is_none_is_refused(tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.ros
-def test_a_diagnostic_array_is_weighed_by_ros_itself() -> None:
-    """The bytes hold at least all names and messages, four bytes for the length of each, and the stamp."""
+def test_a_diagnostic_array_is_measured_by_ros() -> None:
+    """The bytes include at least all names and messages, four bytes for the length of each, and the stamp."""
     units = report_sizes.load(REPORTS / "well.json")
     weight = report_sizes.sizes(units).diagnostics
     assert weight is not None

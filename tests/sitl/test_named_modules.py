@@ -1,4 +1,4 @@
-"""Compose files, scripts, code and documents name modules and files of `sitl` that exist."""
+"""Compose files, scripts, code and documents refer only to existing modules and files of `sitl`."""
 
 from __future__ import annotations
 

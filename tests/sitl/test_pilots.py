@@ -1,4 +1,6 @@
-"""Real autopilots in the place of simulated ones: where each is, how it is started, and a session of ArduPilot played to the air."""
+"""Real autopilots instead of simulated ones: their addresses and start commands, and a session of ArduPilot replayed to
+the link emulator.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ ARDUPILOT = Options(agents=3, autopilot="ardupilot", autopilot_path="/usr/bin/en
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """PHM_SITL_TLOG names a recording of a real session, which is played instead."""
+    """PHM_SITL_TLOG names a recording of a real session, which is replayed instead."""
     real = os.environ.get("PHM_SITL_TLOG")
     if real:
         return Path(real)
@@ -56,68 +58,72 @@ def air(vehicle: ArduPilot) -> Iterator[LinkEmulator]:
 
 
 def test_a_session_has_the_form_of_a_telemetry_log(session: Path) -> None:
-    """Stamps that do not go back, and frames that decode, of one vehicle's autopilot, whose heartbeat is ArduPilot's."""
+    """Monotonic timestamps, and valid frames of one vehicle's autopilot, whose heartbeat is ArduPilot's."""
     entries = read(session)
     stamps = [stamp for stamp, _ in entries]
     assert stamps == sorted(stamps)
     messages = [decoded(frame) for _, frame in entries]
-    beats = [message for message in messages if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1]
-    assert {(beat.autopilot, beat.base_mode & ~128) for beat in beats} == {(3, 81)}
+    heartbeats = [
+        message for message in messages if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1
+    ]
+    assert {(heartbeat.autopilot, heartbeat.base_mode & ~128) for heartbeat in heartbeats} == {(3, 81)}
     assert {"STATUSTEXT", "SYSTEM_TIME"} <= {message.get_type() for message in messages}
 
 
-def test_the_air_boots_it_by_connecting_and_carries_its_session(air: LinkEmulator, vehicle: ArduPilot) -> None:
-    """Ground and PHM hear its heartbeat, its words, and what only its own dialect knows; it hears both of them and the radio."""
+def test_the_emulator_boots_it_by_connecting_and_forwards_its_session(air: LinkEmulator, vehicle: ArduPilot) -> None:
+    """Ground and PHM receive its heartbeat, its texts, and messages of its own dialect; it receives both of them and
+    the radio.
+    """
     ground = Ground(f"tcp:127.0.0.1:{air.station.bound_port}")
     ground.start()
     phm = Port(f"tcp:{air.routers[1].partition(':')[2]}")
     seen: set[str] = set()
-    beat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(
+    heartbeat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(
         mavlink.MAVLink(None, srcSystem=1, srcComponent=193)
     )
 
-    def all_heard() -> bool:
-        phm.send(beat)
+    def all_received() -> bool:
+        phm.send(heartbeat)
         for sock in phm.sockets():
             seen.update(message.get_type() for _, message in phm.receive(sock))
-        told = {(message.get_type(), message.get_srcSystem()) for message in vehicle.heard[0]}
+        received = {(message.get_type(), message.get_srcSystem()) for message in vehicle.heard[0]}
         return (
             {"HEARTBEAT", "STATUSTEXT", "SYSTEM_TIME", "RADIO_STATUS", "UNKNOWN_152"} <= seen
             and (1, 1) in ground.heartbeats
             and any("ArduCopter" in line.text for line in ground.lines)
-            and {("HEARTBEAT", 1), ("HEARTBEAT", 255), ("RADIO_STATUS", 51)} <= told
+            and {("HEARTBEAT", 1), ("HEARTBEAT", 255), ("RADIO_STATUS", 51)} <= received
         )
 
-    until(all_heard, "all messages", lambda: seen)
+    until(all_received, "all messages", lambda: seen)
     ground.stop()
     phm.close()
 
 
-def test_a_command_of_the_ground_reaches_it_alone(air: LinkEmulator, vehicle: ArduPilot) -> None:
-    """And not PHM, which is a component of its own."""
+def test_a_command_from_the_ground_reaches_only_the_autopilot(air: LinkEmulator, vehicle: ArduPilot) -> None:
+    """And not PHM, which is a separate component."""
     ground = Ground(f"tcp:127.0.0.1:{air.station.bound_port}")
     ground.start()
     phm = Port(f"tcp:{air.routers[1].partition(':')[2]}")
     seen: list[Any] = []
     until(lambda: (1, 1) in ground.heartbeats, "the heartbeat of the autopilot")
 
-    def obeyed() -> bool:
+    def executed() -> bool:
         ground.arm(1, armed=True)
         for sock in phm.sockets():
             seen.extend(message for _, message in phm.receive(sock))
         return any(message.get_type() == "COMMAND_LONG" for message in vehicle.heard[0])
 
-    until(obeyed, "the command to reach the autopilot")
+    until(executed, "the command to reach the autopilot")
     assert not [message for message in seen if message.get_type() == "COMMAND_LONG"]
     ground.stop()
     phm.close()
 
 
-# ---------------------------------------------------------------- where it is and how it is started
+# ---------------------------------------------------------------- addresses and start commands
 
 
-def test_ardupilot_has_the_ports_and_ids_of_its_convention() -> None:
-    """Instance i on 5760 + 10 i with system id i + 1, and PHM on its serial port 1, which passes nothing on."""
+def test_ardupilot_has_its_conventional_ports_and_ids() -> None:
+    """Instance i on 5760 + 10 i with system id i + 1, and PHM on its serial port 1, which forwards nothing."""
     assert external_autopilots.urls(ARDUPILOT) == "1=tcp:127.0.0.1:5760,2=tcp:127.0.0.1:5770,3=tcp:127.0.0.1:5780"
     own = config.endpoints(ARDUPILOT, 3)[2]
     assert (own["url"], own["leads_to"]) == ("tcp:air:5782", "autopilot")
@@ -125,8 +131,8 @@ def test_ardupilot_has_the_ports_and_ids_of_its_convention() -> None:
     assert len(config.endpoints(Options(), 3)) == 2
 
 
-def test_its_container_is_the_swarms_and_lives_in_the_airs_network(tmp_path: Path) -> None:
-    """So `down` finds it, and every instance has the ports of its convention on one address."""
+def test_its_container_belongs_to_the_swarm_and_the_emulators_network(tmp_path: Path) -> None:
+    """So `down` finds it, and every instance has its conventional ports on one address."""
     (file,) = external_autopilots.write(ARDUPILOT, 2, tmp_path)
     made = yaml.safe_load(Path(file).read_text())["services"][external_autopilots.SERVICE]
     assert made["labels"] == {"phm.sitl.swarm": "${PHM_SWARM}"}
@@ -137,8 +143,8 @@ def test_its_container_is_the_swarms_and_lives_in_the_airs_network(tmp_path: Pat
     assert external_autopilots.write(Options(), 2, tmp_path) == []
 
 
-def test_px4_is_an_image_and_hears_where_its_api_is() -> None:
-    """Instance i sends to UDP 14540 + i; its container is started in the image's own way, or as is said."""
+def test_px4_is_an_image_with_its_conventional_api_port() -> None:
+    """Instance i sends to UDP 14540 + i; its container is started by the image's default command, or the given one."""
     options = Options(agents=2, autopilot="px4", autopilot_image="px4:sih", autopilot_command="run-px4 {instance} {id}")
     external_autopilots.check(options)
     assert external_autopilots.urls(options) == "1=udpin:127.0.0.1:14540,2=udpin:127.0.0.1:14541"
@@ -155,7 +161,7 @@ def test_px4_is_an_image_and_hears_where_its_api_is() -> None:
     ],
     ids=["neither", "no file", "too many"],
 )
-def test_what_cannot_be_started_is_refused_before_anything_is_made(options: Options, said: str) -> None:
-    """The sentence has what is needed."""
+def test_an_invalid_autopilot_is_rejected_before_anything_is_created(options: Options, said: str) -> None:
+    """The message states what is needed."""
     with pytest.raises(ValueError, match=said):
         external_autopilots.check(options)

@@ -1,4 +1,4 @@
-"""What a row of the proof must be to hold, and how rows are written."""
+"""When a row of the proof passes, and how rows are written."""
 
 from __future__ import annotations
 
@@ -33,15 +33,17 @@ def row(**changes: object) -> Row:
         ({}, False, False, "healed"),
     ],
 )
-def test_when_a_row_holds(changes: dict[str, object], healable: bool, good: bool, outcome: str) -> None:
-    """One alarm at the right unit, and healed exactly when it can be; else left alone or given up in words."""
+def test_a_row_holds_with_one_alarm_and_the_expected_recovery(
+    changes: dict[str, object], healable: bool, good: bool, outcome: str
+) -> None:
+    """One alarm at the right unit, recovered exactly if it can be; otherwise left alone, or given up with a report."""
     made = row(**changes)
     set_outcome(made, healable=healable)
     assert (made.good, made.outcome) == (good, outcome)
 
 
 def test_two_faults_are_two_alarms() -> None:
-    """Faults that were caused at once are each told; one alarm for both, or one of them twice, does not hold."""
+    """Simultaneous faults each raise an alarm; one alarm for both, or two for one of them, fails the row."""
     for alarms, good in ((["nodes/a/n", "files/a"], True), (["nodes/a/n"], False), (["files/a", "files/a"], False)):
         made = row(also=["files/a"], alarms=alarms)
         set_outcome(made, healable=True)
@@ -49,21 +51,21 @@ def test_two_faults_are_two_alarms() -> None:
 
 
 def test_a_repair_that_was_verified_too_early_is_found() -> None:
-    """After `verified` the unit stays well; what it or another unit was before does not count."""
+    """After `verified` the unit stays OK; its earlier levels and those of other units do not count."""
 
-    def told(level: str, mono: float, unit: str = "nodes/a/n") -> dict[str, object]:
+    def transition(level: str, mono: float, unit: str = "nodes/a/n") -> dict[str, object]:
         return {"event": "transition", "unit": unit, "level": level, "mono": mono, "summary": "it is not known"}
 
     healed = {"event": "action", "phase": "verified", "unit": "nodes/a/n", "mono": 5.0}
-    before = [told("ERROR", 1.0), told("OK", 4.9), healed, told("STALE", 5.5, "topics/a/t")]
+    before = [transition("ERROR", 1.0), transition("OK", 4.9), healed, transition("STALE", 5.5, "topics/a/t")]
     assert relapses(["nodes/a/n"], before) == []
     assert relapses(["nodes/a/n"], before[:2]) == []
-    (words,) = relapses(["nodes/a/n"], [*before, told("STALE", 6.0)])
+    (words,) = relapses(["nodes/a/n"], [*before, transition("STALE", 6.0)])
     assert words == "nodes/a/n was STALE 1.0 s after it was verified: it is not known"
 
 
-def test_a_busy_machine_is_told_and_not_counted() -> None:
-    """An alarm about the machine's own processor is true and follows from no injected fault: it stands beside."""
+def test_an_alarm_about_host_load_is_listed_and_not_counted() -> None:
+    """An alarm about the machine's own CPU is true and not a consequence of an injected fault: it is listed separately."""
     made = row()
     made.alarm("host/cpu")
     set_outcome(made, healable=True)
@@ -72,13 +74,13 @@ def test_a_busy_machine_is_told_and_not_counted() -> None:
 
 
 def test_repeated_actions_are_counted() -> None:
-    """The same action several times in a row is one word with its count."""
+    """The same action several times in a row is one entry with its count."""
     assert grouped(["start", "restart", "restart"]) == "start, restart x2"
     assert grouped([]) == ""
 
 
-def test_the_markdown_table_shows_what_does_not_hold() -> None:
-    """A row that does not hold is not hidden, and a bar in a title does not break the table."""
+def test_the_markdown_table_shows_failed_rows() -> None:
+    """A failed row is not hidden, and a bar in a title does not break the table."""
     made = row(title="a|b", problems=["was not healed"])
     text = markdown([made], "x86_64", "2026-01-01")
     assert "2026-01-01 (x86_64)" in text
@@ -86,21 +88,21 @@ def test_the_markdown_table_shows_what_does_not_hold() -> None:
     assert "a/b" in text
 
 
-def test_the_table_replaces_the_one_before() -> None:
-    """Only what stands between the marks changes; a page without marks is refused."""
+def test_the_table_replaces_the_previous_one() -> None:
+    """Only the text between the marks changes; a page without marks is rejected."""
     page = f"head\n{BEGIN}\nold\n{END}\ntail\n"
     assert between_marks(page, "new") == f"head\n{BEGIN}\nnew\n{END}\ntail\n"
     with pytest.raises(ValueError, match="no marks"):
         between_marks("head\n", "new")
 
 
-def test_the_page_has_room_for_the_table() -> None:
-    """docs/reference/recovery.md has the marks, in their order, once."""
+def test_the_page_has_the_marks_of_the_table() -> None:
+    """docs/reference/recovery.md has each mark once, in order."""
     page = (ROOT / "docs" / "reference" / "recovery.md").read_text("utf-8")
     assert page.count(BEGIN) == page.count(END) == 1
     assert "a row" in between_marks(page, "a row")
 
 
-def test_rows_as_json() -> None:
+def test_rows_are_written_as_json() -> None:
     """The JSON has every row with its verdict."""
     assert [entry["good"] for entry in json.loads(as_json([row()]))["rows"]] == [True]

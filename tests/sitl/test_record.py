@@ -1,4 +1,4 @@
-"""Following a record while it grows, and the names a stack gives."""
+"""Following a record while it grows, and the names of a stack."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def line(number: int) -> str:
     return json.dumps({"event": "report", "number": number}) + "\n"
 
 
-def test_a_record_that_is_not_there_yet_is_empty(tmp_path: Path) -> None:
+def test_a_missing_record_is_empty(tmp_path: Path) -> None:
     """Before PHM has written anything there are no events, and no error."""
     record = Record(tmp_path / "phm.jsonl")
     record.update()
@@ -22,7 +22,7 @@ def test_a_record_that_is_not_there_yet_is_empty(tmp_path: Path) -> None:
 
 
 def test_an_unfinished_line_waits_for_its_end(tmp_path: Path) -> None:
-    """Half a line is read when its other half is there, once."""
+    """An incomplete line is read when its rest is written, once."""
     file = tmp_path / "phm.jsonl"
     record = Record(file)
     whole = line(1) + line(2)
@@ -35,8 +35,8 @@ def test_an_unfinished_line_waits_for_its_end(tmp_path: Path) -> None:
     assert [event["number"] for event in record.events] == [1, 2]
 
 
-def test_a_torn_line_is_skipped(tmp_path: Path) -> None:
-    """What a killed daemon left half written does not stop the reading of what follows."""
+def test_a_truncated_line_is_skipped(tmp_path: Path) -> None:
+    """A line left incomplete by a killed daemon does not prevent reading the next ones."""
     file = tmp_path / "phm.jsonl"
     file.write_text(line(1) + '{"event": "rep\n' + line(2))
     record = Record(file)
@@ -45,7 +45,7 @@ def test_a_torn_line_is_skipped(tmp_path: Path) -> None:
 
 
 def test_a_rotated_record_is_read_on(tmp_path: Path) -> None:
-    """What was written before the rotation and not read yet comes first, then the new file from its beginning."""
+    """Unread lines from before the rotation come first, then the new file from its beginning."""
     file = tmp_path / "phm.jsonl"
     record = Record(file)
     file.write_text(line(1))
@@ -53,15 +53,15 @@ def test_a_rotated_record_is_read_on(tmp_path: Path) -> None:
     with file.open("a") as stream:
         stream.write(line(2))
     file.rename(tmp_path / "phm.jsonl.1")
-    record.update()  # nobody has written since
+    record.update()  # nothing was written since
     file.write_text(line(3))
     record.update()
     record.update()
     assert [event["number"] for event in record.events] == [1, 2, 3]
 
 
-def test_waiting_looks_only_at_what_came_since(tmp_path: Path) -> None:
-    """An event before the mark is no answer; one that is written while waiting is."""
+def test_waiting_considers_only_later_events(tmp_path: Path) -> None:
+    """An event from before the mark does not count; one that is written while waiting does."""
     file = tmp_path / "phm.jsonl"
     file.write_text(line(1))
     record = Record(file)
@@ -75,7 +75,7 @@ def test_waiting_looks_only_at_what_came_since(tmp_path: Path) -> None:
 
 
 def test_two_stacks_share_nothing(tmp_path: Path) -> None:
-    """Container, network and device carry the project's name, so that two agents on one machine do not meet."""
+    """Container, network and device names contain the project's name, so that two agents on one machine do not collide."""
     one, two = (Stack(project=name, logs=tmp_path) for name in ("phm-one", "phm-two"))
     assert one.device != two.device
     ours, theirs = (stack.environment() for stack in (one, two))

@@ -1,4 +1,4 @@
-"""The router of a simulated agent as a program of its own, with real sockets."""
+"""The router of a simulated agent as a separate program, with real sockets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SELECTS = ("23", "270", "72")
 
 
 class Far:
-    """The air's end."""
+    """The link emulator's end."""
 
     def __init__(self) -> None:
         self.door = socket.create_server(("127.0.0.1", 0))
@@ -72,8 +72,8 @@ def connected(port: int) -> Iterator[socket.socket]:
         yield near
 
 
-def waits_for_ever(pid: int) -> bool:
-    """Whether it is in a call of select() or pselect() without a timeout, its fifth argument: only an event wakes it."""
+def waits_without_timeout(pid: int) -> bool:
+    """Whether it is in a call of select() or pselect() without a timeout (the fifth argument): only an event wakes it."""
     call = Path(f"/proc/{pid}/syscall").read_text().split()
     return call[0] in SELECTS and call[5] == "0x0"
 
@@ -86,8 +86,8 @@ def refused(port: int) -> bool:
     return False
 
 
-def test_bytes_pass_both_ways(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
-    """Also when PHM has been away."""
+def test_bytes_pass_in_both_directions(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
+    """Also after PHM was disconnected."""
     air = far.connected()
     for _ in range(2):
         with connected(port) as near:
@@ -97,8 +97,8 @@ def test_bytes_pass_both_ways(router: subprocess.Popen[bytes], far: Far, port: i
             assert near.recv(10) == b"down"
 
 
-def test_who_comes_later_takes_the_place(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
-    """PHM may have lost a connection that the router still believes in."""
+def test_a_later_connection_replaces_the_earlier_one(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
+    """PHM may have lost a connection that the router still considers open."""
     air = far.connected()
     with connected(port) as lost, connected(port) as near:
         assert lost.recv(10) == b""
@@ -106,10 +106,10 @@ def test_who_comes_later_takes_the_place(router: subprocess.Popen[bytes], far: F
         assert air.recv(10) == b"up"
 
 
-def test_who_connects_is_refused_while_nothing_is_behind_it(
+def test_connections_are_refused_while_the_emulator_is_away(
     router: subprocess.Popen[bytes], far: Far, port: int
 ) -> None:
-    """As by a router that is not there: PHM sees one fault, whichever of the two ends."""
+    """As if there were no router: PHM sees one fault, whichever of the two processes ends."""
     air = far.connected()
     with connected(port) as near:
         air.close()
@@ -118,8 +118,10 @@ def test_who_connects_is_refused_while_nothing_is_behind_it(
     until(lambda: refused(port), "the router to refuse")
 
 
-def test_it_costs_next_to_nothing(router: subprocess.Popen[bytes], far: Far, port: int) -> None:
-    """One for each agent of a machine: 12 MB at most, and it sleeps while nothing comes."""
+def test_the_router_needs_little_memory_and_no_cpu_when_idle(
+    router: subprocess.Popen[bytes], far: Far, port: int
+) -> None:
+    """One for each agent of a machine: 12 MB at most, and it sleeps while no data arrive."""
     air = far.connected()
     with connected(port) as near:
         air.sendall(b"down")
@@ -127,10 +129,10 @@ def test_it_costs_next_to_nothing(router: subprocess.Popen[bytes], far: Far, por
         status = Path(f"/proc/{router.pid}/status").read_text()
         (resident,) = [line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")]
         assert int(resident) <= MOST_KB
-        until(lambda: waits_for_ever(router.pid), "the router to sleep")
+        until(lambda: waits_without_timeout(router.pid), "the router to sleep")
 
 
-def test_it_ends_when_it_is_told_to(router: subprocess.Popen[bytes], far: Far) -> None:
+def test_the_router_ends_on_sigterm(router: subprocess.Popen[bytes], far: Far) -> None:
     """`docker stop` does not have to kill it."""
     far.connected()
     router.terminate()

@@ -1,4 +1,4 @@
-"""The simulated autopilot and ground station behave like what they stand for, with PHM's own hub beside them."""
+"""The simulated autopilot and ground station behave like the real ones, with PHM's MAVLink hub beside them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Flight:
         self.links = Links(self.hub, chosen.agent.id, chosen.mavlink, SystemClock(), lambda: None)
         self.ground = Ground(f"tcp:127.0.0.1:{self.ground_port}")
         self.hub.start()
-        self.hub.send(text("PHM is here"))  # the autopilot passes nothing on to a port that is silent
+        self.hub.send(text("PHM is here"))  # the autopilot forwards nothing to a silent port
         self.ground.start()
 
     def _pilot(self) -> Autopilot:
@@ -59,8 +59,10 @@ def flight() -> Iterator[Flight]:
     made.close()
 
 
-def test_lines_and_words_reach_the_ground_through_the_autopilot(flight: Flight) -> None:
-    """What PHM sends to the autopilot arrives at the ground station with identity, severity and word unchanged."""
+def test_status_texts_and_status_words_reach_the_ground_through_the_autopilot(flight: Flight) -> None:
+    """Messages that PHM sends to the autopilot arrive at the ground station with identity, severity and status
+    unchanged.
+    """
     until(lambda: flight.links.gcs_age_s() is not None and (7, 1) in flight.ground.heartbeats)
     word = status_word.encode({Slot.NODES: Level.ERROR})
     flight.hub.send(heartbeat(word))
@@ -71,8 +73,8 @@ def test_lines_and_words_reach_the_ground_through_the_autopilot(flight: Flight) 
     assert change.levels == {Slot.NODES: Level.ERROR}
 
 
-def test_a_silent_ground_port_hears_the_autopilot_alone(flight: Flight) -> None:
-    """As measured on a real ArduPilot: frames are passed on only to links that have themselves sent a packet."""
+def test_a_silent_ground_port_receives_only_the_autopilot(flight: Flight) -> None:
+    """As measured on a real ArduPilot: frames are forwarded only to links that have sent a packet."""
     until(lambda: flight.links.autopilot() is not None)
     silent = Port(f"tcp:127.0.0.1:{flight.ground_port}")
     heard: list[tuple[int, int]] = []
@@ -98,20 +100,20 @@ def test_the_ground_arms_and_the_companion_sees_it(flight: Flight) -> None:
         until(lambda wanted=armed: (fact := flight.links.autopilot()) is not None and fact.armed is wanted)  # type: ignore[misc]
 
 
-def test_both_sides_find_an_autopilot_that_rebooted(flight: Flight) -> None:
-    """After a reboot of the autopilot PHM and the ground station reconnect and lines flow again."""
+def test_both_sides_reconnect_after_an_autopilot_reboot(flight: Flight) -> None:
+    """After a reboot of the autopilot PHM and the ground station reconnect and lines arrive again."""
     until(lambda: flight.links.autopilot() is not None)
     flight.restart_pilot()
 
-    def told() -> bool:
+    def received() -> bool:
         flight.hub.send(text("after the reboot"))
         return any(line.text == "after the reboot" for line in flight.ground.lines)
 
-    until(told)
+    until(received)
 
 
-def test_an_autopilot_reboots_when_it_is_told_to(flight: Flight) -> None:
-    """It says yes, is silent for a moment, disarmed after it, and its time since boot begins anew."""
+def test_an_autopilot_reboots_on_command(flight: Flight) -> None:
+    """It acknowledges, is silent for a moment, disarmed after it, and its time since boot restarts."""
     flight.pilot.armed = True
     until(lambda: (fact := flight.links.autopilot()) is not None and fact.armed and (fact.boot_s or 0.0) > 4.0)
     ground = Port(f"tcp:127.0.0.1:{flight.ground_port}")
@@ -122,7 +124,7 @@ def test_an_autopilot_reboots_when_it_is_told_to(flight: Flight) -> None:
 
 
 def test_radio_status_stays_with_the_autopilot(flight: Flight) -> None:
-    """As in ArduPilot's routing: a radio on its port is not heard on another."""
+    """As in ArduPilot's routing: a radio on one port is not forwarded to another."""
     until(lambda: flight.links.gcs_age_s() is not None)
     radio = Port(f"tcp:127.0.0.1:{flight.ground_port}")
     sender = Sender(51, 68)
@@ -133,8 +135,8 @@ def test_radio_status_stays_with_the_autopilot(flight: Flight) -> None:
     radio.close()
 
 
-def test_frames_that_claim_to_be_the_autopilot_vanish(flight: Flight) -> None:
-    """Component 1 of the vehicle's own system is not passed on."""
+def test_forged_frames_of_the_autopilot_are_dropped(flight: Flight) -> None:
+    """Component 1 of the vehicle's own system is not forwarded."""
     until(lambda: flight.links.gcs_age_s() is not None)
     liar = Port(f"tcp:127.0.0.1:{flight.companion}")
     liar.send(Sender(7, 1).frame(text("I am the autopilot")))
@@ -144,8 +146,8 @@ def test_frames_that_claim_to_be_the_autopilot_vanish(flight: Flight) -> None:
     liar.close()
 
 
-def test_the_terminal_line_cannot_be_steered() -> None:
-    """Text from the radio is shown without control characters; words of another version are shown as such."""
+def test_terminal_output_contains_no_control_characters() -> None:
+    """Received text is shown without control characters; a status of another version is shown as such."""
     line = as_text(TextLine(0.0, 0.0, 7, 193, 2, "A07 \x1b[2J FAIL"))
     assert "\x1b" not in line
     assert "CRITICAL" in line

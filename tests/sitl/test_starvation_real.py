@@ -1,4 +1,4 @@
-"""Faults that starve a container, on the real engine and kernel: each has its effect, and leaves nothing behind."""
+"""Faults that starve a container, on the real Docker Engine and kernel: each has its effect, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LIMITS = {
 
 @pytest.fixture
 def made() -> Iterator[Callable[..., Agent]]:
-    """Makes an agent whose application is one small container, with the limits given; all is removed at the end."""
+    """Create agents whose application is one small container with the given limits; remove all at the end."""
     client = DockerClient.from_env(timeout=60)
     agents: list[Agent] = []
 
@@ -70,7 +70,7 @@ def made() -> Iterator[Callable[..., Agent]]:
 
 
 def kernel(container: Container) -> dict[str, str]:
-    """Every limit of the container that these faults change, as the kernel has it."""
+    """Every limit of the container that these faults change, as read from the kernel."""
     found = {}
     for controller, names in LIMITS.items():
         for file in (cgroup(container, controller) / name for name in names):
@@ -80,7 +80,7 @@ def kernel(container: Container) -> dict[str, str]:
 
 
 def counter(container: Container, controller: str, *places: tuple[str, str]) -> int:
-    """The first of these counters that there is: file, and word of its line or empty."""
+    """The first of these counters that exists: file, and the key of its line or empty."""
     folder = cgroup(container, controller)
     for name, word in places:
         if (folder / name).exists():
@@ -96,7 +96,7 @@ def hogs(agent: Agent) -> list[Container]:
 
 @pytest.mark.parametrize("limits", [{}, {"nano_cpus": 1_500_000_000}, {"cpu_period": 50_000, "cpu_quota": 40_000}])
 def test_a_cpu_limit_throttles_and_is_restored(made: Callable[..., Agent], limits: dict[str, int]) -> None:
-    """Whatever limit the container had, 3 % throttles it, and clearing gives back exactly that limit, once and twice."""
+    """Whatever limit the container had, 3 % throttles it, and clearing restores exactly that limit, also when repeated."""
     agent, fault = made(**limits), cpu_limited.Injection()
     before = kernel(agent.app)
     fault.inject(agent)
@@ -118,8 +118,8 @@ def _quota(app: Container) -> tuple[int, int]:
     return int(quota), int(period)
 
 
-def test_tight_memory_is_reclaimed_and_nothing_is_killed(made: Callable[..., Agent]) -> None:
-    """The kernel takes pages away that are needed again, without end; no process is ended for it, and the limit is restored."""
+def test_low_memory_is_reclaimed_and_nothing_is_killed(made: Callable[..., Agent]) -> None:
+    """The kernel reclaims pages that are needed again, endlessly; no process is killed, and the limit is restored."""
     agent, fault = made(mem_limit="256m", memswap_limit="256m"), memory_tight.Injection()
     before = kernel(agent.app)
 
@@ -137,8 +137,8 @@ def test_tight_memory_is_reclaimed_and_nothing_is_killed(made: Callable[..., Age
     assert agent.processes(agent.app, memory_tight.FILE) == []
 
 
-def test_a_container_without_a_memory_limit_is_not_given_one(made: Callable[..., Agent]) -> None:
-    """The engine could not take it away again, so the fault says that it needs one and changes nothing."""
+def test_a_container_without_a_memory_limit_is_not_changed(made: Callable[..., Agent]) -> None:
+    """The Docker Engine cannot remove a memory limit, so the fault reports that it needs one and changes nothing."""
     agent = made()
     before = kernel(agent.app)
     with pytest.raises(LookupError, match="no memory limit"):
@@ -147,7 +147,7 @@ def test_a_container_without_a_memory_limit_is_not_given_one(made: Callable[...,
 
 
 def test_a_slow_disk_makes_writers_wait(made: Callable[..., Agent]) -> None:
-    """1 MiB takes at least 2 s at 256 KiB a second, since the limit lets no more pass; clearing lifts it."""
+    """1 MiB takes at least 2 s at 256 KiB/s, since the limit permits no more; clearing removes it."""
     agent, fault = made(), disk_slow.Injection()
     before = kernel(agent.app)
     fault.inject(agent)
@@ -161,11 +161,11 @@ def test_a_slow_disk_makes_writers_wait(made: Callable[..., Agent]) -> None:
     assert agent.processes(agent.app, disk_slow.FILE) == []
 
 
-def test_a_disk_does_not_stay_slow_when_the_container_has_ended(made: Callable[..., Agent]) -> None:
-    """Clearing is harmless when the container and its cgroup are gone."""
+def test_a_slow_disk_is_cleared_after_the_container_has_ended(made: Callable[..., Agent]) -> None:
+    """Clearing is harmless when the container and its cgroup no longer exist."""
     agent, fault = made(), disk_slow.Injection()
     fault.inject(agent)
-    with contextlib.suppress(APIError):  # the engine does not wait for processes that wait for their disk
+    with contextlib.suppress(APIError):  # the Docker Engine does not wait for processes that wait for their disk
         agent.app.kill()
     until(lambda: agent.app.status == "exited", "its end")
     fault.clear(agent)
@@ -173,7 +173,9 @@ def test_a_disk_does_not_stay_slow_when_the_container_has_ended(made: Callable[.
 
 @pytest.mark.parametrize("limits", [{}, {"pids_limit": 300}])
 def test_no_process_starts_at_the_limit(made: Callable[..., Agent], limits: dict[str, int]) -> None:
-    """At the limit no command in the container can start another one; clearing ends what holds it and restores the limit."""
+    """At the limit no command in the container can start another one; clearing ends the processes and restores the
+    limit.
+    """
     agent, fault = made(**limits), pids_exhausted.Injection()
     before = kernel(agent.app)
     fault.inject(agent)
@@ -190,7 +192,7 @@ def test_no_process_starts_at_the_limit(made: Callable[..., Agent], limits: dict
 def test_an_interrupted_injection_is_undone(
     made: Callable[..., Agent], monkeypatch: pytest.MonkeyPatch, module: Any
 ) -> None:
-    """What was limited before the interruption is as before."""
+    """The limits are the same as before the interruption."""
     agent = made(mem_limit="256m", memswap_limit="256m")
     before = kernel(agent.app)
 
@@ -203,8 +205,8 @@ def test_an_interrupted_injection_is_undone(
     assert kernel(agent.app) == before
 
 
-def test_an_overload_computes(made: Callable[..., Agent]) -> None:
-    """As many loops run as were asked for, in containers of their own."""
+def test_an_overload_runs_the_requested_loops(made: Callable[..., Agent]) -> None:
+    """As many loops run as requested, in separate containers."""
     agent = made()
     _overload.overload(agent, loops_per_core=2, hogs=2)
     loops = 2 * (os.cpu_count() or 1)
@@ -215,8 +217,8 @@ def test_an_overload_computes(made: Callable[..., Agent]) -> None:
         assert hogs(agent) == []
 
 
-def test_an_overload_ends_by_itself(made: Callable[..., Agent]) -> None:
-    """Whatever becomes of what started it, its containers end and are removed."""
+def test_an_overload_ends_without_its_starter(made: Callable[..., Agent]) -> None:
+    """Whatever happens to the process that started it, its containers end and are removed."""
     agent = made()
     _overload.overload(agent, lasts_s=1.0, loops_per_core=1, hogs=1)
     until(lambda: not hogs(agent), "their end")
@@ -253,7 +255,7 @@ def test_an_interrupted_overload_is_removed(made: Callable[..., Agent], monkeypa
 
 @pytest.fixture
 def light(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An overload of one loop, since these tests are about what happens during it and not about the load."""
+    """An overload of one loop, since these tests are about events during the load and not about the load."""
     for module in (overload_node_killed, overload_container_killed, overload_ends):
         monkeypatch.setattr(
             module, "overload", lambda agent, **more: _overload.overload(agent, loops_per_core=0, hogs=1)
@@ -263,7 +265,7 @@ def light(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("light")
 def test_a_node_dies_during_the_overload(made: Callable[..., Agent]) -> None:
-    """The node is gone, its container and the load are there; clearing ends the load and restarts the container."""
+    """The node is dead, its container and the load are running; clearing ends the load and restarts the container."""
     agent, fault = made(), overload_node_killed.Injection()
     generation = agent.generation
     fault.inject(agent)
@@ -278,7 +280,7 @@ def test_a_node_dies_during_the_overload(made: Callable[..., Agent]) -> None:
 
 @pytest.mark.usefixtures("light")
 def test_the_container_dies_during_the_overload(made: Callable[..., Agent]) -> None:
-    """The container has ended while the load is there; clearing ends the load and starts it."""
+    """The container has ended while the load is running; clearing ends the load and starts the container."""
     agent, fault = made(), overload_container_killed.Injection()
     fault.inject(agent)
     assert len(hogs(agent)) == 1
@@ -290,7 +292,7 @@ def test_the_container_dies_during_the_overload(made: Callable[..., Agent]) -> N
 
 
 @pytest.mark.usefixtures("light")
-def test_the_overload_has_ended_when_its_end_is_the_fault(made: Callable[..., Agent]) -> None:
+def test_an_overload_has_ended_when_its_end_is_the_fault(made: Callable[..., Agent]) -> None:
     """After the injection nothing of the load is left."""
     agent, fault = made(), overload_ends.Injection()
     fault.inject(agent)
@@ -298,8 +300,8 @@ def test_the_overload_has_ended_when_its_end_is_the_fault(made: Callable[..., Ag
     fault.clear(agent)
 
 
-def test_every_starvation_fault_is_tried_here() -> None:
-    """No fault of this kind is without a test in this file."""
+def test_every_starvation_fault_is_tested_here() -> None:
+    """Each fault of this kind has a test in this file."""
     text = Path(__file__).read_text("utf-8")
     names = [name for name, fault in all_faults().items() if "starvation" in fault.needs and name != "host_overload"]
     assert all(f"{name}.Injection()" in text for name in names)

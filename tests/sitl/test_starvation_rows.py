@@ -1,4 +1,4 @@
-"""What the record of a starved agent becomes in a row, and the table of several measurements."""
+"""The row made from the record of a starved agent, and the table of several measurements."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def row(events: list[dict[str, Any]], *, healable: bool = False, expected: tuple
 
 
 def test_one_alarm_at_the_cause_holds() -> None:
-    """What is STALE behind it, and what the machine says of itself, is no alarm."""
+    """STALE consequences, and the machine's reports about itself, are not alarms."""
     stale = event("transition", 102.0, "rates/a", level="STALE", blocked_by=CAUSE)
     made = row(
         [opened(101.5), stale, opened(103.0, "host/cpu", "cpu_high"), action(104.0, "started", name="join_network")]
@@ -53,13 +53,13 @@ def test_one_alarm_at_the_cause_holds() -> None:
         ([opened(101.0), action(102.0, "started")], "1 actions, of which 0 can help"),
     ],
 )
-def test_what_does_not_hold(events: list[dict[str, Any]], words: str) -> None:
+def test_a_row_with_a_wrong_alarm_or_action_does_not_hold(events: list[dict[str, Any]], words: str) -> None:
     """No alarm, one elsewhere, one twice, and an action that cannot help."""
     assert any(words in problem for problem in row(events).problems)
 
 
-def test_a_real_fault_under_load_needs_its_one_action_and_the_proof_of_it() -> None:
-    """Both causes have an alarm; a second action, or one that was not verified, is a problem."""
+def test_a_real_fault_under_load_needs_one_verified_action() -> None:
+    """Both causes have an alarm; a second action, or an unverified one, is a problem."""
     node, host = "nodes/a/node_1", "host/cpu"
     alarms = [opened(101.0, host), opened(102.0, node)]
     done = [action(103.0, "started", node), action(110.0, "verified", node)]
@@ -71,8 +71,10 @@ def test_a_real_fault_under_load_needs_its_one_action_and_the_proof_of_it() -> N
     assert twice.problems == ["2 actions, of which 1 can help"]
 
 
-def test_an_alarm_that_is_open_before_counts() -> None:
-    """On a machine that was busy before, its alarm is not raised again for the overload; what is not expected is not taken over."""
+def test_an_alarm_that_was_open_before_counts() -> None:
+    """On a machine that was already busy, its alarm is not raised again for the overload; unexpected earlier alarms are
+    ignored.
+    """
     made = Row("host_overload", "a title", ["host/cpu"])
     made.read([], 100.0, ["host/cpu", "rates/a"])
     made.judge()
@@ -80,8 +82,8 @@ def test_an_alarm_that_is_open_before_counts() -> None:
     assert made.alarms == ["host/cpu (open before)"]
 
 
-def test_what_is_left_at_the_end() -> None:
-    """The last level of each unit and faults that were not closed, but for the machine; a start of PHM forgets."""
+def test_remaining_levels_and_faults_are_found() -> None:
+    """The last level of each unit and open faults, except the machine's; a start of PHM resets them."""
     events = [
         event("unit", 1.0, "a", level="ERROR"),
         event("start", 2.0, ""),
@@ -96,13 +98,13 @@ def test_what_is_left_at_the_end() -> None:
     assert unwell(events) == ["b STALE", "fault at c"]
 
 
-def test_equal_words_are_counted() -> None:
+def test_equal_entries_are_counted() -> None:
     """The most frequent first."""
     assert count(["a", "b", "b"]) == "b x2, a"
 
 
 def test_the_table_has_a_line_for_each_measurement(tmp_path: Path) -> None:
-    """Read back from the JSON of earlier runs; what does not hold says so."""
+    """Read from the JSON of earlier runs; a failed row is marked."""
     file = tmp_path / "before.json"
     file.write_text(as_json([row([opened(101.0), action(102.0, "started")])], "2 cores", "before"))
     words, rows = from_json(file)
@@ -115,14 +117,14 @@ def test_the_table_has_a_line_for_each_measurement(tmp_path: Path) -> None:
     assert cells(row([])) == ("none", "none", "all OK")
 
 
-def test_the_page_has_room_for_the_table() -> None:
-    """docs/reference/recovery.md has the marks, in their order, once."""
+def test_the_page_has_the_marks_of_the_table() -> None:
+    """docs/reference/recovery.md has each mark once, in order."""
     page = (ROOT / "docs" / "reference" / "recovery.md").read_text("utf-8")
     assert page.count(BEGIN) == page.count(END) == 1
     assert page.index(BEGIN) < page.index(END)
 
 
 def test_each_fault_is_starved_for_longer_than_an_overload_lasts() -> None:
-    """An overload ends by itself before it is judged, and every fault of the plan is played by default."""
+    """An overload ends by itself before it is scored, and every fault of the plan is injected by default."""
     assert starvation.OVERLOADED_S > starvation.LASTS_S
     assert set(STARVING) < set(starvation.ROWS)

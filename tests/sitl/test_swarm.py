@@ -1,4 +1,6 @@
-"""The swarm's pure parts: options, node graph, PHM's configuration of each agent, how an agent stands, the lock, the commands."""
+"""The swarm without containers: options, node graph, PHM's configuration of each agent, an agent's health, lock,
+commands.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ from tests.fakes.until import until
 
 
 def settings(options: Options, number: int) -> Any:
-    """PHM's own reading of what it is given."""
+    """PHM's own parsing of the generated configuration."""
     environ = {
         "PHM_AGENT": f"agent_{number}",
         "PHM_AGENT_ID": str(number),
@@ -37,8 +39,8 @@ def settings(options: Options, number: int) -> Any:
 # ---------------------------------------------------------------- configuration
 
 
-def test_phm_takes_the_configuration_of_each_agent() -> None:
-    """Without a complaint, with its own names, and with all others as its swarm."""
+def test_phm_accepts_the_configuration_of_each_agent() -> None:
+    """Without a problem, with its own names, and with all others as its swarm."""
     for number in (1, 8):
         found = settings(Options(agents=8), number)
         assert found.agent.name == f"agent_{number}"
@@ -47,8 +49,8 @@ def test_phm_takes_the_configuration_of_each_agent() -> None:
         assert [node.name for node in found.ros.nodes] == [f"/agent_{number}/node_{node}" for node in (1, 2, 3)]
 
 
-def test_the_ground_and_the_peers_are_reached_by_ways_of_their_own() -> None:
-    """One endpoint to the router, behind which radio and autopilot must be; one to the other agents."""
+def test_the_ground_and_the_peers_have_separate_endpoints() -> None:
+    """One endpoint to the router, behind which a radio and an autopilot are required; one to the other agents."""
     router, peers = settings(Options(agents=4), 3).mavlink.endpoints
     assert (router.leads_to, router.radio, router.container) == ("router", "required", "router")
     assert (peers.leads_to, peers.to_ground, peers.to_autopilot) == ("peers", False, False)
@@ -56,7 +58,7 @@ def test_the_ground_and_the_peers_are_reached_by_ways_of_their_own() -> None:
     assert peers.url.endswith(":14603")
 
 
-def test_the_router_aboard_is_a_container_that_phm_may_start() -> None:
+def test_the_router_is_a_container_that_phm_may_start() -> None:
     """Beside the application, which stays the first; each agent has its own."""
     _, router = settings(Options(agents=4, name="flock"), 3).containers
     assert (router.name, router.key, router.recover, router.flight_critical) == (
@@ -68,13 +70,13 @@ def test_the_router_aboard_is_a_container_that_phm_may_start() -> None:
 
 
 def test_each_agent_has_its_own_ports() -> None:
-    """Nobody shares a router or a radio."""
+    """Agents share neither router nor radio."""
     urls = [endpoint["url"] for number in range(1, 25) for endpoint in config.endpoints(Options(agents=24), number)]
     assert len(set(urls)) == len(urls)
 
 
 def test_lines_of_the_shipped_configuration_can_be_changed() -> None:
-    """For a fault that needs it, on top of what all agents of the swarm have."""
+    """For a fault that needs it, in addition to the common changes of the swarm."""
     options = Options(changes={"  patience: 10s": "  patience: 7s"})
     assert yaml.safe_load(config.text(options, 1))["recovery"]["patience"] == "7s"
     more = {"  backoff: 1s": "  backoff: 3s"}
@@ -83,8 +85,8 @@ def test_lines_of_the_shipped_configuration_can_be_changed() -> None:
         config.text(options, 1, {"no such line": ""})
 
 
-def test_the_mode_of_recovery_is_the_swarms() -> None:
-    """`--mode off` is how a campaign proves that nothing happens by itself."""
+def test_the_recovery_mode_applies_to_the_swarm() -> None:
+    """`--mode off` lets a campaign prove that nothing changes without recovery."""
     assert settings(Options(mode="off"), 1).recovery.mode == "off"
 
 
@@ -99,8 +101,8 @@ def test_a_ring_is_closed() -> None:
     )
 
 
-def test_a_graph_of_ones_own_is_what_phm_watches(tmp_path: Path) -> None:
-    """Nodes, topics, rates, publishers and subscribers; a topic without subscribers needs none."""
+def test_phm_monitors_a_custom_graph(tmp_path: Path) -> None:
+    """Nodes, topics, rates, publishers and subscribers; a topic may have no subscribers."""
     file = tmp_path / "graph.yaml"
     file.write_text(
         "nodes:\n- {name: camera, publish: {image: 5}}\n- {name: planner, publish: {path: 1}, subscribe: [image]}\n"
@@ -112,8 +114,8 @@ def test_a_graph_of_ones_own_is_what_phm_watches(tmp_path: Path) -> None:
     assert (path.publishers, path.subscribers) == (["/agent_2/planner"], [])
 
 
-def test_a_graph_comes_through_as_it_was_read() -> None:
-    """What the application's container is told is JSON of the same graph."""
+def test_a_graph_is_passed_on_unchanged() -> None:
+    """The application's container gets JSON of the same graph."""
     plans = graph.ring(3, 2.5)
     assert graph.read(json.loads(json.dumps([plan.as_words() for plan in plans]))) == plans
 
@@ -132,13 +134,13 @@ def test_a_graph_comes_through_as_it_was_read() -> None:
     ],
     ids=lambda value: str(value)[:30],
 )
-def test_a_graph_with_a_mistake_is_refused(found: Any, said: str) -> None:
-    """Which entry, what is wrong, what is allowed."""
+def test_an_invalid_graph_is_rejected(found: Any, said: str) -> None:
+    """The message has the entry, the problem, and what is allowed."""
     with pytest.raises(ValueError, match=said):
         graph.read(found)
 
 
-# ---------------------------------------------------------------- how an agent stands
+# ---------------------------------------------------------------- health of an agent
 
 
 def events(*found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -152,8 +154,8 @@ def unit(name: str, level: str, event: str = "transition") -> dict[str, Any]:
     return {"event": event, "unit": name, "level": level}
 
 
-def test_an_agent_is_well_when_a_report_was_made_and_every_unit_is_ok() -> None:
-    """What was STALE in the report and became OK since counts as OK; an open fault does not."""
+def test_an_agent_is_healthy_after_a_report_with_every_unit_ok() -> None:
+    """A unit that was STALE in the report and became OK since counts as OK; an open fault does not."""
     standing = Health()
     standing.feed(events(unit("nodes/a", "STALE", "unit"), REPORT))
     assert not standing.well
@@ -166,23 +168,23 @@ def test_an_agent_is_well_when_a_report_was_made_and_every_unit_is_ok() -> None:
     assert standing.well
 
 
-def test_a_restart_of_phm_begins_anew() -> None:
-    """What the run before had found proves nothing; faults that were open stay so until PHM closes them."""
+def test_a_restart_of_phm_resets_the_health() -> None:
+    """Results of the previous run prove nothing; open faults stay open until PHM closes them."""
     standing = Health()
     standing.feed(events(unit("files/a", "OK", "unit"), REPORT, {"event": "start"}))
     assert standing.why == "no report of PHM yet"
 
 
-def test_a_record_that_stands_still_is_not_well() -> None:
-    """A dead PHM leaves a record in which all was well."""
+def test_an_outdated_record_is_not_healthy() -> None:
+    """A dead PHM leaves a record in which everything was OK."""
     standing = Health()
     standing.feed(events(REPORT))
     assert standing.why_not(110.0, 35.0) == ""
     assert standing.why_not(140.0, 35.0) == "PHM has written nothing for 40 s"
 
 
-def test_what_loads_the_machine_is_not_the_swarms() -> None:
-    """Where that is asked for, units of the machine are not looked at."""
+def test_host_units_can_be_excluded() -> None:
+    """On request, units of the machine are ignored."""
     loaded = events(REPORT, unit("host/cpu", "ERROR"), {"event": "fault_opened", "fault": "x-1", "unit": "host/cpu"})
     everything, agent = Health(), Health(but=(MACHINE,))
     everything.feed(loaded)
@@ -191,7 +193,7 @@ def test_what_loads_the_machine_is_not_the_swarms() -> None:
     assert agent.well
 
 
-# ---------------------------------------------------------------- place, options, commands
+# ---------------------------------------------------------------- workspace, options, commands
 
 
 @pytest.fixture(autouse=True)
@@ -201,14 +203,14 @@ def base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("name", ["", "A", "a_b", "-a", "../x", "a" * 41, "x-air"])
-def test_a_name_that_compose_would_not_take_is_refused(name: str) -> None:
-    """Nor one that leaves the folder, or is that of another swarm's air."""
+def test_an_invalid_swarm_name_is_rejected(name: str) -> None:
+    """One that Compose would not accept, that leaves the folder, or that another swarm's emulator uses."""
     with pytest.raises(ValueError, match="is not a name for a swarm"):
         workspace.folder(name)
 
 
-def test_one_command_at_a_time_works_on_a_swarm(base: Path) -> None:
-    """A second one is told who is at work; swarms of other names are free."""
+def test_a_swarm_is_locked_for_one_command_at_a_time(base: Path) -> None:
+    """A second command gets an error that names the first; swarms with other names are not locked."""
     with workspace.locked("one", 0.0):
         with pytest.raises(RuntimeError, match="another command works on this swarm"), workspace.locked("one", 0.0):
             pass
@@ -218,8 +220,8 @@ def test_one_command_at_a_time_works_on_a_swarm(base: Path) -> None:
         pass
 
 
-def test_a_child_keeps_the_lock_of_a_parent_that_was_killed(base: Path) -> None:
-    """So `down` does not begin while a Compose of a killed `up` is still making things."""
+def test_a_child_keeps_the_lock_of_a_killed_parent(base: Path) -> None:
+    """So `down` does not begin while a Compose process of a killed `up` is still creating containers."""
     code = (
         "import subprocess, sys, os, time\n"
         "from sitl.swarm import workspace\n"
@@ -248,8 +250,8 @@ def test_a_child_keeps_the_lock_of_a_parent_that_was_killed(base: Path) -> None:
 
 
 @pytest.mark.parametrize("agents", [0, 25])
-def test_too_many_agents_are_refused(agents: int) -> None:
-    """Before anything is made."""
+def test_too_many_agents_are_rejected(agents: int) -> None:
+    """Before anything is created."""
     with pytest.raises(ValueError, match="allowed are 1 to 24"):
         Swarm(Options(agents=agents))
 
@@ -257,10 +259,12 @@ def test_too_many_agents_are_refused(agents: int) -> None:
 @pytest.mark.parametrize(
     "words", [["status"], ["inject", "node_killed"], ["clear"], ["logs"]], ids=lambda words: words[0]
 )
-def test_without_a_swarm_the_next_step_is_said(words: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_swarm_is_reported_with_the_next_step(
+    words: Sequence[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     """Exit code 1, and what to do."""
-    assert main([*words, "--name", "nobody"]) == 1
-    assert "python -m sitl up --name nobody" in capsys.readouterr().err
+    assert main([*words, "--name", "unused"]) == 1
+    assert "python -m sitl up --name unused" in capsys.readouterr().err
 
 
 def test_faults_are_listed_without_a_swarm(capsys: pytest.CaptureFixture[str]) -> None:
@@ -273,8 +277,8 @@ def test_faults_are_listed_without_a_swarm(capsys: pytest.CaptureFixture[str]) -
 
 
 @pytest.mark.parametrize("idle", ["total_inactive_file", "inactive_file"])
-def test_cost_is_what_the_engine_counted_between_two_looks(idle: str) -> None:
-    """Processor time by the time between the answers, and memory without what the kernel could drop."""
+def test_cost_is_computed_from_two_samples_of_the_engine(idle: str) -> None:
+    """CPU time divided by the time between the samples, and memory without what the kernel could reclaim."""
 
     def stats(used_s: float) -> dict[str, Any]:
         memory = {"usage": 90e6, "stats": {idle: 20e6}}

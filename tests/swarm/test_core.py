@@ -1,4 +1,4 @@
-"""Peers, consensus, election and digest, with agents that are played on one clock."""
+"""Peers, consensus, election and digest, with simulated agents on one clock."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PERIOD_S = 2.0
 
 
 class Swarm:
-    """Agents that hear each other as `hears` allows; each sends a heartbeat and a view a period."""
+    """Agents that receive each other as `hears` permits; each sends a heartbeat and a view per period."""
 
     def __init__(self, agents: Iterable[int], gcs: Iterable[int] | None = None) -> None:
         self.agents = list(agents)
@@ -55,7 +55,7 @@ class Swarm:
         return compute_consensus(self.peers[by], self.now, by in self.gcs)
 
 
-def test_all_agree_that_all_live() -> None:
+def test_all_agents_agree_that_all_are_alive() -> None:
     swarm = Swarm(range(1, 9))
     swarm.run(20)
     for agent in swarm.agents:
@@ -75,8 +75,8 @@ def test_a_dead_agent_is_lost_for_all() -> None:
         assert agreed.members == 8
 
 
-def test_one_that_does_not_hear_does_not_make_lost() -> None:
-    """The agent without a GCS itself learns from the others that the agent lives."""
+def test_one_agent_without_reception_does_not_make_a_peer_lost() -> None:
+    """The agent without a GCS learns from the others that the peer is alive."""
     swarm = Swarm(range(1, 6))
     swarm.run(20)
     swarm.cut = {(3, 1)}
@@ -89,7 +89,7 @@ def test_one_that_does_not_hear_does_not_make_lost() -> None:
         assert status.heard_by == tuple({2, 4, 5})
 
 
-def test_more_who_lost_it_than_hear_it_is_lost_and_dissent_is_shown() -> None:
+def test_a_peer_that_most_agents_lost_is_lost_and_dissent_is_shown() -> None:
     swarm = Swarm(range(1, 7))
     swarm.run(20)
     swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
@@ -110,9 +110,10 @@ def test_a_split_network_is_reported_on_both_sides_and_recovers() -> None:
     assert swarm.agreed(1).lost == swarm.agreed(8).lost == ()
 
 
-def test_what_is_heard_did_not_vanish() -> None:
-    """A split heals, and the other half hears one agent of ours; its views still say that the rest of us is lost, which
-    no one believes that hears them."""
+def test_a_received_peer_did_not_vanish() -> None:
+    """A split ends, and the other half receives one of our agents; its views still report the rest of us as lost, which
+    does not convince an agent that receives them.
+    """
     swarm = Swarm(range(1, 9))
     swarm.run(20)
     swarm.separate((1, 2, 3), (4, 5, 6, 7, 8))
@@ -125,7 +126,7 @@ def test_what_is_heard_did_not_vanish() -> None:
     assert agreed.split == ()
 
 
-def test_agents_that_die_one_after_another_are_no_split() -> None:
+def test_agents_that_die_one_after_another_are_not_a_split() -> None:
     swarm = Swarm(range(1, 6))
     swarm.run(20)
     swarm.down = {4}
@@ -146,14 +147,14 @@ def test_the_first_loss_is_late_before_it_is_lost() -> None:
 
 
 def test_a_slower_peer_is_not_late() -> None:
-    """It sends every 10 s where we send every 2 s: learned from its own gaps."""
+    """It sends every 10 s where we send every 2 s: its period is learned from its own gaps."""
     peers = Peers(1, 2.0)
     for at in range(0, 200, 10):
         peers.heartbeat(2, WELL, float(at))
     assert peers.states(200.0)[2] is PeerState.ALIVE
 
 
-def test_who_was_stopped_on_purpose_has_left() -> None:
+def test_an_agent_stopped_on_purpose_has_left() -> None:
     swarm = Swarm(range(1, 4))
     swarm.run(20)
     for hearer in (1, 2):
@@ -164,8 +165,8 @@ def test_who_was_stopped_on_purpose_has_left() -> None:
     assert swarm.agreed(1).members == 2
 
 
-def test_an_agent_that_is_not_listed_counts_for_nothing() -> None:
-    """It is named as a stranger while it is heard; where no agent is listed it is a member like any other."""
+def test_an_unlisted_agent_has_no_vote() -> None:
+    """It is named as unlisted while it is received; where no agents are listed it is a regular member."""
     listed, open_ = Peers(1, PERIOD_S, [1, 2, 3]), Peers(1, PERIOD_S)
     for peers in (listed, open_):
         for at in range(0, 20, 2):
@@ -179,15 +180,15 @@ def test_an_agent_that_is_not_listed_counts_for_nothing() -> None:
     assert listed.unlisted(200.0) == ()
 
 
-def test_a_list_of_this_agent_alone_is_a_list() -> None:
-    """It flies without others, and no other agent may join it."""
+def test_a_list_of_only_this_agent_is_respected() -> None:
+    """It flies alone, and no other agent may join it."""
     peers = Peers(1, PERIOD_S, [1])
     peers.heartbeat(2, WELL, 0.0, frame=1)
     assert (peers.states(0.0), peers.agents_on_links(0.0), peers.unlisted(0.0)) == ({}, 1, (2,))
 
 
 def test_a_received_agent_is_not_lost_by_votes_of_others() -> None:
-    """However many observers say so; for who does not hear it itself, the majority counts as usual."""
+    """However many observers report it lost; for an agent that does not receive it, the majority counts as usual."""
     swarm = Swarm(range(1, 7))
     swarm.run(20)
     swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
@@ -196,8 +197,10 @@ def test_a_received_agent_is_not_lost_by_votes_of_others() -> None:
     assert swarm.agreed(1).statuses[3].state is MemberState.LOST
 
 
-def test_the_share_changes_slowly_and_comes_back() -> None:
-    """A burst of made-up senders does nothing, a steady flood of them twice as much a minute, and its end undoes it."""
+def test_the_budget_share_changes_slowly_and_returns() -> None:
+    """A burst of invented senders has no effect, a lasting flood halves the share every minute at most, and its end
+    restores it.
+    """
     share = SmoothedAgentCount(1, 0.0)
     assert [share.update(count, float(at)) for at, count in enumerate((1, 8, 3))] == [1, 8, 7]
     share, now = SmoothedAgentCount(3, 0.0), 0.0
@@ -213,15 +216,15 @@ def test_the_share_changes_slowly_and_comes_back() -> None:
     assert peers.agents_on_links(1.0) == 1
 
 
-def test_a_member_that_never_came_is_never_seen() -> None:
+def test_a_member_that_was_never_received_is_never_seen() -> None:
     swarm = Swarm(range(1, 5))
     swarm.down = {4}
     swarm.run(20)
     assert swarm.agreed(1).statuses[4].state is MemberState.NEVER
 
 
-def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
-    """Two senders count their frames each for itself; a restart falls back once; loss and reordering never do."""
+def test_a_duplicate_id_is_detected_and_a_restart_is_not() -> None:
+    """Two senders count their frames separately; a restart resets the count once; loss and reordering never do."""
     peers = Peers(1, PERIOD_S)
     for at, frame in enumerate((250, 252, 5, 4, 60, 61, 0, 1, 2)):  # lost, reordered, restarted at 0
         peers.heartbeat(2, WELL, 2.0 * at, frame=frame)
@@ -234,8 +237,8 @@ def test_an_id_used_twice_is_noticed_and_a_restart_is_not() -> None:
 
 
 @pytest.mark.parametrize("behind", [0, 1, 5, 8])
-def test_twins_that_were_switched_on_together_are_noticed(behind: int) -> None:
-    """Their numbers are never far apart, and their words the same except in one of them."""
+def test_duplicates_that_were_started_together_are_detected(behind: int) -> None:
+    """Their sequence numbers are always close, and their status words equal except in one of them."""
     peers = Peers(1, PERIOD_S)
     for turn in range(12):
         peers.heartbeat(2, WELL, 2.0 * turn, frame=turn + behind)
@@ -243,8 +246,8 @@ def test_twins_that_were_switched_on_together_are_noticed(behind: int) -> None:
     assert peers.duplicate_ids(24.0) == (2,)
 
 
-def test_twins_that_say_the_same_are_noticed_by_what_they_say_between() -> None:
-    """Each sends a line now and then; a heartbeat with the number of a line was not heard before."""
+def test_duplicates_with_equal_heartbeats_are_detected_by_other_messages() -> None:
+    """Each sends a line now and then; a heartbeat with the number of such a line was not received before."""
     peers = Peers(1, PERIOD_S)
     first, second = 4, 0
     for turn in range(30):
@@ -255,7 +258,7 @@ def test_twins_that_say_the_same_are_noticed_by_what_they_say_between() -> None:
 
 
 def test_a_late_copy_is_not_a_duplicate_id() -> None:
-    """The same heartbeats once more, three of them later, by the same link."""
+    """The same heartbeats once more, three heartbeats later, by the same link."""
     peers = Peers(1, PERIOD_S)
     for turn in range(100):
         peers.heartbeat(2, WELL, 2.0 * turn, frame=turn % 256)
@@ -265,7 +268,7 @@ def test_a_late_copy_is_not_a_duplicate_id() -> None:
 
 
 def test_the_same_frame_by_two_links_is_not_a_duplicate_id() -> None:
-    """Routers hand a frame on by several links, each with a delay of its own."""
+    """Routers forward a frame on several links, each with its own delay."""
     peers = Peers(1, PERIOD_S)
     for frame in range(200):
         peers.heartbeat(2, WELL, 2.0 * frame, frame=frame, link="radio")
@@ -273,7 +276,7 @@ def test_the_same_frame_by_two_links_is_not_a_duplicate_id() -> None:
     assert peers.duplicate_ids(400.0) == ()
 
 
-def test_our_own_frames_are_no_peer() -> None:
+def test_our_own_frames_are_not_a_peer() -> None:
     peers = Peers(7, PERIOD_S)
     assert not peers.heartbeat(7, WELL, 0.0)
     assert not peers.add_view(7, PeerView(0, True, True, True), 0.0)
@@ -287,7 +290,7 @@ def test_an_agent_without_its_ground_radio_is_named() -> None:
     assert without_gcs(swarm.agreed(3), own_gcs=False) == (3,)
 
 
-def test_a_ground_that_all_have_lost_is_not_a_radio_failure() -> None:
+def test_a_ground_station_that_all_have_lost_is_not_a_radio_failure() -> None:
     swarm = Swarm(range(1, 5), gcs=())
     swarm.run(20)
     assert without_gcs(swarm.agreed(1), own_gcs=False) == ()
@@ -307,7 +310,7 @@ def test_the_lowest_agent_that_receives_the_ground_leads() -> None:
     assert LeaderElection().leader(consensus({1: False}), False, 0.0) is None
 
 
-def test_a_better_speaker_waits_until_it_is_steady() -> None:
+def test_a_better_leader_waits_until_it_is_stable() -> None:
     election = LeaderElection()
     assert election.leader(consensus({3: True}), True, 0.0) == 3
     for at in range(int(STEADY_S)):
@@ -316,7 +319,7 @@ def test_a_better_speaker_waits_until_it_is_steady() -> None:
     assert election.leader(consensus({1: True, 3: True}), True, 20.0 + STEADY_S) == 1
 
 
-def test_a_speaker_that_dies_is_replaced_at_once() -> None:
+def test_a_dead_leader_is_replaced_immediately() -> None:
     election = LeaderElection()
     election.leader(consensus({1: True, 2: True}), True, 0.0)
     assert election.leader(consensus({2: True}), True, 1.0) == 2
@@ -325,7 +328,7 @@ def test_a_speaker_that_dies_is_replaced_at_once() -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.sets(st.integers(1, 20), min_size=1, max_size=12), st.data())
 def test_all_elect_the_same_once_views_have_settled(agents: set[int], data: st.DataObject) -> None:
-    """Whichever agents are down or receive the ground: in a connected network all agents that are alive name one leader."""
+    """Whichever agents are down or receive the ground: in a connected network all live agents elect one leader."""
     down = data.draw(st.sets(st.sampled_from(sorted(agents))))
     gcs = data.draw(st.sets(st.sampled_from(sorted(agents))))
     swarm = Swarm(sorted(agents), gcs)
@@ -342,7 +345,7 @@ def test_all_elect_the_same_once_views_have_settled(agents: set[int], data: st.D
 # ------------------------------------------------------------ digest
 
 
-def told(words: dict[int, int], lost: Iterable[int] = (), own: int = 1) -> dict[int, tuple[Level, str]]:
+def statuses_of(words: dict[int, int], lost: Iterable[int] = (), own: int = 1) -> dict[int, tuple[Level, str]]:
     statuses = {
         a: MemberStatus(MemberState.LOST if a in lost else MemberState.ALIVE, word=word)
         for a, word in words.items()
@@ -368,14 +371,14 @@ def bad(slot: Slot, level: Level = Level.ERROR) -> int:
     ],
 )
 def test_the_line_names_agents_that_are_not_ok(words: dict[int, int], lost: tuple[int, ...], line: str) -> None:
-    assert digest.digest_line(told(words, lost)) == line
+    assert digest.digest_line(statuses_of(words, lost)) == line
 
 
 @given(st.dictionaries(st.integers(1, 250), st.integers(0, 2**32 - 1), min_size=1), st.data())
-def test_the_line_is_always_short(words: dict[int, int], data: st.DataObject) -> None:
+def test_the_line_always_fits(words: dict[int, int], data: st.DataObject) -> None:
     own = data.draw(st.sampled_from(sorted(words)))
     lost = data.draw(st.sets(st.sampled_from(sorted(words)))) - {own}
-    line = digest.digest_line(told(words, lost, own))
+    line = digest.digest_line(statuses_of(words, lost, own))
     assert len(line) <= 50
     assert line.isascii()
 
@@ -392,7 +395,7 @@ def test_an_agent_without_a_gcs_is_named_unless_it_has_a_worse_failure() -> None
 
 
 def test_a_lost_gcs_does_not_hide_other_failures() -> None:
-    """It misses the ground by itself (slot 1 or 11, and 10 not known); what the ground wants to know is how it is otherwise."""
+    """It reports its own lost ground link (slot 1 or 11, and 10 unknown); the ground needs its other states."""
     way = {Slot.COMPANION: Level.ERROR, Slot.RADIO: Level.ERROR, Slot.AUTOPILOT: Level.STALE}
     well, broken = (
         dict.fromkeys(list(Slot)[:8], Level.OK) | way | more for more in ({}, {Slot.CONTAINER: Level.ERROR})

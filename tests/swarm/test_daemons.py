@@ -1,5 +1,6 @@
-"""Five whole daemons on sockets of this machine: heartbeats, views and digests by UDP, with a split, an agent without a GCS, a restart and
-an id that is used twice."""
+"""Five real daemons on sockets of this machine: heartbeats, views and digests by UDP, with a split, an agent without a
+GCS, a restart and a duplicate id.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ OFF = ("host", "engine", "path", "autopilot", "radio")
 
 
 class Fleet:
-    """Agents 1 to 5, and place for one more that claims to be agent 3."""
+    """Agents 1 to 5, and optionally another one that claims to be agent 3."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.mesh = folder, Mesh([*sorted(ALL), "clone"])
@@ -65,7 +66,7 @@ class Fleet:
     def states(self, name: str) -> dict[int, str]:
         return {agent: peer.state for agent, peer in self.sees(name).peers.items()}
 
-    def well(self) -> bool:
+    def all_ok(self) -> bool:
         return all(set(self.states(name).values()) <= {"alive", "late"} for name in sorted(ALL)) and not any(
             self.sees(name).no_gcs or self.sees(name).duplicate_ids for name in ALL
         )
@@ -74,7 +75,7 @@ class Fleet:
         until(wanted, what, lambda: ({name: self.states(name) for name in self.daemons}, self.mesh.lines[-12:]))
 
     def read(self, text: str, *, by: int | None = None) -> bool:
-        """Whether the ground has read this line, from that agent."""
+        """Whether the ground has received this line from that agent."""
         return any(line == text and by in (None, sender) for sender, line in list(self.mesh.lines))
 
 
@@ -87,25 +88,27 @@ def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
 
 @pytest.fixture
 def fleet(swarm: Fleet) -> Fleet:
-    """All five there and well, whatever the test before has done."""
+    """All five running and OK, whatever the previous test has done."""
     swarm.mesh.apart, swarm.mesh.no_gcs = (), frozenset()
-    swarm.until(swarm.well, "all agents to be well")
+    swarm.until(swarm.all_ok, "all agents to be OK")
     swarm.mesh.lines.clear()
     swarm.mesh.payloads.clear()
     return swarm
 
 
-def test_a_restarted_agent_leaves_and_comes_back(fleet: Fleet) -> None:
-    """It announces its end, so it is not lost. Back again it is alive, and not a duplicate id."""
+def test_a_restarted_agent_leaves_and_returns(fleet: Fleet) -> None:
+    """It announces its shutdown, so it is not lost. After its return it is alive, and not a duplicate id."""
     fleet.stop("a2")
     fleet.until(lambda: fleet.states("a5")[2] == "left", "agent 2 to leave")
     assert fleet.sees("a5").members == 4
     fleet.start("a2", 2)
-    fleet.until(fleet.well, "agent 2 to be back")
+    fleet.until(fleet.all_ok, "agent 2 to be back")
 
 
-def test_all_hear_each_other_and_one_speaks(fleet: Fleet) -> None:
-    """Views are exchanged, so each agent knows which agents receive each other; the digest of the leader has the status of all."""
+def test_all_receive_each_other_and_one_leads(fleet: Fleet) -> None:
+    """Views are exchanged, so each agent knows which agents receive each other; the leader's digest has the status of
+    all.
+    """
     fleet.until(
         lambda: all(set(peer.heard_by) == set(IDS) for name in ALL for peer in fleet.sees(name).peers.values()), "views"
     )
@@ -117,30 +120,34 @@ def test_all_hear_each_other_and_one_speaks(fleet: Fleet) -> None:
 
     def digested() -> bool:
         read = [(sender, tunnel.decode(payload)) for sender, payload in list(fleet.mesh.payloads)]
-        return any(isinstance(told, tunnel.SwarmDigest) and (sender, told.alive) == (1, 5) for sender, told in read)
+        return any(
+            isinstance(payload_, tunnel.SwarmDigest) and (sender, payload_.alive) == (1, 5) for sender, payload_ in read
+        )
 
     fleet.until(digested, "the digest")
 
 
 def test_an_agent_that_the_ground_does_not_reach_is_reported_by_its_peers(fleet: Fleet) -> None:
-    """Its own words do not arrive; the leader says who hears it and how it is."""
+    """Its own messages do not arrive; the leader reports which agents receive it and its state."""
     fleet.mesh.no_gcs = frozenset({"a3"})
     fleet.until(lambda: fleet.sees("a1").no_gcs == (3,), "the agent without a GCS")
     fleet.until(lambda: fleet.read("A03 no GCS radio, heard by A01 A02 A04 A05: OK", by=1), "the relayed line")
 
 
-def test_both_sides_of_a_split_know_it_and_it_heals(fleet: Fleet) -> None:
-    """Each side calls the other lost and split, and has a leader; together again they are one swarm."""
+def test_both_sides_of_a_split_detect_it_and_it_ends(fleet: Fleet) -> None:
+    """Each side reports the other as lost and the split, and has a leader; reconnected they are one swarm."""
     fleet.mesh.apart = (frozenset({"a1", "a2"}), frozenset({"a3", "a4", "a5"}))
     fleet.until(lambda: fleet.sees("a1").split == (3, 4, 5) and fleet.sees("a5").split == (1, 2), "the split")
     fleet.until(lambda: fleet.read("SWARM 2/5 FAIL A03:lost A04:lost A05:lost", by=1), "one side's line")
     fleet.until(lambda: fleet.read("SWARM 3/5 FAIL A01:lost A02:lost", by=3), "the other side's line")
     fleet.mesh.apart = ()
-    fleet.until(fleet.well, "the swarm to be whole")
+    fleet.until(fleet.all_ok, "the swarm to be complete")
 
 
-def test_two_agents_with_one_id_are_found_out(fleet: Fleet) -> None:
-    """By the others, from their frames' numbers, however near these are; by both of them, who hear their own identity."""
+def test_two_agents_with_one_id_are_detected(fleet: Fleet) -> None:
+    """By the others, from the sequence numbers, however close these are; by both of them, who receive their own
+    identity.
+    """
     fleet.start("clone", 3, off=OFF[1:])
     fleet.until(lambda: fleet.sees("a1").duplicate_ids == fleet.sees("a5").duplicate_ids == (3,), "the clash")
     for name in ("a3", "clone"):

@@ -1,4 +1,4 @@
-"""Whole swarms with the real probe, reporters and budgets: who leads, what the ground reads, what it costs."""
+"""Entire swarms with the real probe, reporters and budgets: which agent leads, what the ground receives, what it costs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sitl.simulation.fleet import Fleet
 from tests.fakes.mavlink import Sender, heartbeat
 
 
-def test_one_agent_leads_and_its_line_is_not_spoken_again() -> None:
+def test_one_agent_leads_and_its_line_is_not_repeated() -> None:
     fleet = Fleet(8)
     fleet.run(60)
     assert {agent.probe.look().leader for agent in fleet.agents.values()} == {1}
@@ -43,8 +43,8 @@ def test_an_agent_without_its_ground_radio_is_reported_by_its_peers() -> None:
     assert fleet.lines(4) == []
 
 
-def test_a_new_speaker_repeats_nothing_aloud() -> None:
-    """Nothing has changed for A03; the earlier leader had reported it to the ground."""
+def test_a_new_leader_repeats_no_alarm() -> None:
+    """Nothing has changed for A03; the previous leader had reported it to the ground."""
     fleet = Fleet(4)
     fleet.no_gcs = {3}
     fleet.run(60)
@@ -56,7 +56,7 @@ def test_a_new_speaker_repeats_nothing_aloud() -> None:
 
 
 def test_unreported_changes_of_a_lost_leader_are_reported_by_the_next() -> None:
-    """A03 fails in the moment in which the leader dies."""
+    """A03 fails at the moment the leader dies."""
     fleet = Fleet(4)
     fleet.no_gcs = {3}
     fleet.run(60)
@@ -67,8 +67,8 @@ def test_unreported_changes_of_a_lost_leader_are_reported_by_the_next() -> None:
     assert [line.partition(",")[0] for line in fleet.lines(4)] == ["A03 no GCS radio"]
 
 
-def test_a_new_ground_station_gets_the_relayed_agents_again() -> None:
-    """As each agent sends it its full state, the leader does for those that cannot."""
+def test_a_new_ground_station_receives_relayed_agents_again() -> None:
+    """As each agent sends its full state, the leader does so for agents that cannot."""
     fleet = Fleet(4)
     fleet.no_gcs = {3}
     fleet.run(60)
@@ -81,8 +81,8 @@ def test_a_new_ground_station_gets_the_relayed_agents_again() -> None:
     assert fleet.lines(4) == ["A03 no GCS radio, heard by A01 A02 A04: OK"]
 
 
-def test_an_agent_at_the_edge_of_its_radio_is_not_reported_each_time() -> None:
-    """It loses and finds the ground every quarter of a minute, and fails and recovers meanwhile."""
+def test_an_agent_at_the_edge_of_radio_range_is_not_reported_each_time() -> None:
+    """It loses and regains the ground every 15 s, and fails and recovers meanwhile."""
     fleet = Fleet(4)
     fleet.run(60)
     fleet.no_gcs = {3}
@@ -91,15 +91,15 @@ def test_an_agent_at_the_edge_of_its_radio_is_not_reported_each_time() -> None:
     for turn in range(40):
         fleet.agents[3].become("container/app", Level.OK if turn % 2 else Level.ERROR, "app exited")
         fleet.run(6)
-    told = fleet.lines(5)
-    assert "A03 no GCS radio: flapping" in told
-    assert len(told) < 10
+    received = fleet.lines(5)
+    assert "A03 no GCS radio: flapping" in received
+    assert len(received) < 10
     fleet.run(60)
     assert len(fleet.lines(5)) <= 1
 
 
 def test_views_list_the_agents_that_an_agent_receives() -> None:
-    """The ground, the autopilot and the radio; a change goes out at once."""
+    """The ground, the autopilot and the radio; a change is sent immediately."""
     fleet = Fleet(2)
     fleet.run(30)
 
@@ -115,7 +115,7 @@ def test_views_list_the_agents_that_an_agent_receives() -> None:
     assert view() == (True, True, True)
 
 
-def test_a_radio_that_comes_back_takes_the_word_back() -> None:
+def test_the_leader_stops_relaying_when_a_radio_returns() -> None:
     fleet = Fleet(4)
     fleet.no_gcs = {3}
     fleet.run(60)
@@ -127,7 +127,7 @@ def test_a_radio_that_comes_back_takes_the_word_back() -> None:
     assert "SWARM 4/4 OK" in fleet.lines()
 
 
-def test_both_sides_of_a_split_speak_for_themselves() -> None:
+def test_both_sides_of_a_split_have_their_own_leader() -> None:
     fleet = Fleet(6)
     fleet.run(60)
     fleet.cut = {pair for a in (1, 2) for b in (3, 4, 5, 6) for pair in ((a, b), (b, a))}
@@ -141,9 +141,10 @@ def test_both_sides_of_a_split_speak_for_themselves() -> None:
     assert {agent.probe.look().living for agent in fleet.agents.values()} == {6}
 
 
-def test_a_swarm_that_falls_in_two_knows_it_before_single_agents_are_missed() -> None:
-    """Five minutes in, with heartbeats at times of their own: a cut agent and both halves of a split know it within 3.5 s of it, and
-    never call one agent lost on the way there."""
+def test_a_split_is_detected_before_single_agents_are_lost() -> None:
+    """Five minutes in, with heartbeats at different times: a cut agent and both halves of a split detect it within 3.5
+    s, and never report a single agent as lost before.
+    """
     fleet = Fleet(8)
     for number, agent in fleet.agents.items():
         agent.reporters[0]._heartbeat_at += 3 * number % 8 / 4  # type: ignore[union-attr]
@@ -171,7 +172,7 @@ def test_a_swarm_that_falls_in_two_knows_it_before_single_agents_are_missed() ->
 
 @pytest.mark.parametrize("loss", [0.0, 0.1])
 def test_no_agent_is_lost_in_a_lossy_network(loss: float) -> None:
-    """Ten minutes with a tenth of all frames gone: no agent is ever agreed to be lost."""
+    """Ten minutes with a tenth of all frames lost: consensus never declares an agent lost."""
     fleet = Fleet(8, loss=loss)
     lost = set()
     for _ in range(60):
@@ -187,18 +188,18 @@ def test_no_agent_is_lost_in_a_lossy_network(loss: float) -> None:
 
 @pytest.mark.parametrize("count", [1, 8, 30])
 def test_an_idle_swarm_stays_within_its_share(count: int) -> None:
-    """Two minutes after it has settled and used up what it saved at its start, all frames of all agents on one link."""
+    """Two minutes after it has settled and used up the budget saved at its start: all frames of all agents on one link."""
     fleet = Fleet(count)
     fleet.run(180)
     before = sum(agent.port.bytes_out for agent in fleet.agents.values())
     fleet.run(120)
     rate = (sum(agent.port.bytes_out for agent in fleet.agents.values()) - before) / 120
-    assert rate <= 1.05 * SWARM_BYTES_S  # what was saved for a burst may leave within the two minutes
+    assert rate <= 1.05 * SWARM_BYTES_S  # the budget saved for a burst may be used within the two minutes
 
 
 @pytest.mark.long
 def test_a_hundred_agents_agree_and_stay_within_budget() -> None:
-    """A hundred agents, three die, one loses its radio: all that live agree, the ground reads it in one line."""
+    """A hundred agents, three die, one loses its radio: all live ones agree, the ground gets it in one line."""
     fleet = Fleet(100)
     fleet.run(60)
     assert {agent.probe.look().living for agent in fleet.agents.values()} == {100}
@@ -212,5 +213,6 @@ def test_a_hundred_agents_agree_and_stay_within_budget() -> None:
     assert "SWARM 96/100 FAIL A05:lost A50:lost A95:lost +1" in lines
     assert any(line.startswith("A07 no GCS radio, heard by A01 A02") for line in lines)
     rate = (sum(agent.port.bytes_out for agent in fleet.agents.values()) - before) / 80
-    # Heartbeats alone are 6.6 % of a 64 kbit/s radio, and a fifth of the share each is left to the rest and to the leader; see docs/reference/mavlink.md.
+    # Heartbeats alone are 6.6 % of a 64 kbit/s radio, and a fifth of the share each is left for other messages and for
+    # the leader; see docs/reference/mavlink.md.
     assert rate <= 100 * 21 / 10 + 0.4 * SWARM_BYTES_S + 100 * BURST_MIN / 80

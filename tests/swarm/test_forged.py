@@ -1,4 +1,6 @@
-"""Made-up agents on a real socket, with pymavlink's own frames: what they change in a swarm that is listed, and in one that signs."""
+"""Invented agents on a real socket, with pymavlink's own frames: their effect on a swarm with listed agents, and on one
+with signing.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +28,11 @@ from tests.fakes.until import until
 KEY = bytes(range(1, 33))
 WELL = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
 OURS = (1, 2, 3)
-Start = Callable[..., "Aboard"]
+Start = Callable[..., "Agent"]
 
 
-class Aboard:
-    """Agent 1 of a swarm of three on a socket of loopback, and its senders."""
+class Agent:
+    """Agent 1 of a swarm of three on a loopback socket, and its senders."""
 
     def __init__(self, agents: list[int], key: Path | None) -> None:
         self.port, self.clock = free_port(socket.SOCK_DGRAM), SystemClock()
@@ -67,7 +69,7 @@ class Aboard:
                 self.read()  # more would not fit into the socket's buffer
 
     def read(self) -> None:
-        """Wait until all that was sent has been read."""
+        """Wait until all sent frames have been read."""
         (counters,) = self.hub.counters().values()
         until(lambda: counters.received >= self._sent, f"{self._sent} frames")
 
@@ -78,14 +80,14 @@ class Aboard:
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """Starts agents, and closes them at the end."""
-    made: list[Aboard] = []
+    """Start agents, and close them at the end."""
+    made: list[Agent] = []
 
-    def begin(agents: list[int], *, signs: bool = False) -> Aboard:
+    def begin(agents: list[int], *, signs: bool = False) -> Agent:
         key = tmp_path / "key"
         key.write_bytes(KEY)
         key.chmod(0o600)
-        made.append(Aboard(agents, key if signs else None))
+        made.append(Agent(agents, key if signs else None))
         return made[-1]
 
     yield begin
@@ -101,8 +103,8 @@ def view(gcs: bool, peers: dict[int, PeerState]) -> Any:
 LOST = view(True, {2: PeerState.LOST, 3: PeerState.LOST})
 
 
-def test_made_up_agents_count_for_nothing_where_the_agents_are_listed(start: Start) -> None:
-    """Not for the heartbeat's period and the budget, not as votes, not as leader; they are named."""
+def test_invented_agents_have_no_effect_where_the_agents_are_listed(start: Start) -> None:
+    """Neither on the heartbeat's period and the budget, nor as votes, nor as leader; they are named."""
     agent = start([*OURS])
     for _turn in range(3):
         for forged in range(4, 251):
@@ -119,7 +121,7 @@ def test_made_up_agents_count_for_nothing_where_the_agents_are_listed(start: Sta
 
 
 def test_invented_agents_do_not_slow_heartbeats_immediately(start: Start) -> None:
-    """Where no agents are listed, a flood of them does not hide a loss by a period that jumps."""
+    """Where no agents are listed, a flood of them does not hide a loss by a sudden change of the period."""
     agent = start([])
     for _turn in range(4):
         for forged in range(2, 251):
@@ -131,7 +133,7 @@ def test_invented_agents_do_not_slow_heartbeats_immediately(start: Start) -> Non
 
 
 def test_with_signing_an_unsigned_frame_is_ignored(start: Start) -> None:
-    """A forged farewell of a live agent, and heartbeats of agents that are not there, change nothing."""
+    """A forged shutdown of a live agent, and heartbeats of agents that do not exist, change nothing."""
     agent = start([*OURS], signs=True)
     farewell = mavlink.MAVLink_heartbeat_message(18, 8, 0, WELL, mavlink.MAV_STATE_POWEROFF, 3)
     for _turn in range(3):

@@ -1,4 +1,4 @@
-"""Peers that fall silent together are known to be lost sooner than one of them, and neither chance nor a short fade is taken for it."""
+"""Peers that fall silent together are reported lost sooner than a single one; neither chance nor a short fade counts."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ PERIOD_S = 2.0
 STEP_S = 0.2
 WORD = 5
 LEARNED_S = 300.0
-"""Long enough for heartbeats that all came to be known as steady."""
+"""Long enough for heartbeats that arrived without loss to be known as steady."""
 Heard = Callable[[int, float], bool]
 
 
 class Air:
-    """Agents 2... send heartbeats with up to a tenth of a second of jitter, each at a time of its own; agent 1 listens."""
+    """Agents 2... send heartbeats with up to a tenth of a second of jitter, each at a different time; agent 1 receives."""
 
     def __init__(self, peers: int, seed: int, *, even: bool = False) -> None:
         self.random = random.Random(seed)
@@ -33,7 +33,7 @@ class Air:
         self._late = dict.fromkeys(self.others, 0.0)
 
     def run(self, seconds: float, *, until: Callable[[], bool] = lambda: False) -> float:
-        """Seconds until `until`, or all of them; looked at every STEP_S."""
+        """Seconds until `until` is true, or `seconds`; polled every STEP_S."""
         began = self.now
         while self.now < began + seconds and not until():
             self.now += STEP_S
@@ -51,7 +51,7 @@ class Air:
         return {agent for agent, seen in self.peers.states(self.now).items() if seen is PeerState.LOST}
 
     def cut(self, agents: Iterable[int]) -> float:
-        """Seconds until all of these are lost; a random part of a period passes before."""
+        """Seconds until all of these are lost; a random part of a period passes before the cut."""
         gone = set(agents)
         self.run(self.random.random() * PERIOD_S)
         self.hears = lambda agent, now: agent not in gone
@@ -65,7 +65,7 @@ class Air:
     ("peers", "cut", "even", "average_s", "most_s"),
     [(7, 7, True, 2.8, 3.0), (7, 7, False, 3.0, 3.8), (4, 4, True, 3.2, 3.6), (7, 4, True, 3.2, 3.6)],
 )
-def test_a_cut_is_known_long_before_a_single_loss(
+def test_a_cut_is_detected_long_before_a_single_loss(
     peers: int, cut: int, even: bool, average_s: float, most_s: float
 ) -> None:
     """All peers, or more than half of them: two missed heartbeats of one and one each of the others are enough."""
@@ -80,16 +80,16 @@ def test_a_cut_is_known_long_before_a_single_loss(
 
 @pytest.mark.parametrize("share", [0.05, 0.2])
 @pytest.mark.parametrize("peers", [4, 7])
-def test_random_loss_is_never_taken_for_a_cut(peers: int, share: float) -> None:
-    """Two hours, a fifth of all heartbeats lost: no group ever vanished."""
+def test_random_loss_is_never_reported_as_a_cut(peers: int, share: float) -> None:
+    """Two hours, a fifth of all heartbeats lost: no group loss is reported."""
     air = Air(peers, 1)
     air.lossy(share)
     air.run(7200.0, until=lambda: any(peer.lost_together for peer in air.peers.all().values()))
     assert air.now >= 7200.0
 
 
-def test_a_cut_is_known_on_a_lossy_network_too() -> None:
-    """Never later than a single one would be."""
+def test_a_cut_is_detected_on_a_lossy_network_too() -> None:
+    """Never later than a single loss."""
     air = Air(7, 2)
     air.lossy(0.2)
     air.run(LEARNED_S)
@@ -99,7 +99,7 @@ def test_a_cut_is_known_on_a_lossy_network_too() -> None:
 
 @pytest.mark.parametrize("peers", [4, 7])
 def test_a_fade_of_one_period_is_not_a_loss(peers: int) -> None:
-    """This agent's own radio receives nothing for 2 s, a hundred times, with nothing learned from the fades before."""
+    """This agent's own radio receives nothing for 2 s, a hundred times, without learning from earlier fades."""
     air = Air(peers, 3)
     air.run(LEARNED_S)
     for _ in range(100):
@@ -110,21 +110,21 @@ def test_a_fade_of_one_period_is_not_a_loss(peers: int) -> None:
         assert air.lost() == set()
 
 
-def test_longer_fades_than_were_seen_are_needed_after_one() -> None:
-    """One of 3 s is reported, the next of that length are not; ten minutes later it is forgotten."""
-    told = []
+def test_a_loss_must_exceed_earlier_fades() -> None:
+    """A fade of 3 s is reported, the next ones of that length are not; ten minutes later it is forgotten."""
+    reported = []
     air = Air(7, 4, even=True)
     for pause_s in (LEARNED_S, 30.0, 30.0, 630.0):
         air.run(pause_s)
         end = air.now + 3.2
         air.hears = lambda agent, now, end=end: now > end  # type: ignore[misc]
-        told.append(air.run(8.0, until=lambda: bool(air.lost())) < 8.0)
+        reported.append(air.run(8.0, until=lambda: bool(air.lost())) < 8.0)
         air.hears = lambda agent, now: True
-    assert told == [True, False, False, True]
+    assert reported == [True, False, False, True]
 
 
-def test_agents_on_one_beat_are_not_lost_by_one_missed_heartbeat() -> None:
-    """All send in the same moment, and a collision or a fade takes one of each."""
+def test_synchronized_agents_are_not_lost_by_one_missed_heartbeat() -> None:
+    """All send at the same moment, and a collision or a fade drops one of each."""
     air = Air(7, 5)
     air._due = dict.fromkeys(air.others, 1.0)
     air.run(LEARNED_S)
@@ -133,8 +133,8 @@ def test_agents_on_one_beat_are_not_lost_by_one_missed_heartbeat() -> None:
     assert air.lost() == set()
 
 
-def test_a_pause_of_our_own_is_not_theirs() -> None:
-    """PHM is suspended for 5 s, and the heartbeats of that time are gone."""
+def test_our_own_pause_is_not_a_loss() -> None:
+    """PHM is suspended for 5 s, and the heartbeats of that time are lost."""
     air = Air(7, 6)
     air.run(LEARNED_S)
     stall = air.now + 5.0
@@ -146,7 +146,7 @@ def test_a_pause_of_our_own_is_not_theirs() -> None:
 
 
 def test_no_agent_is_lost_early_when_a_link_is_closed() -> None:
-    """Its own check reports it; after five periods they are lost all the same."""
+    """Its own check reports it; after five periods the agents are lost all the same."""
     air = Air(7, 7)
     air.run(LEARNED_S)
     for _ in range(20):
@@ -166,7 +166,7 @@ def test_no_agent_is_lost_when_a_growing_swarm_slows_its_heartbeats() -> None:
 
 
 def test_one_steady_peer_is_lost_after_three_missed_heartbeats() -> None:
-    """Sooner than the five periods that one has that was not heard for long, or not steadily."""
+    """Sooner than the five periods of a peer that was not received for long, or not steadily."""
     steady, new, lossy = (Air(7, 9) for _ in range(3))
     steady.run(LEARNED_S)
     new.run(40.0)
@@ -190,7 +190,7 @@ def test_agents_that_fall_silent_one_after_another_have_not_vanished_together() 
 
 
 def test_two_agents_with_one_id_are_never_lost_between_their_heartbeats() -> None:
-    """Their heartbeats come in pairs, which are not those of one agent."""
+    """Their heartbeats arrive in pairs, unlike those of one agent."""
     peers = Peers(1, PERIOD_S, (2, 3, 4))
     for step in range(2000):
         now = step / 5
@@ -201,7 +201,7 @@ def test_two_agents_with_one_id_are_never_lost_between_their_heartbeats() -> Non
         assert PeerState.LOST not in peers.states(now).values()
 
 
-def test_who_is_heard_again_is_back() -> None:
+def test_a_peer_that_is_received_again_is_back() -> None:
     air = Air(7, 11)
     air.run(LEARNED_S)
     air.cut(air.others)

@@ -1,4 +1,6 @@
-"""Two agents whose network is a pair of serial radios in transparent mode (XBee): bytes in small packets, of which some are lost."""
+"""Two agents whose network is a pair of serial radios in transparent mode (XBee): bytes in small packets, some of them
+lost.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +21,13 @@ from sitl.simulation.link import Pty
 from tests.fakes.until import until
 
 PACKET_BYTES = 72
-"""As many as an 802.15.4 radio sends at once; a frame goes on in the next one."""
+"""As many bytes as an 802.15.4 radio sends per packet; a frame goes on in the next one."""
 LOST = 9
 """Every so many packets one is lost, in each direction."""
 
 
 class Air:
-    """Two radios, each behind a serial port; `cut`: they do not hear each other."""
+    """Two radios, each behind a serial port; `cut`: they do not receive each other."""
 
     def __init__(self, paths: list[str]) -> None:
         self._ports = [Pty(path) for path in paths]
@@ -55,7 +57,7 @@ class Air:
 
 
 class Pair:
-    """Agents 1 and 2, each a whole daemon."""
+    """Agents 1 and 2, each a real daemon."""
 
     def __init__(self, folder: Path) -> None:
         paths = [str(folder / f"ttyXB{number}") for number in (1, 2)]
@@ -74,7 +76,7 @@ class Pair:
         return first, second
 
     def states(self) -> list[str]:
-        """How each sees the other."""
+        """How each agent sees the other."""
         return [peer.state for fact in self.see() for peer in fact.peers.values()]
 
 
@@ -103,9 +105,9 @@ def pair(tmp_path: Path) -> Iterator[Pair]:
     made.close()
 
 
-def test_agents_hear_each_other_by_serial_radios(pair: Pair) -> None:
-    """Heartbeats and views get through though every ninth packet is lost; silence is noticed on both sides, and its end."""
-    until(lambda: pair.states() == ["alive", "alive"], "both to be heard")
+def test_agents_receive_each_other_by_serial_radios(pair: Pair) -> None:
+    """Heartbeats and views arrive though every ninth packet is lost; silence and its end are detected on both sides."""
+    until(lambda: pair.states() == ["alive", "alive"], "both to be received")
     until(lambda: all(peer.heard_by == (1, 2) for fact in pair.see() for peer in fact.peers.values()), "views")
     assert all(fact.links == ("xbee",) for fact in pair.see())
     until(lambda: pair.air.lost >= 3, "packets to be lost")

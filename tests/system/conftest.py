@@ -1,7 +1,7 @@
 """A real agent for system tests: the demo application in a container, PHM as a process of this machine.
 
-PHM runs on the host here so that a test can kill, stop and look into it; the sidecar image itself is
-tested by the demonstration (test_demo.py).
+PHM runs on the host here so that a test can kill, stop and inspect it; the sidecar image itself is tested by the
+demonstration (test_demo.py).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ START_LIMIT_S = 60.0
 
 @pytest.fixture(scope="session")
 def docker_client() -> Iterator[DockerClient]:
-    """The engine of this machine; a test without one fails, it is never skipped."""
+    """The Docker Engine of this machine; without one a test fails, it is never skipped."""
     try:
         client = DockerClient.from_env(timeout=60)
         client.ping()
@@ -46,8 +46,8 @@ def docker_client() -> Iterator[DockerClient]:
     client.close()
 
 
-class Aboard:
-    """The application container `name` on network `network`, both of this test's own."""
+class AppContainer:
+    """The application container `name` on the network `network`, both created for one test."""
 
     def __init__(self, client: DockerClient) -> None:
         self.client = client
@@ -73,7 +73,7 @@ class Aboard:
         self.run("kill", "-KILL", self.run("cat", f"/tmp/nodes/{name}.pid"))
 
     def identity(self) -> tuple[str, str, str, tuple[str, ...]]:
-        """What changes when somebody acts on the container."""
+        """Properties that change when someone else acts on the container."""
         self.container.reload()
         state = self.container.attrs["State"]
         networks = tuple(sorted(self.container.attrs["NetworkSettings"]["Networks"]))
@@ -128,7 +128,7 @@ class Phm:
         ]
 
     def wait(self, wanted: Callable[[Event], bool], what: str, limit_s: float = 30.0, since: int = 0) -> Event:
-        """The first matching event of the JSON log; fails with the end of the text log when it does not come."""
+        """Return the first matching event of the JSON log; fail with the end of the text log on timeout."""
         event = self.record.wait(wanted, limit_s, since=since)
         if event is None:
             text = self.folder / "log" / "phm.log"
@@ -136,10 +136,10 @@ class Phm:
             pytest.fail(f"{what} did not happen within {limit_s:g} s; the log ends with\n{tail}")
         return event
 
-    def wait_all_well(self, since: int = 0) -> None:
+    def wait_all_ok(self, since: int = 0) -> None:
         self.wait(
             lambda event: event["event"] == "report" and all(digit == 1 for digit in event["status_array"]),
-            "a report with everything well",
+            "a report with everything OK",
             START_LIMIT_S,
             since,
         )
@@ -149,13 +149,13 @@ class Phm:
         return len(self.record.events)
 
     def opened(self, since: int) -> list[str]:
-        """Units of the faults that were opened; not the load of this machine, which other programs may cause."""
+        """Units of the faults that were opened, without the load of this machine, which other programs may cause."""
         self.record.update()
         opened = (event["unit"] for event in self.record.events[since:] if event["event"] == "fault_opened")
         return [unit for unit in opened if unit != "host/cpu"]
 
     def stop(self) -> int:
-        """SIGTERM, and SIGKILL when it does not end; its exit code."""
+        """Send SIGTERM, and SIGKILL on timeout; return the exit code."""
         assert self.process is not None
         self.process.send_signal(signal.SIGTERM)
         try:
@@ -166,7 +166,7 @@ class Phm:
             pytest.fail(f"PHM did not end within 15 s of SIGTERM:\n{self.output()}")
 
 
-def config_for(app: Aboard, **more: Any) -> dict[str, Any]:
+def config_for(app: AppContainer, **more: Any) -> dict[str, Any]:
     """A configuration of the demo application; `more` replaces top-level sections."""
     names = [f"/agent_1/node_{number}" for number in (1, 2, 3)]
     topics = [
@@ -185,25 +185,25 @@ def config_for(app: Aboard, **more: Any) -> dict[str, Any]:
             }
         ],
         "ros": {"domain": app.domain, "nodes": [{"name": name} for name in names], "topics": topics},
-        # The load of the machine that runs the tests is not what they are about.
+        # The load of the machine that runs the tests is not under test.
         "checks": {"host": {"enabled": False}},
         **more,
     }
 
 
 @pytest.fixture
-def app(docker_client: DockerClient) -> Iterator[Aboard]:
-    """An application container of this test's own."""
-    aboard = Aboard(docker_client)
+def app(docker_client: DockerClient) -> Iterator[AppContainer]:
+    """An application container created for one test."""
+    container = AppContainer(docker_client)
     try:
-        yield aboard
+        yield container
     finally:
-        aboard.remove()
+        container.remove()
 
 
 @pytest.fixture
 def start_phm(tmp_path: Path) -> Iterator[Callable[..., Phm]]:
-    """Starts PHM daemons with a configuration; each is ended with the test."""
+    """Start PHM daemons with a configuration; end each with the test."""
     running: list[Phm] = []
 
     def start(config: dict[str, Any], domain: int = 0) -> Phm:
@@ -221,7 +221,7 @@ def start_phm(tmp_path: Path) -> Iterator[Callable[..., Phm]]:
 
 
 def _command(process: psutil.Process) -> list[str]:
-    """Empty for one that has ended and whom PHM has not waited for yet."""
+    """Empty for a process that has ended and that PHM has not waited for yet."""
     try:
         return process.cmdline()
     except psutil.NoSuchProcess:
@@ -229,7 +229,7 @@ def _command(process: psutil.Process) -> list[str]:
 
 
 def poll(condition: Callable[[], bool], what: str, limit_s: float = 20.0) -> None:
-    """Wait for something observable in the world."""
+    """Wait until `condition` is true."""
     end = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > end:

@@ -1,4 +1,4 @@
-"""A package of messages that only the application's container has, and the sidecar's container beside it."""
+"""A message package that only the application's container has, and the sidecar's container beside it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TOPICS = {
 
 
 class Pair:
-    """An application's container with sensor_msgs and a sidecar's without, on a network of this test's own."""
+    """An application's container with sensor_msgs and a sidecar's without, on a network created for one test."""
 
     def __init__(self, client: DockerClient, folder: Path) -> None:
         self._client = client
@@ -62,10 +62,10 @@ class Pair:
         )
         topics = [{"name": name, "type": kind, "rate": HZ} for name, kind in TOPICS.items()]
         config = self._folder / "phm.yaml"
-        # The load of the machine that runs the tests is not what this is about.
+        # The load of the machine that runs the tests is not under test.
         config.write_text(yaml.safe_dump({"ros": {"topics": topics}, "checks": {"host": {"enabled": False}}}))
         config.chmod(0o644)
-        # With the privileges of docker/compose.yaml: reading by name looks into this process's own memory.
+        # With the privileges of docker/compose.yaml: creating types by name inspects this process's own memory.
         own = "uid=10001,gid=10001"
         self.sidecar = self._run(
             "phm",
@@ -108,7 +108,7 @@ class Pair:
         return int(self.sidecar.exec_run(["python", "-c", code]).exit_code)
 
     def units(self) -> dict[str, Any]:
-        """What `phm status` says of each unit; nothing while it has not begun to say."""
+        """The units of `phm status`; empty while it reports none."""
         output = self.sidecar.exec_run(["phm", "status", "--json"], stderr=False).output
         with contextlib.suppress(json.JSONDecodeError):
             return {unit["id"]: unit for unit in json.loads(output).get("checks", [])}
@@ -130,7 +130,7 @@ def pair(docker_client: DockerClient, tmp_path: Path) -> Iterator[Pair]:
 
 
 def test_rates_of_types_that_only_the_application_has(pair: Pair, tmp_path: Path) -> None:
-    """The sidecar cannot import the package; its topics are OK all the same, each with its true rate."""
+    """The sidecar cannot import the package; its topics are still OK, each with its real rate."""
     pair.start()
     assert pair.python("import std_msgs") == 0
     assert pair.python("import sensor_msgs") != 0

@@ -1,4 +1,4 @@
-"""A quick campaign for real: two agents, one fault of each layer, begun and gone on with."""
+"""A quick real campaign: two agents, one fault of each layer, started and resumed."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ FAULTS = ("phm_killed", "container_killed", "node_killed", "autopilot_silent")
 
 @pytest.fixture
 def name() -> Iterator[str]:
-    """Of a swarm of this test's own, removed after."""
+    """The name of a swarm created for one test and removed after it."""
     name = f"phm-test-{uuid.uuid4().hex[:6]}"
     yield name
     Swarm(Options(agents=2, name=name)).down()
 
 
-def test_one_fault_of_each_layer(name: str, tmp_path: Path) -> None:
-    """Nothing told with nothing injected, nothing done with recovery off; each fault is told at its cause, and what can be is
-    healed. Asked for more trials, a campaign goes on from its record, on the swarm that is still up."""
+def test_a_campaign_detects_and_recovers_one_fault_of_each_layer(name: str, tmp_path: Path) -> None:
+    """No alarm without a fault, no action with recovery off; each fault is reported at its cause, and recovered if
+    possible. Extended with more trials, a campaign resumes from its record on the running swarm.
+    """
     record, page, data = tmp_path / "trials.jsonl", tmp_path / "out.html", tmp_path / "out.json"
     words = ["--agents", "2", "--nominal", "10", "--interval", "5", "--name", name, "--only", *FAULTS]
     words += ["--record", str(record), "--html", str(page), "--json", str(data)]
-    in_time = (DONE, SHORT)  # times fall short of the aims where other tests run beside this one
+    in_time = (DONE, SHORT)  # times miss the targets where other tests run beside this one
     assert main([*words, "--keep", "--trials", "1"]) in in_time
     begun = record.read_bytes()
     assert main([*words, "--trials", "3"]) in in_time
@@ -52,7 +53,7 @@ def test_one_fault_of_each_layer(name: str, tmp_path: Path) -> None:
     assert trials[1].changed == [], short
     for trial in trials[2:]:
         assert trial.well_after is not None, short
-        # Alarms beyond the expected ones are not judged here: a machine on which other tests run may well be too slow for its topics.
+        # Additional alarms are not scored here: a machine on which other tests run may be too slow for its topics.
         for verdict in judge(trial).verdicts:
             fault = verdict.injection
             assert (verdict.missed, verdict.wrong) == (False, ""), short

@@ -1,4 +1,4 @@
-"""The demonstration as people run it: Compose, the real sidecar image, a simulated autopilot, a ground listener."""
+"""The demonstration as users run it: Compose, the real sidecar image, a simulated autopilot, a ground listener."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def free_port() -> int:
 
 @pytest.fixture(scope="module")
 def stack() -> Iterator[Stack]:
-    """One agent for all tests of this file. The load of the machine that runs them is not what they are about."""
+    """One agent for all tests of this file. The load of the machine that runs them is not under test."""
     config = write(overridden({"\nchecks:\n": "\nchecks:\n  host:\n    enabled: false\n"}))
     extra = {"PHM_CONFIG": str(config)}
     stack = Stack(f"phm-test-{uuid.uuid4().hex[:6]}", interval_s=5.0, ground_port=free_port(), extra=extra)
@@ -37,8 +37,10 @@ def stack() -> Iterator[Stack]:
         stack.down()
 
 
-def test_the_whole_story(stack: Stack, docker_client: DockerClient) -> None:
-    """A clean pass, four faults seen once at their cause, healed, verified and told to the ground: exit 0."""
+def test_the_demonstration_detects_and_recovers_four_faults(stack: Stack, docker_client: DockerClient) -> None:
+    """A pass without faults, then four faults, each reported once at its cause, recovered, verified and sent to the
+    ground: exit 0.
+    """
     output = io.StringIO()
     code = main.run(stack, Console(file=output, width=200))
     assert code == 0, output.getvalue()
@@ -46,7 +48,7 @@ def test_the_whole_story(stack: Stack, docker_client: DockerClient) -> None:
 
 
 def test_the_sidecar_runs_with_least_privilege_and_is_healthy(stack: Stack, docker_client: DockerClient) -> None:
-    """Not root, nothing writable, no capabilities; its own HEALTHCHECK passes; it joined the network by itself."""
+    """Not root, nothing writable, no capabilities; its own HEALTHCHECK passes; it joined the network without help."""
     phm = stack.agent.container("phm")
     config, host = phm.attrs["Config"], phm.attrs["HostConfig"]
     assert config["User"] == "10001:10001"
@@ -72,8 +74,8 @@ for pid in filter(str.isdigit, os.listdir('/proc')):
 """
 
 
-def test_a_killed_daemon_is_back_and_goes_on(stack: Stack, docker_client: DockerClient) -> None:
-    """SIGKILL to PHM itself: the engine starts it again, and the log goes on in a new boot."""
+def test_a_killed_daemon_is_restarted_and_continues_its_log(stack: Stack, docker_client: DockerClient) -> None:
+    """SIGKILL to PHM: the Docker Engine restarts it, and the log continues with a new boot."""
     phm = stack.agent.container("phm")
     phm.exec_run(["python", "-c", KILL_DAEMON])
     record = Record(stack.record)

@@ -1,4 +1,4 @@
-"""Real faults on a real agent: one alarm, at its cause, healed and proven."""
+"""Real faults on a real agent: one alarm, at its cause, recovered and verified."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pytest
 from docker import DockerClient
 
 from sitl.harness.log_follower import Event
-from tests.system.conftest import Aboard, Phm, config_for
+from tests.system.conftest import AppContainer, Phm, config_for
 
 SETTLED_S = 10.0
-"""A fault is watched for this long after it is healed: longer than the grace of any unit."""
+"""A fault is observed for this long after its recovery: longer than the grace of any unit."""
 
-CASES: dict[str, tuple[str, str, Callable[[Aboard], object]]] = {
+CASES: dict[str, tuple[str, str, Callable[[AppContainer], object]]] = {
     "node killed": ("nodes/agent_1/node_1", "restart", lambda app: app.kill_node("node_1")),
     "container killed": ("container/{name}", "start", lambda app: app.container.kill()),
     "container stopped": (
@@ -30,17 +30,19 @@ CASES: dict[str, tuple[str, str, Callable[[Aboard], object]]] = {
 
 
 def settled(phm: Phm, mark: int, from_mono: float) -> None:
-    """Let the log go on until `SETTLED_S` after a moment."""
+    """Observe the log until `SETTLED_S` after `from_mono`."""
     phm.wait(lambda event: event["mono"] > from_mono + SETTLED_S, "the log going on", 2 * SETTLED_S, mark)
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_one_fault_one_alarm_healed(case: str, app: Aboard, start_phm: Callable[..., Phm]) -> None:
+def test_one_fault_raises_one_alarm_and_is_recovered(
+    case: str, app: AppContainer, start_phm: Callable[..., Phm]
+) -> None:
     """Exactly one fault is opened, at the right unit, resolved by the right action and verified."""
     unit, action, inject = CASES[case]
     unit = unit.format(name=app.name)
     phm = start_phm(config_for(app), app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     mark = phm.mark()
     inject(app)
     closed = phm.wait(
@@ -51,19 +53,19 @@ def test_one_fault_one_alarm_healed(case: str, app: Aboard, start_phm: Callable[
     assert closed["outcome"] == "resolved"
     steps = [(event["phase"], event["action"]) for event in phm.record.events[mark:] if event["event"] == "action"]
     assert steps[0] == ("started", action)
-    # Where DDS does not find the way back over a new interface, the next rung follows; it stays one fault.
+    # Where DDS does not reconnect over a new interface, the next step of the ladder follows; it stays one fault.
     assert steps[-1] == ("verified", closed["by"])
     assert closed["by"] in (action, "restart")
-    phm.wait_all_well(phm.mark())
+    phm.wait_all_ok(phm.mark())
 
 
 @pytest.mark.parametrize("recovery", [{"mode": "off"}, {"mode": "advise"}])
 def test_off_and_advise_change_nothing_in_the_world(
-    recovery: dict[str, Any], app: Aboard, start_phm: Callable[..., Phm]
+    recovery: dict[str, Any], app: AppContainer, start_phm: Callable[..., Phm]
 ) -> None:
-    """A stopped container stays stopped; `advise` says what would help."""
+    """A stopped container stays stopped; `advise` states the recommended action."""
     phm = start_phm(config_for(app, recovery=recovery), app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     mark = phm.mark()
     app.container.kill()
     before = app.identity()
@@ -75,12 +77,12 @@ def test_off_and_advise_change_nothing_in_the_world(
     assert phases == (["advised"] if recovery["mode"] == "advise" else [])
 
 
-def test_a_container_that_has_not_opted_in_is_left_alone(app: Aboard, start_phm: Callable[..., Phm]) -> None:
-    """No `recover: true`, no action, whatever the mode."""
+def test_a_container_that_has_not_opted_in_is_left_alone(app: AppContainer, start_phm: Callable[..., Phm]) -> None:
+    """No `recover: true`, no action, in any mode."""
     config = config_for(app)
     del config["containers"][0]["recover"]
     phm = start_phm(config, app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     mark = phm.mark()
     app.container.kill()
     opened = phm.wait(lambda event: event["event"] == "fault_opened", "the fault", since=mark)
@@ -89,16 +91,18 @@ def test_a_container_that_has_not_opted_in_is_left_alone(app: Aboard, start_phm:
     assert not [event for event in phm.record.events[mark:] if event["event"] == "action"]
 
 
-def test_two_dead_nodes_are_two_faults_and_one_restart_heals_both(app: Aboard, start_phm: Callable[..., Phm]) -> None:
-    """Independent faults are each told; what heals both is done once."""
+def test_two_dead_nodes_are_two_faults_and_one_restart_recovers_both(
+    app: AppContainer, start_phm: Callable[..., Phm]
+) -> None:
+    """Independent faults are reported separately; the action that recovers both runs once."""
     phm = start_phm(config_for(app), app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     mark = phm.mark()
     app.run("sh", "-c", "kill -KILL $(cat /tmp/nodes/node_1.pid) $(cat /tmp/nodes/node_2.pid)")
     opened: list[str] = []
 
     def over(event: Event) -> bool:
-        """On a busy machine the second death may be found when the restart for the first is already at work."""
+        """On a busy machine the second death may be detected when the restart for the first is already running."""
         if event["event"] == "fault_opened":
             opened.append(event["unit"])
         elif event["event"] == "fault_closed":
@@ -115,10 +119,10 @@ def test_two_dead_nodes_are_two_faults_and_one_restart_heals_both(app: Aboard, s
     assert len(started) == 1
 
 
-def test_once_prints_the_same_picture_and_changes_nothing(app: Aboard, start_phm: Callable[..., Phm]) -> None:
-    """`phm once --json` beside a running daemon: the documented shape, all slots well, exit 0."""
+def test_once_prints_the_state_and_changes_nothing(app: AppContainer, start_phm: Callable[..., Phm]) -> None:
+    """`phm once --json` beside a running daemon: the documented structure, all slots OK, exit 0."""
     phm = start_phm(config_for(app), app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     before = app.identity()
     done = phm.cli("once", "-c", str(phm.config), "--json")
     assert done.returncode == 0, done.stderr
@@ -130,11 +134,11 @@ def test_once_prints_the_same_picture_and_changes_nothing(app: Aboard, start_phm
 
 
 def test_once_names_a_fault_and_exits_1(
-    app: Aboard, docker_client: DockerClient, start_phm: Callable[..., Phm]
+    app: AppContainer, docker_client: DockerClient, start_phm: Callable[..., Phm]
 ) -> None:
-    """One pass finds what is wrong, at its cause, and leaves it as it is."""
+    """One pass finds the fault at its cause, and changes nothing."""
     phm = start_phm(config_for(app, recovery={"mode": "off"}), app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     app.container.kill()
     done = phm.cli("once", "-c", str(phm.config), "--json")
     assert done.returncode == 1

@@ -1,4 +1,4 @@
-"""PHM's container behind the shipped proxy, started as an operator does: with one more compose file."""
+"""PHM's container behind the shipped proxy, started as an operator does: with one additional compose file."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Any
 import pytest
 
 from sitl.harness.compose_stack import ROOT, SOCKET
-from tests.system.conftest import Aboard, poll
+from tests.system.conftest import AppContainer, poll
 
 LIMIT_S = 180.0
 FILES = ("docker/compose.yaml", "docker/compose.proxy.yaml")
 
 
 class Stack:
-    """PHM, the proxy and what writes its rules, for one application container."""
+    """PHM, the proxy and the writer of its rules, for one application container."""
 
-    def __init__(self, app: Aboard) -> None:
+    def __init__(self, app: AppContainer) -> None:
         self.app, self.me = app, f"{app.name}-phm"
         self.words = ["--project-name", f"{app.name}-proxy", *(word for name in FILES for word in ("--file", name))]
         gid = str(SOCKET.stat().st_gid)
@@ -68,7 +68,7 @@ class Stack:
 
 
 @pytest.fixture
-def stack(app: Aboard) -> Iterator[Stack]:
+def stack(app: AppContainer) -> Iterator[Stack]:
     made = Stack(app)
     try:
         made.compose("up", "--detach", "--no-build")
@@ -78,8 +78,8 @@ def stack(app: Aboard) -> Iterator[Stack]:
         made.compose("down", "--volumes", "--timeout", "3")
 
 
-def test_phm_heals_through_the_proxy_without_the_engines_socket(app: Aboard, stack: Stack) -> None:
-    """It joins the network, sees files and nodes, restarts what was killed and reconnects what was disconnected."""
+def test_phm_recovers_through_the_proxy_without_the_engines_socket(app: AppContainer, stack: Stack) -> None:
+    """It joins the network, sees files and nodes, restarts a killed container and reconnects a disconnected one."""
     for unit in ("container/ros_app", "files/ros_app", "network/ros_app", "nodes/agent_1/node_1"):
         poll(lambda unit=unit: stack.level(unit) == "OK", f"{unit} to be OK", LIMIT_S)  # type: ignore[misc]
     app.container.kill()
@@ -87,7 +87,7 @@ def test_phm_heals_through_the_proxy_without_the_engines_socket(app: Aboard, sta
     app.network.disconnect(app.container, force=True)
     poll(lambda: app.identity()[3] == (app.name,), "the network to be there again", LIMIT_S)
     refused = [line for line in stack.service("proxy").logs().decode().splitlines() if line.startswith("403")]
-    # On a busy machine PHM asks for the names of containers that it does not know, and goes without.
+    # On a busy machine PHM queries unknown container names, and continues without an answer.
     assert all("/containers/json?" in line for line in refused), refused
     seen = app.client.containers.get(stack.me)
     assert seen.exec_run(["test", "-S", "/var/run/docker.sock"])[0] == 1
@@ -95,7 +95,9 @@ def test_phm_heals_through_the_proxy_without_the_engines_socket(app: Aboard, sta
 
 
 def test_the_proxy_has_least_privilege(stack: Stack) -> None:
-    """No root, the engine's group, nothing to write but its own socket's folder, no capabilities, no network."""
+    """Not root, the group of the engine's socket, nothing writable but its own socket's folder, no capabilities, no
+    network.
+    """
     seen = stack.service("proxy").attrs
     host = seen["HostConfig"]
     assert seen["Config"]["User"] == "10002:10001"

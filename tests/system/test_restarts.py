@@ -1,4 +1,4 @@
-"""Somebody else restarts the application: what runs in it raises no alarm, and a crash loop is one fault."""
+"""The application is restarted from outside: its nodes raise no alarm, and a crash loop is one fault."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from docker import DockerClient
 from docker.errors import APIError
 from docker.models.containers import Container
 
-from tests.system.conftest import APP_IMAGE, Aboard, Phm, config_for, poll
+from tests.system.conftest import APP_IMAGE, AppContainer, Phm, config_for, poll
 
 AFTER_S = 14.0
 """Longer than the grace of any unit, so that late alarms are caught."""
 LOOPS = 6
-"""Restarts to watch: several times what it takes to call it a loop."""
-LIVES_2_S = "test -e /tmp/mended && exec sleep 600; sleep 2; exit 3"
+"""Restarts to watch: several times as many as define a crash loop."""
+LIVES_2_S = "test -e /tmp/fixed && exec sleep 600; sleep 2; exit 3"
 
 
 def state(container: Container) -> tuple[str, int]:
@@ -28,74 +28,74 @@ def state(container: Container) -> tuple[str, int]:
 
 
 def kill_first_process(client: DockerClient, container: Container) -> None:
-    """From outside of its namespace, where the first process can be killed: Docker then applies its restart policy."""
+    """From outside its namespace, where its first process can be killed: Docker then applies the restart policy."""
     container.reload()
     pid = str(container.attrs["State"]["Pid"])
     client.containers.run(APP_IMAGE, ["kill", "-KILL", pid], pid_mode="host", user="root", network="none", remove=True)
 
 
-def watch(phm: Phm, seconds: float) -> None:
-    """Let the log go on for so long."""
+def observe(phm: Phm, seconds: float) -> None:
+    """Observe the log for this time."""
     mark = phm.mark()
     until = phm.record.events[-1]["mono"] + seconds
     phm.wait(lambda event: event["mono"] >= until, "the log going on", 2 * seconds + 10, mark)
 
 
-def test_a_crash_that_docker_heals_raises_no_alarm_inside(
-    app: Aboard, docker_client: DockerClient, start_phm: Callable[..., Phm]
+def test_a_crash_that_docker_recovers_raises_no_alarm_inside(
+    app: AppContainer, docker_client: DockerClient, start_phm: Callable[..., Phm]
 ) -> None:
     """The policy restarts it within a tenth of a second: a warning at the container, and nothing for nodes or topics."""
     app.container.update(restart_policy={"Name": "always"})
     phm = start_phm(config_for(app), app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     mark, before = phm.mark(), state(app.container)
     kill_first_process(docker_client, app.container)
     poll(lambda: state(app.container)[0] > before[0], "the restart by Docker")
-    watch(phm, AFTER_S)
+    observe(phm, AFTER_S)
     assert phm.opened(mark) == []
-    told = [
+    published = [
         (event["unit"], event["level"], event["condition"])
         for event in phm.record.events[mark:]
         if event["event"] == "transition" and event["level"] in ("WARN", "ERROR")
     ]
-    assert told == [(f"container/{app.name}", "WARN", "restarted")]
-    phm.wait_all_well(phm.mark())
+    assert published == [(f"container/{app.name}", "WARN", "restarted")]
+    phm.wait_all_ok(phm.mark())
 
 
-def test_a_restart_by_the_operator_raises_no_alarm_inside(app: Aboard, start_phm: Callable[..., Phm]) -> None:
-    """`docker restart`, twice, without time to say goodbye; only the container itself may be seen down."""
+def test_a_restart_by_the_operator_raises_no_alarm_inside(app: AppContainer, start_phm: Callable[..., Phm]) -> None:
+    """`docker restart`, twice, with a stop timeout of zero; only the container itself may be reported down."""
     phm = start_phm(config_for(app, recovery={"mode": "off"}), app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     mark = phm.mark()
     for _ in range(2):
         app.container.restart(timeout=0)
-        watch(phm, AFTER_S)
+        observe(phm, AFTER_S)
     assert set(phm.opened(mark)) <= {f"container/{app.name}"}
-    phm.wait_all_well(phm.mark())
+    phm.wait_all_ok(phm.mark())
 
 
-def test_a_crash_loop_is_one_fault_and_over_when_the_application_stays(
-    app: Aboard, docker_client: DockerClient, start_phm: Callable[..., Phm]
+def test_a_crash_loop_is_one_fault_until_the_application_stays_up(
+    app: AppContainer, docker_client: DockerClient, start_phm: Callable[..., Phm]
 ) -> None:
-    """Each start gives grace to the nodes inside; the loop is told all the same, once, and at the container."""
+    """Each start gives grace to the nodes inside; the loop is still reported, once, and at the container."""
     app.container.update(restart_policy={"Name": "always"})
     phm = start_phm(config_for(app), app.domain)
-    phm.wait_all_well()
+    phm.wait_all_ok()
     mark, unit = phm.mark(), f"container/{app.name}"
     app.run("sh", "-c", "echo 1 >/tmp/broken_start")
     kill_first_process(docker_client, app.container)
     poll(lambda: state(app.container)[1] >= LOOPS, f"{LOOPS} restarts by Docker", 60.0)
     app.container.put_archive("/tmp", empty_file("broken_start"))
     closed = phm.wait(lambda event: event["event"] == "fault_closed", "the end of the fault", 60.0, mark)
-    watch(phm, AFTER_S)
+    observe(phm, AFTER_S)
     assert phm.opened(mark) == [unit]
     assert (closed["unit"], closed["condition"], closed["outcome"]) == (unit, "restarting", "resolved")
-    phm.wait_all_well(phm.mark())
+    phm.wait_all_ok(phm.mark())
 
 
 @pytest.fixture
 def short_lived(docker_client: DockerClient) -> Iterator[Container]:
-    """A container whose process ends after two seconds, until it is mended, and that Docker restarts."""
+    """A container whose process ends after two seconds until it is fixed, and that Docker restarts."""
     made = docker_client.containers.run(
         APP_IMAGE,
         ["sh", "-c", LIVES_2_S],
@@ -112,8 +112,10 @@ def short_lived(docker_client: DockerClient) -> Iterator[Container]:
         made.remove(force=True)
 
 
-def test_a_process_that_lives_two_seconds_is_one_fault(short_lived: Container, start_phm: Callable[..., Phm]) -> None:
-    """Mostly seen running; the fault stays open in between, and is over when one life has lasted."""
+def test_a_process_that_repeatedly_ends_after_two_seconds_is_one_fault(
+    short_lived: Container, start_phm: Callable[..., Phm]
+) -> None:
+    """Mostly seen running; the fault stays open in between, and closes when one run has lasted long enough."""
     phm = start_phm({"interval": "3s", "containers": [{"name": short_lived.name, "healthcheck": "ignore"}]})
     opened = phm.wait(lambda event: event["event"] == "fault_opened", "the fault", 60.0)
     assert (opened["unit"], opened["condition"]) == (f"container/{short_lived.name}", "restarting")
@@ -121,14 +123,14 @@ def test_a_process_that_lives_two_seconds_is_one_fault(short_lived: Container, s
     assert phm.opened(0) == [opened["unit"]]
     assert not [event for event in phm.record.events if event["event"] == "fault_closed"]
 
-    def mend() -> bool:
-        with contextlib.suppress(APIError):  # it runs for two seconds and waits for longer
-            return bool(short_lived.exec_run(["touch", "/tmp/mended"]).exit_code == 0)
+    def fix() -> bool:
+        with contextlib.suppress(APIError):  # it runs for two seconds and waits longer than that
+            return bool(short_lived.exec_run(["touch", "/tmp/fixed"]).exit_code == 0)
         return False
 
-    poll(mend, "a moment in which it runs", 60.0)
-    mended = phm.mark()
-    closed = phm.wait(lambda event: event["event"] == "fault_closed", "the end of the fault", 90.0, mended)
+    poll(fix, "a moment in which it runs", 60.0)
+    fixed = phm.mark()
+    closed = phm.wait(lambda event: event["event"] == "fault_closed", "the end of the fault", 90.0, fixed)
     assert (closed["outcome"], closed["by"]) == ("resolved", "itself")
     assert phm.opened(0) == [opened["unit"]]
 

@@ -1,4 +1,6 @@
-"""A swarm's end on the real engine: nothing of it is left, whoever ended its beginning, and nothing else is touched."""
+"""Removal of a swarm on the real Docker Engine: nothing of it is left, however its start ended, and nothing else is
+touched.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ def name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 @pytest.fixture
 def stranger(docker_client: DockerClient, name: str) -> Iterator[Container]:
-    """A container that looks like one of the swarm's to everybody who goes by names and by Compose's labels."""
+    """A container whose name and Compose labels look like those of the swarm."""
     made = docker_client.containers.run(
         APP_IMAGE,
         ["sleep", "600"],
@@ -48,7 +50,7 @@ def stranger(docker_client: DockerClient, name: str) -> Iterator[Container]:
 
 
 def left(client: DockerClient, name: str) -> list[str]:
-    """Everything of the swarm that the engine and this machine still have."""
+    """Everything of the swarm that remains on the Docker Engine and this machine."""
     named = [thing.name for thing in engine.resources(client, name)]
     networks = [str(one.name) for one in client.networks.list() if str(one.name).startswith(f"{name}-")]
     volumes = [str(one.name) for one in client.volumes.list() if str(one.name).startswith(f"{name}-")]
@@ -56,10 +58,12 @@ def left(client: DockerClient, name: str) -> list[str]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["interrupted", "killed"])
-def test_nothing_is_left_of_a_swarm_whose_start_was_ended(
+def test_nothing_is_left_of_a_swarm_whose_start_was_interrupted(
     docker_client: DockerClient, name: str, stranger: Container, tmp_path: Path, number: signal.Signals
 ) -> None:
-    """An interrupted `up` cleans up by itself; after a killed one `down` does, twice without harm. Others stay as they were."""
+    """An interrupted `up` cleans up; after a killed one `down` does, harmlessly also twice. Other containers are not
+    touched.
+    """
     argv = [sys.executable, "-m", "sitl", "up", "--agents", "2", "--name", name, "--no-build"]
     process = subprocess.Popen(argv, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL)
     try:

@@ -1,4 +1,4 @@
-"""A container that somebody starts again gives grace to what needs it, once for each life."""
+"""A container that is started from outside gives grace to its dependents, once per start."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from phm.core.model import Evidence, FaultOpened, Outcome
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 
-def lived(life: int) -> Result:
+def ran_in_life(life: int) -> Result:
     return ok("running").with_evidence(Evidence(generation=f"id@{life}"))
 
 
 def living() -> Bench:
-    """A container in its first life, long after PHM's start, with nodes of its own and a topic of another container."""
+    """A container in its first life, long after PHM's start, with its own nodes and a topic of another container."""
     bench = Bench(
         [
             unit("container", target="app"),
@@ -22,26 +22,26 @@ def living() -> Bench:
     )
     bench.later(20)
     bench.all_well()
-    bench.see("container", lived(1))
+    bench.see("container", ran_in_life(1))
     bench.later(1)
     return bench
 
 
 def all_missing(bench: Bench, seconds: float, life: int) -> None:
-    """Nodes and topics are looked for in vain, and the container is seen to run."""
+    """Nodes and topics are missing while the container is seen running."""
     for _ in range(round(seconds * 2)):
         bench.later(0.5)
         bench.see("topics", BAD)
         bench.see("nodes", BAD)
-        bench.see("container", lived(life))
+        bench.see("container", ran_in_life(life))
 
 
-def heard(bench: Bench) -> None:
+def all_published_ok(bench: Bench) -> None:
     bench.take(bench.tracker.container_started("app", bench.stamp()))
 
 
-def test_a_new_life_gives_grace_to_all_that_need_the_container() -> None:
-    """Restarted between two looks, with every event lost: what is missing meanwhile is not known yet, and told after."""
+def test_a_new_life_gives_grace_to_all_dependents() -> None:
+    """Restarted between two checks, with every event lost: missing dependents are unknown at first and published later."""
     bench = living()
     bench.see("nodes", BAD)
     all_missing(bench, 7.5, life=2)
@@ -51,12 +51,12 @@ def test_a_new_life_gives_grace_to_all_that_need_the_container() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_the_event_of_a_start_gives_the_same_grace() -> None:
-    """Also where nobody can look at the container: its check is disabled, or the engine hangs."""
+def test_a_start_event_gives_the_same_grace() -> None:
+    """Also when the container cannot be checked: its check is disabled, or the Docker Engine hangs."""
     bench = Bench([unit("health", target="app"), unit("nodes", "health", target="app", settle_s=0.3, grace_s=8.0)])
     bench.later(20)
     bench.all_well()
-    heard(bench)
+    all_published_ok(bench)
     for _ in range(14):
         bench.later(0.5)
         bench.see("nodes", BAD)
@@ -69,84 +69,84 @@ def test_the_event_of_a_start_gives_the_same_grace() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_an_event_and_the_look_after_it_are_one_life() -> None:
-    """Grace is given once for each life, whoever tells of it second and however late."""
+def test_an_event_and_the_following_check_report_one_life() -> None:
+    """Grace is given once per life, regardless of which source reports it second and how late."""
     for event_first in (True, False):
         bench = living()
         if event_first:
-            heard(bench)
+            all_published_ok(bench)
         else:
-            bench.see("container", lived(2))
+            bench.see("container", ran_in_life(2))
         bench.later(4)
         if event_first:
-            bench.see("container", lived(2))
+            bench.see("container", ran_in_life(2))
         else:
-            heard(bench)
+            all_published_ok(bench)
         all_missing(bench, 5.0, life=2)
         assert bench.opened == ["nodes"], f"{event_first=}"
 
 
-def test_each_further_life_gives_grace_whichever_events_are_lost() -> None:
-    """An event that never came must not cost a later life its grace."""
+def test_each_new_life_gives_grace_whichever_events_are_lost() -> None:
+    """A lost event does not cost a later life its grace."""
     for events in [(True, False, True, False), (False, True, False, True), (False,) * 4, (True,) * 4]:
         bench = living()
         for life, event in enumerate(events, 2):
             if event:
-                heard(bench)
+                all_published_ok(bench)
                 bench.now += 0.1
             all_missing(bench, 6.0, life)
             for _ in range(6):
                 bench.later(0.5)
                 for name in ("nodes", "topics"):
                     bench.see(name, OK)
-                bench.see("container", lived(life))
+                bench.see("container", ran_in_life(life))
         assert bench.opened == [], f"{events=}"
 
 
-def test_a_look_that_was_on_its_way_when_the_event_came_is_of_the_old_life() -> None:
-    """The run began before the start: that it saw the old life does not mean that the event was wrong."""
+def test_a_check_that_began_before_the_event_describes_the_old_life() -> None:
+    """The run began before the start: it saw the old life, which does not make the event wrong."""
     bench = living()
     before = bench.now
     bench.now += 0.1
-    heard(bench)
-    bench.see("container", lived(1), started=before)
+    all_published_ok(bench)
+    bench.see("container", ran_in_life(1), started=before)
     bench.later(4)
-    bench.see("container", lived(2))
+    bench.see("container", ran_in_life(2))
     all_missing(bench, 5.0, life=2)
     assert bench.opened == ["nodes"]
 
 
-def test_the_first_life_seen_is_no_restart() -> None:
-    """A look at the container must not end what is known about its nodes."""
+def test_the_first_observed_life_is_not_a_restart() -> None:
+    """The first check of the container does not discard what is known about its nodes."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
     bench.later(20)
     bench.see("nodes", BAD)
-    all_seen = bench.see("container", lived(1))
+    all_seen = bench.see("container", ran_in_life(1))
     bench.later(0.5)
     bench.see("nodes", BAD)
-    bench.see("container", lived(1))
+    bench.see("container", ran_in_life(1))
     assert all_seen == set()
     assert bench.opened == ["nodes"]
 
 
-def test_only_one_unit_tells_the_lives_of_a_container() -> None:
-    """Two that name them differently would tell of a new one all the time, and hide everything behind its grace."""
+def test_only_one_unit_reports_the_lives_of_a_container() -> None:
+    """Two units that name lives differently would report a new life at every run and hide all faults behind its grace."""
     bench = living()
     for _ in range(4):
         bench.later(0.5)
         bench.see(
             "nodes", error("gone", brief="gone", condition="gone").with_evidence(Evidence(generation="other words"))
         )
-        bench.see("container", lived(1))
+        bench.see("container", ran_in_life(1))
     assert bench.opened == ["nodes"]
 
 
-def test_an_open_fault_goes_on_through_a_new_life() -> None:
-    """Somebody restarts the container to mend a dead node: it stays told until it is well."""
+def test_an_open_fault_persists_through_a_new_life() -> None:
+    """A container is restarted to repair a dead node: the fault stays published until the node is OK."""
     bench = living()
     all_missing(bench, 1.5, life=1)
     assert bench.opened == ["nodes"]
-    heard(bench)
+    all_published_ok(bench)
     all_missing(bench, 3.0, life=2)
     assert bench.level("nodes") is Level.ERROR
     bench.see("nodes", OK)
@@ -154,17 +154,17 @@ def test_an_open_fault_goes_on_through_a_new_life() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_a_memory_of_what_was_there_does_not_end_grace() -> None:
-    """A topic whose publisher has gone counts as silent three seconds later: until then OK says nothing."""
+def test_an_outdated_ok_does_not_end_grace() -> None:
+    """A topic counts as silent only three seconds after its publisher disappears; OK until then proves nothing."""
     bench = Bench([unit("container", target="app"), unit("rates", "container", grace_s=8.0, memory_s=4.0)])
     bench.later(20)
     bench.all_well()
-    bench.see("container", lived(1))
-    bench.see("container", lived(2))
+    bench.see("container", ran_in_life(1))
+    bench.see("container", ran_in_life(2))
     for result in (*[OK] * 6, *[BAD] * 8):
         bench.later(0.5)
         bench.see("rates", result)
-        bench.see("container", lived(2))
+        bench.see("container", ran_in_life(2))
     assert bench.opened == []
 
 
@@ -172,11 +172,11 @@ def ok_since_start_s(bench: Bench) -> list[float]:
     return [round(event.fault.ok_since_start_s, 3) for event in bench.events if isinstance(event, FaultOpened)]
 
 
-def test_a_fault_knows_how_long_its_unit_was_well_in_this_life() -> None:
-    """In all, breaks or not; what was well before the container was started does not count."""
+def test_a_fault_records_how_long_its_unit_was_ok_in_this_life() -> None:
+    """The total, with or without interruptions; time before the start of the container does not count."""
     bench = living()
     bench.later(30)
-    bench.see("container", lived(2))
+    bench.see("container", ran_in_life(2))
     bench.see("nodes", OK)
     bench.later(4)
     bench.see("nodes", stale("no picture"))
@@ -185,15 +185,15 @@ def test_a_fault_knows_how_long_its_unit_was_well_in_this_life() -> None:
     bench.later(6)
     for _ in range(4):
         bench.see("nodes", BAD)
-        bench.see("container", lived(2))
+        bench.see("container", ran_in_life(2))
         bench.later(0.2)
     assert bench.opened == ["nodes"]
     (seconds,) = ok_since_start_s(bench)
     assert 10.0 <= seconds <= 11.0
 
 
-def test_what_was_never_told_well_in_this_life_counts_nothing() -> None:
-    """Broken from the start."""
+def test_a_unit_never_ok_in_this_life_has_no_ok_time() -> None:
+    """The unit is broken from the start."""
     bench = living()
     bench.later(30)
     bench.see("nodes", BAD)
@@ -201,13 +201,13 @@ def test_what_was_never_told_well_in_this_life_counts_nothing() -> None:
     assert ok_since_start_s(bench) == [0.0]
 
 
-def test_a_fault_knows_whether_its_container_was_started_before_phm_looked() -> None:
-    """Then all has come up long ago, as far as anybody knows."""
+def test_a_fault_records_whether_its_container_was_started_before_phm() -> None:
+    """If so, PHM assumes that everything in it came up long ago."""
     bench = living()
     bench.later(1)
     for _ in range(4):
         bench.see("nodes", BAD)
-        bench.see("container", lived(1))
+        bench.see("container", ran_in_life(1))
         bench.later(0.2)
     all_missing(bench, 2.0, life=1)
     (fault,) = [event.fault for event in bench.events if isinstance(event, FaultOpened)]

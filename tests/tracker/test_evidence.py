@@ -15,7 +15,7 @@ MODULES = [path for part in ("tracker", "recovery", "commands") for path in sort
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_no_decision_reads_values(path: Path) -> None:
-    """`values` are for logs and reporters; an attribute of that name may only be the method of a mapping."""
+    """`values` are for logs and reporters; the only attribute of that name that may be read is the method of a mapping."""
     tree = ast.parse(path.read_text())
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     read = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == "values"]

@@ -1,4 +1,4 @@
-"""Grace: what is not known yet is no fault, and what was seen before it never counts."""
+"""Grace: a unit that is not known yet is not a fault, and results from before grace never count."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from phm.core.model import Evidence
 from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
 
 
-def test_a_flicker_of_a_need_gives_grace() -> None:
-    """What looked bad while a need was bad for a moment may follow from it, even if the need was never told."""
+def test_a_flicker_of_a_dependency_gives_grace() -> None:
+    """A failure seen while a dependency failed briefly may be its consequence, even if that failure was never
+    published.
+    """
     bench = Bench([unit("engine", failures=2), unit("nodes", "engine", grace_s=5.0)])
     bench.later(10)
     bench.all_well()
@@ -24,8 +26,8 @@ def test_a_flicker_of_a_need_gives_grace() -> None:
     assert bench.opened == []
 
 
-def test_what_was_seen_before_grace_never_counts() -> None:
-    """A bad result from before its need recovered opens nothing, however long the unit is not run anew."""
+def test_a_result_from_before_grace_never_counts() -> None:
+    """A bad result from before the dependency recovered opens no fault, however long the unit is not run again."""
     bench = chain()
     bench.all_well()
     bench.see("container", BAD)
@@ -42,8 +44,8 @@ def test_what_was_seen_before_grace_never_counts() -> None:
     assert bench.opened == ["container", "nodes"]
 
 
-def test_grace_after_start() -> None:
-    """A graph that is still filling is not known yet, and not a fault."""
+def test_missing_units_are_unknown_during_grace_after_start() -> None:
+    """An incomplete ROS graph is unknown, not a fault."""
     bench = Bench([unit("nodes", grace_s=5.0)])
     bench.see("nodes", BAD)
     assert bench.level("nodes") is Level.STALE
@@ -53,8 +55,8 @@ def test_grace_after_start() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_what_is_certain_needs_no_grace() -> None:
-    """Time would not change it. What was seen before a need recovered is old all the same, and must be seen anew."""
+def test_conclusive_evidence_needs_no_grace() -> None:
+    """Time would not change it. Evidence from before a dependency recovered is still outdated and must be seen again."""
     certain = replace(BAD, evidence=Evidence(certain=True))
     bench = Bench([unit("nodes", grace_s=5.0)])
     bench.see("nodes", certain)
@@ -73,8 +75,8 @@ def test_what_is_certain_needs_no_grace() -> None:
     assert bench.opened == ["container", "nodes"]
 
 
-def test_grace_after_a_need_recovered() -> None:
-    """What was blocked gets time to come back before it counts by itself."""
+def test_a_blocked_unit_gets_grace_after_its_dependency_recovered() -> None:
+    """A blocked unit gets time to recover before its own failure counts."""
     bench = chain(grace_s=5.0)
     bench.later(6)
     bench.all_well()
@@ -104,8 +106,8 @@ def recovered(bench: Bench) -> None:
     bench.events.clear()
 
 
-def test_grace_ends_early_once_the_unit_is_surely_well() -> None:
-    """A node that dies seconds after a restart is told as quickly as any other."""
+def test_grace_ends_early_once_the_unit_is_reliably_ok() -> None:
+    """A node that dies seconds after a restart is published as quickly as any other."""
     bench = chain(grace_s=8.0)
     recovered(bench)
     for _ in range(4):
@@ -117,7 +119,7 @@ def test_grace_ends_early_once_the_unit_is_surely_well() -> None:
 
 
 def test_a_short_ok_does_not_end_grace() -> None:
-    """What is still listed from before the restart says nothing about what comes after it."""
+    """The graph may still list an endpoint from before the restart."""
     bench = chain(grace_s=8.0)
     recovered(bench)
     bench.see("nodes", OK)
@@ -131,8 +133,8 @@ def test_a_short_ok_does_not_end_grace() -> None:
     assert bench.opened == []
 
 
-def test_what_goes_before_its_stopped_container_is_no_fault() -> None:
-    """`docker stop`: nodes say goodbye before the container has exited, and the container alone is told."""
+def test_a_node_that_ends_before_its_stopped_container_is_not_a_fault() -> None:
+    """`docker stop`: nodes shut down before the container has exited; only the container is published."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
     bench.all_well()
     bench.take(bench.tracker.expect_stop("app", bench.stamp(), 11.0))
@@ -144,8 +146,8 @@ def test_what_goes_before_its_stopped_container_is_no_fault() -> None:
     assert bench.blocked_by("nodes") == "container"
 
 
-def test_a_stop_that_does_not_come_about_masks_nothing_for_long() -> None:
-    """The signal was caught and only a node ended: it is told when the time for stopping is over."""
+def test_an_ignored_stop_masks_faults_only_briefly() -> None:
+    """The signal was caught and only a node ended: it is published when the time for stopping is over."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app")])
     bench.all_well()
     bench.take(bench.tracker.expect_stop("app", bench.stamp(), 11.0))
@@ -158,7 +160,7 @@ def test_a_stop_that_does_not_come_about_masks_nothing_for_long() -> None:
 
 
 def stopping() -> Bench:
-    """A container that was given a minute to end, and whose parts go on for a while."""
+    """A container with a stop timeout of one minute, whose nodes keep running for a while."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
     bench.all_well()
     bench.take(bench.tracker.expect_stop("app", bench.stamp(), 60.0))
@@ -169,8 +171,8 @@ def stopping() -> Bench:
     return bench
 
 
-def test_a_stop_that_takes_its_time_is_no_fault() -> None:
-    """Parts that were OK for a while after the signal and then go are still going with their container."""
+def test_a_slow_stop_is_not_a_fault() -> None:
+    """Nodes that are OK for a while after the signal and then end still end with their container."""
     bench = stopping()
     for _ in range(40):
         bench.later(1.0)
@@ -184,8 +186,8 @@ def test_a_stop_that_takes_its_time_is_no_fault() -> None:
     assert (bench.opened, bench.blocked_by("nodes")) == (["container"], "container")
 
 
-def test_a_container_that_was_started_again_is_no_longer_stopping() -> None:
-    """`docker restart`: what fails in the new one is a fault, however much time the old one had."""
+def test_a_restarted_container_is_no_longer_stopping() -> None:
+    """`docker restart`: a failure in the new run is a fault, however long the stop timeout of the old one was."""
     bench = stopping()
     bench.take(bench.tracker.container_started("app", bench.stamp()))
     for _ in range(5):
@@ -196,8 +198,8 @@ def test_a_container_that_was_started_again_is_no_longer_stopping() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_the_container_itself_is_judged_while_it_is_being_stopped() -> None:
-    """Only its parts go with it."""
+def test_the_container_itself_is_still_checked_while_it_is_stopping() -> None:
+    """Only its dependents are masked."""
     bench = stopping()
     bench.see("container", BAD)
     assert bench.opened == ["container"]

@@ -1,9 +1,9 @@
-"""One cause, one alarm: whatever order the evidence arrives in.
+"""One cause, one alarm, in whatever order the evidence arrives.
 
-The graph is the shipped configuration's, with the installed checks; `tests/fakes/agent_world.py` simulates the agent and
-states the bounds of time within which evidence of a cause and of its consequences may interleave. Within them the
-order of runs, lost wake-ups, slow answers and flickers are drawn anew in each of more than 1000 examples. Where recovery
-is at work it is the real one (`tests/fakes/healer.py`); what its actions do, and what others do meanwhile, is drawn.
+The graph is that of the shipped configuration with the installed checks; `tests/fakes/agent_world.py` simulates the
+agent and states the time bounds within which evidence of a cause and of its consequences may interleave. Within them,
+the order of runs, lost wake-ups, slow answers and flickers are drawn again for each of more than 1000 examples.
+Recovery is the real code (`tests/fakes/healer.py`); the effects of its actions, and external interventions, are drawn.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ KINDS = st.sampled_from(sorted(CAUSES))
 
 
 def examples(count: int) -> settings:
-    """A slow machine is no failure."""
+    """Set no deadline: a slow machine is not a failure."""
     return settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 def independent(one: str, other: str) -> bool:
-    """Whether neither fault's unit is upstream of the other's, nor the same, nor explained by the other."""
+    """Whether the two units differ, neither is upstream of the other, and neither fault explains the other."""
     needs = Sim(0).tracker.graph
     if STARVING.intersection((one, other)) and HIDDEN.intersection((one, other)):
         return False
@@ -55,7 +55,7 @@ def healing(sim: Sim, **more: Any) -> Iterator[Healer]:
 
 
 def assert_attributed(sim: Sim, causes: set[str]) -> None:
-    """The causes alone are ERROR; who suffers is STALE, blocked in the end by one of the causes."""
+    """Only the causes are ERROR; affected units are STALE and blocked, directly or indirectly, by one of the causes."""
     assert sim.units_at(Level.ERROR) == causes
     for unit in sim.units_at(Level.STALE):
         if sim.tracker.state(unit).result.level is Level.STALE and sim.tracker.state(unit).blocked_by:
@@ -63,7 +63,7 @@ def assert_attributed(sim: Sim, causes: set[str]) -> None:
 
 
 def assert_over(sim: Sim, causes: set[str]) -> None:
-    """Each fault was opened once and closed once as resolved, and all is well."""
+    """Each fault was opened once and closed once as resolved, and all units are OK."""
     assert sorted(sim.opened) == sorted(causes)
     assert sorted(event.fault.unit for event in sim.closed) == sorted(causes)
     assert {event.fault.outcome for event in sim.closed} == {Outcome.RESOLVED}
@@ -72,13 +72,15 @@ def assert_over(sim: Sim, causes: set[str]) -> None:
 
 @examples(400)
 @given(KINDS, SEEDS, st.booleans())
-def test_one_fault_is_one_alarm_at_its_cause(kind: str, seed: int, events_are_lost: bool) -> None:
-    """One primary fault opens one fault, at its cause; whoever suffers is STALE and names it; repaired, all is OK."""
+def test_one_primary_fault_raises_one_alarm_at_its_cause(kind: str, seed: int, events_are_lost: bool) -> None:
+    """One primary fault opens one fault, at its cause; affected units are STALE and name it; after the repair all is
+    OK.
+    """
     sim = Sim(seed, wakes_lost=1.0 if events_are_lost else 0.3)
     sim.world.inject(kind, sim.now + 1.5)
     sim.run(10.0)
     unit = CAUSES[kind][0]
-    sim.ask(unit)  # the next pass: nobody may have needed it, its event was lost and its period is long
+    sim.ask(unit)  # the next pass: possibly nothing depends on it, its event was lost and its period is long
     sim.run(2.0)
     assert sim.opened == [unit]
     assert_attributed(sim, {unit})
@@ -90,8 +92,8 @@ def test_one_fault_is_one_alarm_at_its_cause(kind: str, seed: int, events_are_lo
 
 @examples(250)
 @given(PAIRS, SEEDS, st.floats(0.0, 4.0))
-def test_independent_faults_are_each_told_once(pair: tuple[str, str], seed: int, apart_s: float) -> None:
-    """Two causes of which neither needs the other open two faults, and each is closed once when it is repaired."""
+def test_independent_faults_are_each_published_once(pair: tuple[str, str], seed: int, apart_s: float) -> None:
+    """Two causes, neither dependent on the other, open two faults; each is closed once when it is repaired."""
     sim = Sim(seed)
     sim.world.inject(pair[0], sim.now + 1.5)
     sim.world.inject(pair[1], sim.now + 1.5 + apart_s)
@@ -111,8 +113,12 @@ def test_independent_faults_are_each_told_once(pair: tuple[str, str], seed: int,
 
 @examples(60)
 @given(st.sampled_from(sorted(STARVING)), st.sampled_from(sorted(HIDDEN)), SEEDS, st.floats(1.0, 6.0))
-def test_what_starvation_explains_is_told_when_it_is_over(starving: str, kind: str, seed: int, after_s: float) -> None:
-    """While it lasts there is one alarm, at the cause; what is still there when symptoms have had time to go is a fault."""
+def test_failures_explained_by_starvation_are_published_when_it_is_over(
+    starving: str, kind: str, seed: int, after_s: float
+) -> None:
+    """During starvation there is one alarm, at the cause; a failure that persists after symptoms had time to clear is a
+    fault.
+    """
     sim, (cause, unit) = Sim(seed), (CAUSES[starving][0], CAUSES[kind][0])
     sim.world.inject(starving, sim.now + 1.5)
     sim.run(1.5 + after_s)
@@ -132,8 +138,8 @@ def test_what_starvation_explains_is_told_when_it_is_over(starving: str, kind: s
 
 @examples(60)
 @given(st.sampled_from(sorted(STARVING)), st.sampled_from(sorted(HIDDEN)), SEEDS)
-def test_a_fault_older_than_starvation_goes_on(starving: str, kind: str, seed: int) -> None:
-    """It is not told again and not closed; while starved, recovery is asked to leave it."""
+def test_a_fault_older_than_starvation_stays_open(starving: str, kind: str, seed: int) -> None:
+    """It is neither published again nor closed; during starvation, recovery is asked to leave it alone."""
     sim, (cause, unit) = Sim(seed), (CAUSES[starving][0], CAUSES[kind][0])
     sim.world.inject(kind, sim.now + 1.5)
     sim.run(5.0)
@@ -155,14 +161,12 @@ def test_a_fault_older_than_starvation_goes_on(starving: str, kind: str, seed: i
 
 
 @examples(120)
-@example(
-    pair=("silent_2", "unhealthy"), seed=1, apart_s=3.5
-)  # a fault is older than the restart that takes its node away
+@example(pair=("silent_2", "unhealthy"), seed=1, apart_s=3.5)  # a fault is older than the restart that removes its node
 @given(PAIRS, SEEDS, st.floats(0.0, 8.0))
-def test_independent_faults_are_each_told_once_while_recovery_is_at_work(
+def test_independent_faults_are_each_published_once_during_recovery(
     pair: tuple[str, str], seed: int, apart_s: float
 ) -> None:
-    """A repair may heal both before the second is told; none is told twice, and nobody else."""
+    """One repair may clear both before the second is published; no fault is published twice, and no other one."""
     sim = Sim(seed)
     with healing(sim):
         sim.world.inject(pair[0], sim.now + 1.5)
@@ -173,17 +177,18 @@ def test_independent_faults_are_each_told_once_while_recovery_is_at_work(
             sim.ask(CAUSES[kind][0])
         sim.run(25.0)
     units = {CAUSES[kind][0] for kind in pair}
-    told = set(sim.opened)
-    assert units >= told >= {unit for unit in units if unit not in sim.touched}
-    assert told
-    assert_over(sim, told)
+    published = set(sim.opened)
+    assert units >= published >= {unit for unit in units if unit not in sim.touched}
+    assert published
+    assert_over(sim, published)
 
 
 @examples(130)
 @given(KINDS, SEEDS, st.booleans())
-def test_a_healed_fault_is_told_once_and_closed_once(kind: str, seed: int, in_part: bool) -> None:
-    """What the repair itself breaks for a moment, and what comes back slowly after it, is no alarm; nor is what the first
-    step of a ladder leaves lost, for which the next follows."""
+def test_a_repaired_fault_is_published_once_and_closed_once(kind: str, seed: int, in_part: bool) -> None:
+    """A brief failure caused by the repair, or a slow return after it, raises no alarm; nor does a target that the
+    first step of a ladder leaves lost and the next step recovers.
+    """
     sim = Sim(seed)
     with healing(sim, in_part=float(in_part)) as healer:
         sim.world.inject(kind, sim.now + 1.5)
@@ -205,7 +210,9 @@ HAPPENINGS = st.lists(
 
 
 def seen_by_phm(happenings: list[tuple[str, float]]) -> bool:
-    """Starvation that begins and ends while the engine is away cannot be seen, nor what a health probe owes to it."""
+    """Starvation that begins and ends while the Docker Engine is unreachable cannot be seen, nor a probe result caused
+    by it.
+    """
     kinds = {what for what, _ in happenings}
     return "engine" not in kinds or STARVING.isdisjoint(kinds)
 
@@ -217,13 +224,13 @@ def seen_by_phm(happenings: list[tuple[str, float]]) -> bool:
 def test_recovery_respects_budget_hold_and_arming(
     happenings: list[tuple[str, float]], seed: int, helps: float, critical: bool
 ) -> None:
-    """Whatever breaks, comes back or is started again by others, and however often repairs fail: one cause, one alarm.
+    """Whatever fails, returns or is restarted from outside, and however often repairs fail: one cause, one alarm.
 
-    `Healer` asserts that one action is at work at a time, none beyond the budget, none that is not held, and none while
-    armed on what is flight-critical. In the end all is repaired, and well.
+    `Healer` asserts that actions run one at a time, within the budget, on a held target, and never on a flight-critical
+    target while armed. At the end, everything is repaired and OK.
     """
     sim = Sim(seed)
-    sim.ask(f"container/{TARGET}")  # PHM has seen the life that others end
+    sim.ask(f"container/{TARGET}")  # PHM has seen the life that is ended from outside
     sim.run(1.0)
     rules = {"budget": 3, "window": 40.0, "same_failure": 2, "verify": 6.0}
     causes: Counter[str] = Counter()
@@ -237,9 +244,9 @@ def test_recovery_respects_budget_hold_and_arming(
         for state in sim.tracker.states():
             sim.ask(state.unit)
         sim.run(40.0)
-    # What a repair left lost is told as what it is when no next step may follow in time.
+    # A target that a repair left lost is published as lost when no next step may follow in time.
     causes.update(dict.fromkeys(NODES.values(), healer.left_lost))
-    assert not Counter(sim.opened) - (causes + reasons_to_tell_again(sim))
+    assert not Counter(sim.opened) - (causes + reasons_to_publish_again(sim))
     assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
 
 
@@ -254,7 +261,9 @@ CHANGING = ("network", "apart", "container", "paused", "node_1", *BY_OTHERS)
 def test_a_unit_in_error_always_has_a_visible_fault(
     happenings: list[tuple[str, float]], seed: int, nothing_helps: bool
 ) -> None:
-    """Open or given up, also when what is wrong changes before, during and after a repair; `Sim` asserts it at each tick."""
+    """The fault is open or given up, also when the failure changes before, during and after a repair; `Sim` asserts it
+    at each tick.
+    """
     sim = Sim(seed)
     rules = {"budget": 20, "window": 40.0, "same_failure": 2, "verify": 6.0}
     with healing(sim, helps=0.0 if nothing_helps else 0.6, in_part=0.3, **rules):
@@ -270,9 +279,10 @@ def test_a_unit_in_error_always_has_a_visible_fault(
     assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
 
 
-def reasons_to_tell_again(sim: Sim) -> Counter[str]:
-    """Each start was a moment in which the container did not run; a fault may be told again after it was found to follow
-    from another, and after it was given up when somebody else began anew."""
+def reasons_to_publish_again(sim: Sim) -> Counter[str]:
+    """Causes whose fault may be published again: after each start, during which the container did not run, the fault
+    may have been found to be a consequence; or it was given up and recovery attempts were reset from outside.
+    """
     again = Counter({f"container/{TARGET}": len(sim.world.lives) - 1})
     again.update(event.fault.unit for event in sim.closed if event.fault.outcome is Outcome.REATTRIBUTED)
     again.update(sim.reset_units)
@@ -280,30 +290,30 @@ def reasons_to_tell_again(sim: Sim) -> Counter[str]:
 
 
 def drawn(sim: Sim) -> Callable[[float], bool]:
-    """Two spans of time in which the vehicle is armed."""
+    """Two periods during which the vehicle is armed."""
     spans = [(begin := sim.random.uniform(0, 60), begin + sim.random.uniform(0, 20)) for _ in range(2)]
     return lambda now: any(begin <= now < end for begin, end in spans)
 
 
 def happen(sim: Sim, what: str) -> list[str]:
-    """A cause appears, or is over if it was there, or others start the container; units with a new cause."""
+    """Start a cause, end it if it is active, or start the container from outside; return units with a new cause."""
     now, spans = sim.now, sim.world.active.get(what)
     if what in BY_OTHERS:
         sim.world.restart(now + 0.05, what)
     elif spans is None:
         sim.world.inject(what, now + 0.05)
         return [CAUSES[what][0]]
-    elif now - spans[0].begin > 3.0:  # what is over before all that follows from it has begun is no cause
+    elif now - spans[0].begin > 3.0:  # a cause that ended before all its consequences began does not count
         sim.world.repair(what, now)
     return []
 
 
 @examples(120)
 @given(KINDS, SEEDS, st.floats(0.05, 0.25))
-def test_neither_flicker_nor_old_nor_unknown_opens_a_fault(kind: str, seed: int, lasts_s: float) -> None:
-    """Bad evidence of a dependent shorter than its settle_s, results of older runs, and STALE tell nothing."""
+def test_flickers_old_results_and_unknown_units_open_no_fault(kind: str, seed: int, lasts_s: float) -> None:
+    """Bad evidence of a dependent that is shorter than its settle_s, results of older runs, and STALE publish nothing."""
     sim = Sim(seed)
-    sim.world.sure = False  # what a check is sure of settles no longer, and is told
+    sim.world.sure = False  # conclusive evidence does not settle and is published immediately
     unit = CAUSES[kind][0]
     settle_s = {entry.unit.id: entry.unit.settle_s for entry in shipped()[1].tracked}[unit]
     if settle_s:
@@ -318,6 +328,8 @@ def test_neither_flicker_nor_old_nor_unknown_opens_a_fault(kind: str, seed: int,
         sim.take(sim.tracker.observe(other, old, sim.tracker.last_started(other) - 0.01, sim.stamp()))
         sim.take(sim.tracker.observe(other, stale("cannot tell"), sim.now, sim.stamp()))
         sim.ask(other)
-    sim.run(12.0 + max(entry.period_s for entry in sim.plan.scheduled))  # whose wake-up was lost runs by its period
+    sim.run(
+        12.0 + max(entry.period_s for entry in sim.plan.scheduled)
+    )  # a unit whose wake-up was lost runs by its period
     assert [event for _, event in sim.events if isinstance(event, FaultOpened | FaultClosed)] == []
     assert {state.level for state in sim.tracker.states()} == {Level.OK}

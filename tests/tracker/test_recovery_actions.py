@@ -1,4 +1,4 @@
-"""Holds and proofs: what breaks because of a repair is no fault, and a repair is believed when it is proven."""
+"""Holds and verification: a failure caused by a repair is not a fault; a repair counts once it is verified."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def holding() -> Bench:
     return bench
 
 
-def test_what_breaks_because_of_the_repair_is_no_fault() -> None:
-    """Restarting the container stops it for a moment: the fault under repair is the cause."""
+def test_a_failure_caused_by_the_repair_is_not_a_fault() -> None:
+    """Restarting the container stops it for a moment: the cause is the fault under repair."""
     bench = holding()
     bench.see("container", BAD)
     bench.see("topics", BAD)
@@ -38,7 +38,7 @@ def test_what_breaks_because_of_the_repair_is_no_fault() -> None:
 
 
 def test_a_verified_repair_is_credited_to_the_action() -> None:
-    """The fault that the action healed is resolved by it, and nothing else is told."""
+    """The fault that the action repaired is resolved by it, and nothing else is published."""
     bench = holding()
     bench.see("container", BAD)
     bench.now += 1
@@ -53,8 +53,8 @@ def test_a_verified_repair_is_credited_to_the_action() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_a_repair_that_did_not_help_gets_no_credit() -> None:
-    """What comes back later has healed by itself."""
+def test_an_ineffective_repair_gets_no_credit() -> None:
+    """A later recovery is spontaneous."""
     bench = holding()
     bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
     bench.later(60)
@@ -63,15 +63,15 @@ def test_a_repair_that_did_not_help_gets_no_credit() -> None:
 
 
 def test_a_hold_ends_even_if_its_owner_has_died() -> None:
-    """An executor that vanished must not mute the target for ever."""
+    """A crashed executor must not mask its target permanently."""
     bench = holding()
     bench.later(61)
     bench.see("container", BAD)
     assert [fault.unit for fault in bench.tracker.open_faults()] == ["container"]
 
 
-def test_a_fault_says_for_how_long_its_unit_was_well() -> None:
-    """Without a break, and nothing when it was not known to be well just before."""
+def test_a_fault_states_how_long_its_unit_was_ok() -> None:
+    """Without interruption; nothing when the unit was not known to be OK just before."""
     bench = Bench([unit("container")])
     bench.see("container", BAD)
     bench.see("container", OK)
@@ -86,7 +86,7 @@ def test_a_fault_says_for_how_long_its_unit_was_well() -> None:
 
 
 def test_an_escalated_fault_is_closed_once_and_not_opened_again() -> None:
-    """Giving up is said aloud, once; the unit stays ERROR until it is well."""
+    """Giving up is published once; the unit stays ERROR until it is OK."""
     bench = Bench([unit("container")])
     bench.see("container", BAD)
     fault = bench.tracker.open_faults()[0]
@@ -101,7 +101,7 @@ def test_an_escalated_fault_is_closed_once_and_not_opened_again() -> None:
 
 
 def repairing() -> Bench:
-    """The container's network was lost; a repair that must be proven is under way."""
+    """The container's network was lost; a repair that needs verification is running."""
     bench = Bench([unit("network", target="app"), unit("nodes", "network", target="app", grace_s=8.0)])
     bench.later(10)
     bench.all_well()
@@ -112,8 +112,8 @@ def repairing() -> Bench:
     return bench
 
 
-def test_a_repair_is_not_believed_before_it_is_proven() -> None:
-    """The network is back, its nodes are not: the fault stays open until the repair is said to have worked."""
+def test_a_repair_counts_only_after_verification() -> None:
+    """The network is back, its nodes are not: the fault stays open until the repair is verified."""
     bench = repairing()
     done = bench.now
     bench.see("network", OK)
@@ -129,8 +129,8 @@ def test_a_repair_is_not_believed_before_it_is_proven() -> None:
     assert bench.opened == ["network"]
 
 
-def test_a_repair_that_did_not_bring_all_back_leaves_the_fault_to_the_next_action() -> None:
-    """One cause, one fault: the restart that follows the reconnection heals the same fault."""
+def test_a_partial_repair_leaves_the_fault_to_the_next_action() -> None:
+    """One cause, one fault: the restart after the reconnection resolves the same fault."""
     bench = repairing()
     bench.see("network", OK)
     bench.see("nodes", BAD)
@@ -145,8 +145,8 @@ def test_a_repair_that_did_not_bring_all_back_leaves_the_fault_to_the_next_actio
     assert bench.opened == ["network"]
 
 
-def test_an_unproven_repair_is_believed_once_all_that_needs_it_has_come_back() -> None:
-    """Late, as on a busy machine: nothing is left to wait for, so the fault does not stay."""
+def test_an_unverified_repair_counts_once_all_dependents_are_back() -> None:
+    """Late, as on a busy machine: nothing is left to wait for, so the fault closes."""
     bench = repairing()
     bench.see("network", OK)
     bench.see("nodes", BAD)
@@ -160,8 +160,8 @@ def test_an_unproven_repair_is_believed_once_all_that_needs_it_has_come_back() -
     assert bench.closed == [("network", Outcome.RESOLVED, "itself")]
 
 
-def test_a_late_repair_of_what_nothing_needs_is_believed_as_soon_as_it_is_ok() -> None:
-    """A topic that flows again after its repair was found to have failed is no fault any longer."""
+def test_a_late_repair_without_dependents_counts_as_soon_as_the_unit_is_ok() -> None:
+    """A topic that flows again after its repair failed verification is no longer a fault."""
     bench = Bench([unit("topics", target="app")])
     bench.later(10)
     bench.all_well()
@@ -174,8 +174,8 @@ def test_a_late_repair_of_what_nothing_needs_is_believed_as_soon_as_it_is_ok() -
     assert bench.closed == [("topics", Outcome.RESOLVED, "itself")]
 
 
-def test_an_unproven_repair_is_believed_in_the_end() -> None:
-    """When nothing more is done, a unit that is well does not stay ERROR for ever."""
+def test_an_unverified_repair_counts_eventually() -> None:
+    """When no further action follows, a unit that is OK does not stay ERROR permanently."""
     bench = repairing()
     bench.see("network", OK)
     bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
@@ -185,9 +185,10 @@ def test_an_unproven_repair_is_believed_in_the_end() -> None:
     assert [outcome for _, outcome, _ in bench.closed] == [Outcome.RESOLVED]
 
 
-def test_what_lies_behind_another_target_waits_for_the_proof() -> None:
-    """A radio's link is opened anew and the radio answers; the ground station behind it speaks once a second: it has grace
-    from when the repair is proven, and raises no alarm before."""
+def test_a_unit_behind_another_target_waits_for_verification() -> None:
+    """A radio's link is reopened and the radio answers; the ground station behind it sends one heartbeat per second:
+    its grace starts when the repair is verified, and it raises no alarm before.
+    """
     bench = Bench([unit("radio", target="link"), unit("gcs", "radio", grace_s=5.0)])
     bench.later(10)
     bench.all_well()

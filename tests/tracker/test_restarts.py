@@ -1,6 +1,7 @@
-"""A container that is started again between two looks raises no alarm for what runs inside; one that never stays, one.
+"""A container that restarts between two checks raises no alarm for its nodes; one that keeps restarting raises one.
 
-Drawn interleavings on the shipped graph, as in `test_interleavings.py`; the container itself is judged by the real check.
+Drawn interleavings on the shipped graph, as in `test_interleavings.py`; the container itself is judged by the real
+check.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ BACKOFF_S, BACKOFF_MAX_S, UP_S = 0.1, 60.0, 10.0
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The container waits from `down` on and runs from `up` on, in its next life."""
+    """The container waits from `down` on and runs its next life from `up` on."""
 
     down: float
     up: float
@@ -36,13 +37,13 @@ class Span:
 
 @dataclass(slots=True)
 class LivingWorld(World):
-    """A world in which the container ends and is started again by others; its check is the real one."""
+    """A world in which the container ends and is restarted from outside; its check is the real one."""
 
     spans: list[Span] = field(default_factory=list)
     check: api.Check = field(default_factory=lambda: _container_check())
 
     def restart_unseen(self, at: float, gap_s: float, *, by_engine: bool, back: bool = True) -> float:
-        """The container ends at `at`, and runs again after `gap_s`; its nodes come back, or never do."""
+        """The container ends at `at` and runs again after `gap_s`; its nodes return, or never do."""
         up = at + gap_s
         count = self.spans[-1].restarts if self.spans else 0
         self.spans.append(Span(at, up, count + 1 if by_engine else 0))
@@ -72,7 +73,7 @@ class LivingWorld(World):
             return result
         if not fact.running and unit.startswith(("network/", "health/")):
             return Result(Level.STALE, "not judged while the container does not run")
-        # Without its base class by name: slots give this class a new one.
+        # Not super() without arguments: dataclass slots replace this class.
         return World.result(self, unit, at)
 
 
@@ -89,8 +90,8 @@ def living(seed: int, *, wakes_lost: float) -> tuple[Sim, LivingWorld]:
     return sim, world
 
 
-def tell_starts(sim: Sim, world: LivingWorld, arrives_s: Callable[[], float | None]) -> None:
-    """Have the engine tell of each start after a time, or never."""
+def report_starts(sim: Sim, world: LivingWorld, arrives_s: Callable[[], float | None]) -> None:
+    """Let the Docker Engine report each start after a delay, or never."""
     due: dict[Span, float | None] = {}
 
     def look() -> None:
@@ -108,7 +109,7 @@ EVENTS = st.sampled_from(["quick", "late", "some", "none"])
 
 
 def arrivals(sim: Sim, kind: str) -> Callable[[], float | None]:
-    """Events come at once, after the stream was down for seconds, at times only, or never."""
+    """Events arrive immediately, after an outage of the stream, only sometimes, or never."""
     rnd = sim.random
     return {
         "quick": lambda: rnd.uniform(0.0, 0.2),
@@ -120,10 +121,12 @@ def arrivals(sim: Sim, kind: str) -> Callable[[], float | None]:
 
 @examples(120)
 @given(SEEDS, EVENTS, st.booleans(), st.integers(1, 2))
-def test_a_restart_between_two_looks_is_no_fault(seed: int, events: str, by_engine: bool, times: int) -> None:
-    """Whoever started it and whichever event was lost; and a node that dies after all that is told as quickly as ever."""
+def test_a_restart_between_two_checks_is_not_a_fault(seed: int, events: str, by_engine: bool, times: int) -> None:
+    """Regardless of who restarted it and which events are lost; a node that dies later is published as quickly as
+    usual.
+    """
     sim, world = living(seed, wakes_lost=1.0 if events == "none" else 0.3)
-    tell_starts(sim, world, arrivals(sim, events))
+    report_starts(sim, world, arrivals(sim, events))
     for _ in range(times):
         world.restart_unseen(sim.now + 0.5, sim.random.uniform(0.1, 1.0), by_engine=by_engine)
         sim.run(sim.random.uniform(16.0, 25.0))
@@ -138,10 +141,10 @@ def test_a_restart_between_two_looks_is_no_fault(seed: int, events: str, by_engi
 
 @examples(40)
 @given(SEEDS, EVENTS)
-def test_what_does_not_come_back_after_a_restart_is_told_when_grace_is_over(seed: int, events: str) -> None:
-    """Grace is given once for a life: nodes that stay away are faults of their own, told once each, and nothing else."""
+def test_a_node_missing_after_a_restart_is_published_when_grace_is_over(seed: int, events: str) -> None:
+    """Grace is given once per life: nodes that stay away are separate faults, each published once, and nothing else is."""
     sim, world = living(seed, wakes_lost=0.3)
-    tell_starts(sim, world, arrivals(sim, events))
+    report_starts(sim, world, arrivals(sim, events))
     world.restart_unseen(sim.now + 0.5, sim.random.uniform(0.1, 1.0), by_engine=True, back=False)
     sim.run(2.0)
     assert sim.opened == []
@@ -153,9 +156,9 @@ def test_what_does_not_come_back_after_a_restart_is_told_when_grace_is_over(seed
 @examples(30)
 @given(SEEDS, EVENTS, st.floats(0.2, 7.0))
 def test_a_crash_loop_is_one_fault_at_the_container(seed: int, events: str, life_s: float) -> None:
-    """Grace after each start hides what runs inside, not the loop: one alarm, open until the container stays."""
+    """Grace after each start hides the nodes, not the loop: one alarm, open until the container stays up."""
     sim, world = living(seed, wakes_lost=1.0 if events == "none" else 0.3)
-    tell_starts(sim, world, arrivals(sim, events))
+    report_starts(sim, world, arrivals(sim, events))
     wait_s, lives = BACKOFF_S, 0
     while sim.now < 120.0:
         world.restart_unseen(sim.now + life_s, wait_s, by_engine=True, back=False)

@@ -1,4 +1,4 @@
-"""Starvation is a cause: one alarm at the pressure unit, its symptoms STALE, all else as ever."""
+"""Starvation is a cause: one alarm at the pressure unit, its symptoms STALE, everything else unchanged."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def bench(**more: float) -> Bench:
 
 
 def answered(made: Bench, *pressure: str, result: Result = OK) -> None:
-    """The pressure units have been asked and answer."""
+    """Return a bench whose pressure units have been checked."""
     for name in pressure:
         made.see(name, result)
 
@@ -68,7 +68,7 @@ def test_a_symptom_is_blocked_by_the_pressure_unit_that_explains_it() -> None:
 
 
 def test_a_symptom_waits_until_the_pressure_units_have_answered_since() -> None:
-    """They are asked when the symptom is seen; what they say then decides, so that the order of evidence does not."""
+    """They are queried when the symptom is seen; their answer decides, so the order of evidence does not."""
     made = bench()
     made.later(0.1)
     asked = made.see("rates/x", SLOW)
@@ -84,7 +84,7 @@ def test_a_symptom_waits_until_the_pressure_units_have_answered_since() -> None:
 
 
 def test_a_symptom_without_starvation_is_published_once_they_have_answered() -> None:
-    """Pressure units that are OK leave it a fault of its own."""
+    """If pressure units are OK, the symptom is a separate fault."""
     made = bench()
     made.later(0.1)
     made.see("rates/x", SLOW)
@@ -103,8 +103,8 @@ def test_a_pressure_unit_that_cannot_tell_explains_nothing_and_delays_nothing() 
     assert made.opened == ["rates/x"]
 
 
-def test_a_pressure_unit_that_never_answers_delays_a_symptom_not_for_ever() -> None:
-    """A check that hangs gets as long as a need that is unknown."""
+def test_a_pressure_unit_that_never_answers_delays_a_symptom_for_a_limited_time() -> None:
+    """A hanging check gets as much time as an unknown dependency."""
     made = bench()
     made.later(0.1)
     made.see("rates/x", SLOW)
@@ -116,7 +116,7 @@ def test_a_pressure_unit_that_never_answers_delays_a_symptom_not_for_ever() -> N
 
 
 def test_a_warning_of_pressure_explains_nothing_but_is_waited_for() -> None:
-    """It raises no alarm, so a symptom blocked by it would have none; it may be on its way to ERROR."""
+    """It raises no alarm, so a symptom blocked by it would have none; but it may become ERROR soon."""
     made = bench()
     made.see("pressure/app", warn("app throttled 20 %", brief="throttled", condition="cpu_throttled"))
     made.later(0.1)
@@ -138,8 +138,8 @@ def test_a_warning_of_pressure_explains_nothing_but_is_waited_for() -> None:
     ],
     ids=["exited", "process gone", "qos", "certain"],
 )
-def test_what_starvation_does_not_explain_is_published_immediately(result: Result) -> None:
-    """Also while starved: a process that is gone is gone."""
+def test_a_failure_that_starvation_does_not_explain_is_published_immediately(result: Result) -> None:
+    """Also during starvation: an ended process has ended."""
     made = bench()
     made.see("pressure/app", THROTTLED)
     made.later(0.1)
@@ -149,7 +149,7 @@ def test_what_starvation_does_not_explain_is_published_immediately(result: Resul
 
 
 def test_a_real_fault_blocks_before_starvation_does() -> None:
-    """What follows from an exit follows from it also while starved, and an older attribution is corrected."""
+    """Consequences of an exit are attributed to it also during starvation, and an older attribution is corrected."""
     made = bench()
     made.see("pressure/app", THROTTLED)
     made.see("rates/x", SLOW)
@@ -158,8 +158,8 @@ def test_a_real_fault_blocks_before_starvation_does() -> None:
     assert made.opened == ["pressure/app", "container/app"]
 
 
-def test_a_need_that_is_merely_starved_does_not_hide_what_is_conclusive() -> None:
-    """A node late by starvation is no reason to hide that its topic does not fit; all else it blocks as ever."""
+def test_a_starved_dependency_does_not_hide_conclusive_evidence() -> None:
+    """A node delayed by starvation does not explain its topic's QoS mismatch; it blocks everything else as usual."""
     made = bench()
     made.see("pressure/app", THROTTLED)
     made.see("nodes/n", HUNG)
@@ -175,7 +175,7 @@ def test_a_need_that_is_merely_starved_does_not_hide_what_is_conclusive() -> Non
 
 
 def test_a_symptom_published_just_before_is_reattributed() -> None:
-    """The figures of pressure need a moment; there is one open fault in the end, at the cause."""
+    """Pressure figures take a moment to rise; in the end there is one open fault, at the cause."""
     made = bench()
     made.later(0.1)
     made.see("rates/x", SLOW)
@@ -186,8 +186,8 @@ def test_a_symptom_published_just_before_is_reattributed() -> None:
     assert made.blocked_by("rates/x") == "pressure/app"
 
 
-def test_a_fault_that_was_open_before_goes_on_and_is_left_alone() -> None:
-    """It has another cause, but while starved it can be neither judged nor repaired: recovery is asked to leave it."""
+def test_a_fault_from_before_starvation_stays_open_and_is_left_alone() -> None:
+    """It has another cause, but cannot be judged or repaired during starvation: recovery is asked to leave it alone."""
     made = bench()
     made.later(0.1)
     made.see("rates/x", SLOW)
@@ -207,8 +207,8 @@ def test_a_fault_that_was_open_before_goes_on_and_is_left_alone() -> None:
     assert made.level("rates/x") is Level.ERROR
 
 
-def test_after_starvation_a_symptom_gets_time_to_go() -> None:
-    """It is not known yet; OK closes the matter without an alarm."""
+def test_a_symptom_gets_time_to_clear_after_starvation() -> None:
+    """It is unknown at first; OK closes it without an alarm."""
     made = bench()
     made.see("pressure/app", THROTTLED)
     made.see("rates/x", SLOW)
@@ -223,8 +223,8 @@ def test_after_starvation_a_symptom_gets_time_to_go() -> None:
     assert made.opened == ["pressure/app"]
 
 
-def test_a_symptom_that_stays_after_starvation_is_a_fault_of_its_own() -> None:
-    """Nothing stays STALE for ever."""
+def test_a_symptom_that_persists_after_starvation_is_a_separate_fault() -> None:
+    """Nothing stays STALE permanently."""
     made = bench()
     made.see("pressure/app", THROTTLED)
     made.see("rates/x", SLOW)
@@ -237,7 +237,7 @@ def test_a_symptom_that_stays_after_starvation_is_a_fault_of_its_own() -> None:
 
 
 def test_after_starvation_old_evidence_proves_nothing() -> None:
-    """A health probe that failed while starved counts only when a later one has failed, too."""
+    """A health probe that failed during starvation counts only when a later one fails, too."""
     made = Bench([unit("pressure/app"), unit("health/app", starved_by=("pressure/app",))])
     made.all_well()
     unhealthy = error("unhealthy", brief="unhealthy", condition="unhealthy")
@@ -255,8 +255,8 @@ def test_after_starvation_old_evidence_proves_nothing() -> None:
     assert made.opened == ["pressure/app", "health/app"]
 
 
-def test_what_is_not_explained_needs_no_grace_after_starvation() -> None:
-    """A process that ends a moment after starvation is reported as soon as ever."""
+def test_an_unexplained_failure_gets_no_grace_after_starvation() -> None:
+    """A process that ends just after starvation is reported as quickly as usual."""
     made = bench()
     made.see("pressure/app", THROTTLED)
     made.see("nodes/n", HUNG)
@@ -269,7 +269,7 @@ def test_what_is_not_explained_needs_no_grace_after_starvation() -> None:
 
 
 def test_the_machine_is_the_cause_of_a_container_that_waits_for_its_cores() -> None:
-    """One alarm at the host; the container's own limit is another matter."""
+    """One alarm at the host; the container's own limit would be a different cause."""
     made = bench()
     made.see("pressure/app", WAITS)
     made.see("rates/x", SLOW)
@@ -287,8 +287,8 @@ def test_the_machine_is_the_cause_of_a_container_that_waits_for_its_cores() -> N
 
 
 @pytest.mark.parametrize("condition", ["memory_pressure", "io_pressure"])
-def test_a_busy_processor_explains_neither_tight_memory_nor_a_slow_disk(condition: str) -> None:
-    """A container whose memory or disk is too small is a cause of its own, also while all cores are taken."""
+def test_an_overloaded_cpu_explains_neither_low_memory_nor_a_slow_disk(condition: str) -> None:
+    """A container short of memory or disk is a separate cause, also while all cores are busy."""
     made = bench()
     made.see("host/cpu", OVERLOADED)
     made.see("pressure/app", error("app waits", brief="app waits", condition=condition))
@@ -300,7 +300,7 @@ def test_a_busy_processor_explains_neither_tight_memory_nor_a_slow_disk(conditio
 
 
 def test_a_container_that_waits_while_the_machine_is_not_overloaded_is_the_cause() -> None:
-    """Its own cores may be taken (cpuset), or the machine's figures say nothing."""
+    """Its own cores may be busy (cpuset), or the machine's figures are not available."""
     made = bench()
     made.see("pressure/app", WAITS)
     made.see("rates/x", SLOW)
@@ -312,8 +312,8 @@ def test_a_container_that_waits_while_the_machine_is_not_overloaded_is_the_cause
     assert made.blocked_by("rates/x") == "pressure/app"
 
 
-def test_the_last_word_of_a_pressure_unit_holds_for_a_while() -> None:
-    """An overloaded engine gives no figures for a moment: that ends no starvation. For ever it does not hold."""
+def test_the_last_result_of_a_pressure_unit_stays_valid_for_a_limited_time() -> None:
+    """An overloaded Docker Engine provides no figures for a moment: starvation continues, but not without limit."""
     made = bench()
     made.see("pressure/app", THROTTLED)
     made.see("rates/x", SLOW)
@@ -326,8 +326,8 @@ def test_the_last_word_of_a_pressure_unit_holds_for_a_while() -> None:
     assert made.blocked_by("rates/x") == ""
 
 
-def test_memory_that_is_used_up_but_not_waited_for_explains_nothing() -> None:
-    """A level is no starvation: nothing is late by it."""
+def test_full_memory_without_stalls_explains_nothing() -> None:
+    """A high level is not starvation: it delays nothing."""
     made = Bench([unit("host/memory"), unit("rates/x", starved_by=("host/memory",))])
     made.all_well()
     made.see("host/memory", error("memory at 97 %", brief="memory 97 %", condition="memory_high"))
@@ -337,7 +337,7 @@ def test_memory_that_is_used_up_but_not_waited_for_explains_nothing() -> None:
 
 
 def test_a_limit_of_processes_explains_a_probe_that_cannot_start_and_no_slow_topic() -> None:
-    """Each symptom has the conditions of its causes."""
+    """Each symptom lists the conditions of its causes."""
     limit = error("app has reached its limit of 20 processes", brief="app pids", condition="pids_limit")
     by = ("pressure/app",)
     made = Bench([unit("pressure/app"), unit("health/app", starved_by=by), unit("rates/x", starved_by=by)])
@@ -351,7 +351,7 @@ def test_a_limit_of_processes_explains_a_probe_that_cannot_start_and_no_slow_top
 
 
 def test_a_fault_that_was_given_up_stays_visible_while_starved() -> None:
-    """It is older, and in ERROR until it is OK."""
+    """It is older than the starvation, and in ERROR until it is OK."""
     made = bench()
     made.later(0.1)
     made.see("rates/x", SLOW)
@@ -363,7 +363,7 @@ def test_a_fault_that_was_given_up_stays_visible_while_starved() -> None:
     assert [fault.unit for fault in made.tracker.given_up()] == ["rates/x"]
 
 
-def test_starvation_changes_nothing_about_what_is_well() -> None:
+def test_starvation_does_not_affect_units_that_are_ok() -> None:
     """It blocks symptoms, not units."""
     made = bench()
     made.see("pressure/app", THROTTLED)
@@ -374,7 +374,7 @@ def test_starvation_changes_nothing_about_what_is_well() -> None:
 
 
 def test_the_documented_table_is_that_of_the_code() -> None:
-    """Each condition with the evidence that starvation can produce it."""
+    """Each condition is listed with the evidence that starvation can produce it."""
     page = (Path(__file__).resolve().parents[2] / "docs" / "development" / "architecture.md").read_text()
     table = page.partition("<!-- explained: begin")[2].partition("<!-- explained: end")[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[3:]]
@@ -385,8 +385,8 @@ def test_the_documented_table_is_that_of_the_code() -> None:
 LOST = error("autopilot silent for 4 s", brief="silent", condition="autopilot_silent")
 
 
-def test_a_link_that_stays_silent_is_lost_however_busy_the_machine_is() -> None:
-    """PHM leaves out the time in which it was late itself: more than UNREAD_S is no lateness. The alarm then stays."""
+def test_a_link_silent_for_longer_than_phm_was_late_is_lost() -> None:
+    """PHM subtracts its own lateness: a silence longer than UNREAD_S is not lateness. The alarm then stays."""
     made = Bench([unit("host/cpu"), unit("autopilot/fcu", starved_by=HOST)])
     made.all_well()
     made.later(3.0)
@@ -406,8 +406,8 @@ def test_a_link_that_stays_silent_is_lost_however_busy_the_machine_is() -> None:
     assert made.level("autopilot/fcu") is Level.ERROR
 
 
-def test_only_published_starvation_excuses_attempts() -> None:
-    """The burst of a start, which the pressure unit's own grace keeps back, is not starvation."""
+def test_only_published_starvation_discounts_attempts() -> None:
+    """A load burst at a start, suppressed by the pressure unit's own grace, is not starvation."""
     made = bench()
     made.see("pressure/app", THROTTLED)
     assert made.tracker.active_pressure("nodes/n") == "pressure/app"
@@ -415,8 +415,8 @@ def test_only_published_starvation_excuses_attempts() -> None:
     assert made.tracker.active_pressure("nodes/n") == ""
 
 
-def test_a_repair_is_proven_without_the_pressure_of_its_container() -> None:
-    """A container that is up again and still starved was started all the same."""
+def test_a_repair_is_verified_regardless_of_its_containers_pressure() -> None:
+    """A container that is up again and still starved was restarted successfully."""
     made = Bench([unit("container/app", target="app"), unit("pressure/app", "container/app", target="app")])
     made.all_well()
     made.later(3.0)

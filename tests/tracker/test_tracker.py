@@ -11,12 +11,12 @@ from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
 
 
 def test_before_any_result_everything_is_stale() -> None:
-    """Silence is never OK."""
+    """Without a result a unit is never OK."""
     assert chain().level("nodes") is Level.STALE
 
 
-def test_an_error_without_needs_is_told_at_once() -> None:
-    """Nothing upstream can explain it, so waiting gains nothing."""
+def test_an_error_without_dependencies_is_published_immediately() -> None:
+    """No upstream unit can explain it, so there is nothing to wait for."""
     bench = chain()
     bench.all_well()
     bench.see("container", BAD)
@@ -24,8 +24,8 @@ def test_an_error_without_needs_is_told_at_once() -> None:
     assert bench.level("container") is Level.ERROR
 
 
-def test_needs_are_run_again_before_an_error_is_told() -> None:
-    """An ERROR below waits until everything above it has answered since."""
+def test_dependencies_run_again_before_an_error_is_published() -> None:
+    """A dependent's ERROR waits until all its upstream units have answered since."""
     bench = chain()
     bench.all_well()
     bench.now += 1
@@ -38,8 +38,8 @@ def test_needs_are_run_again_before_an_error_is_told() -> None:
     assert bench.opened == ["topics"]
 
 
-def test_the_root_alone_is_told_whatever_the_order() -> None:
-    """Consequences seen before their cause raise nothing."""
+def test_only_the_root_cause_is_published_in_any_order() -> None:
+    """Consequences seen before their cause raise no alarm."""
     bench = chain()
     bench.all_well()
     bench.now += 1
@@ -53,15 +53,15 @@ def test_the_root_alone_is_told_whatever_the_order() -> None:
 
 
 def test_a_result_of_an_older_run_is_ignored() -> None:
-    """An overdue run that comes back late knows less than the one that followed it."""
+    """An overdue run that returns late is outdated by the run that followed it."""
     bench = chain()
     bench.all_well()
     bench.see("container", BAD, started=bench.now - 5)
     assert bench.opened == []
 
 
-def test_an_answer_from_before_the_question_does_not_count() -> None:
-    """A need's result that began before the dependent failed proves nothing about now."""
+def test_a_dependencys_result_from_before_the_failure_does_not_count() -> None:
+    """A dependency's run that began before the dependent failed says nothing about its present state."""
     bench = chain()
     bench.all_well()
     bench.now += 1
@@ -71,7 +71,7 @@ def test_an_answer_from_before_the_question_does_not_count() -> None:
 
 
 def test_an_open_fault_is_reattributed_when_its_cause_appears_later() -> None:
-    """Evidence of the cause that comes late still ends in one open fault, at the cause."""
+    """Late evidence of the cause still results in one open fault, at the cause."""
     bench = chain()
     bench.all_well()
     bench.now += 1
@@ -84,8 +84,8 @@ def test_an_open_fault_is_reattributed_when_its_cause_appears_later() -> None:
     assert [fault.unit for fault in bench.tracker.open_faults()] == ["container"]
 
 
-def test_settling_keeps_early_evidence_back() -> None:
-    """A topic is silent before its node is known to be dead: settle_s bridges the gap."""
+def test_an_error_is_not_published_before_settle_s() -> None:
+    """A topic is silent before its node is known to be dead: settle_s covers the difference."""
     bench = chain(settle_s=2.0)
     bench.all_well()
     bench.now += 1
@@ -99,8 +99,8 @@ def test_settling_keeps_early_evidence_back() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_a_result_may_settle_sooner_than_its_unit() -> None:
-    """With evidence against a cause above it, it is told as soon as all above have been run again."""
+def test_a_result_may_settle_earlier_than_its_unit() -> None:
+    """With evidence against an upstream cause, it is published once all upstream units have run again."""
     bench = chain(settle_s=2.0)
     bench.all_well()
     bench.now += 1
@@ -112,8 +112,8 @@ def test_a_result_may_settle_sooner_than_its_unit() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_a_result_that_settles_at_once_still_asks_what_it_needs() -> None:
-    """The cause alone is told, even when its event was lost."""
+def test_a_result_that_settles_immediately_still_runs_its_dependencies() -> None:
+    """Only the cause is published, even when its event was lost."""
     bench = chain(settle_s=2.0)
     bench.all_well()
     bench.now += 1
@@ -124,7 +124,7 @@ def test_a_result_that_settles_at_once_still_asks_what_it_needs() -> None:
 
 
 def test_a_result_may_settle_later_than_its_unit() -> None:
-    """For what was seen to mend itself before."""
+    """For a failure that is known to clear spontaneously."""
     bench = chain(settle_s=0.3)
     bench.all_well()
     slow = replace(BAD, settle_s=3.0)
@@ -139,8 +139,8 @@ def test_a_result_may_settle_later_than_its_unit() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_what_settles_is_looked_at_often() -> None:
-    """The evidence that ends the waiting early must not wait for the check's own period; what it needs is asked once a second."""
+def test_a_settling_unit_is_checked_often() -> None:
+    """Evidence that ends the wait early must not wait for the check's period; dependencies are queried once a second."""
     bench = chain(settle_s=2.0)
     bench.all_well()
     bench.now += 1
@@ -150,8 +150,10 @@ def test_what_settles_is_looked_at_often() -> None:
     assert bench.later(0.1) == {"nodes"}
 
 
-def test_when_settled_all_are_asked_once_more() -> None:
-    """A cause that came to light during settling is found even if its event was lost: nobody is told unasked."""
+def test_upstream_units_run_once_more_after_settling() -> None:
+    """A cause that appeared during settling is found even if its event was lost: no unit is published without a new
+    run.
+    """
     bench = chain(settle_s=0.3)
     bench.all_well()
     bench.now += 1
@@ -164,8 +166,8 @@ def test_when_settled_all_are_asked_once_more() -> None:
     assert bench.opened == ["container"]
 
 
-def test_settling_starts_anew_after_a_good_result() -> None:
-    """A flicker shorter than settle_s is never told."""
+def test_settling_restarts_after_a_good_result() -> None:
+    """A flicker shorter than settle_s is never published."""
     bench = chain(settle_s=2.0)
     bench.all_well()
     for _ in range(5):
@@ -177,8 +179,8 @@ def test_settling_starts_anew_after_a_good_result() -> None:
     assert bench.opened == []
 
 
-def test_settling_starts_anew_when_it_is_no_worse_than_what_is_told() -> None:
-    """A unit that is told as WARN and was ERROR for a moment only is not told as ERROR at its next moment."""
+def test_settling_restarts_when_the_level_returns_to_the_published_one() -> None:
+    """A unit published as WARN that was ERROR only briefly is not published as ERROR at its next brief ERROR."""
     bench = chain(settle_s=2.0)
     bench.all_well()
     nearly = warn("nearly", brief="nearly")
@@ -193,8 +195,8 @@ def test_settling_starts_anew_when_it_is_no_worse_than_what_is_told() -> None:
     assert bench.opened == []
 
 
-def test_while_waiting_the_question_is_asked_again() -> None:
-    """A need without a period of its own would otherwise answer only at the next pass."""
+def test_dependencies_are_queried_repeatedly_while_waiting() -> None:
+    """A dependency without a period would otherwise answer only at the next pass."""
     bench = chain(settle_s=5.0)
     bench.all_well()
     bench.now += 1
@@ -203,7 +205,7 @@ def test_while_waiting_the_question_is_asked_again() -> None:
 
 
 def test_failures_in_a_row_are_counted() -> None:
-    """`failures` bad runs it takes; one good run in between starts the count again."""
+    """`failures` consecutive bad runs are required; one good run restarts the count."""
     bench = Bench([unit("ping", failures=3)])
     bench.all_well()
     for result in (BAD, BAD, OK, BAD, BAD):
@@ -215,7 +217,7 @@ def test_failures_in_a_row_are_counted() -> None:
 
 
 def test_stale_neither_opens_nor_closes() -> None:
-    """Not knowing is no fault and no cure."""
+    """An unknown result neither opens nor resolves a fault."""
     bench = chain()
     bench.all_well()
     bench.see("container", stale("engine silent"))
@@ -228,8 +230,8 @@ def test_stale_neither_opens_nor_closes() -> None:
     assert bench.closed == [("container", Outcome.RESOLVED, "itself")]
 
 
-def test_a_warning_blocks_nobody_and_opens_no_fault() -> None:
-    """WARN is told as a transition; only ERROR can be a cause."""
+def test_a_warning_blocks_no_unit_and_opens_no_fault() -> None:
+    """WARN is published as a transition; only ERROR can be a cause."""
     bench = chain()
     bench.all_well()
     bench.see("container", warn("nearly", brief="nearly"))
@@ -239,8 +241,8 @@ def test_a_warning_blocks_nobody_and_opens_no_fault() -> None:
     assert bench.opened == ["nodes"]
 
 
-def test_an_unchanged_error_is_told_once() -> None:
-    """Transitions, not samples, cause things to happen."""
+def test_an_unchanged_error_is_published_once() -> None:
+    """Transitions trigger actions, samples do not."""
     bench = Bench([unit("disk")])
     for _ in range(5):
         bench.now += 1
@@ -248,8 +250,8 @@ def test_an_unchanged_error_is_told_once() -> None:
     assert sum(isinstance(event, Transition) for event in bench.events) == 1
 
 
-def test_other_words_for_the_same_level_are_told() -> None:
-    """Exited, then removed: the same ERROR stands for something else, and recovery must know."""
+def test_a_changed_summary_at_the_same_level_is_published() -> None:
+    """Exited, then removed: the same ERROR has another meaning, which recovery needs."""
     bench = Bench([unit("container")])
     bench.see("container", BAD)
     bench.see("container", error("gone", brief="gone", condition="missing"))
@@ -259,7 +261,7 @@ def test_other_words_for_the_same_level_are_told() -> None:
     assert bench.tracker.open_faults()[0].result.condition == "missing"
 
 
-def test_independent_faults_are_each_told() -> None:
+def test_independent_faults_are_each_published() -> None:
     """Two causes, two alarms."""
     bench = Bench([unit("a"), unit("b"), unit("c", "a")])
     bench.all_well()
@@ -281,7 +283,7 @@ def test_a_fault_lists_what_it_blocks() -> None:
 
 
 def test_a_fault_names_its_consequences_when_it_opens() -> None:
-    """Which checks cannot be well follows from the graph, in slot order, before any of them has been seen bad."""
+    """The checks that cannot be OK follow from the graph, in slot order, before any of them has failed."""
     rates = TrackedUnit(Unit("rates/t"), "rates", Slot.RATES, Layer.ROS, needs=("topics/t",))
     topics = TrackedUnit(Unit("topics/t"), "topics", Slot.TOPICS, Layer.ROS, needs=("nodes/a", "nodes/b"))
     nodes = [TrackedUnit(Unit(f"nodes/{n}"), "nodes", Slot.NODES, Layer.ROS, needs=("container",)) for n in "ab"]
@@ -292,8 +294,8 @@ def test_a_fault_names_its_consequences_when_it_opens() -> None:
     assert event.fault.blocks == ()
 
 
-def test_events_come_in_the_order_in_which_they_are_told() -> None:
-    """An alarm opens before its transition; an end follows its own, and precedes that of who is reattributed."""
+def test_events_are_in_publication_order() -> None:
+    """An opening precedes its transition; a closing follows its transition and precedes that of a reattributed unit."""
     bench = chain()
     bench.all_well()
     bench.now += 1
@@ -313,8 +315,8 @@ def test_events_come_in_the_order_in_which_they_are_told() -> None:
     assert seen[6:8] == [("Transition", "container"), ("FaultClosed", "container")]
 
 
-def test_a_suspect_is_named_and_blocks_nobody() -> None:
-    """A full disk can be behind a dead node but need not be: the fault is told, with the disk as a hint."""
+def test_a_suspect_is_named_and_blocks_no_unit() -> None:
+    """A full disk can cause a dead node but need not: the fault is published with the disk as a hint."""
     disk = TrackedUnit(Unit("host/disk", suspect=True), "host", Slot.HOST, Layer.COMPANION)
     bench = Bench([disk, unit("nodes")])
     bench.all_well()
@@ -328,8 +330,8 @@ def test_a_suspect_is_named_and_blocks_nobody() -> None:
     assert [fault.suspects for fault in opened] == [(), (), ("host/disk",)]
 
 
-def test_a_need_that_is_not_known_gets_time_to_be_known() -> None:
-    """A topic is silent while the graph is still being learned: its dead node is told, not the topic."""
+def test_an_unknown_dependency_gets_time_to_answer() -> None:
+    """A topic is silent while the graph is still incomplete: its dead node is published, not the topic."""
     bench = chain()
     bench.all_well()
     bench.now += 1
@@ -345,8 +347,8 @@ def test_a_need_that_is_not_known_gets_time_to_be_known() -> None:
     assert bench.blocked_by("topics") == "nodes"
 
 
-def test_what_was_seen_before_a_need_became_known_does_not_count() -> None:
-    """A node that is started anew comes before its topic: what the topic lacked until then is looked at once more."""
+def test_a_result_from_before_a_dependency_became_known_does_not_count() -> None:
+    """A restarted node appears before its topic: an earlier failure of the topic is checked once more."""
     bench = chain()
     bench.all_well()
     bench.now += 1
@@ -363,8 +365,8 @@ def test_what_was_seen_before_a_need_became_known_does_not_count() -> None:
     assert bench.opened == ["topics"]
 
 
-def test_a_need_that_stays_unknown_does_not_hide_a_fault_for_ever() -> None:
-    """A check that never comes to a verdict costs ten seconds, not the alarm."""
+def test_an_unknown_dependency_hides_a_fault_for_a_limited_time() -> None:
+    """A check that never reaches a result costs ten seconds, not the alarm."""
     bench = chain()
     bench.all_well()
     bench.now += 1

@@ -9,13 +9,13 @@ from phm.transport.client_admission import IDLE_S, MAX_PEERS, PER_ADDRESS, PROVE
 
 
 def full(admission: ClientAdmission, per_address: int = PER_ADDRESS) -> list[str]:
-    """Those who are in after as many strangers came as there are places."""
+    """The admitted peers after as many strangers connected as there are places."""
     for key in [f"10.0.0.{n // per_address}:{n}" for n in range(MAX_PEERS)]:
         admission.admit(key, key.partition(":")[0], 0.0)
     return admission.peers
 
 
-def test_one_address_leaves_room_for_others() -> None:
+def test_one_address_leaves_places_for_others() -> None:
     """Half of the places at most."""
     admission = ClientAdmission(signs=False)
     came = [n for n in range(100) if admission.admit(n, "10.0.0.1", 0.0) is not None]
@@ -23,8 +23,8 @@ def test_one_address_leaves_room_for_others() -> None:
     assert admission.admit("ground", "10.0.0.2", 0.0) == []
 
 
-def test_the_oldest_idle_peer_makes_room() -> None:
-    """And no peer does that has just sent something and is the only one of its address."""
+def test_the_oldest_idle_peer_is_displaced() -> None:
+    """But not a peer that has just sent something and is the only one of its address."""
     admission = ClientAdmission(signs=False)
     came = full(admission, per_address=1)
     assert len(came) == MAX_PEERS
@@ -36,8 +36,10 @@ def test_the_oldest_idle_peer_makes_room() -> None:
 
 
 @pytest.mark.parametrize("signs", [True, False])
-def test_connections_that_come_fast_push_no_new_peer_out(signs: bool) -> None:
-    """Before it can have signed, or at all where none signs: a place is taken only from the address that has most."""
+def test_fast_connections_displace_no_new_peer(signs: bool) -> None:
+    """Before it has had time to sign, or at all where none signs: only a peer of the address with most places is
+    displaced.
+    """
     admission = ClientAdmission(signs=signs, on_trial=signs)
     crowd = [f"10.0.0.{n % 2}:{n}" for n in range(100)]
     for key in crowd:
@@ -49,8 +51,8 @@ def test_connections_that_come_fast_push_no_new_peer_out(signs: bool) -> None:
         assert "ground" in admission
 
 
-def test_active_peers_of_two_addresses_lock_no_third_one_out() -> None:
-    """The newest of the address that has most makes room, so that who was there first stays."""
+def test_active_peers_of_two_addresses_do_not_lock_out_a_third() -> None:
+    """The newest peer of the address with most places is displaced, so that the earlier ones stay."""
     admission = ClientAdmission(signs=False)
     came = full(admission)
     for key in came:
@@ -60,8 +62,8 @@ def test_active_peers_of_two_addresses_lock_no_third_one_out() -> None:
     assert admission.admit("back", "10.0.0.0", 0.6) is None
 
 
-def test_of_one_address_its_own_idle_peer_makes_room() -> None:
-    """A ground station that was started again comes from another port of the same address."""
+def test_an_idle_peer_of_the_same_address_is_displaced_first() -> None:
+    """A restarted ground station connects from another port of the same address."""
     admission = ClientAdmission(signs=False)
     admission.admit("other", "10.0.0.2", 0.0)
     for n in range(PER_ADDRESS):
@@ -69,8 +71,8 @@ def test_of_one_address_its_own_idle_peer_makes_room() -> None:
     assert admission.admit("again", "10.0.0.1", 1.0 + IDLE_S) == [0]
 
 
-def test_places_are_kept_for_peers_that_sign() -> None:
-    """Whatever unsigned strangers do, so many peers that sign get in beside them, and more in their place."""
+def test_places_are_reserved_for_peers_that_sign() -> None:
+    """Whatever unsigned strangers do, a number of peers that sign is admitted beside them, and more instead of them."""
     admission = ClientAdmission(signs=True)
     came = full(admission)
     assert len(came) == MAX_PEERS - RESERVED
@@ -81,7 +83,9 @@ def test_places_are_kept_for_peers_that_sign() -> None:
 
 
 def test_a_connection_has_a_reserved_place_until_it_had_time_to_sign() -> None:
-    """It can sign only after it was admitted; who does stays, who does not goes, and the next one has its turn."""
+    """It can sign only after it was admitted; a peer that does stays, another one is dropped, and the next gets its
+    chance.
+    """
     admission = ClientAdmission(signs=True, on_trial=True)
     came = full(admission)
     assert len(came) == MAX_PEERS
@@ -95,7 +99,7 @@ def test_a_connection_has_a_reserved_place_until_it_had_time_to_sign() -> None:
     assert admission.admit("ground", "10.0.9.9", PROVE_S + 0.1) == []
 
 
-def test_an_ipv6_host_is_its_network() -> None:
+def test_an_ipv6_host_is_identified_by_its_network() -> None:
     """It can use any of 2^64 addresses."""
     admission = ClientAdmission(signs=False)
     came = [n for n in range(100) if admission.admit(n, f"2001:db8::{n:x}", 0.0) is not None]
@@ -108,7 +112,9 @@ EVENTS = st.tuples(st.sampled_from(["admit", "heard", "forget"]), st.integers(0,
 
 
 @given(st.lists(EVENTS, max_size=200), st.booleans(), st.booleans())
-def test_places_are_bounded(events: list[tuple[str, int, bool, float]], signs: bool, on_trial: bool) -> None:
+def test_the_number_of_places_is_limited(
+    events: list[tuple[str, int, bool, float]], signs: bool, on_trial: bool
+) -> None:
     """Whichever peers connect, sign or become silent."""
     admission, now = ClientAdmission(signs=signs, on_trial=on_trial), 0.0
     for what, key, signed, pause in events:

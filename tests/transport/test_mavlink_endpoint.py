@@ -1,4 +1,4 @@
-"""The endpoints against real peers: every kind of connection carries every frame, and none stalls another."""
+"""The endpoints against real peers: every kind of connection transfers every frame, and none delays another."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MakeHub = Callable[..., MavlinkHub]
 
 @pytest.fixture
 def make_hub() -> Iterator[MakeHub]:
-    """Hubs of system 7, component 193 with the given endpoint urls, started, and closed at the end."""
+    """Create hubs of system 7, component 193 with the given endpoint URLs, started, and closed at the end."""
     hubs: list[MavlinkHub] = []
 
     def make(*urls: str) -> MavlinkHub:
@@ -61,7 +61,7 @@ def serial_pair() -> Iterator[tuple[int, str]]:
 
 
 class SerialPeer:
-    """The far end of a pseudo terminal as a pymavlink connection: mavutil wants to open a path itself."""
+    """The far end of a pseudo terminal as a pymavlink connection, since mavutil insists on opening a path itself."""
 
     def __init__(self, fd: int) -> None:
         os.set_blocking(fd, False)
@@ -86,14 +86,14 @@ def connect(url: str) -> Any:
 
 
 def exchange(hub: MavlinkHub, peer: Any) -> list[Any]:
-    """Have the peer speak first, then send a HEARTBEAT and a STATUSTEXT; the frames that the peer decoded."""
+    """Wait until the peer is received, send a HEARTBEAT and a STATUSTEXT, and return the frames that the peer decoded."""
 
     def speak() -> bool:
         peer.mav.heartbeat_send(6, 8, 0, 0, 4)
         peer.recv_msg()
         return bool(hub.heard)  # type: ignore[attr-defined]
 
-    until(speak, "the peer being heard")
+    until(speak, "the peer to be received")
     hub.send(heartbeat(WORD))
     hub.send(text("A07 FAIL 6 node_1 dead", 2))
     found: dict[str, Any] = {}
@@ -108,8 +108,8 @@ def exchange(hub: MavlinkHub, peer: Any) -> list[Any]:
     return [found["HEARTBEAT"], found["STATUSTEXT"]]
 
 
-def judge(hub: MavlinkHub, messages: list[Any]) -> None:
-    """The contract of docs/reference/mavlink.md on the wire."""
+def assert_contract(hub: MavlinkHub, messages: list[Any]) -> None:
+    """Assert the contract of docs/reference/mavlink.md on the wire."""
     beat, line = messages
     for message in messages:
         assert (message.get_srcSystem(), message.get_srcComponent(), message.get_msgbuf()[0]) == (7, 193, 0xFD)
@@ -139,24 +139,24 @@ def test_a_pymavlink_peer_reads_what_is_sent(make_hub: MakeHub, ours: str, their
     hub = make_hub(ours.format(port))
     until(lambda: any(fact.open for fact in hub.links()), "the endpoint opening")
     if they_first:
-        # A peer that only listens by UDP answers to its last sender.
+        # A peer that only listens on UDP answers its last sender.
         hub.send(heartbeat(1))
     peer = peer or connect(theirs.format(port))
     try:
-        judge(hub, exchange(hub, peer))
+        assert_contract(hub, exchange(hub, peer))
     finally:
         peer.close()
 
 
 def test_a_serial_peer_reads_what_is_sent(make_hub: MakeHub, serial_pair: tuple[int, str]) -> None:
-    """A serial line carries the same frames."""
+    """A serial line transfers the same frames."""
     far, path = serial_pair
     hub = make_hub(path)
-    judge(hub, exchange(hub, SerialPeer(far)))
+    assert_contract(hub, exchange(hub, SerialPeer(far)))
 
 
-def test_a_tcp_server_that_restarts_is_found_again(make_hub: MakeHub) -> None:
-    """The link is reported closed with a reason, reopened by itself, and another endpoint notices nothing."""
+def test_a_restarted_tcp_server_is_reconnected(make_hub: MakeHub) -> None:
+    """The link is reported closed with a reason and reopened, without affecting another endpoint."""
     tcp, udp = free_port(), free_port(socket.SOCK_DGRAM)
     other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     other.bind(("127.0.0.1", udp))
@@ -175,8 +175,8 @@ def test_a_tcp_server_that_restarts_is_found_again(make_hub: MakeHub) -> None:
     other.close()
 
 
-def test_a_serial_port_that_vanishes_is_opened_again(make_hub: MakeHub, tmp_path: Path) -> None:
-    """An unplugged adapter is a closed link; plugged in again it works without anybody's help."""
+def test_a_serial_port_that_disappears_is_reopened(make_hub: MakeHub, tmp_path: Path) -> None:
+    """An unplugged adapter is a closed link; plugged in again it works without intervention."""
     path = tmp_path / "ttyRADIO"
     hub = make_hub(str(path))
     fact = until(hub.links)[0]
@@ -195,7 +195,7 @@ def test_a_serial_port_that_vanishes_is_opened_again(make_hub: MakeHub, tmp_path
 
 @contextlib.contextmanager
 def silent_server() -> Iterator[int]:
-    """A port of loopback on which connecting hangs: the queue of a server that never accepts is full."""
+    """A loopback port on which connecting hangs: the queue of a server that never accepts is full."""
     with socket.socket() as server, contextlib.ExitStack() as clients:
         server.bind(("127.0.0.1", 0))
         server.listen(0)
@@ -206,8 +206,8 @@ def silent_server() -> Iterator[int]:
         yield server.getsockname()[1]
 
 
-def test_a_connection_that_hangs_delays_no_other(make_hub: MakeHub) -> None:
-    """While one endpoint waits for an answer that never comes, another sends and the hub still closes at once."""
+def test_a_hanging_connection_delays_no_other(make_hub: MakeHub) -> None:
+    """While one endpoint waits for an answer that never arrives, another sends and the hub still closes immediately."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.bind(("127.0.0.1", 0))
     udp.settimeout(5.0)
@@ -224,8 +224,8 @@ def test_a_connection_that_hangs_delays_no_other(make_hub: MakeHub) -> None:
     udp.close()
 
 
-def test_a_name_server_that_hangs_delays_no_endpoint(make_hub: MakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A look-up without an answer costs its own endpoint, and when the answer comes it is used."""
+def test_a_hanging_name_server_delays_no_other_endpoint(make_hub: MakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lookup without an answer delays only its endpoint; a late answer is used."""
     real, release = socket.getaddrinfo, threading.Event()
 
     def slow(host: str, *rest: Any, **named: Any) -> Any:
@@ -248,8 +248,10 @@ def test_a_name_server_that_hangs_delays_no_endpoint(make_hub: MakeHub, monkeypa
     udp.close()
 
 
-def test_a_name_may_appear_later(make_hub: MakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A container that is started after PHM is found when its name is; until then the link says what is missing."""
+def test_a_host_name_may_appear_later(make_hub: MakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container that is started after PHM is found once its name resolves; until then the link reports the missing
+    name.
+    """
     real, known = socket.getaddrinfo, threading.Event()
 
     def names(host: str, *rest: Any, **named: Any) -> Any:
@@ -267,15 +269,15 @@ def test_a_name_may_appear_later(make_hub: MakeHub, monkeypatch: pytest.MonkeyPa
     (fact,) = until(hub.links)
     assert not fact.open
     assert "autopilot" in fact.error
-    hub.send(text("told before the name was known"))
+    hub.send(text("sent before the name was known"))
     known.set()
-    assert b"told before" in udp.recv(300)
+    assert b"sent before" in udp.recv(300)
     until(lambda: hub.links()[0] == LinkFact(fact.name, open=True))
     udp.close()
 
 
-def test_a_client_that_does_not_read_loses_its_own_frames_only(make_hub: MakeHub) -> None:
-    """A ground station that hangs must not delay the others."""
+def test_a_client_that_does_not_read_loses_only_its_own_frames(make_hub: MakeHub) -> None:
+    """A hanging ground station must not delay the others."""
     port = free_port()
     hub = make_hub(f"tcpin:127.0.0.1:{port}")
     until(hub.links)
@@ -286,7 +288,7 @@ def test_a_client_that_does_not_read_loses_its_own_frames_only(make_hub: MakeHub
         reader.settimeout(5.0)
         got = bytearray()
 
-        def told() -> bool:
+        def arrived() -> bool:
             for _ in range(50):
                 hub.send(text("x" * 50))
             got.extend(reader.recv(65536))
@@ -294,13 +296,15 @@ def test_a_client_that_does_not_read_loses_its_own_frames_only(make_hub: MakeHub
 
         def lost() -> bool:
             hub.send(text("at last"))
-            return told()
+            return arrived()
 
         until(lost, "the stuck client losing frames while the other reads")
 
 
-def test_udp_answers_to_peers_that_speak_mavlink_only(make_hub: MakeHub) -> None:
-    """Noise makes no peer, a frame does, and there are never more than 8 of one address and 16 in all; a new address gets in."""
+def test_udp_answers_only_peers_that_send_mavlink(make_hub: MakeHub) -> None:
+    """Noise does not make a peer, a frame does; at most 8 of one address and 16 in all; a new address is still
+    admitted.
+    """
     port = free_port(socket.SOCK_DGRAM)
     hub = make_hub(f"udpin:127.0.0.1:{port}")
     until(hub.links)
@@ -320,12 +324,12 @@ def test_udp_answers_to_peers_that_speak_mavlink_only(make_hub: MakeHub) -> None
         reached: set[int] = set()
 
         def all_reached() -> bool:
-            # A frame counts as sent before it has gone to the last of the peers.
+            # A frame counts as sent before it was sent to the last of the peers.
             reached.update(number for number, peer in enumerate(peers) if _read(peer))
             return len(reached) >= 16
 
         until(all_reached)
-        # The only peer of its address, the last one, has taken the place of the newest of a crowd.
+        # The only peer of its address, the last one, has displaced the newest of the crowd.
         assert reached == {*range(2, 9), *range(11, 19), 20}
 
 
@@ -336,8 +340,8 @@ def _read(sock: socket.socket) -> bytes:
         return b""
 
 
-def test_a_listener_that_fails_does_not_close_the_link(make_hub: MakeHub) -> None:
-    """A defect in a probe or reporter stays its own affair."""
+def test_a_failing_listener_does_not_close_the_link(make_hub: MakeHub) -> None:
+    """A defect in a probe or reporter affects nothing else."""
 
     def broken(message: Any, link: str) -> None:
         raise RuntimeError("a defect")
@@ -353,21 +357,21 @@ def test_a_listener_that_fails_does_not_close_the_link(make_hub: MakeHub) -> Non
     assert hub.links()[0].open
 
 
-def test_a_network_that_refuses_is_a_closed_link_until_something_gets_through(make_hub: MakeHub) -> None:
+def test_an_unreachable_network_is_a_closed_link_until_a_frame_is_sent(make_hub: MakeHub) -> None:
     """A UDP socket can always be opened, which proves nothing: the link must not look open between failures."""
-    # The kernel refuses this address to a socket that did not ask to broadcast, as it does any without a route.
+    # The kernel rejects this address for a socket without SO_BROADCAST, like any address without a route.
     hub = make_hub("udpout:255.255.255.255:9")
     until(hub.links)
     states: list[bool] = []
     hub.watch(lambda: states.append(hub.links()[0].open))
-    hub.send(text("to nobody"))
+    hub.send(text("to no peer"))
     until(lambda: len(states) >= 4 and states[-1] is False, "several attempts")
     assert hub.links()[0].error == "Permission denied"
     assert True not in states[states.index(False) :]
 
 
-def test_the_watch_goes_on_while_a_link_is_busy(make_hub: MakeHub) -> None:
-    """A link that never rests must not keep the loss of a ground station from being noticed."""
+def test_ground_stations_are_monitored_while_a_link_is_busy(make_hub: MakeHub) -> None:
+    """A link that is never idle must not delay the detection of a lost ground station."""
     port = free_port(socket.SOCK_DGRAM)
     hub = make_hub(f"udpin:127.0.0.1:{port}")
     until(hub.links)
@@ -383,8 +387,8 @@ def test_the_watch_goes_on_while_a_link_is_busy(make_hub: MakeHub) -> None:
         until(busy)
 
 
-def test_closing_sends_what_is_queued(make_hub: MakeHub) -> None:
-    """The farewell heartbeat, queued just before, reaches the ground."""
+def test_close_sends_queued_messages(make_hub: MakeHub) -> None:
+    """The final heartbeat, queued just before, reaches the ground."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.bind(("127.0.0.1", 0))
     udp.settimeout(5.0)
@@ -396,8 +400,8 @@ def test_closing_sends_what_is_queued(make_hub: MakeHub) -> None:
     udp.close()
 
 
-def test_a_radio_that_fills_slows_its_own_link_down(make_hub: MakeHub) -> None:
-    """RADIO_STATUS by one endpoint: that one is slowed down, the other is not."""
+def test_a_full_radio_buffer_slows_only_its_own_link(make_hub: MakeHub) -> None:
+    """RADIO_STATUS from one endpoint slows that endpoint, not the other."""
     peers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
     for peer in peers:
         peer.bind(("127.0.0.1", 0))
@@ -419,8 +423,8 @@ def test_a_radio_that_fills_slows_its_own_link_down(make_hub: MakeHub) -> None:
         peer.close()
 
 
-def test_other_agents_are_sent_no_text() -> None:
-    """What leads to peers alone carries heartbeats, and what is meant for that link; the ground gets all of it."""
+def test_no_texts_are_sent_to_other_agents() -> None:
+    """A link that leads only to peers gets heartbeats and the messages for that link; the ground gets everything."""
     ends = {}
     for name in ("ground", "peers"):
         ends[name] = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -450,7 +454,7 @@ def test_other_agents_are_sent_no_text() -> None:
 
 
 def _left(end: socket.socket) -> bytes:
-    """Data that was not read yet; closes the socket."""
+    """The unread data; closes the socket."""
     with contextlib.closing(end), contextlib.suppress(BlockingIOError):
         end.setblocking(False)
         return end.recv(4096)

@@ -1,4 +1,4 @@
-"""The budget of a link: never more than it allows, the gravest first, slower when the radio says so."""
+"""The budget of a link: never exceeded, worst messages first, less when the radio's buffer fills."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ steps = st.lists(st.tuples(st.floats(0, 5), st.lists(items, max_size=5), st.inte
 
 
 def taken(budget: LinkBudget, now: float) -> list[QueuedMessage]:
-    """All that may leave now."""
+    """All messages that may be sent now."""
     return list(iter(lambda: budget.next(now), None))
 
 
 @given(steps, st.integers(1, 100))
 def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[QueuedMessage], int]], agents: int) -> None:
-    """Over all of the time, whatever is put and whatever the radio says."""
+    """Over any time, whatever is queued and whatever the radio reports."""
     budget = LinkBudget(SWARM_BYTES_S, 0.0, agents)
     now, left = 0.0, 0
     for pause, put, txbuf in drawn:
@@ -62,39 +62,39 @@ def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[QueuedMessage]
     assert sum(count.coalesced for count in budget.counts.values()) == len(put) - len(newest)
 
 
-def test_a_fault_leaves_before_what_repeats() -> None:
+def test_a_fault_is_sent_before_repeated_messages() -> None:
     budget = LinkBudget(10.0, 0.0)
     budget.put(QueuedMessage("first", MessagePriority.TRANSITION, int(BURST_MIN), None))
     assert taken(budget, 0.0)
     budget.put(QueuedMessage("refresh", MessagePriority.REFRESH, 30, None, 6))
     budget.put(QueuedMessage("node_1", MessagePriority.TRANSITION, 60, None, 2))
-    assert taken(budget, 5.9) == []  # 59 bytes would do for the refresh, which does not overtake
+    assert taken(budget, 5.9) == []  # 59 bytes would be enough for the refresh, which does not overtake
     assert [item.key for item in taken(budget, 6.0)] == ["node_1"]
     assert [item.key for item in taken(budget, 9.0)] == ["refresh"]
 
 
-def test_what_heartbeats_take_is_not_there_for_the_rest() -> None:
+def test_heartbeats_use_the_common_budget() -> None:
     budget = LinkBudget(20.0, 0.0)
     for at in range(10):
         budget.heartbeat(12, float(at))
     assert budget.rate == pytest.approx(8.0)
 
 
-def test_heartbeats_of_a_large_swarm_leave_room_for_faults() -> None:
+def test_heartbeats_of_a_large_swarm_leave_budget_for_faults() -> None:
     budget = LinkBudget(20.0, 0.0)
     for at in range(10):
         budget.heartbeat(100, float(at))
     assert budget.rate == pytest.approx(20.0 * REST)
 
 
-def test_a_link_without_limit_holds_nothing_back() -> None:
+def test_a_link_without_a_limit_delays_nothing() -> None:
     budget = LinkBudget(None, 0.0)
     for number in range(MAX_WAITING):
         budget.put(QueuedMessage(str(number), MessagePriority.REQUEST, 280, None))
     assert len(taken(budget, 0.0)) == MAX_WAITING
 
 
-def test_what_waits_is_capped_and_the_least_is_dropped() -> None:
+def test_the_queue_is_limited_and_drops_the_least_important() -> None:
     budget = LinkBudget(1.0, 0.0)
     for number in range(MAX_WAITING):
         budget.put(QueuedMessage(f"request {number}", MessagePriority.REQUEST, 280, None))
@@ -104,7 +104,7 @@ def test_what_waits_is_capped_and_the_least_is_dropped() -> None:
     assert taken(budget, 0.0)[0].key == "fault"
 
 
-def test_what_could_not_be_sent_is_first_again() -> None:
+def test_an_unsent_message_returns_to_the_front() -> None:
     budget = LinkBudget(10.0, 0.0)
     for name in "ab":
         budget.put(QueuedMessage(name, MessagePriority.TRANSITION, 40, None))
@@ -127,7 +127,7 @@ def test_outdated_messages_are_dropped() -> None:
     assert budget.counts[MessagePriority.TRANSITION].dropped == 1
 
 
-def test_a_full_radio_slows_down_and_an_empty_one_speeds_up() -> None:
+def test_a_full_radio_buffer_slows_down_and_an_empty_one_speeds_up() -> None:
     flow = FlowControl()
     for at in range(10):
         flow.txbuf(5, float(at))
@@ -137,7 +137,7 @@ def test_a_full_radio_slows_down_and_an_empty_one_speeds_up() -> None:
     assert flow.factor(19.0) == 1.0
 
 
-def test_what_a_radio_said_long_ago_does_not_count() -> None:
+def test_an_old_radio_status_does_not_count() -> None:
     flow = FlowControl()
     for at in range(10):
         flow.txbuf(5, float(at))
@@ -160,7 +160,7 @@ def test_an_idle_swarm_stays_within_its_share(agents: int) -> None:
     assert agents * (21 / heartbeat_s + 28 / refresh_s) <= RADIO_LIMIT[agents]
 
 
-# Heartbeats alone take 5.3 % at 1 Hz for 8 agents; with these periods all of it is at most 8 % of the radio's room.
+# Heartbeats alone take 5.3 % at 1 Hz for 8 agents; with these periods all messages are at most 8 % of the radio's rate.
 RADIO_LIMIT = {
     1: SWARM_BYTES_S,
     8: SWARM_BYTES_S,
@@ -172,7 +172,9 @@ RADIO_LIMIT = {
 
 @pytest.mark.parametrize("agents", [1, 8, 30])
 def test_all_agents_together_stay_within_the_share(agents: int) -> None:
-    """With the heartbeats of their periods; the leader's part is taken from all. What REST keeps for faults may exceed it."""
+    """Heartbeats at their periods included; the leader's part is deducted from all. The reserve REST for faults may
+    exceed it.
+    """
     budgets = [LinkBudget(SWARM_BYTES_S, 0.0, agents=agents, leads=number == 0) for number in range(agents)]
     heartbeat_s = default_periods(agents)[0]
     for budget in budgets:

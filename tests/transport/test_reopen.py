@@ -1,4 +1,4 @@
-"""A link that is open and silent is closed and reopened: by the hub, and by recovery, which verifies that it helped."""
+"""A link that is open and silent is closed and reopened: by the hub, and by recovery, which verifies the result."""
 
 from __future__ import annotations
 
@@ -32,20 +32,21 @@ PILOT = heartbeat(5, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=3, base_mode=81)
 
 
 def timesync(boot_s: float) -> mavlink.MAVLink_timesync_message:
-    """A question of an autopilot that has been running for so long."""
+    """A TIMESYNC request of an autopilot that has been running for `boot_s`."""
     return mavlink.MAVLink_timesync_message(0, int(boot_s * 1e9))
 
 
 class Stale:
-    """A TCP server in whose connections only one side believes: each falls silent when `mute` is called, and only one that
-    is made after that is spoken to. `deaf`: new ones are not spoken to either."""
+    """A TCP server whose connections stay half-open: each falls silent when `mute` is called, and only a later
+    connection is served. `ignore_new`: later ones are not served either.
+    """
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.setblocking(False)
         self.port = int(self._listener.getsockname()[1])
         self.accepted = 0
-        self.deaf = False
+        self.ignore_new = False
         self.booted: float | None = None
         """When it has begun to run, on the monotonic clock; None: it does not say."""
         self._speaks: list[socket.socket] = []
@@ -54,13 +55,13 @@ class Stale:
         self._thread = threading.Thread(target=self._loop, daemon=True)
         self._thread.start()
 
-    def mute(self, *, deaf: bool = False) -> None:
-        self.deaf = deaf
+    def mute(self, *, ignore_new: bool = False) -> None:
+        self.ignore_new = ignore_new
         self._speaks = []
 
     def speak(self) -> None:
-        """By the newest connection."""
-        self._speaks, self.deaf = self._all[-1:], False
+        """On the newest connection."""
+        self._speaks, self.ignore_new = self._all[-1:], False
 
     def _loop(self) -> None:
         sender = Sender(7, 1)
@@ -69,7 +70,7 @@ class Stale:
                 client, _ = self._listener.accept()
                 self.accepted += 1
                 self._all.append(client)
-                if not self.deaf:
+                if not self.ignore_new:
                     self._speaks = [*self._speaks, client]
             for client in self._speaks:
                 with contextlib.suppress(OSError):
@@ -116,7 +117,7 @@ def test_a_connection_is_reopened(stale: Stale) -> None:
 
 
 def test_only_the_named_endpoint_is_reopened(stale: Stale) -> None:
-    """A name that is unknown opens nothing."""
+    """An unknown name opens nothing."""
     with hub(f"tcp:127.0.0.1:{stale.port}") as made:
         until(lambda: stale.accepted == 1)
         assert not made.reopen("ground", 0.2)
@@ -131,7 +132,7 @@ def test_an_endpoint_that_cannot_be_reopened_is_reported() -> None:
 
 
 def test_a_serial_port_is_reopened_without_a_reset() -> None:
-    """DTR stays up when it is closed, so that nothing behind it takes the edge for a reset."""
+    """DTR stays asserted when the port is closed, so that no device behind it takes the edge for a reset."""
     far, near = pty.openpty()
     tty.setraw(far)
     tty.setraw(near)
@@ -151,8 +152,8 @@ def test_a_serial_port_is_reopened_without_a_reset() -> None:
 # ---------------------------------------------------------------- recovery
 
 
-class Aboard:
-    """A daemon whose only link leads to the stale server, and what it said."""
+class Agent:
+    """A daemon whose only link leads to the stale server, and its events."""
 
     def __init__(self, folder: Path, port: int, **recovery: object) -> None:
         self.events: list[Event] = []
@@ -174,7 +175,7 @@ class Aboard:
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 
-    def heard(self) -> bool:
+    def link_active(self) -> bool:
         return self.daemon.components.probes.world.links.autopilot() is not None
 
     def phases(self) -> list[Phase]:
@@ -189,59 +190,61 @@ class Aboard:
 
 
 @pytest.mark.parametrize("mode", ["act", "off"])
-def test_an_open_and_silent_link_is_healed(tmp_path: Path, stale: Stale, mode: str) -> None:
-    """One alarm; reopened, though the autopilot counts as armed and whatever the mode: it is PHM's own; proven by the check."""
-    aboard = Aboard(tmp_path, stale.port, mode=mode)
+def test_an_open_and_silent_link_is_recovered(tmp_path: Path, stale: Stale, mode: str) -> None:
+    """One alarm; reopened though the autopilot counts as armed and in any mode, since the link is PHM's own; verified
+    by the check.
+    """
+    agent = Agent(tmp_path, stale.port, mode=mode)
     try:
-        until(aboard.heard)
+        until(agent.link_active)
         stale.mute()
-        until(aboard.closed, "the fault being over")
-        assert aboard.closed() == [("autopilot", "resolved", "reopen")]
-        assert aboard.opened() == ["autopilot"]
-        assert aboard.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+        until(agent.closed, "the fault being over")
+        assert agent.closed() == [("autopilot", "resolved", "reopen")]
+        assert agent.opened() == ["autopilot"]
+        assert agent.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
         assert stale.accepted == 2
     finally:
-        aboard.daemon.stop()
+        agent.daemon.stop()
 
 
 @pytest.mark.parametrize("what", ["rebooted", "ran on", "came back late"])
-def test_only_what_a_reopening_has_helped_is_credited_to_it(
+def test_a_spontaneous_recovery_is_not_credited_to_a_reopening(
     tmp_path: Path, stale: Stale, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
-    """A reboot shows in TIMESYNC, and what answers late has come back by itself."""
+    """A reboot shows in TIMESYNC, and a link that answers late has recovered without it."""
     monkeypatch.setattr(autopilot, "TOLD_S", 1.0)  # how long the reboot is reported before the unit is OK
     stale.booted = time.monotonic() - 1000.0
-    aboard = Aboard(tmp_path, stale.port)
+    agent = Agent(tmp_path, stale.port)
     try:
-        until(aboard.heard)
-        until(lambda: (aboard.daemon.components.probes.world.links.autopilot() or PILOT_FACT).boot_s)
-        stale.mute(deaf=what == "came back late")
+        until(agent.link_active)
+        until(lambda: (agent.daemon.components.probes.world.links.autopilot() or PILOT_FACT).boot_s)
+        stale.mute(ignore_new=what == "came back late")
         if what == "rebooted":
             stale.booted = time.monotonic()
         if what == "came back late":
-            until(lambda: Phase.DONE in aboard.phases(), "the reopening")
+            until(lambda: Phase.DONE in agent.phases(), "the reopening")
             stale.speak()
-        until(aboard.closed, "the fault being over")
-        assert aboard.closed() == [("autopilot", "resolved", "reopen" if what == "ran on" else "itself")]
+        until(agent.closed, "the fault being over")
+        assert agent.closed() == [("autopilot", "resolved", "reopen" if what == "ran on" else "itself")]
     finally:
-        aboard.daemon.stop()
+        agent.daemon.stop()
 
 
-def test_what_does_not_help_is_given_up(tmp_path: Path, stale: Stale) -> None:
-    """As often as recovery.same_failure says, then reported once, with what to do by hand."""
-    aboard = Aboard(tmp_path, stale.port, same_failure=1)
+def test_an_ineffective_reopening_is_given_up(tmp_path: Path, stale: Stale) -> None:
+    """After the number of attempts of recovery.same_failure, then reported once, with what to do by hand."""
+    agent = Agent(tmp_path, stale.port, same_failure=1)
     try:
-        until(aboard.heard)
-        stale.mute(deaf=True)
-        until(lambda: Phase.ESCALATED in aboard.phases(), "giving up")
-        assert aboard.phases() == [Phase.STARTED, Phase.DONE, Phase.FAILED, Phase.ESCALATED]
+        until(agent.link_active)
+        stale.mute(ignore_new=True)
+        until(lambda: Phase.ESCALATED in agent.phases(), "giving up")
+        assert agent.phases() == [Phase.STARTED, Phase.DONE, Phase.FAILED, Phase.ESCALATED]
         (said,) = [
-            event.detail for event in aboard.events if isinstance(event, ActionEvent) and event.phase is Phase.ESCALATED
+            event.detail for event in agent.events if isinstance(event, ActionEvent) and event.phase is Phase.ESCALATED
         ]
         assert "check the device behind fc" in said
         assert "docker" not in said
-        stale.deaf = False
-        assert aboard.daemon.components.probes.reopen("fc", 5.0)
-        until(lambda: not aboard.daemon.pipeline.given_up(), "being well again")
+        stale.ignore_new = False
+        assert agent.daemon.components.probes.reopen("fc", 5.0)
+        until(lambda: not agent.daemon.pipeline.given_up(), "recovery")
     finally:
-        aboard.daemon.stop()
+        agent.daemon.stop()

@@ -1,4 +1,6 @@
-"""The container at the other end of a link: its end is reported at its cause, and its start opens the link immediately."""
+"""The container at the other end of a link: its exit is reported as the cause, and its start reopens the link
+immediately.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,8 @@ from tests.fakes.until import until
 
 
 @pytest.mark.parametrize("container", ["router", "other"])
-def test_a_link_is_tried_at_once_when_its_container_was_started(container: str) -> None:
-    """Not when another one was. The clock does not move here, so the back-off alone would never be over."""
+def test_a_link_is_tried_immediately_when_its_container_was_started(container: str) -> None:
+    """Not when another container was. The clock does not move here, so the back-off alone would never expire."""
     port, clock = free_port(), FakeClock()
     made = settings(
         containers=[{"name": "router"}, {"name": "other"}],
@@ -38,8 +40,8 @@ def test_a_link_is_tried_at_once_when_its_container_was_started(container: str) 
         hub.close()
 
 
-def test_a_link_needs_the_container_at_its_other_end() -> None:
-    """What follows from its death is not reported a second time."""
+def test_a_link_depends_on_the_container_at_its_other_end() -> None:
+    """Consequences of its exit are not reported separately."""
     made = settings(
         containers=[{"name": "mavlink-router", "alias": "router"}],
         mavlink={

@@ -1,4 +1,4 @@
-"""`phm.transport.send_queue`: what waits for an endpoint, what is replaced, and what is dropped."""
+"""`phm.transport.send_queue`: which messages wait for an endpoint, are replaced, or are dropped."""
 
 from __future__ import annotations
 
@@ -10,57 +10,57 @@ from phm.transport.send_queue import OUTBOX_AGE_S, SendQueue
 from tests.fakes.mavlink import heartbeat, text
 
 
-def drain(outbox: SendQueue) -> list[Any]:
-    return [item.message for item in iter(outbox.take, None)]
+def drain(queue: SendQueue) -> list[Any]:
+    return [item.message for item in iter(queue.take, None)]
 
 
-def put(outbox: SendQueue, message: Any) -> None:
-    outbox.put(message, 63)
+def put(queue: SendQueue, message: Any) -> None:
+    queue.put(message, 63)
 
 
-def test_a_full_outbox_drops_its_oldest_and_counts() -> None:
-    """What is newest matters most, and what was lost is known."""
-    outbox = SendQueue(FakeClock())
+def test_a_full_queue_drops_its_oldest_and_counts() -> None:
+    """The newest messages matter most, and the number of lost ones is known."""
+    queue = SendQueue(FakeClock())
     for number in range(MAX_WAITING + 5):
-        put(outbox, text(f"line {number}"))
-    assert outbox.dropped == 5
-    assert [message.text for message in drain(outbox)] == [f"line {number}" for number in range(5, MAX_WAITING + 5)]
+        put(queue, text(f"line {number}"))
+    assert queue.dropped == 5
+    assert [message.text for message in drain(queue)] == [f"line {number}" for number in range(5, MAX_WAITING + 5)]
 
 
-def test_what_could_not_be_sent_is_first_again() -> None:
-    """A network that is gone for a moment costs no line and changes no order."""
-    outbox = SendQueue(FakeClock())
-    put(outbox, text("first"))
-    put(outbox, text("second"))
-    item = outbox.take()
+def test_an_unsent_message_returns_to_the_front() -> None:
+    """A network that fails for a moment loses no line and changes no order."""
+    queue = SendQueue(FakeClock())
+    put(queue, text("first"))
+    put(queue, text("second"))
+    item = queue.take()
     assert item is not None
-    outbox.give_back(item)
-    assert [message.text for message in drain(outbox)] == ["first", "second"]
+    queue.give_back(item)
+    assert [message.text for message in drain(queue)] == ["first", "second"]
 
 
 def test_waiting_heartbeats_are_replaced_and_old_lines_expire() -> None:
     """After an outage the ground gets one heartbeat, first, and no outdated line."""
     clock = FakeClock()
-    outbox = SendQueue(clock)
-    put(outbox, text("old"))
-    put(outbox, heartbeat(1))
+    queue = SendQueue(clock)
+    put(queue, text("old"))
+    put(queue, heartbeat(1))
     clock.advance(OUTBOX_AGE_S + 1)
-    put(outbox, text("new"))
-    put(outbox, heartbeat(2))
-    outbox.expire()
-    first, second = drain(outbox)
+    put(queue, text("new"))
+    put(queue, heartbeat(2))
+    queue.expire()
+    first, second = drain(queue)
     assert (first.custom_mode, second.text) == (2, "new")
-    assert outbox.dropped == 1
+    assert queue.dropped == 1
 
 
 def test_lines_wait_for_the_budget_and_heartbeats_do_not() -> None:
     clock = FakeClock()
-    outbox = SendQueue(clock, 10.0)
+    queue = SendQueue(clock, 10.0)
     for number in range(20):
-        put(outbox, text(f"line {number}"))
-    burst = drain(outbox)
+        put(queue, text(f"line {number}"))
+    burst = drain(queue)
     assert 0 < len(burst) < 20
-    put(outbox, heartbeat(1))
-    assert [message.get_type() for message in drain(outbox)] == ["HEARTBEAT"]
+    put(queue, heartbeat(1))
+    assert [message.get_type() for message in drain(queue)] == ["HEARTBEAT"]
     clock.advance(1000.0)
-    assert drain(outbox)[0].text == f"line {len(burst)}"
+    assert drain(queue)[0].text == f"line {len(burst)}"

@@ -1,4 +1,4 @@
-"""Who may use an endpoint: frames of strangers, over real sockets."""
+"""Which senders may use an endpoint: frames of strangers, over real sockets."""
 
 from __future__ import annotations
 
@@ -26,14 +26,16 @@ from phm.transport.mavlink_udp import network_of
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text
 from tests.fakes.until import until
 
-# With its default dialect pymavlink begins with MAVLink 1, and forgets its key when it first hears MAVLink 2.
+# With its default dialect pymavlink starts with MAVLink 1, and forgets its key when it first receives MAVLink 2.
 mavutil.set_dialect("common")
 RESTART = mavlink.MAVLink_command_long_message(7, 193, 31010, 0, 3, 1, 0, 0, 0, 0, 0)
-Board = Callable[..., "Aboard"]
+MakeAgent = Callable[..., "Agent"]
 
 
-class Aboard:
-    """A hub of agent 7 with one endpoint and a command handler that allows `restart`; `did` is what was done."""
+class Agent:
+    """A hub of agent 7 with one endpoint and a command handler that permits `restart`; `did` lists the executed
+    requests.
+    """
 
     def __init__(self, url: str, key: str | None = None) -> None:
         chosen = settings(
@@ -78,12 +80,12 @@ class Aboard:
 
 
 @pytest.fixture
-def board() -> Iterator[Board]:
-    """Makes agents, and closes them at the end."""
-    made: list[Aboard] = []
+def board() -> Iterator[MakeAgent]:
+    """Create agents, and close them at the end."""
+    made: list[Agent] = []
 
-    def make(url: str, key: str | None = None) -> Aboard:
-        made.append(Aboard(url, key))
+    def make(url: str, key: str | None = None) -> Agent:
+        made.append(Agent(url, key))
         return made[-1]
 
     yield make
@@ -93,7 +95,7 @@ def board() -> Iterator[Board]:
 
 @pytest.fixture
 def udp() -> Iterator[Callable[..., socket.socket]]:
-    """Makes UDP sockets of loopback, and closes them at the end."""
+    """Create loopback UDP sockets, and close them at the end."""
     with contextlib.ExitStack() as stack:
 
         def make(host: str = "127.0.0.1", port: int = 0) -> socket.socket:
@@ -106,14 +108,14 @@ def udp() -> Iterator[Callable[..., socket.socket]]:
         yield make
 
 
-def address_of(agent: Aboard, ground: socket.socket) -> Any:
-    """Where the agent's endpoint sends from."""
+def address_of(agent: Agent, ground: socket.socket) -> Any:
+    """The address that the agent's endpoint sends from."""
     agent.hub.send(text("hello"))
     return ground.recvfrom(300)[1]
 
 
-def test_udpout_receives_from_its_peer_only(board: Board, udp: Callable[..., socket.socket]) -> None:
-    """A command from another port or host of the network is not even read; the peer's own is obeyed."""
+def test_udpout_receives_only_from_its_peer(board: MakeAgent, udp: Callable[..., socket.socket]) -> None:
+    """A command from another port or host of the network is not even read; the peer's own is executed."""
     ground = udp()
     agent = board(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
     ours = address_of(agent, ground)
@@ -127,8 +129,8 @@ def test_udpout_receives_from_its_peer_only(board: Board, udp: Callable[..., soc
     assert agent.heard == [(254, "HEARTBEAT")]
 
 
-def test_udpbcast_hears_answers_from_its_port_alone(board: Board, udp: Callable[..., socket.socket]) -> None:
-    """A receiver of the broadcast answers from the port that it was sent to; what comes from another port is not read."""
+def test_udpbcast_receives_answers_only_from_its_port(board: MakeAgent, udp: Callable[..., socket.socket]) -> None:
+    """A receiver of the broadcast answers from the port that it was sent to; frames from another port are not read."""
     port = free_port(socket.SOCK_DGRAM)
     ground = udp("0.0.0.0", port)
     agent = board(f"udpbcast:127.255.255.255:{port}")
@@ -137,20 +139,20 @@ def test_udpbcast_hears_answers_from_its_port_alone(board: Board, udp: Callable[
     udp().sendto(Sender(255, 190).frame(RESTART), ("127.0.0.1", ours[1]))
     for message in (heartbeat(), RESTART):
         ground.sendto(Sender(254, 190).frame(message), ("127.0.0.1", ours[1]))
-    until(lambda: agent.did, "the restart that the listener on the port asked for")
+    until(lambda: agent.did, "the restart that the listener on the port requested")
     assert agent.did == ["254/190"]
     assert agent.heard == [(254, "HEARTBEAT")]
 
 
 def test_a_ground_station_that_starts_later_gets_the_next_frame(
-    board: Board, udp: Callable[..., socket.socket]
+    board: MakeAgent, udp: Callable[..., socket.socket]
 ) -> None:
-    """A missing listener is at first reported to a connected socket, and must cost neither the link nor a line."""
+    """A missing listener is reported to a connected socket at first, which must lose neither the link nor a line."""
     port = free_port(socket.SOCK_DGRAM)
     agent = board(f"udpout:127.0.0.1:{port}")
     (counters,) = agent.hub.counters().values()
     for number in range(3):
-        agent.hub.send(text("to nobody"))
+        agent.hub.send(text("to no peer"))
         until(lambda sent=number + 1: counters.sent == sent)  # type: ignore[misc]
     ground = udp("127.0.0.1", port)
     agent.hub.send(text("to the ground"))
@@ -168,29 +170,31 @@ def test_a_ground_station_that_starts_later_gets_the_next_frame(
     ],
 )
 def test_the_network_of_a_broadcast_address_is_known_without_its_mask(target: str, inside: str, outside: str) -> None:
-    """All bits behind the last zero may be the host's."""
+    """All bits behind the last zero may be host bits."""
     network = network_of(target)
     assert ipaddress.ip_address(inside) in network
     assert ipaddress.ip_address(outside) not in network
     assert ipaddress.ip_address("8.8.8.8") in network_of("255.255.255.255")
 
 
-def test_udpout_follows_the_way_to_its_peer(board: Board, udp: Callable[..., socket.socket]) -> None:
-    """When the route begins at another address of this machine, a silent endpoint is opened again from there."""
+def test_udpout_follows_a_route_change(board: MakeAgent, udp: Callable[..., socket.socket]) -> None:
+    """When the route starts at another address of this machine, a silent endpoint is reopened from there."""
     ground = udp()
     agent = board(f"udpout:127.0.0.1:{ground.getsockname()[1]}")
     endpoint = agent.hub._endpoints[0]
     address_of(agent, ground)
     assert endpoint._opener.moved() is False
-    endpoint._opener._source = "192.0.2.1"  # as if the first interface had gone
+    endpoint._opener._source = "192.0.2.1"  # as if the first interface had disappeared
     assert endpoint._opener.moved() is True
 
 
-# ---------------------------------------------------------------- a crowd
+# ---------------------------------------------------------------- many senders
 
 
-def test_sixteen_source_ports_lock_no_ground_station_out(board: Board, udp: Callable[..., socket.socket]) -> None:
-    """Frames from many ports of one address leave room for another address, which is sent everything."""
+def test_sixteen_source_ports_do_not_lock_out_a_ground_station(
+    board: MakeAgent, udp: Callable[..., socket.socket]
+) -> None:
+    """Frames from many ports of one address leave places for another address, which gets everything."""
     port = free_port(socket.SOCK_DGRAM)
     agent = board(f"udpin:127.0.0.1:{port}")
     until(agent.hub.links)
@@ -204,8 +208,10 @@ def test_sixteen_source_ports_lock_no_ground_station_out(board: Board, udp: Call
     assert b"to the ground" in ground.recv(300)
 
 
-def test_a_ground_station_displaces_an_idle_one_of_its_address(board: Board, udp: Callable[..., socket.socket]) -> None:
-    """Behind the same address as a crowd that has fallen silent it is sent everything after seconds, not after a minute."""
+def test_a_ground_station_displaces_an_idle_one_of_its_address(
+    board: MakeAgent, udp: Callable[..., socket.socket]
+) -> None:
+    """Behind the same address as many idle senders it gets everything after seconds, not after a minute."""
     port = free_port(socket.SOCK_DGRAM)
     agent = board(f"udpin:127.0.0.1:{port}")
     until(agent.hub.links)
@@ -225,8 +231,8 @@ def test_a_ground_station_displaces_an_idle_one_of_its_address(board: Board, udp
     until(read, "the ground station getting lines")
 
 
-def test_idle_tcp_clients_lock_no_ground_station_out(board: Board) -> None:
-    """Connections that say nothing leave room for another address, and make room when they have been idle for long."""
+def test_idle_tcp_clients_do_not_lock_out_a_ground_station(board: MakeAgent) -> None:
+    """Silent connections leave places for another address, and are displaced when they have been idle for long."""
     port = free_port()
     agent = board(f"tcpin:127.0.0.1:{port}")
     until(agent.hub.links)
@@ -257,8 +263,8 @@ def _open(sock: socket.socket) -> bool:
         return False
 
 
-def test_who_signs_gets_in_whatever_the_crowd_does(board: Board, tmp_path: Path) -> None:
-    """With signing on, connections that send all the time without signing leave places for those that sign."""
+def test_a_signing_peer_is_admitted_among_many_unsigned_ones(board: MakeAgent, tmp_path: Path) -> None:
+    """With signing on, connections that send constantly without signing leave places for those that sign."""
     key, port = tmp_path / "key", free_port()
     key.write_bytes(bytes(range(32)))
     key.chmod(0o600)
@@ -271,7 +277,7 @@ def test_who_signs_gets_in_whatever_the_crowd_does(board: Board, tmp_path: Path)
             stack.callback(flood.join, 15.0)
             flood.start()
         stack.callback(stop.set)
-        until(lambda: len(agent.heard) > 20 * MAX_PEERS, "the floods having all connections that they get")
+        until(lambda: len(agent.heard) > 20 * MAX_PEERS, "the floods to have all connections that they get")
         ground = mavutil.mavlink_connection(f"tcp:127.0.0.1:{port}", source_system=255, source_component=190)
         stack.callback(ground.close)
         ground.setup_signing(bytes(range(32)), link_id=9)
@@ -280,13 +286,13 @@ def test_who_signs_gets_in_whatever_the_crowd_does(board: Board, tmp_path: Path)
             ground.mav.command_long_send(7, 193, 31010, 0, 3, 1, 0, 0, 0, 0, 0)
             return ground.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.5) is not None
 
-        until(answered, "an answer to who signs")
+        until(answered, "an answer to the signing peer")
         assert agent.did
     assert (ground.mav.srcSystem, set(agent.did)) == (255, {"255/190"})
 
 
 def _flood(port: int, host: str, stop: threading.Event) -> None:
-    """As many connections as get in, each of which sends a heartbeat all the time, and comes again when it is closed."""
+    """As many connections as are admitted, each of which sends heartbeats constantly, and reconnects when it is closed."""
     frame = Sender(int(host[-1]), 190).frame(heartbeat())
     open_now: list[socket.socket] = []
     while not stop.is_set():
@@ -305,7 +311,7 @@ def _flood(port: int, host: str, stop: threading.Event) -> None:
 
 
 def test_a_link_without_a_radio_is_not_slowed_down(udp: Callable[..., socket.socket]) -> None:
-    """RADIO_STATUS can be made up by anybody; with `radio: off` it is not read."""
+    """RADIO_STATUS can be forged by anyone; with `radio: off` it is not read."""
     full = mavlink.MAVLink_radio_status_message(100, 100, 5, 30, 30, 0, 0)
     slowed = {}
     for radio in ("off", "auto"):

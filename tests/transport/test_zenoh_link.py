@@ -1,4 +1,6 @@
-"""Real Zenoh sessions on loopback: a router in a process of its own, agents with the real reporter, a reader as any client."""
+"""Real Zenoh sessions on loopback: a router in a separate process, agents with the real reporter, a reader as any
+client.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ LIMIT_S = 120.0
 
 
 class Bench:
-    """What a test starts, and ends again."""
+    """Processes and sessions that a test starts; all are ended by `close`."""
 
     def __init__(self) -> None:
         self.port = free_port()
@@ -74,8 +76,8 @@ def bench() -> Iterator[Bench]:
         made.close()
 
 
-def test_a_change_is_seen_on_the_ground(bench: Bench) -> None:
-    """Status and token appear; a fault and its end are seen; a PHM that is stopped says so and takes its token back."""
+def test_a_change_reaches_the_ground(bench: Bench) -> None:
+    """Status and token appear; a fault and its end are received; a stopped PHM announces it and withdraws its token."""
     bench.router()
     ground, agent = bench.ground(), bench.agent()
     ground.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
@@ -93,7 +95,7 @@ def test_a_change_is_seen_on_the_ground(bench: Bench) -> None:
     assert not ground.refused
 
 
-def test_who_comes_late_gets_the_state_at_once(bench: Bench) -> None:
+def test_a_late_reader_gets_the_state_immediately(bench: Bench) -> None:
     """A query is answered with the newest status, long before the next refresh; a stalled agent does not answer."""
     bench.router()
     agent = bench.agent(refresh="1h")
@@ -106,8 +108,10 @@ def test_who_comes_late_gets_the_state_at_once(bench: Bench) -> None:
     assert [reply for reply in replies if reply.ok is not None] == []
 
 
-def test_a_router_that_is_absent_dies_and_comes_back(bench: Bench) -> None:
-    """The agent starts without it, says so, connects when it is there, and so again after its end; nothing waits for it."""
+def test_an_agent_connects_whenever_the_router_appears(bench: Bench) -> None:
+    """The agent starts without a router and reports it, connects when one appears, and again after a restart; nothing
+    waits for it.
+    """
     agent = bench.agent(refresh="1h")
     until(lambda: "Unable to connect" in agent.reporter.report()["error"], "the failed connection to be reported")
     assert ".rs" not in agent.reporter.report()["error"]
@@ -124,8 +128,8 @@ def test_a_router_that_is_absent_dies_and_comes_back(bench: Bench) -> None:
     agent.turn()
     until(agent.reporter.problem, "a problem to be reported")
     bench.router()
-    # What changed meanwhile is published after the reconnect, without waiting for a refresh. A reader that was connected
-    # again later than the agent has missed it, and asks, as the contract says.
+    # Changes made meanwhile are published after the reconnect, without waiting for a refresh. A reader that reconnected
+    # later than the agent has missed them, and sends a query, as the contract requires.
     ground.wait(lambda g: bool(g.tokens))
     ground.ask()
     ground.wait(lambda g: g.statuses["agent_1"].open_faults == 1)
@@ -133,8 +137,8 @@ def test_a_router_that_is_absent_dies_and_comes_back(bench: Bench) -> None:
     assert agent.reporter.report()["connects"] == 2
 
 
-def test_a_client_takes_the_router_that_answers(bench: Bench) -> None:
-    """The first endpoint of the list leads nowhere."""
+def test_a_client_uses_the_router_that_answers(bench: Bench) -> None:
+    """The first endpoint of the list is unreachable."""
     bench.router()
     agent = bench.agent(connect=[f"tcp/127.0.0.1:{free_port()}", bench.endpoint])
     until(lambda: agent.reporter.report()["connected"], "the connection")
@@ -148,8 +152,8 @@ def test_a_peer_needs_no_router(bench: Bench) -> None:
     ground.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
 
 
-def test_two_agents_of_one_name_are_noticed(bench: Bench) -> None:
-    """Each sees the other's token stay, says so, and is at ease again when the other is gone."""
+def test_two_agents_of_one_name_are_detected(bench: Bench) -> None:
+    """Each sees the other's token stay and reports it, until the other is gone."""
     bench.router()
     one = bench.agent(lease=1)
     until(lambda: one.reporter.report()["connected"], "the connection")
@@ -164,7 +168,7 @@ def test_two_agents_of_one_name_are_noticed(bench: Bench) -> None:
     assert not bystander.reporter.problem()
 
 
-def test_a_killed_process_is_missed(bench: Bench) -> None:
+def test_a_killed_process_is_detected(bench: Bench) -> None:
     """Its connection ends with it, and the token immediately; POWEROFF was not sent."""
     bench.router()
     ground, crowd = bench.ground(), bench.crowd(3)
@@ -174,8 +178,8 @@ def test_a_killed_process_is_missed(bench: Bench) -> None:
     assert {status.state for status in ground.statuses.values()} == {"ACTIVE"}
 
 
-def test_a_process_that_hangs_is_missed_after_its_lease(bench: Bench) -> None:
-    """Its connection stays open and silent; when it goes on, it is there again, with its state."""
+def test_a_hanging_process_is_detected_after_its_lease(bench: Bench) -> None:
+    """Its connection stays open and silent; when it resumes, it is present again, with its state."""
     bench.router()
     ground, crowd = bench.ground(), bench.crowd(1, lease=1, refresh="1h")
     ground.wait(lambda g: len(g.tokens) == 1)
@@ -186,8 +190,8 @@ def test_a_process_that_hangs_is_missed_after_its_lease(bench: Bench) -> None:
     ground.wait(lambda g: len(g.tokens) == 1 and len(g.statuses) == 1)
 
 
-def test_a_fleet_of_fifty(bench: Bench) -> None:
-    """All are known to a reader, also to one that comes late; each change is seen; all are missed when their process dies."""
+def test_a_reader_follows_a_fleet_of_fifty(bench: Bench) -> None:
+    """All are known to a reader, also to a late one; each change is received; all are missed when their process dies."""
     bench.router()
     ground = bench.ground()
     crowds = [bench.crowd(25), bench.crowd(25, first=25)]
@@ -205,7 +209,7 @@ def test_a_fleet_of_fifty(bench: Bench) -> None:
 
 
 def test_queries_of_others_cannot_fill_the_memory(bench: Bench) -> None:
-    """Thousands of questions at once leave the agent well; those that it has no room for are not answered."""
+    """Thousands of simultaneous queries do not harm the agent; those beyond its limit are not answered."""
     bench.router()
     agent, ground = bench.agent(), bench.ground()
     ground.wait(lambda g: "agent_1" in g.statuses)
@@ -245,7 +249,7 @@ def test_the_daemon_reports_to_a_fleet(bench: Bench, tmp_path: Path) -> None:
     daemon.kill()
     ground.wait(lambda g: not g.tokens)
     daemon.wait()
-    # Its successor has another boot id, and says goodbye.
+    # Its successor has another boot id, and announces its shutdown.
     second = run_daemon(bench, tmp_path)
     ground.wait(lambda g: bool(g.tokens))
     second.terminate()
@@ -254,7 +258,7 @@ def test_the_daemon_reports_to_a_fleet(bench: Bench, tmp_path: Path) -> None:
 
 
 def certificates(folder: Path) -> None:
-    """An authority, a router's certificate for 127.0.0.1 and an agent's; another authority that is not trusted."""
+    """A CA, a router's certificate for 127.0.0.1 and an agent's; another CA that is not trusted."""
     for name in ("ca", "other"):
         openssl(
             "req", "-x509", *NEW, "-keyout", f"{name}.key", "-out", f"{name}.pem", "-subj", f"/CN={name}", folder=folder
@@ -291,8 +295,10 @@ def rule(name: str, keys: str, messages: Sequence[str], *flows: str) -> dict[str
     return {"id": name, "permission": "allow", "flows": flows, "messages": messages, "key_exprs": [keys]}
 
 
-def test_a_fleet_by_tls(bench: Bench, tmp_path: Path) -> None:
-    """Who has no certificate, or trusts another authority, is not let in; who has one may write below its own key alone."""
+def test_tls_restricts_a_fleet(bench: Bench, tmp_path: Path) -> None:
+    """A client without a certificate, or of another CA, is not admitted; one with a certificate may write only below
+    its own key.
+    """
     certificates(tmp_path)
     place = "transport__link__tls__"
     files = {"root_ca_certificate": "ca.pem", "listen_certificate": "router.pem", "listen_private_key": "router.key"}
@@ -335,7 +341,7 @@ def test_a_fleet_by_tls(bench: Bench, tmp_path: Path) -> None:
 
 
 def put_until_refused(stranger: Any, ground: Ground, payload: bytes) -> None:
-    """Zenoh drops what is published before the router knows the reader's subscription, so one put may not arrive."""
+    """Zenoh drops publications made before the router knows the reader's subscription, so one put may not arrive."""
     before = ground.refused
 
     def refused() -> bool:
@@ -346,7 +352,7 @@ def put_until_refused(stranger: Any, ground: Ground, payload: bytes) -> None:
 
 
 def test_a_stranger_cannot_crash_a_reader_or_an_agent(bench: Bench) -> None:
-    """Whatever is published under the keys of the fleet is refused or taken, and the rest goes on."""
+    """Any publication under the keys of the fleet is rejected or accepted, and everything else continues."""
     bench.router()
     agent, ground = bench.agent(), bench.ground()
     stranger = zenoh.open(config("client", connect__endpoints=[bench.endpoint]))

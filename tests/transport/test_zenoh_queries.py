@@ -1,4 +1,4 @@
-"""Queries are answered without holding up what the link is there for."""
+"""Queries are answered without delaying publications."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from phm.transport.zenoh_link import MAX_QUERIES, FleetKeys, ZenohLink
 
 
 def test_constant_queries_do_not_delay_the_status() -> None:
-    """Each answer brings the next question: a turn answers so many, and the next turn publishes first."""
+    """Each answer triggers the next query: a turn answers a limited number, and the next turn publishes first."""
     link = ZenohLink(FleetSettings(), FleetKeys("status", "alive", "namesakes"), FakeClock())
     session: Any = SimpleNamespace(info=SimpleNamespace(links=lambda: [SimpleNamespace(zid="z", src="a", dst="b")]))
     done: list[str] = []

@@ -1,4 +1,4 @@
-"""The payload of a status: the contract of docs/reference/fleet.md, and what a reader refuses."""
+"""The payload of a status: the contract of docs/reference/fleet.md, and what a reader rejects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def made(*states: UnitState, faults: tuple[Any, ...] = ()) -> bytes:
     return fleet_status.encode(("agent_3", 3), "0123456789ab", 7, at(), states, faults, "EMERGENCY")
 
 
-def test_what_is_published() -> None:
+def test_the_payload_has_the_contract_keys() -> None:
     """Exactly these keys, in this form."""
     assert json.loads(made(WELL, DEAD, faults=(fault(DEAD),))) == {
         "v": 1,
@@ -51,8 +51,8 @@ def test_what_is_published() -> None:
     }
 
 
-def test_a_reader_gets_what_was_written() -> None:
-    """Levels by slot, word, sequence and times come back."""
+def test_a_status_is_read_as_written() -> None:
+    """Levels by slot, word, sequence number and times are read back."""
     status = fleet_status.decode(made(WELL, DEAD, faults=(fault(DEAD),)))
     assert (status.agent, status.agent_id, status.boot_id, status.sequence) == ("agent_3", 3, "0123456789ab", 7)
     assert status.levels == status_word.decode(status.word) == {Slot.CONTAINER: Level.OK, Slot.NODES: Level.ERROR}
@@ -75,13 +75,13 @@ def path(level: Level, blocked_by: str = "", broken: str = "") -> UnitState:
         ((path(Level.STALE),), None),
     ],
 )
-def test_the_first_broken_hop(states: tuple[UnitState, ...], hop: str | None) -> None:
-    """As the path check has it: the first that is broken, what blocks it, none, or not known."""
+def test_the_payload_names_the_first_broken_hop(states: tuple[UnitState, ...], hop: str | None) -> None:
+    """As the path check reports it: the first broken hop, what blocks it, none, or unknown."""
     assert fleet_status.decode(made(*states)).broken == hop
 
 
-def test_the_longest_status_is_taken_by_a_reader() -> None:
-    """Names of any length and script, and more faults than are listed, stay below what a reader refuses."""
+def test_the_longest_status_is_accepted_by_a_reader() -> None:
+    """Names of any length and script, and more faults than are listed, stay below the reader's limit."""
     long = unit("\U0001f600" * 5000, Slot.NODES, Level.ERROR, brief="\U0001f600" * 999, condition="\U0001f600" * 999)
     faults = tuple(replace(fault(long), id=f"ab12-{number}") for number in range(300))
     payload = made(path(Level.STALE, "\U0001f600" * 999), long, faults=faults)
@@ -115,8 +115,8 @@ GOOD = json.loads(made(WELL, DEAD, faults=(fault(DEAD),)))
         {"status_word": None},
     ],
 )
-def test_what_is_not_of_this_contract_is_refused(change: dict[str, Any]) -> None:
-    """Each key is judged: it comes from outside."""
+def test_a_payload_that_violates_the_contract_is_rejected(change: dict[str, Any]) -> None:
+    """Each key is validated, since it comes from outside."""
     with pytest.raises(ValueError, match="status"):
         fleet_status.decode(json.dumps({**GOOD, **change}).encode())
 
@@ -126,12 +126,12 @@ def test_what_is_not_of_this_contract_is_refused(change: dict[str, Any]) -> None
         st.binary(max_size=200), st.text(max_size=50).map(str.encode), st.just(b"[" * 50_000), st.just(b" " * 70_000)
     )
 )
-def test_garbage_is_refused(payload: bytes) -> None:
-    """Whatever it is, a ValueError and nothing else."""
+def test_garbage_is_rejected(payload: bytes) -> None:
+    """Any bytes raise ValueError and nothing else."""
     with pytest.raises(ValueError):
         fleet_status.decode(payload)
 
 
-def test_keys_may_grow() -> None:
-    """A reader of this version takes a status with more keys."""
+def test_additional_keys_are_accepted() -> None:
+    """A reader of this version accepts a status with more keys."""
     assert fleet_status.decode(json.dumps({**GOOD, "more": 1}).encode()).agent == "agent_3"

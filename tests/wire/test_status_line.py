@@ -1,4 +1,4 @@
-"""The operator's lines: their words are a contract, and they always fit one STATUSTEXT."""
+"""The operator's lines: their wording is a contract, and they always fit one STATUSTEXT."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def fits(line: str) -> bool:
 
 @given(AGENTS, st.sampled_from([Level.WARN, Level.ERROR]), SLOTS, TEXTS, TEXTS)
 def test_every_line_fits_whatever_the_names_are(agent: int, level: Level, slot: Slot, first: str, second: str) -> None:
-    """No name from outside makes a line longer than 50 characters or puts anything but printable ASCII into it."""
+    """No name from outside makes a line longer than 50 characters or adds anything but printable ASCII."""
     lines = [
         status_line.failing(agent, level, slot, first),
         status_line.recovered(agent, slot, first, second),
@@ -45,8 +45,8 @@ def test_every_line_fits_whatever_the_names_are(agent: int, level: Level, slot: 
 
 
 @given(AGENTS, st.lists(st.tuples(SLOTS, st.sampled_from(Level), TEXTS), max_size=40))
-def test_the_refresh_fits_whatever_is_wrong(agent: int, units: list[tuple[Slot, Level, str]]) -> None:
-    """Any number of bad units still makes one line, which ends with how many more there are."""
+def test_the_refresh_always_fits(agent: int, units: list[tuple[Slot, Level, str]]) -> None:
+    """Any number of bad units still makes one line, which ends with the number of further ones."""
     states = [unit(*entry) for entry in units]
     line = status_line.refresh(agent, states)
     bad = sum(1 for state in states if state.level.bad)
@@ -55,13 +55,13 @@ def test_the_refresh_fits_whatever_is_wrong(agent: int, units: list[tuple[Slot, 
 
 
 def test_a_fault_names_agent_slot_and_cause() -> None:
-    """The line of a fault reads as in the README."""
+    """The line of a fault is the one in the README."""
     assert status_line.failing(1, Level.ERROR, Slot.NODES, "node_1 dead") == "A01 FAIL 6 node_1 dead"
     assert status_line.failing(250, Level.WARN, Slot.HOST, "disk / 88%") == "A250 WARN 9 disk / 88%"
 
 
-def test_an_end_says_what_ended_it() -> None:
-    """The operator sees whether it healed itself or PHM did it."""
+def test_a_recovery_line_names_its_cause() -> None:
+    """The operator sees whether it recovered without an action or PHM recovered it."""
     node = "node_1 dead", "restart", "node_1"
     assert status_line.recovered(1, Slot.NODES, *node) == "A01 OK 6 node_1 restarted"
     assert status_line.recovered(1, Slot.NODES, "node_1 dead", "itself", "node_1") == "A01 OK 6 node_1 recovered"
@@ -71,7 +71,7 @@ def test_an_end_says_what_ended_it() -> None:
 
 
 def test_advice_and_giving_up_name_the_target() -> None:
-    """What is asked of the operator says of which container."""
+    """A line that asks for an action names the container."""
     assert status_line.advise(1, Slot.CONTAINER, "restart", "ros_app") == "A01 ADVISE 2 restart ros_app"
     long = "a_container_with_a_very_long_name"
     assert (
@@ -90,7 +90,7 @@ def test_advice_and_giving_up_name_the_target() -> None:
     assert status_line.gave_up(1, Slot.NODES, "ros_app", "node_1 dead") == "A01 GAVE UP 6 ros_app: node_1 dead"
 
 
-def test_the_refresh_begins_with_the_worst() -> None:
+def test_the_refresh_begins_with_the_worst_unit() -> None:
     """An ERROR comes before a WARN of an earlier slot; the array has 1 for WARN and 0 for ERROR."""
     node, disk = unit(Slot.NODES, Level.ERROR, "node_1 dead"), unit(Slot.COMPANION, Level.WARN, "radio closed")
     others = [state for state in WELL if state.slot is not Slot.NODES]
@@ -99,7 +99,7 @@ def test_the_refresh_begins_with_the_worst() -> None:
     assert status_line.refresh(1, [disk, *WELL]) == "A01 WARN 11111111 1 radio closed"
 
 
-def test_what_is_not_known_is_never_ok() -> None:
+def test_an_unknown_state_is_never_ok() -> None:
     """An unknown unit is a dash, and the line does not say OK; nor does it without any unit."""
     others = [state for state in WELL if state.slot is not Slot.RATES]
     assert status_line.refresh(1, [*others, unit(Slot.RATES, Level.STALE)]) == "A01 STALE 1111111- 8"
@@ -107,8 +107,8 @@ def test_what_is_not_known_is_never_ok() -> None:
     assert status_line.refresh(1, others) == "A01 OK 1111111-"
 
 
-def test_a_long_name_keeps_its_head_and_what_happened() -> None:
-    """Cutting takes the middle: which node and what about it both stay."""
+def test_a_long_name_keeps_its_beginning_and_the_failure() -> None:
+    """The middle is cut: the name of the node and its failure both stay."""
     line = status_line.failing(1, Level.ERROR, Slot.NODES, "a_very_long_node_name_of_somebody_else_entirely_1 dead")
     assert line.startswith("A01 FAIL 6 a_very_long")
     assert line.endswith("_1 dead")
@@ -117,7 +117,7 @@ def test_a_long_name_keeps_its_head_and_what_happened() -> None:
 
 @pytest.mark.parametrize("text", ["nod\x00e", "nod\x1b[31me", "nod\ne", "nodé", "nod\u202ee", "node\x7f"])
 def test_control_characters_do_not_reach_the_ground(text: str) -> None:
-    """What could steer a terminal or hide becomes a question mark."""
+    """A character that could control a terminal or hide text becomes a question mark."""
     assert "?" in status_line.failing(1, Level.ERROR, Slot.NODES, text)
 
 

@@ -1,4 +1,4 @@
-"""Tunnel payloads: the layout is a contract, and nothing from outside breaks the reader."""
+"""Tunnel payloads: the layout is a contract, and no input from outside breaks the reader."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ digests = st.integers(0, 250).flatmap(
 
 
 @given(st.one_of(views, digests))
-def test_what_is_written_is_what_is_read(message: TunnelMessage) -> None:
-    """Also when MAVLink has cut trailing zero bytes."""
+def test_a_message_is_read_as_written(message: TunnelMessage) -> None:
+    """Also when MAVLink has removed trailing zero bytes."""
     payload = encode(message)
     assert decode(payload) == message
     assert decode(payload.rstrip(b"\0")) == message
 
 
 @given(st.integers(1, 250 - MAX_WORDS), st.lists(st.integers(1, 2**32 - 1), min_size=1, max_size=MAX_WORDS))
-def test_words_come_back(first: int, words: list[int]) -> None:
+def test_words_are_read_as_written(first: int, words: list[int]) -> None:
     message = StatusWords(dict(enumerate(words, first)))
     assert decode(encode(message)) == message
     assert decode(encode(message).rstrip(b"\0")) == message
 
 
 def test_the_layout_is_the_documented_one() -> None:
-    """Bytes written out by hand from the module's text."""
+    """Bytes written by hand from the module's docstring."""
     assert encode(PeerView(7, True, False, True, {2: PeerState.ALIVE, 4: PeerState.LOST})) == bytes(
         (0x11, 7, 0b101, 2, 0b110001)
     )
@@ -59,13 +59,13 @@ def test_the_layout_is_the_documented_one() -> None:
 
 
 def test_a_hundred_agents_fit_into_one_digest() -> None:
-    """25 bytes of levels and four of head: 46 bytes on the wire with TUNNEL's own 17."""
+    """25 bytes of levels and four of header: 46 bytes on the wire with TUNNEL's own 17."""
     assert len(encode(SwarmDigest(100, 100, dict.fromkeys(range(1, 101), Level.OK)))) == 29
 
 
 @given(st.binary(max_size=140))
-def test_strange_bytes_are_refused_in_words_and_never_crash(payload: bytes) -> None:
-    """Either a message or TunnelError; a message that was read can be written again."""
+def test_arbitrary_bytes_are_parsed_or_rejected(payload: bytes) -> None:
+    """Either a message or TunnelError; a parsed message can be written again."""
     try:
         message = decode(payload)
     except TunnelError:
@@ -77,7 +77,7 @@ def test_strange_bytes_are_refused_in_words_and_never_crash(payload: bytes) -> N
 @pytest.mark.parametrize(
     "payload", [b"", bytes(1), b"\x21", b"\x1f", bytes((0x12, 3, 4)), bytes((0x11, 0, 0, 251)), bytes(129)]
 )
-def test_what_is_not_of_the_contract_is_refused(payload: bytes) -> None:
+def test_a_payload_that_violates_the_contract_is_rejected(payload: bytes) -> None:
     with pytest.raises(TunnelError):
         decode(payload)
 
@@ -91,13 +91,13 @@ def test_what_is_not_of_the_contract_is_refused(payload: bytes) -> None:
         SwarmDigest(256, 1),
     ],
 )
-def test_what_cannot_be_said_is_not_sent(message: TunnelMessage) -> None:
+def test_values_out_of_range_are_not_encoded(message: TunnelMessage) -> None:
     with pytest.raises(ValueError):
         encode(message)
 
 
 @given(st.text(max_size=4000))
-def test_a_long_text_travels_in_parts(text: str) -> None:
+def test_a_long_text_is_sent_in_parts(text: str) -> None:
     """Joined in order they are the text, cut at the end when it is longer than all parts."""
     parts = details("1a2b-17", text)
     assert len(parts) <= MAX_PARTS

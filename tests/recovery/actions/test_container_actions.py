@@ -1,4 +1,4 @@
-"""The actions on a fake engine: what they do, what they refuse, and that doing it twice is harmless."""
+"""The actions on a fake engine: their effect, their refusals, and that repeating them is harmless."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ RUN = ["ros2", "run", "package", "one"]
 EXITED = fault("container/app", "exited")
 
 
-def acted(fake: FakeEngine, *verbs: str) -> list[str]:
+def acted_on(fake: FakeEngine, *verbs: str) -> list[str]:
     """Containers acted on, in order."""
     ids = {entry["Id"]: name for name, entry in fake.containers.items()}
     calls = [call.split("/") for call in fake.calls if call.startswith("POST /containers/")]
     return [ids.get(parts[2], parts[2]) for parts in calls if parts[-1] in verbs]
 
 
-# ---------------------------------------------------------------- who depends on it
+# ---------------------------------------------------------------- dependents
 
 
 def stack(fake: FakeEngine, ask: DockerEngine, **more: Any) -> Bench:
-    """`app`, whose network `side` shares by id; `late` starts after `side`, `apart` has nothing to do with them."""
+    """`app`, whose network `side` shares by id; `late` starts after `side`, `apart` is independent."""
     for name in ("late", "apart", "side", "app"):
         fake.containers[name] = container(name)
     fake.containers["side"]["HostConfig"]["NetworkMode"] = f"container:{fake.containers['app']['Id']}"
@@ -52,96 +52,100 @@ def stack(fake: FakeEngine, ask: DockerEngine, **more: Any) -> Bench:
     return bench(ask, containers=[late, {"name": "apart", "recover": True}, side, {"name": "app", "recover": True}])
 
 
-def test_dependants_are_restarted_after_it_in_order(fake: FakeEngine, ask: DockerEngine) -> None:
+def test_dependents_are_restarted_after_their_container_in_order(fake: FakeEngine, ask: DockerEngine) -> None:
     """Containers in its network namespace, then containers that name one of them in `after`; no others."""
     made = stack(fake, ask)
     words = made.run(Restart, "app", EXITED)
-    assert acted(fake, "restart") == ["app", "side", "late"]
+    assert acted_on(fake, "restart") == ["app", "side", "late"]
     assert words == "restarted app; restarted side, which depends on it; restarted late, which depends on it"
     assert made.held == [("side", "container/app"), ("late", "container/app")]
 
 
 def test_a_namespace_shared_by_name_counts_too(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The engine keeps what the user wrote."""
+    """The engine keeps the name that the user wrote."""
     made = stack(fake, ask)
     fake.containers["side"]["HostConfig"]["NetworkMode"] = "container:app"
     fake.set("app", status="exited", exit_code=1)
     made.run(Start, "app", EXITED)
-    assert acted(fake, "start", "restart") == ["app", "side", "late"]
+    assert acted_on(fake, "start", "restart") == ["app", "side", "late"]
 
 
-def test_a_start_that_was_not_needed_restarts_no_dependent(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Started twice: the second time nothing happens to dependents."""
+def test_an_unnecessary_start_restarts_no_dependent(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Started twice: the second time dependents are not touched."""
     made = stack(fake, ask)
     assert made.run(Start, "app", EXITED) == "app is already running"
-    assert acted(fake, "start", "restart") == []
+    assert acted_on(fake, "start", "restart") == []
 
 
-def test_a_container_given_up_is_started_without_its_dependants(fake: FakeEngine, ask: DockerEngine) -> None:
-    """It is started for as long as it is down; what depends on it and runs must not be restarted each time."""
+def test_a_container_given_up_is_started_without_its_dependents(fake: FakeEngine, ask: DockerEngine) -> None:
+    """It is started repeatedly while it is down; running dependents must not be restarted each time."""
     made = stack(fake, ask)
     fake.containers["app"]["State"].update(Status="exited", Running=False)
     assert made.run(Start, "app", replace(EXITED, outcome=Outcome.ESCALATED)) == "started app"
-    assert acted(fake, "start", "restart") == ["app"]
+    assert acted_on(fake, "start", "restart") == ["app"]
 
 
-def test_a_dependant_that_has_not_opted_in_is_named_and_left_alone(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Opt-in holds for consequences as well."""
+def test_a_dependent_that_has_not_opted_in_is_named_and_left_alone(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Opt-in also applies to consequences."""
     words = stack(fake, ask, side={"recover": False}).run(Restart, "app", EXITED)
-    assert acted(fake, "restart") == ["app", "late"]
+    assert acted_on(fake, "restart") == ["app", "late"]
     assert "side depends on it and has not opted in" in words
 
 
-def test_a_flight_critical_dependant_is_left_alone_while_armed(fake: FakeEngine, ask: DockerEngine) -> None:
-    """What may not be restarted for its own fault is not restarted for another's, and a start takes nothing down."""
+def test_a_flight_critical_dependent_is_left_alone_while_armed(fake: FakeEngine, ask: DockerEngine) -> None:
+    """A container that may not be restarted for its own fault is not restarted for another's; a start takes nothing
+    down.
+    """
     made = stack(fake, ask, late={"flight_critical": True})
     made.armed = True
     fake.set("app", status="exited", exit_code=1)
     words = made.run(Start, "app", EXITED)
-    assert acted(fake, "start", "restart") == ["app"]
+    assert acted_on(fake, "start", "restart") == ["app"]
     assert "late depends on it: restart of late was not done: flight-critical" in words
     assert "side depends on it: restart of side was not done: it would take down late" in words
 
 
 def test_a_dependent_that_cannot_be_restarted_is_reported(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The target is fixed all the same, and the others follow."""
+    """The target is still recovered, and the other dependents follow."""
     made = stack(fake, ask)
     fake.fault = Status(500, "no", route=f"{fake.containers['side']['Id']}/restart")
     words = made.run(Restart, "app", EXITED)
     assert "side depends on it and could not be restarted" in words
-    assert acted(fake, "restart")[-1] == "late"
+    assert acted_on(fake, "restart")[-1] == "late"
 
 
-def test_a_dependant_that_was_started_after_it_is_left_as_it_is(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Another container's repair was quicker: one restart is enough. What depends on a restarted one follows it always."""
+def test_a_dependent_that_was_started_later_is_left_alone(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Another container's recovery was faster: one restart is enough. Dependents of a restarted one are always
+    restarted.
+    """
     made = stack(fake, ask)
     made.when_in_hand = lambda: fake.containers["side"]["State"].update(StartedAt="2026-01-01T00:00:01Z")
     words = made.run(Restart, "app", EXITED)
-    assert acted(fake, "restart") == ["app", "late"]
+    assert acted_on(fake, "restart") == ["app", "late"]
     assert "side, which depends on it, was started after it already" in words
     fake.calls.clear()
     made.when_in_hand = lambda: fake.containers["late"]["State"].update(StartedAt="2026-01-01T00:00:01Z")
     made.run(Restart, "app", EXITED)
-    assert acted(fake, "restart") == ["app", "side", "late"]
+    assert acted_on(fake, "restart") == ["app", "side", "late"]
 
 
-def test_dependants_are_judged_by_the_answer_after_the_action(fake: FakeEngine, ask: DockerEngine) -> None:
-    """An answer from before the start, however young, says nothing about who runs after it."""
+def test_dependents_are_determined_from_an_answer_after_the_action(fake: FakeEngine, ask: DockerEngine) -> None:
+    """An answer from before the start, however recent, does not show which containers run after it."""
     made = stack(fake, ask)
     made.probe = Docker(
         ask, made.settings.containers, made.settings.docker, FakeClock()
-    )  # no time passes, so every answer stays young
+    )  # no time passes, so every answer stays recent
     fake.set("app", status="exited", exit_code=1)
     for name in ("app", "side"):
         assert made.fact(name) is not None
     words = made.run(Start, "app", EXITED)
     assert words == "started app; restarted side, which depends on it; restarted late, which depends on it"
-    assert acted(fake, "start", "restart") == ["app", "side", "late"]
+    assert acted_on(fake, "start", "restart") == ["app", "side", "late"]
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_no_answer_from_before_an_action_outlives_it(fake: FakeEngine, ask: DockerEngine, *, fails: bool) -> None:
-    """Also after an action that failed: the engine may have done it all the same."""
+def test_an_action_invalidates_cached_answers(fake: FakeEngine, ask: DockerEngine, *, fails: bool) -> None:
+    """Also after a failed action: the engine may still have executed it."""
     made = stack(fake, ask)
     probe = made.probe = Docker(ask, made.settings.containers, made.settings.docker, FakeClock())
     probe.container("app")
@@ -153,27 +157,27 @@ def test_no_answer_from_before_an_action_outlives_it(fake: FakeEngine, ask: Dock
     assert len(fake.calls) == asked + 2
 
 
-def test_a_clock_that_was_set_back_keeps_no_dependant_from_its_restart(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Its StartedAt is later than that of the container whose namespace it has lost; generations decide, not stamps."""
+def test_a_clock_that_was_set_back_prevents_no_restart_of_a_dependent(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Its StartedAt is later than that of the container whose namespace it lost; generations decide, not timestamps."""
     made = stack(fake, ask)
     fake.containers["side"]["State"]["StartedAt"] = "9999-01-01T00:00:00Z"
     made.run(Restart, "app", EXITED)
-    assert acted(fake, "restart") == ["app", "side", "late"]
+    assert acted_on(fake, "restart") == ["app", "side", "late"]
 
 
-def test_arming_is_asked_when_the_dependant_is_in_hand(fake: FakeEngine, ask: DockerEngine) -> None:
-    """It may have taken a while to get it, and the vehicle was armed meanwhile."""
+def test_the_armed_state_is_checked_once_the_dependent_is_locked(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Locking it may have taken a while, in which the vehicle was armed."""
     made = stack(fake, ask, side={"flight_critical": True})
     made.when_in_hand = lambda: setattr(made, "armed", True)
     words = made.run(Restart, "app", EXITED)
-    assert acted(fake, "restart") == ["app", "late"]
+    assert acted_on(fake, "restart") == ["app", "late"]
     assert "side depends on it: restart of side was not done: flight-critical" in words
 
 
-def test_a_container_that_somebody_else_has_started_is_not_credited(
+def test_an_external_start_is_not_credited_to_the_action(
     fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before PHM looks, or between that and its call: the engine says whether it was this call that has started it."""
+    """Before PHM checks, or between that and its call: the engine reports whether this call started the container."""
     made = stack(fake, ask)
     assert isinstance(made.run(Start, "app", EXITED), NotNeeded)
     running = made.fact("app")
@@ -186,10 +190,10 @@ def test_a_container_that_somebody_else_has_started_is_not_credited(
 
 
 @pytest.mark.parametrize(("asked", "given"), [(None, 5), (2, 5), (30, 30), (3600, 120), (-1, 120)])
-def test_a_container_gets_the_time_to_end_that_it_asks_for(
+def test_a_container_gets_its_own_stop_timeout(
     fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch, asked: int | None, given: int
 ) -> None:
-    """`recovery.stop_timeout` is the least; what the container itself asks for holds where it is longer, up to two minutes."""
+    """`recovery.stop_timeout` is the minimum; the container's own stop timeout applies when longer, up to two minutes."""
     times: list[float] = []
     restart = ask.restart
     monkeypatch.setattr(ask, "restart", lambda ref, time_s: (times.append(time_s), restart(ref, time_s)))
@@ -210,16 +214,16 @@ def ros(fake: FakeEngine, ask: DockerEngine, relaunch: list[str] | None = None, 
     return bench(ask, containers=[{"name": "app", "recover": True}], ros={"nodes": nodes, "topics": topics})
 
 
-def test_relaunch_runs_the_words_inside_the_container(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Word by word, detached, as the container's own user."""
+def test_relaunch_runs_the_command_inside_the_container(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Argument by argument, detached, as the container's own user."""
     ros(fake, ask, ["run", "a b", "$(reboot)"]).run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
     (program,) = fake.programs
     assert program["Cmd"] == ["run", "a b", "$(reboot)"]
     assert (program["Started"], program["Detach"], program["User"]) == (True, True, "")
 
 
-def test_a_relaunch_done_twice_starts_one_copy(fake: FakeEngine, ask: DockerEngine) -> None:
-    """PHM may be killed between doing it and noting it."""
+def test_a_repeated_relaunch_starts_one_copy(fake: FakeEngine, ask: DockerEngine) -> None:
+    """PHM may be killed between executing and recording it."""
     made = ros(fake, ask)
     made.run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
     with pytest.raises(ActionFailed, match="a second copy is not started"):
@@ -230,7 +234,7 @@ def test_a_relaunch_done_twice_starts_one_copy(fake: FakeEngine, ask: DockerEngi
 
 
 def test_a_dead_node_that_is_still_listed_has_not_returned(fake: FakeEngine, ask: DockerEngine) -> None:
-    """It was reported as dead while listed, since its lease runs on: only a name that came once more is the node."""
+    """It was reported dead while listed, since its lease continues: only an additional entry of its name is the node."""
     made = ros(fake, ask)
     made.nodes = {"/a/one": 1}
     dead = fault("nodes/a/one", "node_missing", Evidence(listed=1))
@@ -240,8 +244,8 @@ def test_a_dead_node_that_is_still_listed_has_not_returned(fake: FakeEngine, ask
 
 
 @pytest.mark.parametrize("condition", ["silent", "rate_low"])
-def test_a_hung_node_gets_no_second_copy(fake: FakeEngine, ask: DockerEngine, condition: str) -> None:
-    """Two nodes of one name disturb each other: the next rung restarts the container."""
+def test_a_hung_node_is_not_relaunched(fake: FakeEngine, ask: DockerEngine, condition: str) -> None:
+    """Two nodes of one name disturb each other: the next step restarts the container."""
     made = ros(fake, ask)
     made.nodes = {"/a/one": 1}
     with pytest.raises(ActionFailed, match="still running"):
@@ -252,7 +256,7 @@ def test_a_hung_node_gets_no_second_copy(fake: FakeEngine, ask: DockerEngine, co
 
 
 def test_relaunch_applies_to_nodes_with_a_command_in_this_container(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Of a topic, its first publisher; without a command the ladder goes on without this rung."""
+    """For a topic, its first publisher; without a command the ladder continues without this step."""
     made = ros(fake, ask)
     app = made.target("app")
     assert Relaunch.applies(app, fault("nodes/a/one", "node_missing"), made.settings)
@@ -266,7 +270,7 @@ def test_relaunch_applies_to_nodes_with_a_command_in_this_container(fake: FakeEn
 
 
 def files(fake: FakeEngine, ask: DockerEngine, content: bytes | None, **wanted: Any) -> Bench:
-    """`app` with the file as given, made of an image that has the good one."""
+    """`app` with the given file, created from an image that has the correct one."""
     others = {"/ws/src/other": b""}
     fake.containers["app"] = container("app", files=others | ({PATH: content} if content is not None else {}))
     fake.images["image-of-app"] = {PATH: GOOD}
@@ -278,10 +282,10 @@ def files(fake: FakeEngine, ask: DockerEngine, content: bytes | None, **wanted: 
     ("content", "wanted"), [(None, {}), (GOOD, {"executable": True}), (b"bad", {"sha256": SUM.upper()})]
 )
 @pytest.mark.parametrize("source", ["image", "golden"])
-def test_a_file_is_put_back(
+def test_a_file_is_restored(
     fake: FakeEngine, ask: DockerEngine, tmp_path: Path, content: bytes | None, wanted: dict[str, Any], source: str
 ) -> None:
-    """Missing, not executable or altered; from the image or from a path that PHM sees; no container is left over."""
+    """Missing, not executable or altered; from the image or from a path that PHM sees; no container remains."""
     golden = tmp_path / "golden"
     golden.write_bytes(GOOD)
     golden.chmod(0o640)
@@ -299,10 +303,8 @@ def test_a_file_is_put_back(
 
 
 @pytest.mark.parametrize("source", ["image", "golden"])
-def test_a_copy_that_is_not_good_itself_is_refused(
-    fake: FakeEngine, ask: DockerEngine, tmp_path: Path, source: str
-) -> None:
-    """A bad file is not replaced by another."""
+def test_a_bad_copy_is_rejected(fake: FakeEngine, ask: DockerEngine, tmp_path: Path, source: str) -> None:
+    """A bad file is not replaced by another bad one."""
     golden = tmp_path / "golden"
     golden.write_bytes(b"worse")
     made = files(fake, ask, b"bad", sha256=SUM, restore="image" if source == "image" else str(golden))
@@ -314,10 +316,10 @@ def test_a_copy_that_is_not_good_itself_is_refused(
 
 
 @pytest.mark.parametrize("bad", ["missing", "folder", "big"])
-def test_a_golden_copy_must_be_a_regular_file_of_fair_size(
+def test_a_reference_copy_must_be_a_regular_file_of_limited_size(
     fake: FakeEngine, ask: DockerEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: str
 ) -> None:
-    """What cannot be read is reported with its path."""
+    """An unreadable file is reported with its path."""
     golden = tmp_path / "golden"
     if bad == "folder":
         golden.mkdir()
@@ -329,10 +331,10 @@ def test_a_golden_copy_must_be_a_regular_file_of_fair_size(
 
 
 @pytest.mark.parametrize("where", ["the file", "its folder", "a folder above"])
-def test_a_golden_copy_behind_a_link_is_refused(
+def test_a_reference_copy_behind_a_link_is_rejected(
     fake: FakeEngine, ask: DockerEngine, tmp_path: Path, where: str
 ) -> None:
-    """The application may write where it lies: PHM would copy into the container what only PHM may read."""
+    """The application may be able to write there: PHM would copy into the container what only PHM may read."""
     secret = tmp_path / "phm" / "keys" / "golden"
     secret.parent.mkdir(parents=True)
     secret.write_bytes(b"the signing key")
@@ -352,16 +354,16 @@ def test_a_golden_copy_behind_a_link_is_refused(
     assert PATH not in fake.containers["app"]["_files"]
 
 
-def test_a_folder_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: DockerEngine) -> None:
-    """PHM deletes nothing that it does not know."""
+def test_a_directory_in_place_of_the_file_is_not_replaced(fake: FakeEngine, ask: DockerEngine) -> None:
+    """PHM deletes nothing unknown."""
     made = files(fake, ask, None)
     fake.containers["app"]["_files"][f"{PATH}/inside"] = b""
     with pytest.raises(ActionFailed, match="not a regular file"):
         made.run(RestoreFile, "app", fault("files/app", "file_missing"))
 
 
-def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The throw-away container of a PHM that was killed does not block the next one."""
+def test_the_container_of_an_interrupted_restore_is_removed(fake: FakeEngine, ask: DockerEngine) -> None:
+    """The temporary container of a killed PHM does not block the next one."""
     made = files(fake, ask, None)
     left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
     fake.containers[left] = container(left, status="created")
@@ -370,7 +372,7 @@ def test_what_an_interrupted_restore_left_is_removed(fake: FakeEngine, ask: Dock
 
 
 def test_a_failure_while_reading_the_image_leaves_no_container(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Removed always, whatever happens in between."""
+    """It is always removed, whatever happens in between."""
     made = files(fake, ask, None)
     left = f"phm-restore-{fake.containers['app']['Id'][:12]}"
     fake.fault = Status(500, "no", route=f"{container(left)['Id']}/archive")
@@ -379,8 +381,8 @@ def test_a_failure_while_reading_the_image_leaves_no_container(fake: FakeEngine,
     assert list(fake.containers) == ["app"]
 
 
-def test_an_engine_that_forbids_it_is_not_permitted(fake: FakeEngine, ask: DockerEngine) -> None:
-    """A socket proxy that refuses to make containers: report only."""
+def test_a_forbidden_restore_is_reported(fake: FakeEngine, ask: DockerEngine) -> None:
+    """A socket proxy that does not permit creating containers: report only."""
     made = files(fake, ask, None)
     fake.fault = Status(403, "not on the list", route="/containers/create")
     with pytest.raises(NotPermitted):
@@ -388,7 +390,7 @@ def test_an_engine_that_forbids_it_is_not_permitted(fake: FakeEngine, ask: Docke
 
 
 def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: DockerEngine) -> None:
-    """Another file that could be put back does not help this one."""
+    """A restorable file other than the failed one does not help."""
     made = files(fake, ask, None)
     app = made.target("app")
     assert RestoreFile.applies(app, fault("files/app", "file_missing", Evidence(file=PATH)), made.settings)
@@ -400,10 +402,10 @@ def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: DockerEngin
 
 
 @pytest.mark.parametrize("call", ["exec", "put", "create", "remove"])
-def test_each_new_call_has_a_deadline(
+def test_each_engine_call_has_a_deadline(
     fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
-    """An engine that takes the request and never answers costs the action's time and no more."""
+    """An engine that accepts the request and never answers costs the action's time limit and no more."""
     monkeypatch.setattr("phm.transport.docker.ACT_MARGIN_S", 0.0)
     fake.containers["app"] = container("app")
     ask.version()

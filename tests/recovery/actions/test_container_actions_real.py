@@ -1,4 +1,4 @@
-"""The actions on the real engine: files come back, programs start, dependents follow, and twice is harmless."""
+"""The actions on the real engine: files are restored, programs start, dependents follow, and repeating is harmless."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.recovery.action_bench import Bench, bench, fault
 pytestmark = pytest.mark.engine
 
 PROGRAM = "/bin/printenv"
-"""An executable that every base image has, behind a linked folder on most."""
+"""An executable that every base image has, behind a symbolic link on most."""
 DAMAGE = {
     "rm": f"rm {PROGRAM}",
     "chmod -x": f"chmod a-x {PROGRAM}",
@@ -45,7 +45,7 @@ def only(engine: DockerEngine, made: Any, **more: Any) -> Bench:
 
 
 def refused(action: Callable[[], object]) -> None:
-    """Behind the proxy: to create a container, and to write into another folder than the file's own."""
+    """Behind the proxy: creating a container, and writing into another folder than the file's own."""
     with pytest.raises(NotPermitted, match="HTTP 403"):
         action()
 
@@ -57,10 +57,10 @@ def left_over(real: Any, made: Any) -> list[str]:
 
 @pytest.mark.parametrize("source", ["image", "golden"])
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_program_runs_again(
+def test_a_damaged_program_is_restored(
     real: Any, engine: DockerEngine, tmp_path: Path, damage: str, source: str
 ) -> None:
-    """After rm, chmod -x and overwriting; with content, mode and owner as before, and doing it twice is harmless."""
+    """After rm, chmod -x and overwriting; with content, mode and owner as before; repeating it is harmless."""
     made = real.container()
     before = inside(made, f"stat -L -c '%a %u %g' {PROGRAM}; sha256sum < {PROGRAM}")
     golden = tmp_path / "golden"
@@ -81,10 +81,10 @@ def test_a_damaged_program_runs_again(
     assert left_over(real, made) == []
 
 
-def test_a_file_comes_back_into_a_volume_of_a_stopped_container(
+def test_a_file_is_restored_into_a_volume_of_a_stopped_container(
     real: Any, engine: DockerEngine, tmp_path: Path
 ) -> None:
-    """Folders that are gone are made again, and the container need not run."""
+    """Missing directories are created again, and the container need not run."""
     volume = real.volume()
     made = real.container("exit 0", volumes={volume.name: {"bind": "/data", "mode": "rw"}})
     golden = tmp_path / "golden"
@@ -102,7 +102,7 @@ def test_a_file_comes_back_into_a_volume_of_a_stopped_container(
 
 
 def test_a_file_that_the_image_lacks_is_reported(real: Any, engine: DockerEngine) -> None:
-    """And nothing is left over."""
+    """And no container remains."""
     made = real.container()
     bench_ = only(engine, made, files=[{"path": "/nowhere/file", "restore": "image"}])
     if isinstance(engine, BehindProxy):
@@ -114,7 +114,7 @@ def test_a_file_that_the_image_lacks_is_reported(real: Any, engine: DockerEngine
 
 
 def test_relaunch_starts_a_program_with_the_containers_user_and_environment(real: Any, engine: DockerEngine) -> None:
-    """Detached, no shell, one copy however often it is done."""
+    """Detached, no shell, one copy however often it is repeated."""
     made = real.container(user="1234", environment={"WHO": "me"})
     run = ["sh", "-c", 'echo "$WHO $(id -u) $0" > /tmp/said; exec sleep 4321', "a b;reboot"]
     node = {"name": "/one", "container": "app", "relaunch": run}
@@ -125,8 +125,8 @@ def test_relaunch_starts_a_program_with_the_containers_user_and_environment(real
     assert inside(made, "cat /tmp/said") == "me 1234 a b;reboot"
 
 
-def test_relaunch_done_twice_starts_one_copy(real: Any, engine: DockerEngine) -> None:
-    """The command that still runs is seen among the container's processes."""
+def test_a_repeated_relaunch_starts_one_copy(real: Any, engine: DockerEngine) -> None:
+    """The running command is found among the container's processes."""
     made = real.container()
     node = {"name": "/one", "container": "app", "relaunch": ["sleep", "4322"]}
     bench_ = bench(engine, containers=[{"name": made.name, "alias": "app", "recover": True}], ros={"nodes": [node]})
@@ -142,8 +142,8 @@ def test_relaunch_done_twice_starts_one_copy(real: Any, engine: DockerEngine) ->
     assert copies() == 1
 
 
-def test_dependants_follow_in_order_and_share_the_new_namespace(real: Any, engine: DockerEngine) -> None:
-    """`side` lives in the network of `app`, `late` starts after `side`; all are restarted, one after the other."""
+def test_dependents_follow_in_order_and_share_the_new_namespace(real: Any, engine: DockerEngine) -> None:
+    """`side` shares the network of `app`, `late` starts after `side`; all are restarted, one after another."""
     app = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done")
     side = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done", network_mode=f"container:{app.id}")
     late = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done")
@@ -172,7 +172,7 @@ def test_dependants_follow_in_order_and_share_the_new_namespace(real: Any, engin
     assert started() == after
 
 
-def test_a_dependant_in_its_pid_namespace_runs_again(real: Any, engine: DockerEngine) -> None:
+def test_a_dependent_in_its_pid_namespace_is_restarted(real: Any, engine: DockerEngine) -> None:
     """It was killed with the first process of that namespace."""
     app = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done")
     side = real.container(pid_mode=f"container:{app.id}", init=False)

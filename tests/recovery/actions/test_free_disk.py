@@ -1,4 +1,4 @@
-"""Old files are removed from a disk that is full: only where, and what, the configuration names."""
+"""Old files are removed from a full disk: only those that the configuration permits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HOUR_S = 3600.0
 
 @pytest.fixture
 def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A disk of DISK_BYTES, by the sizes of the files in it."""
+    """A disk of DISK_BYTES, whose usage is the sizes of its files."""
 
     def used(path: str) -> float:
         return 100.0 * sum(file.lstat().st_size for file in Path(path).rglob("*") if not file.is_dir()) / DISK_BYTES
@@ -44,14 +44,14 @@ def put(path: Path, size: int, age_s: float = HOUR_S) -> Path:
 
 
 def watched(seconds: float = 5 * HOUR_S) -> testing.FakeClock:
-    """The clock, as of one that was watched for so long."""
+    """A clock that has been observed for this long."""
     clock = testing.FakeClock(mono=50_000.0, utc=time.time() - seconds)
     clock.advance(seconds)
     return clock
 
 
 def settings_of(disk: Path, *rooms: dict[str, Any]) -> Settings:
-    """With the default limits: the goal is below 76.5 %."""
+    """With the default limits: the target is below 76.5 %."""
     return Settings.model_validate(
         {
             "agent": {"name": "a", "id": 1},
@@ -76,7 +76,7 @@ def waits_for(disk: Path, *rooms: dict[str, Any], clock: Clock) -> str:
     return action.waits_for(*about)
 
 
-def test_the_oldest_go_until_there_is_room(disk: Path) -> None:
+def test_the_oldest_files_are_removed_until_there_is_space(disk: Path) -> None:
     oldest = put(disk / "bags/run_1/a.mcap", 20_000, 3 * HOUR_S)
     older = put(disk / "bags/b.mcap", 20_000, 2 * HOUR_S)
     newer = put(disk / "bags/c.mcap", 20_000, HOUR_S)
@@ -86,8 +86,8 @@ def test_the_oldest_go_until_there_is_room(disk: Path) -> None:
     assert said == f"removed 2 old files, 0.0 MB: {disk} is at 58 %"
 
 
-def test_a_step_of_the_clock_makes_no_file_old(disk: Path) -> None:
-    """A recording closed a minute ago stays when the clock is set forward; one that is really old is removed."""
+def test_a_clock_step_makes_no_file_old(disk: Path) -> None:
+    """A recording closed a minute ago stays when the clock is set forward; a really old one is removed."""
     clock = watched()
     closed, old = put(disk / "bags/closed.mcap", 40_000, 0.0), put(disk / "bags/old.mcap", 58_000, 3 * HOUR_S)
     clock.advance(60.0)
@@ -97,16 +97,16 @@ def test_a_step_of_the_clock_makes_no_file_old(disk: Path) -> None:
 
 
 @pytest.mark.parametrize("stamped_s", [50 * 365 * 24 * HOUR_S, 2 * HOUR_S, 0.0, -HOUR_S])
-def test_a_step_of_the_clock_before_phms_start_makes_no_file_old(disk: Path, stamped_s: float) -> None:
-    """Without a battery-backed clock: stamped by the clock of the boot, which was set, and then PHM was started."""
+def test_a_clock_step_before_phms_start_makes_no_file_old(disk: Path, stamped_s: float) -> None:
+    """Without a battery-backed clock: files are stamped with the boot's clock, which is set before PHM starts."""
     closed, clock = put(disk / "bags/closed.mcap", 98_000, stamped_s), watched(60.0)
     with pytest.raises(ActionFailed, match="removed 0 old files"):
         run(disk, {"files": ["*.mcap"]}, clock=clock)
     assert closed.exists()
 
 
-def test_a_clock_that_is_not_known_for_long_enough_is_waited_for(disk: Path) -> None:
-    """That is no attempt, and ends as soon as files of `older_than` can be distinguished from newer ones."""
+def test_free_disk_waits_until_the_clock_was_observed_long_enough(disk: Path) -> None:
+    """Waiting is not an attempt, and ends once files of `older_than` can be distinguished from newer ones."""
     old, clock = put(disk / "bags/old.mcap", 98_000, 24 * HOUR_S), watched(60.0)
     rooms: list[dict[str, Any]] = [{"files": ["*.mcap"]}, {"files": ["*.log"], "older_than": 1200}]
     assert "for another 540 s: what the clock was set to" in waits_for(disk, *rooms, clock=clock)
@@ -116,8 +116,8 @@ def test_a_clock_that_is_not_known_for_long_enough_is_waited_for(disk: Path) -> 
     assert not old.exists()
 
 
-def test_what_can_only_be_older_than_the_watching_goes_first_by_its_stamp(disk: Path) -> None:
-    """A recording of this flight with a stamp of 1970 is newer than one of yesterday."""
+def test_files_from_before_the_observation_are_removed_first_by_timestamp(disk: Path) -> None:
+    """A recording of this flight stamped 1970 is newer than one of yesterday."""
     clock = testing.FakeClock(mono=100.0, utc=100.0)
     clock.advance(100.0)
     first = put(disk / "bags/first.mcap", 38_000, time.time() - clock.utc())
@@ -129,8 +129,8 @@ def test_what_can_only_be_older_than_the_watching_goes_first_by_its_stamp(disk: 
     assert not older.exists() and old.exists() and first.exists()
 
 
-def test_a_folder_of_many_names_is_read_one_by_one(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The oldest of all go, wherever they are listed, and no more are held than MOST."""
+def test_a_directory_with_many_files_is_read_incrementally(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest files are removed, wherever they are listed, and at most MOST are kept in memory."""
     monkeypatch.setattr(free_disk, "MOST", 3)
     files = [put(disk / f"bags/{number}.log", 1000, HOUR_S + 60 * (number * 37 % 100)) for number in range(99)]
     most: list[int] = []
@@ -148,8 +148,8 @@ def test_a_folder_of_many_names_is_read_one_by_one(disk: Path, monkeypatch: pyte
     assert [file for file in files if not file.exists()] == sorted(oldest, key=files.index)
 
 
-def test_no_list_of_names_is_made(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An application that makes a million files must not take PHM's memory: names are read as they are needed."""
+def test_no_list_of_all_names_is_built(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An application that creates a million files must not exhaust PHM's memory: names are read as needed."""
     put(disk / "bags/one.log", 98_000)
     for number in range(50):
         (disk / f"bags/{number}.txt").touch()
@@ -179,7 +179,7 @@ def test_no_list_of_names_is_made(disk: Path, monkeypatch: pytest.MonkeyPatch) -
     assert 0 < len(taken) <= 6
 
 
-def test_what_is_not_named_or_not_old_stays(disk: Path) -> None:
+def test_unconfigured_and_recent_files_stay(disk: Path) -> None:
     other, fresh = put(disk / "bags/map.db", 50_000), put(disk / "bags/now.mcap", 48_000, age_s=0.0)
     with pytest.raises(
         ActionFailed, match=r"removed 0 old files.*at 98 % still.*nothing else that host\.free_disk names"
@@ -189,7 +189,7 @@ def test_what_is_not_named_or_not_old_stays(disk: Path) -> None:
 
 
 def test_links_are_not_followed(disk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """An application that writes there must not make PHM remove what lies elsewhere."""
+    """An application that writes there must not make PHM remove files elsewhere."""
     elsewhere = put(tmp_path_factory.mktemp("elsewhere") / "precious.mcap", 10)
     put(disk / "bags/new.txt", 98_000)
     (disk / "bags/linked").symlink_to(elsewhere.parent, target_is_directory=True)
@@ -199,8 +199,8 @@ def test_links_are_not_followed(disk: Path, tmp_path_factory: pytest.TempPathFac
     assert elsewhere.exists()
 
 
-def test_a_folder_behind_a_link_is_not_entered(disk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Also where the link is above the folder that the configuration names."""
+def test_a_directory_behind_a_link_is_not_entered(disk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Also where the link is above the configured directory."""
     elsewhere = put(tmp_path_factory.mktemp("elsewhere") / "bags/a.mcap", 10)
     put(disk / "new.txt", 98_000)
     (disk / "run").symlink_to(elsewhere.parent.parent, target_is_directory=True)
@@ -209,7 +209,7 @@ def test_a_folder_behind_a_link_is_not_entered(disk: Path, tmp_path_factory: pyt
     assert elsewhere.exists()
 
 
-def test_a_folder_put_in_place_of_another_meanwhile_is_not_entered(
+def test_a_directory_that_was_replaced_meanwhile_is_not_entered(
     disk: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     elsewhere = put(tmp_path_factory.mktemp("elsewhere") / "a.mcap", 10)
@@ -224,20 +224,20 @@ def test_a_folder_put_in_place_of_another_meanwhile_is_not_entered(
     assert elsewhere.exists()
 
 
-def test_a_missing_folder_is_reported(disk: Path) -> None:
+def test_a_missing_directory_is_reported(disk: Path) -> None:
     put(disk / "log.txt", 98_000)
     with pytest.raises(ActionFailed, match=r"bags: No such file or directory"):
         run(disk, {"files": ["*"]})
 
 
-def test_a_folder_on_another_disk_is_reported_and_not_emptied(disk: Path) -> None:
-    """To empty it would not help the disk that is full."""
+def test_a_directory_on_another_disk_is_reported_and_not_emptied(disk: Path) -> None:
+    """Removing its files would not free the full disk."""
     put(disk / "log.txt", 98_000)
     with pytest.raises(ActionFailed, match=r"removed 0 old files.*/dev/shm is on another disk"):
         run(disk, {"path": "/dev/shm", "files": ["nothing-of-this-name"]})
 
 
-def test_nothing_goes_while_there_is_room(disk: Path) -> None:
+def test_nothing_is_removed_while_there_is_space(disk: Path) -> None:
     kept = put(disk / "bags/a.mcap", 10_000)
     assert run(disk, {"files": ["*"]}).startswith("removed 0 old files")
     assert kept.exists()
@@ -254,7 +254,7 @@ def test_free_disk_applies_to_disks_with_configured_files() -> None:
     assert "free space on /data manually" in full.manual_step()
 
 
-def test_a_real_disk_has_a_share() -> None:
+def test_the_usage_of_a_real_disk_is_measured() -> None:
     assert 0.0 <= free_disk.used_percent("/") <= 100.0
     with pytest.raises(ActionFailed, match="cannot be read"):
         free_disk.used_percent("/no/such/disk")

@@ -1,4 +1,4 @@
-"""PHM joins networks: what the engine's 403 means."""
+"""PHM joins networks: the meaning of the engine's 403."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ APP = ContainerSettings(name="app", networks=["net"])
 
 
 def context(attached: list[str]) -> ActionContext:
-    """An engine that refuses to connect, with these containers on the network."""
+    """An engine that rejects connections, with these containers on the network."""
 
     def refuse(*arguments: Any, **more: Any) -> None:
         raise NotPermitted("the engine answered 403")
@@ -28,12 +28,12 @@ def context(attached: list[str]) -> ActionContext:
     return ActionContext(engine, Settings(), lambda key: None, lambda: me, lambda key, name: None)
 
 
-def test_a_network_that_was_joined_meanwhile_is_not_a_refusal() -> None:
-    """The engine says 403 both for `not allowed` and for `is on it already`; the network itself shows which."""
+def test_a_network_joined_meanwhile_is_not_a_refusal() -> None:
+    """The engine returns 403 for `not allowed` and for `is on it already`; the network itself shows which."""
     assert join_networks(APP, context([testing.container("phm").id])) == ""
 
 
 def test_a_refusal_by_the_engine_is_reported() -> None:
-    """A socket proxy that allows reading alone: healing not permitted."""
+    """A socket proxy that permits only reading: recovery is not permitted."""
     with pytest.raises(NotPermitted):
         join_networks(APP, context([]))

@@ -1,4 +1,4 @@
-"""A network that is missing, or was created again under the same name: the actions on a fake engine."""
+"""A network that is missing, or was recreated under the same name: the actions on a fake engine."""
 
 from __future__ import annotations
 
@@ -41,10 +41,8 @@ def waits(made: Bench, action: type[Action]) -> str:
 
 
 @pytest.mark.parametrize("action", [Reconnect, Restart, JoinNetwork])
-def test_what_needs_a_network_waits_until_it_is_there(
-    fake: FakeEngine, ask: DockerEngine, action: type[Action]
-) -> None:
-    """Above all a restart, which brings no network back."""
+def test_actions_wait_for_a_missing_network(fake: FakeEngine, ask: DockerEngine, action: type[Action]) -> None:
+    """Above all a restart, which does not bring a network back."""
     made = agent(fake, ask, exists=False)
     assert "there is no network swarm" in waits(made, action)
     fake.networks["swarm"] = {"Id": "new"}
@@ -52,8 +50,8 @@ def test_what_needs_a_network_waits_until_it_is_there(
     assert changes(fake) == []
 
 
-def test_a_network_that_goes_before_it_is_connected_to_is_waited_for(fake: FakeEngine, ask: DockerEngine) -> None:
-    """It was there when the action was decided on: no failure of the container, and nothing was changed."""
+def test_a_network_removed_before_the_connection_is_waited_for(fake: FakeEngine, ask: DockerEngine) -> None:
+    """It existed when the action was decided on: not a failure of the container, and nothing was changed."""
     made = agent(fake, ask, exists=False)
     with pytest.raises(NotYet, match="no network swarm"):
         made.run(Reconnect, "app", OFF)
@@ -61,10 +59,12 @@ def test_a_network_that_goes_before_it_is_connected_to_is_waited_for(fake: FakeE
 
 
 @pytest.mark.parametrize("code", [403, 404])
-def test_a_network_that_is_created_again_while_it_is_connected_to_is_waited_for(
+def test_a_network_recreated_during_the_connection_is_waited_for(
     fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch, code: int
 ) -> None:
-    """Its old id is refused; a socket proxy, which knows the new one, says 403: no refusal to connect to that."""
+    """Its old id is rejected; a socket proxy, which knows only the new one, returns 403: not a refusal to connect to
+    the new one.
+    """
     made = agent(fake, ask, exists=True)
     connect = ask.connect
 
@@ -78,8 +78,8 @@ def test_a_network_that_is_created_again_while_it_is_connected_to_is_waited_for(
         made.run(Reconnect, "app", OFF)
 
 
-def test_the_network_of_another_with_such_an_id_is_not_meant(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The engine takes the beginning of an id for a name."""
+def test_a_network_whose_id_begins_with_the_name_is_not_matched(fake: FakeEngine, ask: DockerEngine) -> None:
+    """The engine accepts the beginning of an id in place of a name."""
     made = bench(ask, containers=[{**APP, "networks": ["abc"]}])
     fake.containers["app"] = container("app")
     fake.networks["other"] = {"Id": "abc"}
@@ -87,8 +87,8 @@ def test_the_network_of_another_with_such_an_id_is_not_meant(fake: FakeEngine, a
         made.run(Reconnect, "app", OFF)
 
 
-def test_one_of_two_networks_that_is_there_is_connected_to(fake: FakeEngine, ask: DockerEngine) -> None:
-    """The other is waited for."""
+def test_an_existing_network_is_connected_while_another_is_missing(fake: FakeEngine, ask: DockerEngine) -> None:
+    """The missing one is waited for."""
     made = agent(fake, ask, exists=True)
     made.settings.containers[0].networks.append("radio")
     words = made.run(Reconnect, "app", OFF)
@@ -97,7 +97,7 @@ def test_one_of_two_networks_that_is_there_is_connected_to(fake: FakeEngine, ask
 
 
 def test_a_missing_network_is_waited_for_when_the_others_are_connected(fake: FakeEngine, ask: DockerEngine) -> None:
-    """There is nothing to do until it is there, so no action begins."""
+    """There is nothing to do until it exists, so no action begins."""
     made = agent(fake, ask, exists=True, attached={"swarm": "new"})
     made.settings.containers[0].networks.append("radio")
     assert "there is no network radio" in waits(made, Reconnect)
@@ -107,17 +107,15 @@ def test_a_missing_network_is_waited_for_when_the_others_are_connected(fake: Fak
 
 
 @pytest.mark.parametrize("mode", ["host", "none", "container:other"])
-def test_a_container_without_networks_of_its_own_waits_for_none(fake: FakeEngine, ask: DockerEngine, mode: str) -> None:
-    """Nothing connects it."""
+def test_a_container_without_its_own_networks_waits_for_none(fake: FakeEngine, ask: DockerEngine, mode: str) -> None:
+    """It is never connected to one."""
     made = agent(fake, ask, exists=False)
     fake.containers["app"]["HostConfig"]["NetworkMode"] = mode
     assert waits(made, Restart) == ""
 
 
-def test_a_stopped_container_is_started_on_the_network_that_was_created_again(
-    fake: FakeEngine, ask: DockerEngine
-) -> None:
-    """The engine refuses to start one that is attached to a network which is gone, whatever its name."""
+def test_a_stopped_container_is_started_on_the_recreated_network(fake: FakeEngine, ask: DockerEngine) -> None:
+    """The engine refuses to start a container attached to a removed network, even if one of that name exists."""
     made = agent(fake, ask, exists=True, attached={"swarm": "old"}, status="exited")
     fake.networks["swarm"] = {"Id": "new"}
     assert waits(made, Start) == ""
@@ -128,7 +126,7 @@ def test_a_stopped_container_is_started_on_the_network_that_was_created_again(
 
 
 def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: DockerEngine) -> None:
-    """It is half there."""
+    """It is incomplete."""
     made = agent(fake, ask, exists=True, attached={"swarm": "new"})
     fake.containers["app"]["NetworkSettings"]["Networks"]["swarm"]["IPAddress"] = ""
     assert made.run(Reconnect, "app", OFF) == "reconnected app to swarm"
@@ -136,8 +134,8 @@ def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: Do
     assert made.run(Reconnect, "app", OFF) == "app is already connected"
 
 
-def test_phm_joins_what_is_there(fake: FakeEngine, ask: DockerEngine) -> None:
-    """A network that is missing does not keep it from joining the others."""
+def test_phm_joins_the_existing_networks(fake: FakeEngine, ask: DockerEngine) -> None:
+    """A missing network does not prevent it from joining the others."""
     made = agent(fake, ask, exists=True)
     made.settings.containers[0].networks.insert(0, "radio")
     fake.containers["phm"] = container("phm")

@@ -1,4 +1,4 @@
-"""A network that is removed and created again on the real engine: its containers are connected again and never restarted."""
+"""A network that is removed and recreated on the real engine: its containers are reconnected and never restarted."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ def entry(app: Any, network: Any) -> dict[str, Any]:
     return {"name": app.name, "alias": "app", "recover": True, "networks": [network.name]}
 
 
-def take_away(daemon: Phm, network: Any, app: Any) -> None:
-    """As `docker compose down` of the project that the network belongs to: the network goes in the moment in which PHM connects
-    the application to it again."""
+def remove_network(daemon: Phm, network: Any, app: Any) -> None:
+    """Remove it as `docker compose down` of its project does: at the moment in which PHM reconnects the application to
+    it.
+    """
     original, gone = daemon.daemon.components.probes.engine.connect, threading.Event()
 
     def connect(network_: str, container: str, aliases: Any, address: str) -> None:
@@ -46,7 +47,7 @@ def take_away(daemon: Phm, network: Any, app: Any) -> None:
 
 
 def patch(daemon: Phm, connect: Callable[[str, str, Any, str], None]) -> None:
-    """Have PHM connect containers by this; the arguments have the names of the original."""
+    """Make PHM connect containers by this function; the arguments have the names of the original."""
 
     def named(network: str, container: str, aliases: Any = (), address: str = "") -> None:
         connect(network, container, aliases, address)
@@ -80,25 +81,25 @@ def assert_only_connected(daemon: Phm, app: Any, network: Any, before: str) -> N
     assert daemon.daemon.pipeline.given_up() == ()
 
 
-def test_a_network_that_is_there_again_at_once_is_connected_to(real: Any, phm: StartPhm) -> None:
+def test_a_quickly_recreated_network_is_reconnected(real: Any, phm: StartPhm) -> None:
     """Removed and created within moments, under the same name with another id."""
     network = real.network()
     app = real.container(RUN, network=network.name)
     daemon = phm([entry(app, network)], verify="10s")
     before = started_at(app)
-    take_away(daemon, network, app)
+    remove_network(daemon, network, app)
     new = real.network(network.name)
     assert new.id != network.id
     assert_only_connected(daemon, app, new, before)
 
 
-def test_a_network_that_stays_away_is_waited_for(real: Any, phm: StartPhm) -> None:
-    """However long: no attempt is used up, nothing is restarted, and its creation is what PHM goes on with."""
+def test_a_long_missing_network_is_waited_for(real: Any, phm: StartPhm) -> None:
+    """However long: no attempt is used up, nothing is restarted, and its creation resumes the action."""
     network = real.network()
     app = real.container(RUN, network=network.name)
     daemon = phm([entry(app, network)], verify="10s")
     before = started_at(app)
-    take_away(daemon, network, app)
+    remove_network(daemon, network, app)
     daemon.until(lambda: condition(daemon) == "network_missing", "PHM to see that it is missing")
     daemon.passes(3)
     assert started_at(app) == before
@@ -108,7 +109,7 @@ def test_a_network_that_stays_away_is_waited_for(real: Any, phm: StartPhm) -> No
 
 
 def test_a_stopped_container_is_started_on_the_new_network(real: Any, engine: DockerEngine) -> None:
-    """The engine itself refuses: the container is attached to a network that is gone."""
+    """The engine refuses: the container is attached to a removed network."""
     network = real.network()
     app = real.container(RUN, network=network.name)
     app.stop(timeout=1)
@@ -126,7 +127,8 @@ def test_a_stopped_container_is_started_on_the_new_network(real: Any, engine: Do
 
 
 def test_phm_and_the_application_lose_the_network_together(real: Any, phm: StartPhm) -> None:
-    """PHM sees itself first and joins; then it is the application that is off the network, and is connected.
+    """PHM first detects that it is itself off the network and joins; then the application is off the network, and is
+    connected.
 
     PHM runs on the host here, so another container represents its own.
     """

@@ -39,25 +39,25 @@ def run(target: Target, opened: bool = True) -> tuple[str, list[str]]:
 
 
 def test_reopen_opens_the_link_of_the_target() -> None:
-    """By its name, whatever characters a url has."""
+    """By its name, whatever characters a URL has."""
     assert run(GROUND) == ("reopened the MAVLink endpoint ground", ["ground"])
     assert run(Target.parse("link:tcp:10.0.0.1:5760", ()))[1] == ["tcp:10.0.0.1:5760"]
 
 
-def test_a_link_that_does_not_open_again_is_a_failure() -> None:
-    """With a sentence for the log."""
+def test_a_link_that_does_not_reopen_is_a_failure() -> None:
+    """With a message for the log."""
     with pytest.raises(ActionFailed, match="ground did not open again"):
         run(GROUND, opened=False)
 
 
-def test_reopen_refuses_a_container() -> None:
+def test_reopen_rejects_a_container() -> None:
     """A ladder that names it for a container is reported as wrong."""
     with pytest.raises(ActionFailed, match=r"ros_app is a container: correct recovery\.ladders"):
         run(APP)
 
 
 def test_a_link_is_distinguished_from_a_container() -> None:
-    """By the prefix, which no container's name can have; the manual step fits the kind."""
+    """By the prefix, which no container's name can have; the manual step matches the kind."""
     assert (GROUND.kind, GROUND.key, GROUND.name, GROUND.opted_in) == (TargetKind.LINK, "ground", "link:ground", False)
     assert (APP.kind, APP.key, APP.name, APP.opted_in) == (TargetKind.CONTAINER, "ros_app", "ros_app", True)
     assert "docker logs --tail 50 ros_1" in APP.manual_step()
@@ -67,7 +67,7 @@ def test_a_link_is_distinguished_from_a_container() -> None:
 @pytest.mark.parametrize("condition", ["link_silent", "radio_silent", "autopilot_silent"])
 @pytest.mark.parametrize("mode", ["act", "advise", "off"])
 def test_reopen_is_decided_in_any_mode_and_while_armed(condition: str, mode: str) -> None:
-    """It touches PHM's own endpoint alone, so that neither opt-in nor arming binds it; budget and back-off do."""
+    """It affects only PHM's own endpoint, so opt-in and arming do not restrict it; budget and back-off do."""
     chosen = settings(recovery={"mode": mode}).recovery
     decision = decide(
         fault(condition),
@@ -81,8 +81,8 @@ def test_reopen_is_decided_in_any_mode_and_while_armed(condition: str, mode: str
     assert decision == Act("reopen", 1)
 
 
-def test_a_link_has_opted_in_to_nothing_else() -> None:
-    """A user's ladder with a container's action does nothing to a link."""
+def test_a_link_has_not_opted_in_to_container_actions() -> None:
+    """A user's ladder with a container's action has no effect on a link."""
     chosen = settings(recovery={"ladders": {"radio_silent": ["restart"]}}).recovery
     decision = decide(
         fault(),

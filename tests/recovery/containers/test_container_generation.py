@@ -27,7 +27,7 @@ FIRST = testing.container("app", id="one", started_at="t1")
 
 
 class Watch:
-    """Lives of `app` on a fake clock; `fact` is what the engine would say."""
+    """Lives of `app` on a fake clock; `fact` is the engine's answer."""
 
     def __init__(self, fact: ContainerFact | None = FIRST) -> None:
         self.clock, self.fact, self.silent = testing.FakeClock(), fact, False
@@ -59,8 +59,8 @@ def test_the_first_generation_is_attributed_to_no_one() -> None:
     assert not watch.resets(after_s=1000)
 
 
-def test_a_new_container_counts_at_once_and_once() -> None:
-    """`docker compose up` after a change: what was tried on the old one says nothing about the new one."""
+def test_a_new_container_resets_attempts_immediately_and_once() -> None:
+    """`docker compose up` after a change: attempts on the old container say nothing about the new one."""
     watch = Watch()
     watch.resets()
     watch.clock.advance(5)
@@ -73,7 +73,7 @@ def test_a_new_container_counts_at_once_and_once() -> None:
 
 
 def test_a_container_that_is_recreated_repeatedly_is_a_crash_loop() -> None:
-    """A supervisor that runs a fresh container after each crash counts once, until one stays."""
+    """A supervisor that runs a new container after each crash counts once, until one stays up."""
     watch = Watch()
     watch.resets()
     counted = []
@@ -84,8 +84,8 @@ def test_a_container_that_is_recreated_repeatedly_is_a_crash_loop() -> None:
     assert sum(watch.resets(after_s=1.0) for _ in range(60)) == 1
 
 
-def test_started_again_by_hand_counts_when_it_lasts() -> None:
-    """The same container: nothing need have been fixed, so it must have shown that it runs."""
+def test_a_manual_start_resets_attempts_when_it_lasts() -> None:
+    """The same container: possibly nothing was fixed, so it must first show that it runs."""
     watch = Watch()
     watch.resets()
     watch.change(started_at="t2")
@@ -97,8 +97,8 @@ def test_started_again_by_hand_counts_when_it_lasts() -> None:
     assert not watch.resets(after_s=LASTING_S)
 
 
-def test_a_short_life_never_counts_however_long_ago_it_began() -> None:
-    """A container that has ended keeps the stamp of its last start."""
+def test_a_short_life_never_resets_attempts() -> None:
+    """A container that has ended keeps the timestamp of its last start."""
     watch = Watch()
     watch.resets()
     watch.change(started_at="t2")
@@ -107,7 +107,7 @@ def test_a_short_life_never_counts_however_long_ago_it_began() -> None:
     assert not watch.resets(after_s=10 * LASTING_S)
 
 
-def test_the_engines_restart_policy_never_counts() -> None:
+def test_the_restart_policy_never_resets_attempts() -> None:
     """A crash loop with lives of a minute must not make PHM restart it permanently."""
     watch = Watch()
     watch.resets()
@@ -120,8 +120,8 @@ def test_the_engines_restart_policy_never_counts() -> None:
     assert watch.resets(after_s=LASTING_S)
 
 
-def test_phms_own_doing_never_counts() -> None:
-    """Seen while it acts or after; a later life is again somebody else's."""
+def test_phms_own_starts_never_reset_attempts() -> None:
+    """Whether seen during the action or after it; a later life is external again."""
     watch = Watch()
     watch.resets()
     with watch.lives.acting("app", "app"):
@@ -132,8 +132,8 @@ def test_phms_own_doing_never_counts() -> None:
     assert watch.by == OTHERS
 
 
-def test_what_the_probe_remembers_is_not_taken_for_the_outcome() -> None:
-    """Right after the action the old life is still shown for a moment: the new one is PHM's all the same."""
+def test_a_cached_fact_is_not_the_outcome_of_an_action() -> None:
+    """Just after the action the old life is still shown for a moment: the new one is still attributed to PHM."""
     watch = Watch()
     watch.resets()
     with watch.lives.acting("app", "owner"):
@@ -146,8 +146,8 @@ def test_what_the_probe_remembers_is_not_taken_for_the_outcome() -> None:
     assert life.whose == "owner"
 
 
-def test_what_happened_before_phm_acted_is_not_phms_doing() -> None:
-    """Started by an operator a moment before: seen at the latest when PHM begins."""
+def test_a_start_before_phms_action_is_external() -> None:
+    """Started by an operator a moment before: detected at the latest when PHM begins."""
     watch = Watch()
     watch.resets()
     watch.change(started_at="t2")
@@ -155,8 +155,8 @@ def test_what_happened_before_phm_acted_is_not_phms_doing() -> None:
         assert watch.by == OTHERS
 
 
-def test_phm_makes_no_containers() -> None:
-    """A new id is somebody else's also while PHM acts."""
+def test_a_new_container_is_always_external() -> None:
+    """PHM creates no containers, so a new id is external also while PHM acts."""
     watch = Watch()
     watch.resets()
     with watch.lives.acting("app", "app"):
@@ -164,8 +164,8 @@ def test_phm_makes_no_containers() -> None:
         assert watch.by == RECREATED
 
 
-def test_an_action_that_phms_end_cut_short_may_still_be_finished_by_the_engine() -> None:
-    """A restart goes on without PHM: what comes of it in time is PHM's, what comes later is not."""
+def test_an_interrupted_action_may_still_be_finished_by_the_engine() -> None:
+    """A restart continues without PHM: a start in time is attributed to PHM, a later one is not."""
     watch = Watch()
     watch.resets()
     watch.lives.add_unfinished("app", "app")
@@ -184,8 +184,8 @@ def late(watch: Watch) -> None:
         pass
 
 
-def test_what_the_engine_does_after_the_deadline_is_phms_doing() -> None:
-    """Each call without an answer may cause one start, however late; the next one is somebody else's."""
+def test_a_start_after_the_deadline_is_attributed_to_phm() -> None:
+    """Each unanswered call may cause one start, however late; the next one is external."""
     watch = Watch()
     watch.resets()
     for _ in range(2):
@@ -201,8 +201,8 @@ def test_what_the_engine_does_after_the_deadline_is_phms_doing() -> None:
     assert watch.by == OTHERS
 
 
-def test_a_call_without_an_answer_is_waited_for_ten_minutes() -> None:
-    """Who starts it when attempts no longer count is somebody else."""
+def test_an_unanswered_call_is_valid_for_ten_minutes() -> None:
+    """A start after attempts have expired is external."""
     watch = Watch()
     watch.resets()
     late(watch)
@@ -213,8 +213,8 @@ def test_a_call_without_an_answer_is_waited_for_ten_minutes() -> None:
     assert watch.by == OTHERS
 
 
-def test_what_is_unfinished_is_known_to_the_next_phm() -> None:
-    """While an action is at work and after a call without an answer, not after one that has come back."""
+def test_an_unfinished_action_is_known_after_a_restart_of_phm() -> None:
+    """During an action and after an unanswered call, not after an answered one."""
     watch = Watch()
     assert watch.lives.unfinished() == {}
     with watch.lives.acting("app", "owner"):
@@ -225,8 +225,8 @@ def test_what_is_unfinished_is_known_to_the_next_phm() -> None:
 
 
 @pytest.mark.parametrize("what", ["silent", "missing"])
-def test_without_an_answer_the_known_generation_remains(what: str) -> None:
-    """An engine that does not answer, a container that is not there: no new life."""
+def test_the_known_generation_is_kept_without_an_answer(what: str) -> None:
+    """An engine that does not answer, or a missing container, is not a new life."""
     watch = Watch()
     watch.resets()
     known = watch.lives.current("app")
@@ -235,8 +235,8 @@ def test_without_an_answer_the_known_generation_remains(what: str) -> None:
     assert not watch.resets(after_s=LASTING_S)
 
 
-def test_over_a_restart_of_phm_a_life_goes_on() -> None:
-    """What was seen before counts; a container recreated meanwhile is noticed at the first look."""
+def test_a_life_continues_over_a_restart_of_phm() -> None:
+    """What was seen before counts; a container recreated meanwhile is detected at the first check."""
     first = Watch()
     first.resets()
     first.change(started_at="t2")
@@ -249,15 +249,15 @@ def test_over_a_restart_of_phm_a_life_goes_on() -> None:
     assert third.resets()
 
 
-def test_the_record_does_not_change_while_the_life_goes_on() -> None:
-    """It is written to the disk whenever it does."""
+def test_the_record_does_not_change_during_a_life() -> None:
+    """Each change of it is written to the disk."""
     life = next_generation(None, FIRST, 5.0, LASTING_S)
     assert next_generation(life, replace(FIRST, status="paused"), 50.0, LASTING_S) is life
     assert not resets_attempts(Generation("one", "t1", None, None, OTHERS), FIRST, 1e9, LASTING_S)
 
 
-def test_what_happened_while_nothing_counted_is_not_made_up_for() -> None:
-    """An operator restarted it hours ago, and nobody looked: the first attempt since then is made on this life."""
+def test_a_start_while_there_were_no_attempts_resets_nothing_later() -> None:
+    """An operator restarted it hours ago, unobserved: the first attempt since then is made on this life."""
     watch = Watch()
     watch.resets()
     watch.lives.forget("app")

@@ -1,4 +1,4 @@
-"""CPU weights that are lowered for a starved container and put back; on the real engine, straight and behind the proxy."""
+"""CPU weights that are lowered for a starved container and restored; on the real engine, directly and behind the proxy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNIT = "pressure/app"
 
 
 class Published:
-    """Replaces the pipeline: one unit, as the test sets it."""
+    """Replaces the pipeline: one unit, set by the test."""
 
     def __init__(self) -> None:
         self.level, self.since = Level.ERROR, 0.0
@@ -39,7 +39,7 @@ class Published:
 
 
 class Scene:
-    """A flight-critical container `app`, and `other`, which may give way."""
+    """A flight-critical container `app`, and `other`, whose weight may be lowered."""
 
     def __init__(self, engine: DockerEngine, real: Any, *, shares: int = 0) -> None:
         self.app, self.other = real.container(), real.container(cpu_shares=shares)
@@ -71,10 +71,10 @@ class Scene:
 
 @pytest.mark.engine
 @pytest.mark.parametrize("shares", [0, 512])
-def test_the_weight_is_lowered_in_the_air_and_put_back_when_it_is_no_longer_needed(
+def test_the_weight_is_lowered_in_flight_and_restored_when_no_longer_needed(
     real: Any, engine: DockerEngine, shares: int
 ) -> None:
-    """Of the containers named in `recovery.relieve` alone, also while armed; back to what it was."""
+    """Only of containers named in `recovery.relieve`, also while armed; then restored to its former value."""
     scene = Scene(engine, real, shares=shares)
     scene.bench.armed = True
     assert scene.relieve() == f"lowered the CPU weight of other to {LOW_SHARES}"
@@ -89,21 +89,21 @@ def test_the_weight_is_lowered_in_the_air_and_put_back_when_it_is_no_longer_need
 
 
 @pytest.mark.engine
-def test_the_next_phm_puts_back_what_the_last_one_lowered(real: Any, engine: DockerEngine) -> None:
-    """And what PHM ends with is put back at once."""
+def test_a_restarted_phm_restores_lowered_weights(real: Any, engine: DockerEngine) -> None:
+    """And weights that are still low when PHM ends are restored immediately."""
     scene = Scene(engine, real)
     scene.relieve()
     kept = scene.relief.kept()
     scene.relief = CpuWeights(scene.bench.engine, scene.bench.fact, scene.published, scene.clock)
     scene.relief.restore(kept)
-    assert isinstance(scene.relieve(), NotNeeded), "the low weight is not taken for the container's own"
+    assert isinstance(scene.relieve(), NotNeeded), "the low weight is not saved as the container's own"
     scene.relief.end()
     assert scene.shares(scene.other) == DEFAULT_SHARES
 
 
 @pytest.mark.engine
-def test_a_container_that_was_made_again_keeps_its_own_weight(real: Any, engine: DockerEngine) -> None:
-    """PHM undoes what it did to that container, and to no other of the name."""
+def test_a_recreated_container_keeps_its_own_weight(real: Any, engine: DockerEngine) -> None:
+    """PHM restores only the container that it changed, and no other of the same name."""
     scene = Scene(engine, real)
     scene.relieve()
     name = scene.other.name
@@ -115,7 +115,7 @@ def test_a_container_that_was_made_again_keeps_its_own_weight(real: Any, engine:
 
 
 def test_relieve_applies_to_a_flight_critical_container_with_configured_others() -> None:
-    """Opt-in twice: nothing gives way that is not named, and only for what flies the vehicle."""
+    """Opt-in twice: only named containers give way, and only for flight-critical ones."""
     named = settings(containers=[{"name": "app"}, {"name": "other"}], recovery={"relieve": ["other"]})
     app = named.containers[0]
     assert not Relieve.applies(Target.of(app), STARVED, named)
@@ -125,8 +125,8 @@ def test_relieve_applies_to_a_flight_critical_container_with_configured_others()
 
 
 @pytest.mark.engine
-def test_weights_that_must_be_lowered_again_and_again_stay_low_for_longer(real: Any, engine: DockerEngine) -> None:
-    """Else the two take turns: each time for twice as long, up to ten minutes."""
+def test_weights_that_are_lowered_repeatedly_stay_low_for_longer(real: Any, engine: DockerEngine) -> None:
+    """Otherwise the two would alternate: each time for twice as long, up to ten minutes."""
     scene = Scene(engine, real)
     for calm_s in (CALM_S, 2 * CALM_S, 4 * CALM_S):
         scene.relieve()
@@ -138,7 +138,7 @@ def test_weights_that_must_be_lowered_again_and_again_stay_low_for_longer(real: 
 
 @pytest.mark.parametrize(("kind", "held"), [(Relieve, "relieve:app"), (Unpause, "app")])
 def test_relieve_does_not_hold_the_starved_container(kind: type[Action], held: str) -> None:
-    """What breaks there meanwhile does not follow from it, and is a fault as usual."""
+    """A failure there meanwhile is not its consequence, and is a fault as usual."""
     holds: list[str] = []
     locks = SimpleNamespace(
         acquire=lambda target, owner: True,

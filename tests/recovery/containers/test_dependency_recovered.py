@@ -1,4 +1,4 @@
-"""What a container needs has come back: its back-off ends, and what failed meanwhile is not held against it."""
+"""A container's dependency has recovered: its back-off ends, and attempts that failed meanwhile are not counted."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def make(agents: list[Agent], **recovery: Any) -> Agent:
 
 
 def failing(agent: Agent, unit: str = "health/app", attempts: int = 1) -> None:
-    """The unit is bad, and this many attempts on it have failed."""
+    """The unit is bad, and `attempts` attempts on it have failed."""
     agent.bad[unit] = "broken"
     agent.until(lambda: agent.steps().count(Phase.FAILED) == attempts, f"{attempts} failed attempts")
 
 
 def outage(agent: Agent, lasts_s: float = 2.0) -> None:
-    """`base` is bad for a while, then well; `app` stays bad."""
+    """`base` is bad for a while, then OK; `app` stays bad."""
     agent.bad["net/base"] = "broken"
     agent.rest(lasts_s)
     assert agent.pipeline.open_faults()[0].unit == "net/base"
@@ -50,7 +50,9 @@ def outage(agent: Agent, lasts_s: float = 2.0) -> None:
 
 
 def test_back_off_ends_when_a_dependency_recovers(agents: list[Agent]) -> None:
-    """`app` would wait for most of a minute; `base`, which it needs, comes back, and the next attempt is made at once."""
+    """`app` would wait for most of a minute; `base`, its dependency, recovers, and the next attempt is made
+    immediately.
+    """
     agent = make(agents)
     failing(agent)
     outage(agent)
@@ -59,8 +61,8 @@ def test_back_off_ends_when_a_dependency_recovers(agents: list[Agent]) -> None:
     assert agent.clock.mono() - begun < 10.0
 
 
-def test_back_off_goes_on_when_something_else_recovers(agents: list[Agent]) -> None:
-    """`files/app` does not need `base`."""
+def test_back_off_continues_when_an_unrelated_unit_recovers(agents: list[Agent]) -> None:
+    """`files/app` does not depend on `base`."""
     agent = make(agents)
     failing(agent, "files/app")
     agent.bad["net/base"] = "broken"
@@ -70,22 +72,22 @@ def test_back_off_goes_on_when_something_else_recovers(agents: list[Agent]) -> N
     assert len(agent.runs) == 1
 
 
-def test_a_repair_of_the_container_itself_eases_nothing(agents: list[Agent]) -> None:
-    """Units of one container are repaired together: there the proof decides, not a recovery elsewhere."""
+def test_a_repair_of_the_container_itself_does_not_end_back_off(agents: list[Agent]) -> None:
+    """Units of one container are recovered together: there the verification decides, not the recovery of another unit."""
     units = {"container/app": Of("app"), "health/app": Of("app", ("container/app",))}
     agent = Agent(units, Containers("app"), testing.FakeClock(), **RULES)
     agents.append(agent)
     agent.rest(3.0)
     failing(agent)
-    agent.bad["container/app"] = "strange"  # no ladder: it comes and goes by itself
+    agent.bad["container/app"] = "strange"  # no ladder: it fails and recovers without actions
     agent.rest(2.0)
     del agent.bad["container/app"]
     agent.rest(30.0)
     assert len(agent.runs) == 1
 
 
-def test_attempts_made_while_a_dependency_was_down_are_no_failures_of_the_target(agents: list[Agent]) -> None:
-    """Two attempts fell into an outage that was seen late: three more are made before PHM gives up."""
+def test_attempts_made_while_a_dependency_was_down_are_not_counted(agents: list[Agent]) -> None:
+    """Two attempts were made during an outage that was detected late: three more are made before PHM gives up."""
     agent = make(agents, backoff=4.0, verify=30.0)
     failing(agent, attempts=2)
     outage(agent)
@@ -94,7 +96,7 @@ def test_attempts_made_while_a_dependency_was_down_are_no_failures_of_the_target
 
 
 def test_attempts_made_long_before_the_outage_count(agents: list[Agent]) -> None:
-    """They failed with all that the target needs in place; only the wait for the next one ends."""
+    """They failed while all dependencies were available; only the wait for the next attempt ends."""
     agent = make(agents, backoff=40.0, same_failure=2)
     failing(agent)
     agent.rest(10.0)
@@ -103,8 +105,8 @@ def test_attempts_made_long_before_the_outage_count(agents: list[Agent]) -> None
     assert len(agent.runs) == 2
 
 
-def test_a_dependency_that_flaps_costs_no_more_than_the_budget(agents: list[Agent]) -> None:
-    """Each of its recoveries ends back-off and excuses; the budget counts all the same."""
+def test_a_flapping_dependency_costs_no_more_than_the_budget(agents: list[Agent]) -> None:
+    """Each of its recoveries ends back-off and discounts attempts; the budget still counts them."""
     agent = make(agents, backoff=0.1, budget=4, reserve=0)
     agent.bad["health/app"] = "broken"
     for _ in range(20):
@@ -114,8 +116,8 @@ def test_a_dependency_that_flaps_costs_no_more_than_the_budget(agents: list[Agen
     assert len(agent.runs) == 4
 
 
-def test_what_was_given_up_during_the_outage_is_tried_again(agents: list[Agent]) -> None:
-    """The cause is reported after PHM has given up on the consequence: all three attempts were made in vain."""
+def test_a_unit_given_up_during_the_outage_is_tried_again(agents: list[Agent]) -> None:
+    """The cause is reported after PHM has given up on the consequence: all three attempts could not succeed."""
     agent = make(agents, backoff=0.1)
     failing(agent, attempts=3)
     agent.until(lambda: Phase.ESCALATED in agent.steps(), "giving up")
@@ -126,7 +128,7 @@ def test_what_was_given_up_during_the_outage_is_tried_again(agents: list[Agent])
     assert len(agent.runs) == 4
 
 
-def test_what_was_given_up_and_is_well_again_eases_others_too(agents: list[Agent]) -> None:
+def test_the_recovery_of_a_given_up_dependency_ends_back_off(agents: list[Agent]) -> None:
     """An operator has fixed `base`. Its fault was closed long ago: that it is OK again is what counts."""
     agent = make(agents)
     failing(agent)
@@ -142,8 +144,8 @@ def test_what_was_given_up_and_is_well_again_eases_others_too(agents: list[Agent
     assert agent.clock.mono() - begun < 10.0
 
 
-def test_what_is_below_a_unit_in_other_containers() -> None:
-    """Transitively, by container; its own container's units and those of none are left out."""
+def test_dependents_of_a_unit_in_other_containers_are_found() -> None:
+    """Transitively, by container; without its own container's units and those without a container."""
     units = {
         "a/one": ("one", ()),
         "b/one": ("one", ("a/one",)),

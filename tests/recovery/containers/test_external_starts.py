@@ -1,4 +1,4 @@
-"""Somebody else has started or recreated the container: counts are reset, holds end, the budget remains."""
+"""A container was started or recreated externally: counts are reset, holds end, the budget remains."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RULES: dict[str, Any] = {"same_failure": 2, "verify": 5.0, "backoff": 0.1, "budg
 
 
 class Yard:
-    """Lives of PHM around one container, on one clock and with one folder."""
+    """Lives of PHM around one container, with one clock and one directory."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.clock, self.containers = folder, testing.FakeClock(), Containers("app")
@@ -34,7 +34,7 @@ class Yard:
         return agent
 
     def given_up(self, **recovery: Any) -> Agent:
-        """PHM has tried `same_failure` times and reported that it stops."""
+        """PHM has tried `same_failure` times and reported that it gave up."""
         agent = self.phm(**recovery)
         agent.rest(3.0)
         agent.bad["health/app"] = "broken"
@@ -51,8 +51,8 @@ def yard(tmp_path: Path) -> Iterator[Yard]:
     made.clock.advance(1000)
 
 
-def test_what_was_given_up_is_acted_on_again_when_the_container_was_recreated(yard: Yard) -> None:
-    """Reported once for each container: the operator who makes a new one wants to know whether that helped."""
+def test_recovery_resumes_after_giving_up_when_the_container_was_recreated(yard: Yard) -> None:
+    """Reported once for each container: an operator who recreates it wants to know whether that helped."""
     agent = yard.given_up()
     agent.rest(20.0)
     assert (len(agent.runs), agent.opened()) == (2, ["health/app"])
@@ -65,7 +65,7 @@ def test_what_was_given_up_is_acted_on_again_when_the_container_was_recreated(ya
 
 
 def test_a_unit_whose_fault_is_cleared_gets_its_grace(yard: Yard) -> None:
-    """The new container has just been started: what it lacks yet is not known to be a fault."""
+    """The new container has just been started: a missing unit is not known to be a fault yet."""
     agent = yard.given_up(units={"health/app": Of("app", grace_s=6.0)})
     yard.containers.recreate("app")
     recreated = yard.clock.mono()
@@ -73,7 +73,7 @@ def test_a_unit_whose_fault_is_cleared_gets_its_grace(yard: Yard) -> None:
     assert yard.clock.mono() - recreated >= 6.0
 
 
-def test_after_a_start_by_hand_it_is_acted_on_again_once_the_container_has_stayed(yard: Yard) -> None:
+def test_recovery_resumes_after_a_manual_start_that_lasts(yard: Yard) -> None:
     """Not before it has run for `recovery.verify`."""
     agent = yard.given_up()
     agent.rest(1.0)
@@ -103,7 +103,7 @@ def with_a_new_container(containers: Containers) -> None:
     [(by_policy, 1.0, 0), (by_policy, 8.0, 0), (by_a_supervisor, 1.0, 0), (with_a_new_container, 1.0, 2)],
 )
 def test_a_crash_loop_does_not_reset_attempts_each_time(yard: Yard, loop: Loop, life_s: float, more: int) -> None:
-    """Docker's restart policy never counts, a supervisor's loop does not while lives are short; a new id counts once."""
+    """Docker's restart policy never counts, nor a supervisor's loop while lives are short; a new id counts once."""
     agent = yard.given_up()
     before = len(agent.runs)
     for _ in range(round(60.0 / life_s)):
@@ -114,8 +114,8 @@ def test_a_crash_loop_does_not_reset_attempts_each_time(yard: Yard, loop: Loop, 
     assert len(agent.runs) == before + more
 
 
-def test_the_budget_counts_what_was_tried_on_earlier_lives(yard: Yard) -> None:
-    """However often somebody recreates it: no more actions within the window than allowed."""
+def test_the_budget_counts_attempts_on_earlier_lives(yard: Yard) -> None:
+    """However often it is recreated: no more actions within the window than allowed."""
     agent = yard.given_up(budget=3, reserve=0)
     yard.containers.recreate("app")
     agent.until(lambda: Phase.REFUSED in agent.steps(), "the end of the budget")
@@ -126,8 +126,8 @@ def test_the_budget_counts_what_was_tried_on_earlier_lives(yard: Yard) -> None:
     assert len(agent.runs) == 3
 
 
-def test_back_off_ends_with_the_life_that_it_was_for(yard: Yard) -> None:
-    """An open fault waits a minute for its next attempt; on a new container it is looked at again, after its grace."""
+def test_back_off_ends_with_the_containers_life(yard: Yard) -> None:
+    """An open fault waits a minute for its next attempt; on a new container it is checked again, after its grace."""
     agent = yard.phm(backoff=60.0, backoff_max=60.0)
     agent.rest(3.0)
     agent.bad["health/app"] = "broken"
@@ -141,7 +141,7 @@ def test_back_off_ends_with_the_life_that_it_was_for(yard: Yard) -> None:
     assert agent.opened() == ["health/app"]
 
 
-def test_a_life_that_others_began_ends_the_proof(yard: Yard) -> None:
+def test_an_external_restart_ends_the_verification(yard: Yard) -> None:
     """An operator restarts the container while PHM waits: that attempt is over, and the container gets its grace."""
     agent = yard.phm(verify=60.0)
     agent.rest(3.0)
@@ -150,15 +150,15 @@ def test_a_life_that_others_began_ends_the_proof(yard: Yard) -> None:
     agent.rest(1.5)
     yard.containers.start("app")
     restarted = yard.clock.mono()
-    agent.until(lambda: Phase.FAILED in agent.steps(), "the end of the proof")
-    told = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.FAILED]
-    assert told == ["app was started again outside PHM before restart was verified"]
+    agent.until(lambda: Phase.FAILED in agent.steps(), "the end of the verification")
+    details = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.FAILED]
+    assert details == ["app was started again outside PHM before restart was verified"]
     agent.until(lambda: len(agent.runs) == 2, "another attempt")
     assert yard.clock.mono() - restarted >= 2.0
 
 
-def test_docker_restarting_it_does_not_end_the_proof(yard: Yard) -> None:
-    """It came up at the second try, by its restart policy: that is help as well."""
+def test_a_restart_by_docker_does_not_end_the_verification(yard: Yard) -> None:
+    """It came up at the second try, by its restart policy, which also counts as success."""
     agent = yard.phm(verify=60.0)
     agent.rest(3.0)
     agent.bad["health/app"] = "broken"
@@ -172,14 +172,14 @@ def test_docker_restarting_it_does_not_end_the_proof(yard: Yard) -> None:
 
 
 def test_a_restart_by_phm_does_not_reset_attempts(yard: Yard) -> None:
-    """Else every attempt would discount the one before."""
+    """Otherwise every attempt would discount the previous one."""
     agent = yard.given_up(verify=1.0)
     agent.rest(60.0)
     assert len(agent.runs) == 2
 
 
-def test_it_survives_phm_whether_the_container_is_recreated_before_or_after(yard: Yard) -> None:
-    """The life on which PHM gave up is kept on the disk."""
+def test_a_recreation_is_detected_over_a_restart_of_phm(yard: Yard) -> None:
+    """The life on which PHM gave up is saved on disk."""
     yard.given_up().stop()
     second = yard.phm()
     second.bad["health/app"] = "broken"
@@ -198,8 +198,8 @@ def test_it_survives_phm_whether_the_container_is_recreated_before_or_after(yard
     assert fourth.runs == []
 
 
-def test_a_start_by_hand_counts_over_a_restart_of_phm(yard: Yard) -> None:
-    """The time for which the container has stayed goes on."""
+def test_a_manual_start_counts_over_a_restart_of_phm(yard: Yard) -> None:
+    """The time for which the container has been up continues."""
     first = yard.given_up(verify=30.0)
     yard.containers.start("app")
     first.rest(5.0)
@@ -211,8 +211,8 @@ def test_a_start_by_hand_counts_over_a_restart_of_phm(yard: Yard) -> None:
     second.until(lambda: second.runs, "another attempt")
 
 
-def test_the_hold_of_a_repair_that_was_cut_short_ends_with_the_life_that_it_was_for(yard: Yard) -> None:
-    """PHM was killed in the middle of it. Somebody recreates the container: what is broken then is a fault of its own."""
+def test_the_hold_of_an_interrupted_action_ends_with_the_containers_life(yard: Yard) -> None:
+    """PHM was killed during the action. The container is recreated: a later failure is a separate fault."""
     units = {**UNITS, "files/app": Of("app")}
     first = yard.phm(units=units)
     first.rest(3.0)
@@ -231,8 +231,8 @@ def test_the_hold_of_a_repair_that_was_cut_short_ends_with_the_life_that_it_was_
     assert second.opened() == ["files/app"]
 
 
-def test_a_start_long_before_the_first_attempt_excuses_nothing(yard: Yard) -> None:
-    """Ten clean minutes lie between: nobody has watched its lives, and the attempt is made on the one at hand."""
+def test_a_start_long_before_the_first_attempt_resets_nothing(yard: Yard) -> None:
+    """Ten minutes without faults lie between: its lives were not tracked, and the attempt is made on the current one."""
     agent = yard.phm(same_failure=1)
     agent.rest(3.0)
     agent.bad["health/app"] = "broken"
@@ -250,14 +250,14 @@ def test_a_start_long_before_the_first_attempt_excuses_nothing(yard: Yard) -> No
 
 
 def late(agent: Agent) -> None:
-    """The engine does not answer within the deadline, and restarts the container all the same, one at a time."""
+    """The engine does not answer within the deadline, but still restarts the container, one restart at a time."""
 
     agent.engine.fails = LATE
     agent.behave = lambda key, context, fault: context.engine.restart(key)
 
 
-def test_a_restart_that_the_engine_finishes_late_excuses_no_attempt(yard: Yard) -> None:
-    """It is PHM's own: after three equal failures PHM gives up, and stays so however long the last life lasts."""
+def test_a_restart_that_the_engine_finishes_late_resets_no_attempt(yard: Yard) -> None:
+    """It is PHM's own: after three equal failures PHM gives up, however long the last life lasts."""
     agent = yard.phm(same_failure=3, backoff=15.0, backoff_max=15.0)
     agent.rest(3.0)
     late(agent)
@@ -275,8 +275,8 @@ def test_a_restart_that_the_engine_finishes_late_excuses_no_attempt(yard: Yard) 
     assert not any("outside PHM" in note for note in agent.notes())
 
 
-def test_a_container_that_comes_up_late_gets_its_grace(yard: Yard) -> None:
-    """The engine finishes the first attempt's restart after its deadline: it is not restarted a second time while it comes up."""
+def test_a_container_that_starts_late_gets_its_grace(yard: Yard) -> None:
+    """The engine finishes the first restart after its deadline: the container is not restarted again while it starts."""
     agent = yard.phm(units={"health/app": Of("app", grace_s=6.0)}, backoff=4.0)
     agent.rest(10.0)
     late(agent)
@@ -291,8 +291,8 @@ def test_a_container_that_comes_up_late_gets_its_grace(yard: Yard) -> None:
 
 
 @pytest.mark.parametrize("while_away", [True, False])
-def test_a_restart_that_phms_end_interrupted_excuses_no_attempt(yard: Yard, while_away: bool) -> None:
-    """The engine finishes it before the next PHM looks for the first time, or a minute after that: it is PHM's own."""
+def test_a_restart_interrupted_by_phms_end_resets_no_attempt(yard: Yard, while_away: bool) -> None:
+    """The engine finishes it before the next PHM's first check, or a minute later: it is PHM's own."""
     first = yard.phm(same_failure=3)
     first.rest(3.0)
     first.behave = lambda key, context, fault: first.pause(lambda: False)
@@ -312,8 +312,8 @@ def test_a_restart_that_phms_end_interrupted_excuses_no_attempt(yard: Yard, whil
     assert not any("outside PHM" in note for note in second.notes())
 
 
-def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) -> None:
-    """What PHM has tried on the dependent itself still counts."""
+def test_a_dependents_restart_interrupted_by_phms_end_is_phms_own(yard: Yard) -> None:
+    """PHM's attempts on the dependent itself still count."""
     yard.containers.facts["side"] = testing.container("side")
     units = {**UNITS, "health/side": Of("side", grace_s=2.0)}
     first = yard.phm(units=units, opted_in=("app", "side"))
@@ -341,10 +341,8 @@ def test_a_dependants_restart_that_phms_end_interrupted_is_phms_own(yard: Yard) 
     ("call", "fails", "own"),
     [("inspect", LATE, False), ("restart", LATE, True), ("restart", BROKEN, True), ("restart", ABSENT, False)],
 )
-def test_only_a_start_that_was_sent_and_not_answered_leaves_the_container_phms_own(
-    yard: Yard, call: str, fails: EngineError, own: bool
-) -> None:
-    """What an operator stops after any other call that failed is not PHM's doing."""
+def test_only_an_unanswered_start_is_attributed_to_phm(yard: Yard, call: str, fails: EngineError, own: bool) -> None:
+    """An operator's stop after any other failed call is not attributed to PHM."""
     agent = yard.phm(backoff=600.0, backoff_max=600.0)
     agent.rest(3.0)
     agent.engine.fails = fails
@@ -356,8 +354,8 @@ def test_only_a_start_that_was_sent_and_not_answered_leaves_the_container_phms_o
 
 
 @pytest.mark.parametrize("action", ["relaunch", "restart"])
-def test_what_happens_while_an_action_is_at_work_that_starts_nothing_is_not_phms_own(yard: Yard, action: str) -> None:
-    """An operator's `docker stop` during a relaunch is a stop by hand."""
+def test_an_external_stop_during_a_relaunch_is_not_phms_own(yard: Yard, action: str) -> None:
+    """An operator's `docker stop` during a relaunch is a manual stop."""
     agent = yard.phm(actions=(action,), ladders={"broken": [action]})
     agent.rest(3.0)
     seen: list[bool] = []
@@ -368,8 +366,8 @@ def test_what_happens_while_an_action_is_at_work_that_starts_nothing_is_not_phms
 
 
 @pytest.mark.parametrize("action", ["relaunch", "restart"])
-def test_only_an_action_that_starts_leaves_the_container_phms_own_when_cut_short(yard: Yard, action: str) -> None:
-    """The engine cannot finish a start for which it was not asked."""
+def test_only_an_interrupted_start_is_attributed_to_phm(yard: Yard, action: str) -> None:
+    """The engine cannot finish a start that was not requested."""
     ladder = {"actions": (action,), "ladders": {"broken": [action]}}
     first = yard.phm(**ladder)
     first.rest(3.0)

@@ -1,4 +1,4 @@
-"""A fault is acted on in the life of the container in which it was found; in a later one it must be found again."""
+"""A fault is acted on in the container's life in which it was found; in a later one it must be found again."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def agent() -> Iterator[Agent]:
 
 
 def seen(agent: Agent) -> None:
-    """The container's check names the life that it sees."""
+    """The container's check reports the life that it sees."""
     agent.found[CONTAINER] = ok("running").with_evidence(Evidence(generation=agent.containers.facts["app"].generation))
 
 
@@ -41,8 +41,10 @@ def restart(agent: Agent) -> None:
     seen(agent)
 
 
-def test_a_restart_by_others_between_fault_and_action_is_the_restart(agent: Agent) -> None:
-    """Recovery had to wait, and the container was restarted meanwhile: what comes back in time is not restarted again."""
+def test_an_external_restart_between_fault_and_action_replaces_the_action(agent: Agent) -> None:
+    """Recovery had to wait, and the container was restarted meanwhile: a unit that returns in time causes no second
+    restart.
+    """
     agent.missing = "a network"
     agent.bad[ONE] = "broken"
     agent.until(lambda: Phase.REFUSED in agent.steps(), "the wait")
@@ -55,8 +57,8 @@ def test_a_restart_by_others_between_fault_and_action_is_the_restart(agent: Agen
     assert [event.fault.by for event in agent.closed()] == ["itself"]
 
 
-def test_what_does_not_come_back_in_the_new_life_is_acted_on_after_its_grace(agent: Agent) -> None:
-    """Somebody's restart that has not helped keeps nobody from the next one."""
+def test_a_unit_missing_in_the_new_life_is_acted_on_after_its_grace(agent: Agent) -> None:
+    """An external restart that did not help does not prevent the next one."""
     agent.missing = "a network"
     agent.bad[ONE] = "broken"
     agent.until(lambda: Phase.REFUSED in agent.steps(), "the wait")
@@ -67,8 +69,8 @@ def test_what_does_not_come_back_in_the_new_life_is_acted_on_after_its_grace(age
     agent.until(lambda: agent.runs == [("app", ONE)], "the action")
 
 
-def test_a_second_fault_of_the_life_before_gets_no_restart_of_its_own(agent: Agent) -> None:
-    """Recovery learns of it only when the restart for the first one is over, as on a machine on which its thread is late."""
+def test_a_second_fault_of_the_earlier_life_causes_no_restart(agent: Agent) -> None:
+    """Recovery gets it only when the restart for the first one is over, as on a machine on which its thread is late."""
     late: list[Event] = []
     subscription = next(one for one in agent.bus._subscriptions if one.name == "recovery")
 
@@ -91,7 +93,7 @@ def test_a_second_fault_of_the_life_before_gets_no_restart_of_its_own(agent: Age
     assert agent.runs == [("app", ONE)]
 
 
-def test_a_fault_of_the_life_at_hand_is_acted_on_immediately(agent: Agent) -> None:
+def test_a_fault_of_the_current_life_is_acted_on_immediately(agent: Agent) -> None:
     """Also one that opens after several restarts: no time has to pass on PHM's clock."""
     for _ in range(3):
         restart(agent)

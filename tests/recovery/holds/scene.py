@@ -21,7 +21,7 @@ STOP = (("kill", "signal 15"), ("die", "exit code 0"), ("stop", ""))
 
 
 class Scene:
-    """PHM with two containers, of which `app` is flight-critical. `armed` is what is known of the vehicle."""
+    """PHM with two containers, of which `app` is flight-critical. `armed` is the known state of the vehicle."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class Scene:
 
 
 def stopped(scene: Scene, key: str = "app") -> None:
-    """`docker stop`, and what the checks see of it."""
+    """`docker stop`, and the checks' results after it."""
     scene.happen(*STOP, key=key)
     scene.containers.end(key)
     scene.agent.bad = {f"container/{key}": "exited"}

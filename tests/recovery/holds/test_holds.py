@@ -1,4 +1,4 @@
-"""What a hold does, what is granted, and what ends when the vehicle is armed."""
+"""The effect of a hold, which holds are granted, and which end when the vehicle is armed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.recovery.holds.scene import BY, PATIENT, Scene, stopped
 
 
 def test_a_bad_unit_on_hold_is_stale_without_an_alarm(scene: Scene) -> None:
-    """With until when, who and why; nothing is done about it, and what follows from it is quiet, too."""
+    """With its end, operator and reason; no action is taken, and consequences are silent, too."""
     scene.hold()
     scene.agent.bad = {"container/app": "broken", "nodes/app": "broken"}
     scene.agent.rest(5)
@@ -26,13 +26,13 @@ def test_a_bad_unit_on_hold_is_stale_without_an_alarm(scene: Scene) -> None:
 
 
 def test_other_containers_are_not_affected(scene: Scene) -> None:
-    """A hold is on one container, unless it is on all."""
+    """A hold applies to one container, or to all."""
     scene.hold("app")
     scene.agent.bad = {"container/cam": "broken"}
     scene.agent.until(lambda: ("cam", "container/cam") in scene.agent.runs, "the restart of cam")
 
 
-def test_a_hold_without_a_container_is_on_all(scene: Scene) -> None:
+def test_a_hold_without_a_container_applies_to_all(scene: Scene) -> None:
     """And `phm release` without one ends it."""
     scene.hold(ALL)
     scene.agent.bad = {"container/app": "broken", "container/cam": "broken"}
@@ -44,14 +44,14 @@ def test_a_hold_without_a_container_is_on_all(scene: Scene) -> None:
 
 
 def test_an_ok_unit_on_hold_is_ok(scene: Scene) -> None:
-    """A hold hides nothing that is OK."""
+    """A hold does not hide OK."""
     scene.hold()
     scene.agent.rest(1)
     assert scene.level() is Level.OK
 
 
-def test_a_hold_ends_by_itself_with_a_message(scene: Scene) -> None:
-    """Then what is still bad is a fault and healed."""
+def test_a_hold_expires_with_a_message(scene: Scene) -> None:
+    """Then a unit that is still bad is a fault and recovered."""
     scene.hold(for_s=10)
     scene.agent.bad = {"container/app": "broken"}
     scene.agent.rest(9)
@@ -62,7 +62,7 @@ def test_a_hold_ends_by_itself_with_a_message(scene: Scene) -> None:
 
 
 def test_an_open_fault_stays_open_without_an_action(scenes: Any) -> None:
-    """It is listed while it is on hold, its attempts stay as they are, and it is healed after a fresh finding."""
+    """It is listed while on hold, its attempts stay unchanged, and it is recovered after a new result."""
     scene = scenes(**PATIENT)
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
@@ -79,7 +79,7 @@ def test_an_open_fault_stays_open_without_an_action(scenes: Any) -> None:
 
 
 def test_a_fault_that_ends_on_hold_is_resolved(scenes: Any) -> None:
-    """By itself, as far as PHM is concerned."""
+    """Without credit for an action."""
     scene = scenes(**PATIENT)
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
@@ -92,8 +92,8 @@ def test_a_fault_that_ends_on_hold_is_resolved(scenes: Any) -> None:
     assert (closed.fault.outcome, closed.fault.by) == (Outcome.RESOLVED, "itself")
 
 
-def test_after_a_hold_nothing_is_done_on_an_old_finding(scenes: Any) -> None:
-    """The operator has fixed it in the last moment: no action follows."""
+def test_no_action_follows_an_old_result_after_a_hold(scenes: Any) -> None:
+    """The operator has fixed it at the last moment: no action follows."""
     scene = scenes(**PATIENT)
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
@@ -105,7 +105,7 @@ def test_after_a_hold_nothing_is_done_on_an_old_finding(scenes: Any) -> None:
     assert len(scene.agent.runs) == 1
 
 
-def test_an_action_under_way_is_finished_first(scene: Scene) -> None:
+def test_a_running_action_is_finished_first(scene: Scene) -> None:
     """The answer to the operator names it."""
     answers: list[str] = []
 
@@ -120,8 +120,8 @@ def test_an_action_under_way_is_finished_first(scene: Scene) -> None:
     assert "restart of app, which is under way, is finished first" in answers[0]
 
 
-def test_on_hold_nothing_is_approved_and_nothing_restarted_for_the_ground(scene: Scene) -> None:
-    """The answer says until when it is on hold."""
+def test_approvals_and_restarts_are_denied_on_hold(scene: Scene) -> None:
+    """The answer states until when it is on hold."""
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
     scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
@@ -133,7 +133,7 @@ def test_on_hold_nothing_is_approved_and_nothing_restarted_for_the_ground(scene:
         scene.agent.executor.restart("app", "the ground")
 
 
-# ---------------------------------------------------------------- what is granted
+# ---------------------------------------------------------------- granted holds
 
 
 @pytest.mark.parametrize(
@@ -145,21 +145,21 @@ def test_on_hold_nothing_is_approved_and_nothing_restarted_for_the_ground(scene:
         ("app", float("nan"), "recovery.hold_max"),
     ],
 )
-def test_a_bad_hold_is_refused(scene: Scene, container: str, for_s: float, why: str) -> None:
-    """With what is allowed."""
+def test_an_invalid_hold_is_rejected(scene: Scene, container: str, for_s: float, why: str) -> None:
+    """With the allowed values."""
     with pytest.raises(HoldRefused, match=why):
         scene.hold(container, for_s)
 
 
-def test_a_second_hold_takes_the_place_of_the_first(scene: Scene) -> None:
+def test_a_second_hold_replaces_the_first(scene: Scene) -> None:
     """Also to shorten it."""
     scene.hold(for_s=600)
     scene.hold(for_s=10, reason="")
     assert [(hold["left_s"], hold["reason"]) for hold in scene.service.snapshot()] == [(10.0, "")]
 
 
-def test_a_release_of_nothing_is_refused(scene: Scene) -> None:
-    """And says when it is the hold on all that keeps it."""
+def test_a_release_without_a_hold_is_rejected(scene: Scene) -> None:
+    """And the message says when it is held by the hold on all."""
     with pytest.raises(HoldRefused, match=r"app is not on hold$"):
         scene.service.release("app", BY)
     scene.hold(ALL)
@@ -167,7 +167,7 @@ def test_a_release_of_nothing_is_refused(scene: Scene) -> None:
         scene.service.release("app", BY)
 
 
-def test_a_clock_that_is_set_changes_no_hold(scene: Scene) -> None:
+def test_setting_the_clock_changes_no_hold(scene: Scene) -> None:
     """The end is on the monotonic clock."""
     scene.hold(for_s=10)
     scene.agent.bad = {"container/app": "broken"}
@@ -180,12 +180,12 @@ def test_a_clock_that_is_set_changes_no_hold(scene: Scene) -> None:
     assert scene.agent.opened() == ["container/app"]
 
 
-# ---------------------------------------------------------------- in the air
+# ---------------------------------------------------------------- in flight
 
 
 @pytest.mark.parametrize("container", ["app", ALL])
-def test_what_is_flight_critical_is_not_put_on_hold_while_armed(scene: Scene, container: str) -> None:
-    """Its failures stay visible; another container may be."""
+def test_a_flight_critical_container_is_not_put_on_hold_while_armed(scene: Scene, container: str) -> None:
+    """Its failures stay visible; another container may be put on hold."""
     scene.armed = ArmedState.ARMED
     with pytest.raises(HoldRefused, match="flight-critical"):
         scene.hold(container)
@@ -193,13 +193,13 @@ def test_what_is_flight_critical_is_not_put_on_hold_while_armed(scene: Scene, co
 
 
 def shared_network(scene: Scene) -> None:
-    """app lives in the network of cam."""
+    """app shares the network of cam."""
     scene.containers.facts["app"] = replace(scene.containers.facts["app"], network_mode="container:cam")
     scene.agent.rest(2 * LABELS_S)
 
 
-def test_what_takes_a_flight_critical_container_down_is_not_put_on_hold_while_armed(scene: Scene) -> None:
-    """Its failure would take down the critical one, and must stay visible as well; a hold from before ends with arming."""
+def test_a_dependency_of_a_flight_critical_container_is_not_put_on_hold_while_armed(scene: Scene) -> None:
+    """Its failure would take down the critical one and must stay visible as well; an earlier hold ends with arming."""
     shared_network(scene)
     scene.hold("cam", 600.0)
     scene.armed = ArmedState.ARMED
@@ -209,7 +209,7 @@ def test_what_takes_a_flight_critical_container_down_is_not_put_on_hold_while_ar
         scene.hold("cam")
 
 
-def test_a_stop_that_takes_a_flight_critical_container_down_is_never_respected_quietly(scenes: Any) -> None:
+def test_a_stop_that_takes_a_flight_critical_container_down_always_raises_an_alarm(scenes: Any) -> None:
     scene = scenes(on_manual_stop="respect")
     shared_network(scene)
     scene.armed = ArmedState.ARMED
@@ -220,8 +220,12 @@ def test_a_stop_that_takes_a_flight_critical_container_down_is_never_respected_q
 
 
 @pytest.mark.parametrize("container", ["app", ALL])
-def test_what_is_flight_critical_is_put_on_hold_when_the_armed_state_is_unknown(scene: Scene, container: str) -> None:
-    """A bench has no autopilot, and a hold does nothing; the answer says what is not known, and arming ends the hold."""
+def test_a_flight_critical_container_is_put_on_hold_when_the_armed_state_is_unknown(
+    scene: Scene, container: str
+) -> None:
+    """A bench has no autopilot, and a hold takes no action; the answer states what is unknown, and arming ends the
+    hold.
+    """
     scene.armed = ArmedState.UNKNOWN
     said = scene.hold(container)
     assert said.endswith(
@@ -234,13 +238,13 @@ def test_what_is_flight_critical_is_put_on_hold_when_the_armed_state_is_unknown(
     assert [hold["container"] for hold in scene.service.snapshot()] == ["cam"]
 
 
-def test_on_the_ground_a_hold_is_granted_without_a_warning(scene: Scene) -> None:
+def test_a_hold_is_granted_without_a_warning_while_disarmed(scene: Scene) -> None:
     """The autopilot is known to be disarmed."""
     assert "not known" not in scene.hold("app")
 
 
 def test_arming_ends_holds_of_flight_critical_containers(scene: Scene) -> None:
-    """Holds of flight-critical containers, with a message; an operator's hold of another one stays."""
+    """Of flight-critical containers, with a message; an operator's hold of another one stays."""
     scene.hold("app", 600.0)
     scene.hold("cam", 600.0)
     scene.agent.rest(1)

@@ -1,4 +1,4 @@
-"""Holds and stops by hand on the real engine, with the docker CLI and Compose, PHM as a whole within this process."""
+"""Holds and manual stops on the real engine, with the docker CLI and Compose, and an entire PHM within this process."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RESPECT, HEAL = {"on_manual_stop": "respect"}, {"on_manual_stop": "heal"}
 
 
 class Phm:
-    """A daemon that watches one container, and what it said."""
+    """A daemon that monitors one container, and its events."""
 
     def __init__(self, folder: Path, container: str, **recovery: Any) -> None:
         self.events: list[Event] = []
@@ -60,18 +60,18 @@ class Phm:
         return [event.text for event in self.events if isinstance(event, HoldChanged) and event.began is began]
 
     def verb(self, *words: str) -> str:
-        """What a verb of the command line prints that asks this daemon."""
+        """The output of a CLI verb that queries this daemon."""
         result = CliRunner().invoke(group, [*words, "--run-dir", self.daemon.settings.run_dir])
         assert result.exit_code == 0, result.output
         return result.output
 
     def decided(self) -> bool:
-        """PHM has seen the stop and the time in which it might have been a restart is over."""
+        """Whether PHM has seen the stop and it can no longer be part of a restart."""
         return not self.daemon.components.holds._stops.undecided()
 
 
 class Project:
-    """A Compose project of one service, driven by the docker CLI."""
+    """A Compose project of one service, controlled by the docker CLI."""
 
     def __init__(self, folder: Path) -> None:
         self.container = f"phm-test-{uuid.uuid4().hex[:8]}"
@@ -113,7 +113,7 @@ def phm(tmp_path: Path, project: Project) -> Iterator[Any]:
 
     def start(**recovery: Any) -> Phm:
         made.append(Phm(tmp_path, project.container, **recovery))
-        made[-1].until(lambda: made[-1].level() is Level.OK, "the container to be well")
+        made[-1].until(lambda: made[-1].level() is Level.OK, "the container to be OK")
         return made[-1]
 
     yield start
@@ -121,34 +121,32 @@ def phm(tmp_path: Path, project: Project) -> Iterator[Any]:
         each.daemon.stop()
 
 
-def test_a_recreation_by_compose_raises_nothing(phm: Any, project: Project) -> None:
-    """`docker compose up --force-recreate` is no failure, whatever the rule for stops says."""
+def test_a_recreation_by_compose_raises_no_alarm(phm: Any, project: Project) -> None:
+    """`docker compose up --force-recreate` is not a failure, whatever the rule for stops is."""
     agent, old = phm(**HEAL), project.id()
     project.compose("up", "-d", "--force-recreate")
     assert project.id() != old
-    agent.until(lambda: agent.decided() and agent.level() is Level.OK, "the new container to be well")
+    agent.until(lambda: agent.decided() and agent.level() is Level.OK, "the new container to be OK")
     assert agent.faults() == [] and agent.phases() == []
 
 
 @pytest.mark.parametrize("words", [("docker", "stop"), ("compose", "stop")])
-def test_a_stop_by_hand_is_respected_and_ends_with_the_start(
-    phm: Any, project: Project, words: tuple[str, str]
-) -> None:
-    """Where stops are respected, the container is on hold until somebody starts it, and there is no alarm and no action."""
+def test_a_manual_stop_is_respected_until_the_start(phm: Any, project: Project, words: tuple[str, str]) -> None:
+    """Where stops are respected, the container is on hold until it is started, and there is no alarm and no action."""
     agent = phm(**RESPECT)
     getattr(project, words[0])(*words[1:], *([project.container] if words[0] == "docker" else []))
     agent.until(lambda: agent.holds(began=True), "the hold")
     agent.until(lambda: agent.level() is Level.STALE, "the unit to be on hold")
     project.docker("start", project.container)
     agent.until(lambda: agent.holds(began=False), "the end of the hold")
-    agent.until(lambda: agent.level() is Level.OK, "the container to be well")
+    agent.until(lambda: agent.level() is Level.OK, "the container to be OK")
     assert "stopped by hand" in agent.holds(began=True)[0]
     assert "it was started again" in agent.holds(began=False)[0]
     assert agent.faults() == [] and agent.phases() == []
 
 
-def test_a_respected_stop_is_healed_when_its_time_is_over(phm: Any, project: Project) -> None:
-    """A hold always has an end: then the fault is raised and healed as usual."""
+def test_a_respected_stop_is_recovered_when_its_hold_expires(phm: Any, project: Project) -> None:
+    """A hold always has an end: then the fault is raised and recovered as usual."""
     agent = phm(**RESPECT, hold="6s")
     project.docker("stop", project.container)
     agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
@@ -156,16 +154,16 @@ def test_a_respected_stop_is_healed_when_its_time_is_over(phm: Any, project: Pro
     assert said == [HoldChanged, HoldChanged, FaultOpened]
 
 
-def test_a_stop_by_hand_is_healed_where_the_rule_says_so(phm: Any, project: Project) -> None:
-    """`heal`, the default for the air: a stop by hand is a failure like any other."""
+def test_a_manual_stop_is_recovered_with_the_rule_heal(phm: Any, project: Project) -> None:
+    """`heal`, the default in flight: a manual stop is a failure like any other."""
     agent = phm(**HEAL)
     project.docker("stop", project.container)
     agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
     assert agent.faults() == [agent.unit]
 
 
-def test_a_stop_by_hand_is_only_advised_about(phm: Any, project: Project) -> None:
-    """`advise`: the alarm is raised and nothing is done."""
+def test_a_manual_stop_is_only_advised_with_the_rule_advise(phm: Any, project: Project) -> None:
+    """The alarm is raised and no action is taken."""
     agent = phm(on_manual_stop="advise")
     project.docker("stop", project.container)
     agent.until(lambda: Phase.ADVISED in agent.phases(), "the advice")
@@ -174,17 +172,19 @@ def test_a_stop_by_hand_is_only_advised_about(phm: Any, project: Project) -> Non
 
 @pytest.mark.parametrize("words", [("kill", "{}"), ("exec", "{}", "kill", "-TERM", "1")])
 def test_a_crash_is_not_a_stop(phm: Any, project: Project, words: tuple[str, ...]) -> None:
-    """What ends without a stop by the engine is healed, also where stops are respected."""
+    """A container that ends without a stop by the engine is recovered, also where stops are respected."""
     agent = phm(**RESPECT)
     project.docker(*(word.format(project.container) for word in words))
     agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
     assert agent.faults() == [agent.unit] and agent.holds(began=True) == []
 
 
-def test_a_stop_while_the_event_stream_is_interrupted_is_not_undone(
+def test_a_stop_during_an_event_stream_outage_is_not_undone(
     phm: Any, project: Project, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """PHM sees that the container has ended before it hears why: the alarm is raised, and the engine's replay is waited for."""
+    """PHM sees that the container has ended before it gets the event: the alarm is raised, and PHM waits for the
+    replay.
+    """
     monkeypatch.setattr("phm.recovery.holds.hold_service.CLOSED_S", 10 * LIMIT_S)
     agent = phm(**RESPECT)
     engine, watch = agent.daemon.components.probes.engine, agent.daemon.components.probes.watch
@@ -208,10 +208,10 @@ def test_a_stop_while_the_event_stream_is_interrupted_is_not_undone(
 
 
 @pytest.mark.parametrize("stops", [True, False])
-def test_an_end_whose_kill_was_missed_is_acted_on_when_no_stop_follows(
+def test_an_end_with_a_missed_kill_is_acted_on_unless_a_stop_follows(
     phm: Any, project: Project, monkeypatch: pytest.MonkeyPatch, stops: bool
 ) -> None:
-    """PHM was started between the `kill` and the `die`; only with a `stop` was it stopped by hand."""
+    """PHM was started between the `kill` and the `die`; only with a `stop` was it a manual stop."""
     actions = tuple(action for action in FILTERS["event"] if action != "kill")
     monkeypatch.setattr("phm.probes.container_watcher.FILTERS", {**FILTERS, "event": actions})
     if stops:
@@ -227,15 +227,15 @@ def test_an_end_whose_kill_was_missed_is_acted_on_when_no_stop_follows(
 
 
 def test_a_restart_of_phm_is_not_a_manual_stop(phm: Any, project: Project) -> None:
-    """PHM's own restart stops the container, too, and puts nothing on hold."""
+    """PHM's own restart also stops the container, and causes no hold."""
     agent = phm(**RESPECT, ladders={"exited": ["restart"]})
     project.docker("kill", project.container)
     agent.until(lambda: Phase.VERIFIED in agent.phases() and agent.decided(), "the container to be restarted")
     assert agent.holds(began=True) == []
 
 
-def test_a_removal_is_on_hold_and_over_when_compose_makes_it_again(phm: Any, project: Project) -> None:
-    """`docker compose down` on purpose is as respected as `stop`; `up` ends it."""
+def test_a_removal_is_on_hold_until_compose_recreates_it(phm: Any, project: Project) -> None:
+    """An intended `docker compose down` is respected like `stop`; `up` ends the hold."""
     agent = phm(**RESPECT)
     project.compose("down", "-t", "2")
     agent.until(lambda: agent.holds(began=True), "the hold")
@@ -244,8 +244,8 @@ def test_a_removal_is_on_hold_and_over_when_compose_makes_it_again(phm: Any, pro
     assert "removed by hand" in agent.holds(began=True)[0] and agent.faults() == []
 
 
-def test_an_operator_holds_and_releases(phm: Any, project: Project) -> None:
-    """While on hold, a crash is STALE, no alarm, and left alone; after the release it is a fault and healed."""
+def test_an_operator_holds_and_releases_a_container(phm: Any, project: Project) -> None:
+    """On hold, a crash is STALE, raises no alarm, and is left alone; after the release it is a fault and recovered."""
     agent = phm(**HEAL)
     said = agent.verb("hold", project.container, "--for", "10min", "--reason", "swapping firmware")
     assert said.startswith(f"{project.container} is on hold until ") and "swapping firmware" in said
@@ -260,7 +260,7 @@ def test_an_operator_holds_and_releases(phm: Any, project: Project) -> None:
 
 
 def test_a_hold_survives_a_restart_of_phm(phm: Any, project: Project, tmp_path: Path) -> None:
-    """The next PHM leaves alone what was on hold when the one before ended, until the same end."""
+    """The next PHM keeps the previous holds, until the same end."""
     agent = phm(**HEAL)
     agent.daemon.components.holds.hold(project.container, 600.0, "swapping firmware", "operator (uid 0)")
     before = agent.daemon.components.holds.snapshot()[0]

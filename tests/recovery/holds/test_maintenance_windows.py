@@ -1,4 +1,4 @@
-"""Holds that maintenance windows begin and end."""
+"""Holds by maintenance windows."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from phm.recovery.safety.armed_state import ArmedState as ArmedState
 from tests.recovery.holds.scene import BY, Scene
 
 
-def test_a_window_holds_and_ends(scenes: Any) -> None:
-    """FakeClock begins on 2023-11-14; the window is looked for once the clock was set."""
+def test_a_window_begins_and_ends_a_hold(scenes: Any) -> None:
+    """FakeClock begins on 2023-11-14; the window applies once the clock was set."""
     scene = scenes(maintenance=[{"when": "02:00-02:10", "container": "cam", "reason": "upload"}])
     scene.clock.jump_utc(1795312740.0 - scene.clock.utc())  # 2026-11-22 01:59 UTC
     scene.agent.rest(50)
@@ -24,8 +24,8 @@ def test_a_window_holds_and_ends(scenes: Any) -> None:
     assert scene.changes() == [("cam", True), ("cam", False)]
 
 
-def test_a_window_that_was_released_or_set_back_does_not_open_again(scenes: Any) -> None:
-    """An occurrence is one hold, whatever happens to the clock."""
+def test_a_released_window_does_not_open_again(scenes: Any) -> None:
+    """An occurrence is one hold, however the clock is set."""
     scene = scenes(maintenance=[{"when": "02:00-02:10"}])
     scene.clock.jump_utc(1795312860.0 - scene.clock.utc())  # 2026-11-22 02:01 UTC
     scene.agent.rest(10)
@@ -36,7 +36,7 @@ def test_a_window_that_was_released_or_set_back_does_not_open_again(scenes: Any)
     assert scene.changes() == [("", True), ("", False)]
 
 
-def test_a_label_is_a_window_and_a_wrong_one_is_named_once(scene: Scene) -> None:
+def test_a_label_defines_a_window_and_an_invalid_one_is_reported_once(scene: Scene) -> None:
     """The label holds its own container."""
     scene.containers.facts["cam"] = replace(scene.containers.facts["cam"], maintenance="00:00-23:59")
     scene.containers.facts["app"] = replace(scene.containers.facts["app"], maintenance="whenever")
@@ -49,8 +49,8 @@ def test_a_label_is_a_window_and_a_wrong_one_is_named_once(scene: Scene) -> None
 @pytest.mark.parametrize(
     ("armed", "opens"), [(ArmedState.DISARMED, ["app", "cam"]), (ArmedState.UNKNOWN, ["cam"]), (ArmedState.ARMED, [])]
 )
-def test_no_window_opens_in_the_air(scenes: Any, armed: ArmedState, opens: list[str]) -> None:
-    """For what is flight-critical only where the vehicle is known to be disarmed."""
+def test_no_window_opens_in_flight(scenes: Any, armed: ArmedState, opens: list[str]) -> None:
+    """For a flight-critical container only where the vehicle is known to be disarmed."""
     windows = [{"when": "00:00-23:59", "container": key} for key in ("app", "cam")]
     scene = scenes(maintenance=windows)
     scene.armed = armed

@@ -1,4 +1,4 @@
-"""A stop by hand is distinguished from a crash by the engine's events, as recorded from Docker 20.10 and Compose 2.26."""
+"""A manual stop is distinguished from a crash by the engine's events, as recorded from Docker 20.10 and Compose 2.26."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DIE, STOP, DESTROY, START = ("die", "exit code 0"), ("stop", ""), ("destroy", ""
 
 
 def verdicts(*events: tuple[str, str], gap_s: float = 0.05, own: bool = False) -> list[StopVerdict]:
-    """What is decided a minute after these events, which came one after another."""
+    """The decision one minute after these consecutive events."""
     stops, now = ManualStopDetector(), 100.0
     for action, detail in events:
         stops.event("app", action, detail, now, own=own)
@@ -21,24 +21,24 @@ def verdicts(*events: tuple[str, str], gap_s: float = 0.05, own: bool = False) -
 
 
 @pytest.mark.parametrize("events", [(TERM, DIE, STOP), (("kill", "signal 2"), DIE, STOP), (TERM, KILL, DIE, STOP)])
-def test_a_stop_is_a_stop(events: tuple[tuple[str, str], ...]) -> None:
-    """Whatever the stop signal is, and also when the time until SIGKILL was over."""
+def test_a_docker_stop_is_a_manual_stop(events: tuple[tuple[str, str], ...]) -> None:
+    """With any stop signal, and also when the time until SIGKILL expired."""
     assert verdicts(*events) == [StopVerdict.STOPPED]
 
 
 @pytest.mark.parametrize("events", [(KILL, DIE, DESTROY), (TERM, DIE, STOP, DESTROY), (DESTROY,)])
-def test_a_removal_is_a_removal(events: tuple[tuple[str, str], ...]) -> None:
-    """`docker rm -f`, `docker compose down`, `docker rm` of what had ended before."""
+def test_a_removal_is_recognized(events: tuple[tuple[str, str], ...]) -> None:
+    """`docker rm -f`, `docker compose down`, `docker rm` of a container that had ended before."""
     assert verdicts(*events) == [StopVerdict.REMOVED]
 
 
 @pytest.mark.parametrize("events", [(KILL, DIE), (TERM, DIE)])
 def test_a_kill_is_a_crash(events: tuple[tuple[str, str], ...]) -> None:
-    """`docker kill` is not how a container is stopped."""
+    """`docker kill` is not the usual way to stop a container."""
     assert verdicts(*events) == [StopVerdict.CRASHED]
 
 
-def test_an_end_without_any_kill_is_not_waited_for() -> None:
+def test_an_end_without_any_kill_is_decided_immediately() -> None:
     """A crash is published as soon as it is seen."""
     assert verdicts(DIE) == [] and verdicts(("oom", ""), DIE) == []
 
@@ -51,18 +51,20 @@ def test_an_end_without_any_kill_is_not_waited_for() -> None:
         (TERM, DIE, STOP, DESTROY, ("create", ""), START),
     ],
 )
-def test_what_runs_again_was_no_stop(events: tuple[tuple[str, str], ...]) -> None:
-    """A restart, a recreation by Compose, one by hand."""
+def test_a_container_that_runs_again_was_not_stopped(events: tuple[tuple[str, str], ...]) -> None:
+    """A restart, a recreation by Compose, or a manual one."""
     assert verdicts(*events) == []
 
 
-def test_a_stop_by_phm_itself_is_none() -> None:
-    """PHM's own restart stops the container, too."""
+def test_a_stop_by_phm_is_not_a_manual_stop() -> None:
+    """PHM's own restart also stops the container."""
     assert verdicts(TERM, DIE, STOP, own=True) == []
 
 
 def test_a_restart_of_phm_that_the_engine_finishes_late_is_waited_for() -> None:
-    """PHM's call has given up: the end of the container is no fault before its start is overdue, and never a stop by hand."""
+    """PHM's call has timed out: the end of the container is not a fault before its start is overdue, and never a manual
+    stop.
+    """
     stops = ManualStopDetector()
     for at, (action, detail) in enumerate((TERM, KILL, DIE, STOP)):
         stops.event("app", action, detail, at / 10, own=True, late=True)
@@ -75,7 +77,7 @@ def test_a_restart_of_phm_that_the_engine_finishes_late_is_waited_for() -> None:
 
 
 def test_a_slow_recreation_is_waited_for() -> None:
-    """Once Compose has made the replacement, the old one may take its time to end."""
+    """Once Compose has created the replacement, the old container may take some time to end."""
     stops = ManualStopDetector()
     for at, action in ((0.0, "replace"), (0.1, "kill"), (60.0, "die"), (60.1, "stop"), (70.0, "destroy")):
         assert stops.due(at) == []
@@ -85,20 +87,20 @@ def test_a_slow_recreation_is_waited_for() -> None:
     assert stops.due(1000.0) == []
 
 
-def test_a_stop_whose_beginning_was_not_seen_is_a_stop() -> None:
+def test_a_stop_with_a_missed_beginning_is_a_manual_stop() -> None:
     """PHM was started during `docker stop -t 60`: only a stop by the engine ends with `stop`."""
     assert verdicts(DIE, STOP) == verdicts(STOP) == [StopVerdict.STOPPED]
 
 
-def test_a_stop_may_take_its_time() -> None:
+def test_a_slow_stop_is_a_manual_stop() -> None:
     """`docker stop -t 900`."""
     stops = ManualStopDetector()
     stops.event("app", *TERM, 0.0, own=False)
     assert stops.due(890.0) == [] and stops.undecided() == {"app"}
 
 
-def test_a_container_is_left_alone_until_the_verdict() -> None:
-    """Once it has ended, and from the making of a replacement on; a signal alone keeps nobody away."""
+def test_a_container_is_left_alone_until_the_decision() -> None:
+    """Once it has ended, and from the creation of a replacement on; a signal alone does not prevent actions."""
     stops = ManualStopDetector()
     stops.event("app", *TERM, 0.0, own=False)
     assert stops.undecided_until("app", 0.0) is None
@@ -108,7 +110,7 @@ def test_a_container_is_left_alone_until_the_verdict() -> None:
     assert stops.undecided_until("cam", 1.0) == 15.0 and stops.undecided_until("cam", 15.0) is None
 
 
-def test_a_kill_is_published_soon() -> None:
+def test_a_kill_is_published_quickly() -> None:
     """`docker kill` looks like `docker rm -f` for half a second only."""
     stops = ManualStopDetector()
     stops.event("app", *KILL, 0.0, own=False)
@@ -116,8 +118,8 @@ def test_a_kill_is_published_soon() -> None:
     assert stops.next_due() == 1.0 + REMOVED_S
 
 
-def test_an_end_whose_signal_may_have_been_missed_is_published_and_waited_on() -> None:
-    """The event stream was interrupted: a `stop` makes it a stop by hand, and without one it was a crash."""
+def test_an_end_with_a_possibly_missed_signal_is_published_and_recovery_waits() -> None:
+    """The event stream was interrupted: a `stop` makes it a manual stop, and without one it was a crash."""
     for then, verdict in ((STOP, StopVerdict.STOPPED), (None, StopVerdict.CRASHED)):
         stops = ManualStopDetector()
         stops.event("app", *DIE, 0.0, own=False, missed=True)

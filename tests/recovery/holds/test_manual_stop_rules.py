@@ -13,7 +13,7 @@ from phm.recovery.safety.armed_state import ArmedState as ArmedState
 from tests.recovery.holds.scene import STOP, Scene, stopped
 
 
-def test_on_the_ground_a_stop_is_respected_for_a_while(scene: Scene) -> None:
+def test_a_stop_is_respected_for_a_while_on_the_ground(scene: Scene) -> None:
     """No alarm, a hold with an end, and then a fault like any other."""
     stopped(scene)
     scene.agent.rest(10)
@@ -23,8 +23,8 @@ def test_on_the_ground_a_stop_is_respected_for_a_while(scene: Scene) -> None:
     assert scene.agent.opened() == ["container/app"] and scene.agent.runs != []
 
 
-def test_a_start_ends_the_hold_of_a_stop_and_no_other(scene: Scene) -> None:
-    """What an operator put on hold stays so until its end."""
+def test_a_start_ends_only_the_hold_of_a_stop(scene: Scene) -> None:
+    """An operator's own hold stays until its end."""
     scene.hold("cam", 600.0)
     stopped(scene)
     scene.agent.rest(10)
@@ -37,8 +37,8 @@ def test_a_start_ends_the_hold_of_a_stop_and_no_other(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("by", ["start", "recreate"])
-def test_what_was_started_without_an_event_is_not_on_hold(scenes: Any, by: str) -> None:
-    """Before a stop is judged, the engine is asked whether the container is there; events are lost."""
+def test_a_container_started_without_an_event_is_not_on_hold(scenes: Any, by: str) -> None:
+    """Before a stop is judged, the engine is asked whether the container exists, because events can be lost."""
     scene = scenes(on_manual_stop="respect")
     stopped(scene)
     getattr(scene.containers, by)("app")
@@ -47,8 +47,8 @@ def test_what_was_started_without_an_event_is_not_on_hold(scenes: Any, by: str) 
     assert scene.changes() == [] and scene.level() is Level.OK
 
 
-def test_a_copy_that_was_never_started_is_a_fault_when_the_old_one_is_removed(scenes: Any) -> None:
-    """The name is there, under another id: nobody has removed the container by hand."""
+def test_a_replacement_that_was_never_started_is_a_fault(scenes: Any) -> None:
+    """The name exists, with another id: the container was not removed manually."""
     scene = scenes(on_manual_stop="respect")
     scene.containers.recreate("app")
     scene.containers.end("app")
@@ -60,7 +60,7 @@ def test_a_copy_that_was_never_started_is_a_fault_when_the_old_one_is_removed(sc
 
 
 def test_a_hold_ends_with_a_start_whose_event_was_lost(scene: Scene) -> None:
-    """The containers are looked at every half minute."""
+    """The containers are checked every half minute."""
     stopped(scene)
     scene.agent.rest(10)
     scene.containers.start("app")
@@ -70,15 +70,15 @@ def test_a_hold_ends_with_a_start_whose_event_was_lost(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("armed", [ArmedState.ARMED, ArmedState.UNKNOWN])
-def test_in_the_air_a_stop_is_a_failure(scene: Scene, armed: ArmedState) -> None:
-    """Also where nobody knows whether it is in the air."""
+def test_a_stop_in_flight_is_a_failure(scene: Scene, armed: ArmedState) -> None:
+    """Also where the armed state is unknown."""
     scene.armed = armed
     stopped(scene, "cam")
     scene.agent.until(lambda: scene.agent.runs, "the restart")
     assert scene.agent.opened() == ["container/cam"] and scene.service.snapshot() == []
 
 
-def test_one_rule_applies_on_the_ground_and_in_the_air(scenes: Any) -> None:
+def test_a_single_rule_applies_on_the_ground_and_in_flight(scenes: Any) -> None:
     """`on_manual_stop: respect`, e.g. for a bench without an autopilot."""
     scene = scenes(on_manual_stop="respect")
     scene.armed = ArmedState.UNKNOWN
@@ -87,8 +87,8 @@ def test_one_rule_applies_on_the_ground_and_in_the_air(scenes: Any) -> None:
     assert scene.changes() == [("app", True)] and scene.agent.opened() == []
 
 
-def test_what_is_flight_critical_and_armed_is_never_respected_quietly(scenes: Any) -> None:
-    """The alarm is raised even where the rule for the air is to respect."""
+def test_a_stop_of_an_armed_flight_critical_container_always_raises_an_alarm(scenes: Any) -> None:
+    """The alarm is raised even if the rule for flight is to respect stops."""
     scene = scenes(on_manual_stop="respect")
     scene.armed = ArmedState.ARMED
     stopped(scene)
@@ -97,7 +97,7 @@ def test_what_is_flight_critical_and_armed_is_never_respected_quietly(scenes: An
 
 
 def test_advise_raises_the_alarm_and_does_nothing_unless_approved(scenes: Any) -> None:
-    """The advice says that it was stopped by hand."""
+    """The advice states that it was stopped manually."""
     scene = scenes(on_manual_stop="advise")
     stopped(scene, "cam")
     scene.agent.until(lambda: scene.agent.steps("cam") == [Phase.ADVISED], "the advice")
@@ -109,8 +109,8 @@ def test_advise_raises_the_alarm_and_does_nothing_unless_approved(scenes: Any) -
 
 
 @pytest.mark.parametrize("rule", ["respect", "advise"])
-def test_a_stop_is_not_undone_because_a_fault_was_open_before(scenes: Any, rule: str) -> None:
-    """Nothing is done before it is decided whether it was a stop by hand."""
+def test_a_stop_is_not_undone_because_of_an_open_fault(scenes: Any, rule: str) -> None:
+    """No action is taken before it is decided whether it was a manual stop."""
     scene = scenes(on_manual_stop=rule)
     scene.agent.bad = {"container/app": "restarting"}
     scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the fault")
@@ -119,8 +119,8 @@ def test_a_stop_is_not_undone_because_a_fault_was_open_before(scenes: Any, rule:
     assert scene.agent.runs == []
 
 
-def test_a_crash_with_an_open_fault_is_healed_after_the_verdict(scenes: Any) -> None:
-    """`docker kill` of a container that was failing already."""
+def test_a_crash_with_an_open_fault_is_recovered_after_the_decision(scenes: Any) -> None:
+    """`docker kill` of a container that had already failed."""
     scene = scenes(on_manual_stop="respect")
     scene.agent.bad = {"container/app": "restarting"}
     scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the fault")
@@ -130,8 +130,8 @@ def test_a_crash_with_an_open_fault_is_healed_after_the_verdict(scenes: Any) -> 
     scene.agent.until(lambda: scene.agent.runs, "the restart")
 
 
-def test_a_stop_whose_signal_was_missed_is_not_undone(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stream was opened after the `kill`: the alarm comes with the `die`, and the action waits for a `stop`."""
+def test_a_stop_with_a_missed_signal_is_not_undone(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stream was opened after the `kill`: the alarm is raised with the `die`, and the action waits for a `stop`."""
     monkeypatch.setattr("phm.recovery.holds.manual_stop.UNSURE_S", 1.0)
     scene = scenes(on_manual_stop="respect")
     scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
@@ -146,7 +146,7 @@ def test_a_stop_whose_signal_was_missed_is_not_undone(scenes: Any, monkeypatch: 
     assert scene.changes() == [("app", True)] and scene.agent.runs == []
 
 
-def test_a_crash_after_the_stream_was_opened_is_healed(scenes: Any) -> None:
+def test_a_crash_after_the_stream_was_opened_is_recovered(scenes: Any) -> None:
     """No `stop` follows; the alarm does not wait for one."""
     scene = scenes(on_manual_stop="respect")
     scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
@@ -160,8 +160,8 @@ def test_a_crash_after_the_stream_was_opened_is_healed(scenes: Any) -> None:
     assert scene.changes() == []
 
 
-def test_an_end_while_the_stream_is_closed_is_not_acted_on_before_it_is_explained(scenes: Any) -> None:
-    """When it is open again, the engine replays what happened."""
+def test_an_end_during_a_stream_outage_is_not_acted_on_before_its_events_arrive(scenes: Any) -> None:
+    """When it is open again, the engine replays the events."""
     scene = scenes(on_manual_stop="respect")
     scene.stream = EventStreamFact(False, scene.clock.mono(), 0.0)
     scene.containers.end("app")
@@ -174,8 +174,8 @@ def test_an_end_while_the_stream_is_closed_is_not_acted_on_before_it_is_explaine
 
 
 @pytest.mark.parametrize(("condition", "waits"), [("exited", True), ("broken", False)])
-def test_a_stream_that_stays_closed_keeps_nothing_from_being_healed(scenes: Any, condition: str, waits: bool) -> None:
-    """What has ended is acted on CLOSED_S after the stream broke, and what else is wrong is acted on immediately."""
+def test_a_lasting_stream_outage_does_not_prevent_recovery(scenes: Any, condition: str, waits: bool) -> None:
+    """A container that has ended is acted on CLOSED_S after the stream broke; other faults are acted on immediately."""
     scene = scenes(on_manual_stop="respect")
     scene.stream = EventStreamFact(False, scene.clock.mono(), 0.0)
     scene.agent.bad = {"container/app": condition}
@@ -185,8 +185,8 @@ def test_a_stream_that_stays_closed_keeps_nothing_from_being_healed(scenes: Any,
     assert scene.agent.runs[0] == ("app", "container/app")
 
 
-def test_a_dependent_that_an_operator_stopped_is_not_started(scenes: Any) -> None:
-    """Neither before that is decided nor afterwards, until somebody starts it."""
+def test_a_manually_stopped_dependent_is_not_started(scenes: Any) -> None:
+    """Neither before that is decided nor afterwards, until it is started manually."""
     scene = scenes(on_manual_stop="advise")
     holds = scene.holds
     assert holds.why_not_start("cam", scene.clock.stamp()) == ""
@@ -198,8 +198,8 @@ def test_a_dependent_that_an_operator_stopped_is_not_started(scenes: Any) -> Non
     assert holds.why_not_start("cam", scene.clock.stamp()) == ""
 
 
-def test_a_hold_binds_up_to_the_beginning_of_an_action(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between the decision and the action the engine is asked, which takes seconds."""
+def test_a_hold_prevents_an_action_that_has_not_begun(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the decision and the action the engine is queried, which takes seconds."""
 
     def asks(*_words: object) -> str:
         if not scene.service.snapshot():
@@ -213,8 +213,8 @@ def test_a_hold_binds_up_to_the_beginning_of_an_action(scene: Scene, monkeypatch
     assert scene.agent.runs == [] and Phase.STARTED not in scene.agent.steps()
 
 
-def test_while_a_recreation_may_be_under_way_nothing_is_raised(scenes: Any) -> None:
-    """Whatever the rule is; a crash is not waited for."""
+def test_no_alarm_is_raised_during_a_possible_recreation(scenes: Any) -> None:
+    """Whatever the rule is; a crash raises one immediately."""
     scene = scenes(on_manual_stop="heal")
     scene.happen(("replace", ""), *STOP, ("destroy", ""))
     scene.agent.bad = {"container/app": "missing"}

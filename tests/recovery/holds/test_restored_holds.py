@@ -37,10 +37,10 @@ def test_a_hold_survives_a_restart_of_phm(scenes: Any, tmp_path: Path) -> None:
     second.agent.until(lambda: second.agent.opened() == ["container/app"], "the end of the hold")
 
 
-def test_while_on_hold_no_check_is_run_for_the_sake_of_recovery(
+def test_recovery_requests_no_checks_while_on_hold(
     scenes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fault from before a restart of PHM: what is found on hold does not count, and a fresh run is asked for afterwards."""
+    """A fault from before a restart of PHM: results on hold do not count, and a new run is requested afterwards."""
     first = scenes(tmp_path, **PATIENT)
     first.agent.behave = lambda key, context, fault: None
     first.agent.bad = {"container/app": "broken"}
@@ -57,8 +57,10 @@ def test_while_on_hold_no_check_is_run_for_the_sake_of_recovery(
     second.agent.until(lambda: Phase.STARTED in second.agent.steps(), "the next attempt")
 
 
-def test_a_stop_that_is_over_when_phm_starts_holds_nothing(scenes: Any, tmp_path: Path) -> None:
-    """It was started while PHM did not run, so no event says so; where it still is stopped, its hold goes on."""
+def test_a_stop_that_ended_before_phms_start_has_no_hold(scenes: Any, tmp_path: Path) -> None:
+    """The container was started while PHM did not run, so there is no event; if it is still stopped, its hold
+    continues.
+    """
     first = scenes(tmp_path)
     stopped(first, "app")
     stopped(first, "cam")
@@ -70,7 +72,7 @@ def test_a_stop_that_is_over_when_phm_starts_holds_nothing(scenes: Any, tmp_path
     assert [hold["container"] for hold in second.service.snapshot()] == ["cam"]
 
 
-def test_a_stop_that_is_only_advised_about_stays_so_over_a_restart(scenes: Any, tmp_path: Path) -> None:
+def test_an_advised_stop_stays_advised_over_a_restart(scenes: Any, tmp_path: Path) -> None:
     """Until the container is started."""
     first = scenes(tmp_path, on_manual_stop="advise")
     stopped(first, "cam")
@@ -83,7 +85,7 @@ def test_a_stop_that_is_only_advised_about_stays_so_over_a_restart(scenes: Any, 
     assert second.agent.runs == []
 
 
-def test_a_window_that_was_released_stays_so_over_a_restart(scenes: Any, tmp_path: Path) -> None:
+def test_a_released_window_stays_released_over_a_restart(scenes: Any, tmp_path: Path) -> None:
     """An occurrence is one hold, also for the next PHM."""
     windows = [{"when": "02:00-02:10", "container": "cam"}]
     first = scenes(tmp_path, maintenance=windows)
@@ -97,8 +99,8 @@ def test_a_window_that_was_released_stays_so_over_a_restart(scenes: Any, tmp_pat
     assert second.changes() == [] and second.service.snapshot() == []
 
 
-def test_a_window_that_was_removed_from_the_configuration_ends(scenes: Any, tmp_path: Path) -> None:
-    """The hold that was kept for it ends with it."""
+def test_a_window_removed_from_the_configuration_ends(scenes: Any, tmp_path: Path) -> None:
+    """Its saved hold ends, too."""
     first = scenes(tmp_path, maintenance=[{"when": "02:00-02:10", "container": "cam"}])
     first.clock.jump_utc(1795312860.0 - first.clock.utc())  # 2026-11-22 02:01 UTC
     first.agent.rest(10)
@@ -109,8 +111,8 @@ def test_a_window_that_was_removed_from_the_configuration_ends(scenes: Any, tmp_
 
 
 @pytest.mark.parametrize(("before", "left"), [(True, ["cam"]), (False, [])])
-def test_only_a_take_off_ends_a_respected_stop(scene: Scene, before: bool, left: list[str]) -> None:
-    """A stop that was respected in flight stays so when PHM is started again in flight; one from the ground does not."""
+def test_a_respected_stop_ends_only_on_arming(scene: Scene, before: bool, left: list[str]) -> None:
+    """A stop that was respected in flight stays so when PHM is restarted in flight; one from the ground does not."""
     known = RecoveryState(armed=LastArmedState(before, 0.0))
     scene.agent.executor.restore(PersistedState(recovery=known))
     scene.holds.put(Hold("cam", "stop", scene.clock.mono() + 600.0, "an operator"))
@@ -130,8 +132,8 @@ def test_only_a_take_off_ends_a_respected_stop(scene: Scene, before: bool, left:
     assert [hold["container"] for hold in following.snapshot()] == left
 
 
-def carried(left_s: float, *, boot: str, now: Stamp) -> Hold:
-    """A hold of so many seconds at (utc 1000, mono 500) as it is read back at another moment."""
+def restored_hold(left_s: float, *, boot: str, now: Stamp) -> Hold:
+    """A hold with `left_s` left at (utc 1000, mono 500), as read back at another time."""
     holds = HoldRegistry()
     holds.put(Hold("app", "operator", 500.0 + left_s, BY, "why"))
     state = PersistedState(recovery=RecoveryState(holds=holds.kept(500.0)))
@@ -140,26 +142,26 @@ def carried(left_s: float, *, boot: str, now: Stamp) -> Hold:
 
 
 @pytest.mark.parametrize("utc", [0.0, 1000.0, 1e9])
-def test_on_the_same_boot_the_end_is_what_it_was(utc: float) -> None:
-    """Whatever the clock of the day says."""
-    assert carried(90.0, boot="boot", now=Stamp(utc, 530.0)).until == 590.0
+def test_the_end_is_unchanged_on_the_same_boot(utc: float) -> None:
+    """Whatever the wall clock shows."""
+    assert restored_hold(90.0, boot="boot", now=Stamp(utc, 530.0)).until == 590.0
 
 
 @pytest.mark.parametrize("utc", [0.0, 1000.0, 1e9])
-def test_after_a_reboot_what_was_left_counts(utc: float) -> None:
+def test_the_remaining_time_counts_after_a_reboot(utc: float) -> None:
     """At most half a minute more, and never less because a clock was wrong."""
-    assert carried(80.0, boot="other", now=Stamp(utc, 5.0)).until == 95.0
+    assert restored_hold(80.0, boot="other", now=Stamp(utc, 5.0)).until == 95.0
 
 
-def test_what_is_left_is_written_every_half_minute() -> None:
-    """So that reboots cannot extend a hold permanently, and a disk is not written to at each look."""
+def test_the_remaining_time_is_written_every_half_minute() -> None:
+    """So that reboots cannot extend a hold permanently, and not every check writes to the disk."""
     holds = HoldRegistry()
     holds.put(Hold("app", "operator", 600.0, BY))
     assert holds.kept(0.0) == holds.kept(29.0) != holds.kept(31.0)
 
 
 @pytest.mark.parametrize("body", [{"left_s": "x"}, {"left_s": 1e300}, {"until_mono": None}, {"target": 5}])
-def test_a_damaged_hold_extends_nothing(body: dict[str, Any]) -> None:
+def test_a_damaged_hold_does_not_last_longer(body: dict[str, Any]) -> None:
     """It makes the file invalid, or lasts a day at most."""
     good = {
         "target": "app",
@@ -178,7 +180,7 @@ def test_a_damaged_hold_extends_nothing(body: dict[str, Any]) -> None:
 
 
 def test_a_signal_that_does_not_end_the_container_is_not_a_stop(tmp_path: Path) -> None:
-    """`docker kill -s HUP` has it read its configuration; SIGTERM may be the beginning of a stop."""
+    """`docker kill -s HUP` makes it reload its configuration; SIGTERM may begin a stop."""
     made = settings(containers=[{"name": "app"}], state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"))
     daemon = Daemon(made)
     for number, end_s, undecided in (("1", 0.0, frozenset()), ("15", 121.0, frozenset({"app"}))):

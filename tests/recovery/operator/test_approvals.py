@@ -29,8 +29,8 @@ THEN = Situation("restart", ArmedState.ARMED, "app@1")
         (1.0, replace(THEN, action="reconnect"), "the next step is reconnect now"),
     ],
 )
-def test_an_approval_holds_in_its_situation_alone(now: float, situation: Situation, words: str) -> None:
-    """Armed state, container generation and action are what the operator had in view; and it is short-lived."""
+def test_an_approval_is_valid_only_in_its_situation(now: float, situation: Situation, words: str) -> None:
+    """Armed state, container generation and action are what the operator saw; and it expires soon."""
     void = Approval(THEN, 0.0, 60.0).void(now, situation)
     assert words in void
     assert bool(void) is bool(words)
@@ -45,7 +45,7 @@ def agents() -> Iterator[list[Agent]]:
 
 
 def broken(agents: list[Agent], folder: Path | None = None, **recovery: object) -> Agent:
-    """An agent whose container is broken and stays so, whatever is done."""
+    """An agent whose container is broken and stays broken after any action."""
     made = Agent({"container/app": Of("app")}, Containers("app"), FakeClock(), folder=folder, **recovery)  # type: ignore[arg-type]
     agents.append(made)
     made.bad["container/app"] = "broken"
@@ -68,15 +68,15 @@ def advised(agents: list[Agent], folder: Path | None = None, **recovery: object)
     return made, fault
 
 
-def hold_back(made: Agent) -> None:
-    """Another repair has the container in hand, so that nothing can be done yet."""
+def lock_target(made: Agent) -> None:
+    """Let another recovery lock the container, so that no action can begin yet."""
     assert made.locks.acquire("app", made)
 
 
-def test_given_on_the_ground_it_is_void_in_the_air(agents: list[Agent]) -> None:
-    """It is not executed; the operator is informed, and what is advised is advised again."""
+def test_an_approval_given_on_the_ground_is_void_in_flight(agents: list[Agent]) -> None:
+    """It is not executed; the operator is informed, and the action is advised again."""
     made, fault = advised(agents)
-    hold_back(made)
+    lock_target(made)
     made.executor.approve(fault)
     made.rest(1.0)
     made.armed = True
@@ -88,10 +88,10 @@ def test_given_on_the_ground_it_is_void_in_the_air(agents: list[Agent]) -> None:
     assert made.steps().count(Phase.ADVISED) == 2
 
 
-def test_it_expires_with_a_message(agents: list[Agent]) -> None:
-    """What was not possible within `recovery.approval` is not done later."""
+def test_an_approval_expires_with_a_message(agents: list[Agent]) -> None:
+    """An action that was not possible within `recovery.approval` is not done later."""
     made, fault = advised(agents, approval=20)
-    hold_back(made)
+    lock_target(made)
     made.executor.approve(fault)
     made.rest(19.0)
     assert expired(made) == []
@@ -102,10 +102,10 @@ def test_it_expires_with_a_message(agents: list[Agent]) -> None:
     assert made.runs == []
 
 
-def test_another_generation_of_the_container_voids_it(agents: list[Agent]) -> None:
-    """Somebody else has started it meanwhile: what was approved may not be needed any more."""
+def test_another_generation_of_the_container_voids_an_approval(agents: list[Agent]) -> None:
+    """It was started externally meanwhile: the approved action may no longer be needed."""
     made, fault = advised(agents)
-    hold_back(made)
+    lock_target(made)
     made.executor.approve(fault)
     made.rest(1.0)
     made.containers.start("app")
@@ -114,7 +114,9 @@ def test_another_generation_of_the_container_voids_it(agents: list[Agent]) -> No
 
 
 def test_an_approval_expires_while_the_budget_is_used_up(agents: list[Agent]) -> None:
-    """What cannot be done within its lifetime is refused at once, with the reason; nothing is executed minutes later."""
+    """An action that is not possible within its lifetime is denied immediately, with the reason; nothing is executed
+    minutes later.
+    """
     made, fault = advised(agents, budget=1, same_failure=5)
     made.executor.approve(fault)
     made.until(lambda: len(made.runs) == 1 and Phase.FAILED in made.steps(), "the first attempt")
@@ -125,8 +127,8 @@ def test_an_approval_expires_while_the_budget_is_used_up(agents: list[Agent]) ->
     assert len(made.runs) == 1
 
 
-def test_it_holds_for_what_is_done_at_once(agents: list[Agent]) -> None:
-    """In the situation in which it was given the action is done, also in the air."""
+def test_an_approval_is_valid_for_an_immediate_action(agents: list[Agent]) -> None:
+    """In the situation in which it was given the action is done, also in flight."""
     made, fault = advised(agents, critical=("app",))
     made.armed = True
     made.rest(1.0)
@@ -134,10 +136,10 @@ def test_it_holds_for_what_is_done_at_once(agents: list[Agent]) -> None:
     made.until(lambda: made.runs == [("app", "container/app")], "the restart")
 
 
-def test_a_restart_of_phm_ends_it_with_a_message(agents: list[Agent], tmp_path: Path) -> None:
-    """It does not survive, and that is not silent."""
+def test_a_restart_of_phm_ends_an_approval_with_a_message(agents: list[Agent], tmp_path: Path) -> None:
+    """It does not survive, and this is reported."""
     made, fault = advised(agents, tmp_path)
-    hold_back(made)
+    lock_target(made)
     made.executor.approve(fault)
     made.rest(2.0)
     made.stop()
@@ -152,8 +154,8 @@ def test_a_restart_of_phm_ends_it_with_a_message(agents: list[Agent], tmp_path: 
     assert ["PHM has been restarted" in words for words in expired(second)] == [True]
 
 
-def test_a_restart_that_was_asked_for_expires_too(agents: list[Agent]) -> None:
-    """Asked for on the ground while another repair was at work, it is not done in the air minutes later."""
+def test_a_requested_restart_expires_too(agents: list[Agent]) -> None:
+    """Requested on the ground while another recovery was running, it is not done in flight minutes later."""
     made = Agent({"container/app": Of("app")}, Containers("app"), FakeClock())
     agents.append(made)
     made.step()

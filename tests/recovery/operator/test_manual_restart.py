@@ -1,4 +1,4 @@
-"""A restart that an operator asks for: carried out like any other, and bound by the same rules."""
+"""A restart that an operator requests: executed like any other, and restricted by the same rules."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def phases(made: Agent) -> list[Phase]:
 
 
 def test_a_requested_restart_is_verified_and_opens_no_fault(agents: list[Agent]) -> None:
-    """The whole way: started, done, verified; it counts in the budget."""
+    """All steps: started, done, verified; it counts in the budget."""
     made = agent(agents)
     assert made.executor.restart("app", "255/190") == "restart app, requested by 255/190"
     made.rest(5.0)
@@ -46,7 +46,7 @@ def test_a_requested_restart_is_verified_and_opens_no_fault(agents: list[Agent])
 
 
 def test_a_container_that_has_not_opted_in_is_left_alone(agents: list[Agent]) -> None:
-    """Nobody's asking makes up for `recover: true`."""
+    """A request does not replace `recover: true`."""
     made = agent(agents, opted_in=())
     with pytest.raises(NotAllowed, match="has not opted in"):
         made.executor.restart("app", "255/190")
@@ -55,7 +55,7 @@ def test_a_container_that_has_not_opted_in_is_left_alone(agents: list[Agent]) ->
 
 
 def test_recovery_that_is_off_stays_off(agents: list[Agent]) -> None:
-    """Mode `off` means that PHM touches nothing; `advise` leaves it to the operator, who has decided."""
+    """Mode `off` means that PHM changes nothing; `advise` leaves the decision to the operator, who has made it."""
     off, advise = agent(agents, mode="off"), agent(agents, mode="advise")
     with pytest.raises(NotAllowed, match="recovery is off"):
         off.executor.restart("app", "255/190")
@@ -64,8 +64,8 @@ def test_recovery_that_is_off_stays_off(agents: list[Agent]) -> None:
     assert (off.runs, advise.runs) == ([], [("app", "container/app")])
 
 
-def test_the_budget_holds(agents: list[Agent]) -> None:
-    """What is used up is used up, and the answer says for how long."""
+def test_the_budget_applies_to_requested_restarts(agents: list[Agent]) -> None:
+    """The answer states for how long it is used up."""
     made = agent(agents, budget=2)
     for _ in range(2):
         made.executor.restart("app", "255/190")
@@ -76,8 +76,8 @@ def test_the_budget_holds(agents: list[Agent]) -> None:
     assert len(made.runs) == 2
 
 
-def test_a_flight_critical_container_is_left_alone_in_the_air(agents: list[Agent]) -> None:
-    """Also when the autopilot is armed between the question and the deed."""
+def test_a_flight_critical_container_is_left_alone_in_flight(agents: list[Agent]) -> None:
+    """Also when the autopilot is armed between the request and the action."""
     made = agent(agents, critical=("app",))
     made.armed = True
     with pytest.raises(NotNow, match="flight-critical"):
@@ -89,31 +89,31 @@ def test_a_flight_critical_container_is_left_alone_in_the_air(agents: list[Agent
     assert made.runs == [("app", "container/app")]
 
 
-def test_one_restart_at_a_time(agents: list[Agent]) -> None:
-    """While one is under way another is for later."""
+def test_a_second_restart_is_denied_while_one_is_running(agents: list[Agent]) -> None:
+    """It can be requested again later."""
     made = agent(agents)
     made.executor.restart("app", "255/190")
     with pytest.raises(NotNow, match="is under way"):
         made.executor.restart("app", "255/190")
 
 
-def test_a_container_that_is_not_configured_cannot_be_named(agents: list[Agent]) -> None:
-    """And no thread is made for it."""
+def test_a_container_that_is_not_configured_is_rejected(agents: list[Agent]) -> None:
+    """And no thread is created for it."""
     made = agent(agents)
     with pytest.raises(NotAllowed, match="no container 'other'"):
         made.executor.restart("other", "255/190")
     assert "other" not in made.executor._workers
 
 
-def test_a_restart_that_does_not_help_becomes_a_fault_of_the_container(agents: list[Agent]) -> None:
-    """It ends and stays so: reported as failed, and then healed by its own ladder."""
+def test_an_ineffective_restart_becomes_a_fault_of_the_container(agents: list[Agent]) -> None:
+    """It ends and stays down: reported as failed, and then recovered by its own ladder."""
     made = agent(agents)
 
     def behave(key: str, context: object, fault: object) -> None:
         made.bad.clear()
         if len(made.runs) == 1:
             made.bad["container/app"] = "broken"
-        made.pause(lambda: True)  # what was found before the action ended proves nothing
+        made.pause(lambda: True)  # results from before the end of the action prove nothing
 
     made.behave = behave
     made.executor.restart("app", "255/190")
@@ -123,8 +123,8 @@ def test_a_restart_that_does_not_help_becomes_a_fault_of_the_container(agents: l
     assert len(made.runs) == 2
 
 
-def test_a_restart_that_waits_for_a_network_says_so_once_and_ends(agents: list[Agent]) -> None:
-    """It waits for as long as an approval holds, `recovery.approval`."""
+def test_a_restart_that_waits_for_a_network_is_reported_once_and_expires(agents: list[Agent]) -> None:
+    """It waits for the lifetime of an approval, `recovery.approval`."""
     made = agent(agents, approval="30s")
     made.missing = "there is no network swarm"
     made.executor.restart("app", "255/190")
@@ -138,7 +138,7 @@ def test_a_restart_that_waits_for_a_network_says_so_once_and_ends(agents: list[A
     assert made.runs == []
 
 
-def test_a_restart_that_waits_for_a_network_is_done_when_it_is_there(agents: list[Agent]) -> None:
+def test_a_restart_that_waits_for_a_network_is_done_when_it_exists(agents: list[Agent]) -> None:
     """Faults of the container are handled meanwhile."""
     made = agent(agents)
     made.missing = "there is no network swarm"

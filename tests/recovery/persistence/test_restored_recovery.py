@@ -1,4 +1,4 @@
-"""A new PHM takes up what an earlier one left: tracker, executor and keeper together, on a fake clock."""
+"""A new PHM resumes with the saved state: tracker, executor and persistence together, on a fake clock."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ APP = "health/app"
 
 
 class Life:
-    """One life of PHM around one container; the next life gets the same folder and the same clock."""
+    """One life of PHM around one container; the next life gets the same directory and clock."""
 
     def __init__(self, folder: Path, clock: testing.FakeClock, *, units: tuple[str, ...] = (APP,), **more: Any) -> None:
-        self.clock, self.well = clock, False
+        self.clock, self.healthy = clock, False
         self.events: list[Event] = []
         self.runs: list[str] = []
         self.behave: Callable[[str], None] = lambda name: None
@@ -75,10 +75,10 @@ class Life:
     def look(self) -> None:
         bad = error("unhealthy", brief="unhealthy", condition="unhealthy", target="app")
         for unit in self.units:
-            self.pipeline.observe({unit: ok("healthy") if self.well else bad}, self.clock.mono(), 0.0)
+            self.pipeline.observe({unit: ok("healthy") if self.healthy else bad}, self.clock.mono(), 0.0)
 
     def until(self, condition: Callable[[], bool]) -> None:
-        """Let fake time run, with the unit looked at all along, until something is seen."""
+        """Let fake time pass, with regular checks of the unit, until `condition` is true."""
         until(condition, "recovery", lambda: self.events, step=self._step)
 
     def _step(self) -> None:
@@ -87,7 +87,7 @@ class Life:
         time.sleep(0.001)
 
     def die(self) -> None:
-        """SIGKILL, as far as a thread can: nothing more is kept."""
+        """SIGKILL, as far as a thread can simulate it: nothing more is saved."""
         self.memory.close()
         self.executor.stop()
 
@@ -98,7 +98,7 @@ class Life:
         return [event.phase for event in self.of(ActionEvent)]
 
     def rest(self) -> None:
-        """A long time passes, with the unit looked at."""
+        """A long time passes, with regular checks of the unit."""
         for _ in range(100):
             self.clock.advance(1.0)
             self.look()
@@ -126,8 +126,8 @@ def advised(life: Life) -> Fault:
     return fault
 
 
-def test_an_open_fault_is_taken_up_without_a_second_alarm(lives: Callable[..., Life]) -> None:
-    """Same id, ERROR at once and said to be restored; nothing is opened, reported or advised again; it closes once."""
+def test_an_open_fault_is_restored_without_a_second_alarm(lives: Callable[..., Life]) -> None:
+    """Same id, ERROR immediately and marked as restored; nothing is opened, reported or advised again; it closes once."""
     fault = advised(lives(mode="advise"))
     second = lives(mode="advise")
     state = second.pipeline.states()[0]
@@ -136,21 +136,21 @@ def test_an_open_fault_is_taken_up_without_a_second_alarm(lives: Callable[..., L
     second.rest()
     assert second.pipeline.states()[0].result.summary == "unhealthy"
     assert second.of(FaultOpened) == second.of(Transition) == second.phases() == []
-    second.well = True
+    second.healthy = True
     second.until(lambda: bool(second.of(FaultClosed)))
     assert [event.fault.id for event in second.of(FaultClosed)] == [fault.id]
 
 
-def test_new_faults_get_ids_of_their_own(lives: Callable[..., Life]) -> None:
-    """Both lives count from one with the same prefix: what is restored is stepped over."""
+def test_new_faults_get_unused_ids(lives: Callable[..., Life]) -> None:
+    """Both lives count from one with the same prefix: restored numbers are skipped."""
     fault = advised(lives(mode="advise"))
     second = lives(mode="advise", units=(APP, "health/other"))
     second.until(lambda: bool(second.of(FaultOpened)))
     assert second.of(FaultOpened)[0].fault.id not in ("", fault.id)
 
 
-def test_attempts_count_over_a_restart_and_what_was_given_up_stays_so(lives: Callable[..., Life]) -> None:
-    """One attempt in each life makes two; a third life neither acts nor reports until the unit has been well."""
+def test_attempts_and_giving_up_survive_a_restart(lives: Callable[..., Life]) -> None:
+    """One attempt in each life makes two; a third life neither acts nor reports until the unit was OK."""
     first = lives(backoff=20)
     first.until(lambda: Phase.FAILED in first.phases())
     first.die()
@@ -162,34 +162,34 @@ def test_attempts_count_over_a_restart_and_what_was_given_up_stays_so(lives: Cal
     third.rest()
     assert third.runs == third.of(FaultOpened) == third.phases() == []
     assert third.pipeline.states()[0].level is Level.ERROR
-    third.well = True
+    third.healthy = True
     third.until(lambda: third.pipeline.states()[0].level is Level.OK)
     assert third.pipeline.given_up() == ()
 
 
-def test_an_action_that_was_cut_short_is_an_attempt_and_taken_up_again(lives: Callable[..., Life]) -> None:
-    """The state says that it had started: noted, counted, and done again once the fault is seen to last."""
+def test_an_interrupted_action_is_an_attempt_and_repeated(lives: Callable[..., Life]) -> None:
+    """The state says that it had started: reported, counted, and repeated once the fault is seen to last."""
     first, stuck = lives(same_failure=5), threading.Event()
     first.behave = lambda name: cast(None, stuck.wait(30))
     first.until(lambda: bool(first.runs))
     first.die()
     second = lives(same_failure=5)
     stuck.set()
-    second.behave = lambda name: setattr(second, "well", True)
+    second.behave = lambda name: setattr(second, "healthy", True)
     second.until(lambda: Phase.VERIFIED in second.phases())
     assert any("interrupted" in event.text for event in second.of(Note))
     assert second.of(FaultOpened) == []
     assert [made.worked for made in second.executor.persisted().attempts["app"]] == [False, True]
 
 
-def test_what_healed_meanwhile_is_not_acted_on(lives: Callable[..., Life]) -> None:
-    """The first fresh result decides: the cut-short action worked after all, and gets the credit."""
+def test_a_unit_that_recovered_meanwhile_is_not_acted_on(lives: Callable[..., Life]) -> None:
+    """The first new result decides: the interrupted action did work, and gets the credit."""
     first, stuck = lives(), threading.Event()
     first.behave = lambda name: cast(None, stuck.wait(30))
     first.until(lambda: bool(first.runs))
     first.die()
     second = lives()
-    second.well = True
+    second.healthy = True
     second.until(lambda: bool(second.of(FaultClosed)))
     stuck.set()
     second.rest()
@@ -197,7 +197,7 @@ def test_what_healed_meanwhile_is_not_acted_on(lives: Callable[..., Life]) -> No
     assert second.of(FaultClosed)[0].fault.by == "restart"
 
 
-def test_a_unit_that_is_no_longer_configured_drops_its_fault(lives: Callable[..., Life]) -> None:
+def test_the_fault_of_a_removed_unit_is_closed(lives: Callable[..., Life]) -> None:
     """Reported once, as resolved by the configuration."""
     fault = advised(lives(mode="advise"))
     second = lives(mode="advise", units=("health/other",))
@@ -206,21 +206,21 @@ def test_a_unit_that_is_no_longer_configured_drops_its_fault(lives: Callable[...
     assert (closed.id, closed.outcome.value, closed.by) == (fault.id, "resolved", "configuration")
 
 
-def test_a_folder_that_cannot_be_written_is_a_problem_and_nothing_else(tmp_path: Path) -> None:
-    """Healing goes on; `phm status` says what does not work."""
+def test_an_unwritable_directory_is_only_a_problem(tmp_path: Path) -> None:
+    """Recovery continues; `phm status` reports the problem."""
     blocked = tmp_path / "file"
     blocked.write_text("")
     life = Life(blocked, testing.FakeClock())
-    life.behave = lambda name: setattr(life, "well", True)
+    life.behave = lambda name: setattr(life, "healthy", True)
     life.until(lambda: Phase.VERIFIED in life.phases() and bool(life.memory.problem()))
     assert "cannot write" in life.memory.problem()
     life.die()
 
 
-# ---------------------------------------------------------------- the operator's yes
+# ---------------------------------------------------------------- approval
 
 
-def test_an_approval_holds_for_one_action(lives: Callable[..., Life]) -> None:
+def test_an_approval_is_valid_for_one_action(lives: Callable[..., Life]) -> None:
     """Approved, done once although recovery only advises, and advised again when it did not help."""
     life = lives(mode="advise", same_failure=5)
     life.until(lambda: Phase.ADVISED in life.phases())
@@ -232,8 +232,8 @@ def test_an_approval_holds_for_one_action(lives: Callable[..., Life]) -> None:
     assert life.phases() == expected
 
 
-def test_there_must_be_something_to_approve(lives: Callable[..., Life]) -> None:
-    """No such fault: the open ones are named; a fault that is being healed needs no yes."""
+def test_an_approval_without_an_advised_action_is_denied(lives: Callable[..., Life]) -> None:
+    """No such fault: the open ones are named; a fault that is being recovered needs no approval."""
     life = lives(backoff=50, backoff_max=60, same_failure=5)
     with pytest.raises(NotApprovable, match="no open fault F9; open: none"):
         life.executor.approve("F9")

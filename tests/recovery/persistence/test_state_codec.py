@@ -1,4 +1,4 @@
-"""What survives PHM: written whole or not at all, believed only when sound, with its times on the clocks of now."""
+"""The saved state of PHM: written completely or not at all, accepted only when valid, with times on the current clocks."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def through_json(state: PersistedState, now: Stamp) -> Any:
     return json.loads(json.dumps(encode(state, BOOT, now)))
 
 
-def test_on_the_same_boot_everything_comes_back_as_it_was() -> None:
-    """The monotonic clock goes on, so no time changes."""
+def test_the_state_is_restored_unchanged_on_the_same_boot() -> None:
+    """The monotonic clock continues, so no time changes."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
     assert decode(document, BOOT, Stamp(5.0, 130.0), WINDOW_S) == FULL
 
@@ -77,7 +77,7 @@ def test_on_another_boot_times_are_converted_through_utc() -> None:
     """An attempt 5 s before the writing is 65 s old a minute later, whatever the new monotonic clock shows."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
     state = decode(document, OTHER, Stamp(1070.0, 20.0), WINDOW_S)
-    assert state.clock == ()  # how the clock was set on another boot says nothing of this one
+    assert state.clock == ()  # how the clock was set on another boot does not matter on this one
     assert state.recovery.attempts["app"][-1].at == pytest.approx(20.0 - 65.0)
     life = state.recovery.generations["app"]
     assert [life.since, life.made] == pytest.approx([20.0 - 63.0, 20.0 - 68.0])
@@ -94,13 +94,13 @@ def test_a_clock_that_was_set_gives_no_impossible_age(boot: str, utc: float, age
     assert state.recovery.attempts["app"][0].at == pytest.approx(20.0 - age_s)
 
 
-def test_a_moment_from_the_future_is_now() -> None:
-    """Also on the same boot: a file may be older or newer than its clock says, never ahead of it."""
+def test_a_future_time_becomes_the_present() -> None:
+    """Also on the same boot: a file may be older than its time says, but never from the future."""
     assert convert_time(Stamp(0.0, 500.0), Stamp(0.0, 100.0), same_boot=True, most_s=60.0).mono == 100.0
 
 
-def test_everything_is_capped() -> None:
-    """Many faults, targets, attempts and long texts stay far below what is read back."""
+def test_the_size_of_the_state_is_limited() -> None:
+    """Many faults, targets, attempts and long texts stay far below the reader's limit."""
     long = Result(Level.ERROR, "x" * 100_000, "y" * 100_000, "c", "app")
     faults = tuple(Fault(f"f{n}", f"u{n}", Slot.HOST, Layer.COMPANION, long, Stamp(0, 0)) for n in range(1000))
     attempts = {f"t{n}": tuple(attempt(float(m)) for m in range(300)) for n in range(300)}
@@ -137,18 +137,20 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
         lambda document: {key: value for key, value in document.items() if key != "boot"},
     ],
 )
-def test_an_invalid_document_is_refused(change: Callable[[dict[str, Any]], Any]) -> None:
-    """A wrong version or a wrong part anywhere makes the document invalid; nothing else is raised."""
+def test_an_invalid_document_is_rejected(change: Callable[[dict[str, Any]], Any]) -> None:
+    """A wrong version or a wrong value anywhere makes the document invalid; no other exception is raised."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
     with pytest.raises(InvalidState):
         decode(change(document), BOOT, Stamp(1010.0, 100.0), WINDOW_S)
 
 
-# ---------------------------------------------------------------- on the disk
+# ---------------------------------------------------------------- on disk
 
 
-def test_it_is_written_whole_for_phm_alone_and_read_back(tmp_path: Path) -> None:
-    """The folder is made, the file is 0600, no temporary file stays, and a leftover of a power cut is no obstacle."""
+def test_the_state_file_is_private_and_complete(tmp_path: Path) -> None:
+    """The directory is created, the file is 0600, no temporary file remains, and a leftover of a power cut does not
+    matter.
+    """
     file = StateFile(str(tmp_path / "a" / "b"), testing.FakeClock(), BOOT)
     assert file.load(WINDOW_S) == (PersistedState(), "")
     file.save(PersistedState())
@@ -161,8 +163,8 @@ def test_it_is_written_whole_for_phm_alone_and_read_back(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00" * 512, b'{"v": 1, "fau', b"[" * 100_000, b" " * (MAX_BYTES + 1), b"{}"])
-def test_a_broken_file_is_set_aside_with_a_warning(tmp_path: Path, data: bytes) -> None:
-    """PHM starts with nothing, says so, and keeps the file for inspection."""
+def test_an_invalid_file_is_renamed_with_a_warning(tmp_path: Path, data: bytes) -> None:
+    """PHM starts with an empty state, reports it, and keeps the file for inspection."""
     file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)
     file.path.write_bytes(data)
     state, warning = file.load(WINDOW_S)
@@ -172,8 +174,8 @@ def test_a_broken_file_is_set_aside_with_a_warning(tmp_path: Path, data: bytes) 
     assert next(tmp_path.glob("state.json.corrupt-*")).read_bytes() == data
 
 
-def test_few_broken_files_are_kept(tmp_path: Path) -> None:
-    """The newest three: a disk that spoils files must not be filled with them."""
+def test_three_invalid_files_are_kept(tmp_path: Path) -> None:
+    """The newest three: a disk that corrupts files must not be filled with them."""
     clock = testing.FakeClock()
     file = StateFile(str(tmp_path), clock, BOOT)
     for number in range(6):
@@ -184,8 +186,8 @@ def test_few_broken_files_are_kept(tmp_path: Path) -> None:
     assert texts == [f"broken {number}" for number in range(6)][-KEPT_CORRUPT:]
 
 
-def test_an_operators_copy_of_a_broken_file_is_kept(tmp_path: Path) -> None:
-    """Only the names that PHM gives are removed; a directory of such a name does not turn it into a failure."""
+def test_an_operators_copy_of_an_invalid_file_is_kept(tmp_path: Path) -> None:
+    """Only names that PHM creates are removed; a directory of such a name is not an error."""
     clock = testing.FakeClock()
     file = StateFile(str(tmp_path), clock, BOOT)
     (tmp_path / "state.json.corrupt-0-flight-7").write_text("theirs")
@@ -199,8 +201,8 @@ def test_an_operators_copy_of_a_broken_file_is_kept(tmp_path: Path) -> None:
     assert len(kept) == KEPT_CORRUPT
 
 
-def test_an_unreadable_state_is_a_sentence(tmp_path: Path) -> None:
-    """A folder in the file's place: reported, and PHM starts with an empty state."""
+def test_an_unreadable_state_is_reported(tmp_path: Path) -> None:
+    """A directory in place of the file: reported, and PHM starts with an empty state."""
     file = StateFile(str(tmp_path), testing.FakeClock(), BOOT)
     file.path.mkdir()
     state, warning = file.load(WINDOW_S)
@@ -209,10 +211,8 @@ def test_an_unreadable_state_is_a_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("step_s", "known_since"), [(0.0, 500.0), (7200.0, None)])
-def test_how_the_clock_was_set_is_known_over_a_restart(
-    tmp_path: Path, step_s: float, known_since: float | None
-) -> None:
-    """Unless it was set meanwhile: then no PHM has seen how often."""
+def test_clock_adjustments_are_known_over_a_restart(tmp_path: Path, step_s: float, known_since: float | None) -> None:
+    """Unless it was set while no PHM was running: then their number is unknown."""
     clocks = [testing.FakeClock(mono=500.0)]
     for begin in range(2):
         if begin:

@@ -1,4 +1,4 @@
-"""Whether the vehicle counts as armed: only a fresh heartbeat of its own autopilot that says disarmed opens the gate."""
+"""Whether the vehicle counts as armed: only a recent disarmed heartbeat of its own autopilot lifts the restriction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.recovery.simulated_agent import Agent, Containers, Of
 
 TIMEOUT_S = 3.5
 FLEW = LastArmedState(True, 0.0)
-"""Of an earlier run of PHM."""
+"""The state that an earlier run of PHM saved."""
 
 
 def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> AutopilotFact:
@@ -68,15 +68,15 @@ def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> Aut
 def test_only_a_recent_disarmed_lifts_the_restriction(
     given: AutopilotFact | None, last: LastArmedState | None, state: ArmedState, words: str
 ) -> None:
-    """Never received, silent, contradictory, read late, or fresh from a reboot in the air: shut, with the reason."""
+    """Never received, silent, contradictory, read late, or just rebooted in flight: restricted, with the reason."""
     found = assess(given, TIMEOUT_S, last)
     assert found.state is state
     assert found.restricts is (state is not ArmedState.DISARMED)
     assert words in found.why
 
 
-def test_the_last_certain_state_is_remembered_with_its_beginning() -> None:
-    """It changes when the state does, so that it is not written again and again; what is unknown changes nothing."""
+def test_the_last_certain_state_is_saved_with_its_beginning() -> None:
+    """It changes only with the state, so that it is not written repeatedly; an unknown state changes nothing."""
     clock, seen = FakeClock(), [fact(0.1, None)]
     monitor = ArmedMonitor(lambda: seen[0], TIMEOUT_S, clock)
     began = clock.mono()
@@ -89,8 +89,10 @@ def test_the_last_certain_state_is_remembered_with_its_beginning() -> None:
     assert monitor.kept() == LastArmedState(False, clock.mono())
 
 
-def test_a_restart_of_phm_in_flight_opens_nothing(tmp_path: Path) -> None:
-    """What was armed stays armed until the autopilot says disarmed and has not just booted, and the flight-critical container is left alone."""
+def test_a_restart_of_phm_in_flight_lifts_no_restriction(tmp_path: Path) -> None:
+    """An armed vehicle stays armed until the autopilot reports disarmed and has not just booted; the flight-critical
+    container is left alone.
+    """
     clock, containers, heard = FakeClock(), Containers("app"), [fact(0.1, None)]
 
     def life() -> Agent:
@@ -124,7 +126,7 @@ def agents() -> Iterator[list[Agent]]:
         agent.stop()
 
 
-def test_what_would_cut_a_flight_critical_network_is_only_advised(agents: list[Agent]) -> None:
+def test_an_action_that_would_cut_a_flight_critical_network_is_only_advised(agents: list[Agent]) -> None:
     """The container itself is not flight-critical, but another one shares its network; on the ground it is restarted."""
     containers = Containers("app", "pilot")
     owner = containers.facts["app"].id
@@ -134,7 +136,7 @@ def test_what_would_cut_a_flight_critical_network_is_only_advised(agents: list[A
     made.armed = True
     made.bad["container/app"] = "broken"
     made.rest(20.0)
-    made.until(lambda: made.actions() != [], "the advice")  # the bus delivers it in a thread of its own
+    made.until(lambda: made.actions() != [], "the advice")  # the bus delivers it in a separate thread
     assert made.runs == []
     assert "would take down pilot, which is flight-critical" in made.actions()[0].detail
     made.armed = False
@@ -142,7 +144,7 @@ def test_what_would_cut_a_flight_critical_network_is_only_advised(agents: list[A
 
 
 def test_arming_during_an_action_is_not_a_failure_of_the_container(agents: list[Agent]) -> None:
-    """It is refused and advised, and not counted among the failures after which PHM gives up."""
+    """The action is refused and advised, and does not count as a failed attempt."""
     made = Agent({"container/app": Of("app")}, Containers("app"), FakeClock(), critical=("app",))
     agents.append(made)
 
@@ -158,6 +160,6 @@ def test_arming_during_an_action_is_not_a_failure_of_the_container(agents: list[
         made.until(lambda wanted=runs: len(made.runs) == wanted, f"attempt {runs}")  # type: ignore[misc]
         made.until(lambda: made.steps()[-1] in (Phase.REFUSED, Phase.ADVISED), "the refusal")
         made.armed = False
-    made.until(lambda: made.closed(), "the repair on the ground")
+    made.until(lambda: made.closed(), "the recovery on the ground")
     assert Phase.ESCALATED not in made.steps()
     assert made.steps()[:3] == [Phase.STARTED, Phase.REFUSED, Phase.ADVISED]

@@ -1,4 +1,4 @@
-"""In the air on the real engine, with real MAVLink frames: what is flight-critical stays up until a fresh disarmed."""
+"""In flight on the real engine, with real MAVLink frames: flight-critical containers stay up until a recent disarmed."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ NEEDED = "/needed"
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 
 
-class Beats:
+class Heartbeats:
     """Sends an autopilot's heartbeats to one UDP port, four a second, while `says` is not None: armed or not.
 
-    runs_s: the time since boot that it reports, None: none.
+    runs_s: the reported time since boot; None: not reported.
     """
 
     def __init__(self, port: int) -> None:
@@ -55,7 +55,7 @@ class Beats:
 
 
 class Vehicle:
-    """`owner` lacks a file, which a restart would heal; `pilot` shares its network and is flight-critical."""
+    """`owner` lacks a file, which a restart would restore; `pilot` shares its network and is flight-critical."""
 
     def __init__(self, real: Any, folder: Path, engine_access: EngineAccess) -> None:
         self.folder, self._engine_access, self._client = folder, engine_access, real.client
@@ -63,7 +63,7 @@ class Vehicle:
         pilot = real.container(RUN, network_mode=f"container:{owner.id}")
         self.owner, self.pilot = owner, pilot
         self.ports = {name: free_port() for name in ("fc", "ground")}
-        self.beats = {name: Beats(port) for name, port in self.ports.items()}
+        self.heartbeats = {name: Heartbeats(port) for name, port in self.ports.items()}
         self.events: list[Event] = []
         self.daemon: Daemon | None = None
         self._opened = False
@@ -119,7 +119,7 @@ class Vehicle:
         return self.daemon.components.armed.now().why
 
     def passes(self, number: int) -> None:
-        """PHM looks at everything again so many times, longer than any repeated decision takes."""
+        """Wait until PHM has checked everything this many times, longer than any repeated decision takes."""
         assert self.daemon is not None
         daemon = self.daemon
         seen = daemon.pipeline._pass_number
@@ -131,23 +131,25 @@ def vehicle(real: Any, tmp_path: Path, engine_access: EngineAccess) -> Iterator[
     made = Vehicle(real, tmp_path, engine_access)
     yield made
     made.stop()
-    for beats in made.beats.values():
-        beats.close()
+    for heartbeats in made.heartbeats.values():
+        heartbeats.close()
 
 
 def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehicle) -> None:
-    """Armed, silent, a stranger's disarmed by the ground, PHM restarted: nothing; a fresh disarmed: both are restarted."""
+    """Armed, silent, disarmed by a foreign ground station, PHM restarted: nothing; a recent disarmed: both are
+    restarted.
+    """
 
     before = vehicle.started()
-    vehicle.beats["fc"].says = True
+    vehicle.heartbeats["fc"].says = True
     vehicle.start()
     until(lambda: vehicle.gate() == "the autopilot is armed", "the armed heartbeat")
     assert vehicle.owner.exec_run(["rm", NEEDED]).exit_code == 0
     until(lambda: vehicle.advised("would take down pilot, which is flight-critical"), "the advice")
 
-    vehicle.beats["fc"].says = None
+    vehicle.heartbeats["fc"].says = None
     until(lambda: "silent" in vehicle.gate() and "was armed" in vehicle.gate(), "the silence")
-    vehicle.beats["ground"].says = False
+    vehicle.heartbeats["ground"].says = False
     until(
         lambda: any("arrive by ground" in text for text in vehicle.daemon.components.probes.world.links.problems()),
         "the stranger",
@@ -165,22 +167,24 @@ def test_a_flight_critical_network_stays_up_from_arming_to_landing(vehicle: Vehi
     assert vehicle.started() == before
     assert [phase for phase, _ in vehicle.actions() if phase is Phase.STARTED] == []
 
-    vehicle.beats["fc"].runs_s = 3.0
-    vehicle.beats["fc"].says = False
+    vehicle.heartbeats["fc"].runs_s = 3.0
+    vehicle.heartbeats["fc"].says = False
     until(lambda: "may have rebooted in the air" in vehicle.gate(), "the disarmed of an autopilot that has just booted")
     vehicle.passes(3)
     assert vehicle.started() == before
-    vehicle.beats["fc"].runs_s = 600.0
-    until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the repair on the ground")
+    vehicle.heartbeats["fc"].runs_s = 600.0
+    until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the recovery on the ground")
     after = vehicle.started()
     assert before[0] < after[0] < after[1]
     share_network(vehicle)
 
 
-def test_what_an_operator_approves_in_the_air_is_done_whole(vehicle: Vehicle) -> None:
-    """By the control socket, as `phm approve` does it: also the flight-critical dependent that the advice names follows."""
+def test_an_action_approved_in_flight_is_done_completely(vehicle: Vehicle) -> None:
+    """By the control socket, as `phm approve` does: the flight-critical dependent named in the advice is restarted,
+    too.
+    """
     before = vehicle.started()
-    vehicle.beats["fc"].says = True
+    vehicle.heartbeats["fc"].says = True
     vehicle.start()
     until(lambda: vehicle.gate() == "the autopilot is armed", "the armed heartbeat")
     assert vehicle.owner.exec_run(["rm", NEEDED]).exit_code == 0

@@ -1,4 +1,4 @@
-"""What is flight-critical, or takes something flight-critical down, is left alone unless the vehicle is disarmed."""
+"""A container that is flight-critical, or whose action would take down one that is, is left alone unless disarmed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from phm.testing import settings
 from phm.transport.docker import DockerEngine
 
 NOT_ABOUT_A_CONTAINER = {"create_from_image"}
-"""Makes a container that is never started."""
+"""Creates a container that is never started."""
 
 
 class Scene:
@@ -55,7 +55,7 @@ class Scene:
 
 
 class Calls:
-    """Replaces the engine and notes what reached it; `after` runs behind each call."""
+    """Replaces the engine and records the calls that reached it; `after` runs after each call."""
 
     def __init__(self, scene: Scene) -> None:
         self.made: list[str] = []
@@ -105,10 +105,10 @@ def engine(scene: Scene) -> tuple[DockerEngine, Calls]:
         ("camera", Impact.CONTAINER, ""),
     ],
 )
-def test_criticality_is_inherited_from_what_would_go_down(
-    state: ArmedState, target: str, reach: Impact, words: str
-) -> None:
-    """By a shared network namespace and by `after`, also in two steps; what nothing critical depends on is not bound."""
+def test_criticality_is_inherited_from_dependents(state: ArmedState, target: str, reach: Impact, words: str) -> None:
+    """By a shared network namespace and by `after`, also over two steps; a container without critical dependents is not
+    restricted.
+    """
     scene = Scene()
     scene.state = state
     found = scene.flight_critical_guard.forbids(target, reach)
@@ -128,29 +128,29 @@ def test_a_shared_pid_namespace_counts_like_a_shared_network() -> None:
     assert scene.flight_critical_guard.forbids("vpn", Impact.CONTAINER) == ""
 
 
-def test_when_armed_act_lets_the_user_decide_otherwise() -> None:
-    """Some containers are worse down than restarted, and only their owner knows."""
+def test_when_armed_act_permits_actions_on_flight_critical_containers() -> None:
+    """For some containers being down is worse than a restart, which only the user can know."""
     flight_critical_guard = Scene(when_armed="act").flight_critical_guard
     assert [flight_critical_guard.forbids(key, Impact.CONTAINER) for key in ("fc_app", "vpn")] == ["", ""]
 
 
-def test_what_would_go_down_and_is_not_known_is_left_alone() -> None:
-    """An engine that does not say whose network a container shares is no permission."""
+def test_a_container_with_unknown_dependents_is_left_alone() -> None:
+    """An engine that does not report whose network a container shares does not permit the action."""
     scene = Scene()
     scene.unknown.add("fc_app")
     assert "not known (the engine does not answer)" in scene.flight_critical_guard.forbids("vpn", Impact.CONTAINER)
 
 
-def test_an_approval_holds_as_long_as_the_armed_state_at_which_it_was_given() -> None:
-    """Given while armed it opens nothing when the state is not known any more."""
+def test_an_approval_is_valid_only_for_its_armed_state() -> None:
+    """Given while armed it permits nothing when the state is no longer known."""
     scene = Scene()
     assert scene.flight_critical_guard.forbids("fc_app", Impact.CONTAINER, ArmedState.ARMED) == ""
     assert scene.flight_critical_guard.forbids("fc_app", Impact.CONTAINER, ArmedState.UNKNOWN)
     assert scene.flight_critical_guard.forbids("fc_app", Impact.CONTAINER, ArmedState.DISARMED)
 
 
-def test_the_armed_state_is_asked_before_each_call() -> None:
-    """A restart that was decided on the ground is not made when the vehicle has been armed meanwhile."""
+def test_the_armed_state_is_checked_before_each_call() -> None:
+    """A restart that was decided on the ground is not done when the vehicle has been armed meanwhile."""
     scene = Scene()
     scene.state = ArmedState.DISARMED
     ask, calls = engine(scene)
@@ -168,8 +168,8 @@ def test_the_armed_state_is_asked_before_each_call() -> None:
 @pytest.mark.parametrize(
     ("down", "up"), [(("stop",), ("start",)), (("disconnect", "net"), ("connect", "net"))], ids=["stop", "disconnect"]
 )
-def test_what_an_action_has_taken_down_it_may_bring_back(down: tuple[str, ...], up: tuple[str, ...]) -> None:
-    """Armed between the two calls: half done would be worse. Another action may not."""
+def test_an_action_may_restart_what_it_has_taken_down(down: tuple[str, ...], up: tuple[str, ...]) -> None:
+    """Armed between the two calls: an incomplete action would be worse. Another action may not."""
     scene = Scene()
     scene.state = ArmedState.DISARMED
     ask, calls = engine(scene)
@@ -182,8 +182,8 @@ def test_what_an_action_has_taken_down_it_may_bring_back(down: tuple[str, ...], 
         getattr(other, up[0])(*up[1:], "fc_app")
 
 
-def test_every_call_of_the_engine_is_read_only_or_asked_about() -> None:
-    """One that is added later cannot be forgotten: it names its container, or it is on one of two short lists."""
+def test_every_engine_call_is_read_only_or_guarded() -> None:
+    """A call added later cannot be forgotten: it names its container, or it is in one of two short lists."""
     public = {
         name: member
         for name, member in inspect.getmembers(DockerEngine, callable)

@@ -1,4 +1,4 @@
-"""Repairs of several containers at once: no container is ever in two hands, and nothing that PHM does itself is a fault."""
+"""Simultaneous recoveries of several containers: no container has two owners, and PHM's own actions raise no fault."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RULES: dict[str, Any] = {"verify": 30.0, "backoff": 0.1}
 
 
 class Owners(Agent):
-    """`a` and `b` restart `side` after themselves. `within` says who has `side` at the moment, `seen` who had it."""
+    """`a` and `b` restart `side` after themselves. `within` is the present owner of `side`, `seen` all owners."""
 
     def __init__(self, **recovery: Any) -> None:
         containers = Containers("a", "b", "side")
@@ -45,11 +45,11 @@ class Owners(Agent):
         self.within.append(who)
         assert len(self.within) == 1, f"side is locked by {self.within}"
         self.seen.append(who)
-        self.bad["health/side"] = "broken"  # as it is while it is restarted
+        self.bad["health/side"] = "broken"  # its state while it is being restarted
         self.pause(lambda: self.open)
         self.containers.start("side")
         self.bad.pop("health/side", None)
-        self.pause(lambda: True)  # what was found in this step was found before
+        self.pause(lambda: True)  # results of this step are from before the end
         self.within.remove(who)
 
 
@@ -69,8 +69,8 @@ def make(agents: list[Owners], **recovery: Any) -> Owners:
     return agents[-1]
 
 
-def test_two_owners_of_one_dependant_restart_it_one_after_the_other(agents: list[Owners]) -> None:
-    """Both break at once; what `side` looks like meanwhile is no alarm of its own."""
+def test_two_owners_of_one_dependent_restart_it_one_after_the_other(agents: list[Owners]) -> None:
+    """Both break at the same time; the state of `side` meanwhile is not a separate alarm."""
     agent = make(agents)
     agent.bad |= {"health/a": "broken", "health/b": "broken"}
     agent.until(lambda: len(agent.runs) == 2, "both actions")
@@ -83,22 +83,22 @@ def test_two_owners_of_one_dependant_restart_it_one_after_the_other(agents: list
     assert sorted(agent.opened()) == ["health/a", "health/b"]
 
 
-def test_a_container_whose_own_repair_is_at_work_is_waited_for(agents: list[Owners]) -> None:
-    """`side` is being restarted for its own fault when `a` breaks: `a` is restarted at once, `side` after that."""
+def test_a_container_that_is_being_recovered_is_waited_for(agents: list[Owners]) -> None:
+    """`side` is being restarted for its own fault when `a` breaks: `a` is restarted immediately, `side` after that."""
     agent = make(agents)
     agent.bad["health/side"] = "broken"
-    agent.until(lambda: agent.seen == ["side"], "the repair of side")
+    agent.until(lambda: agent.seen == ["side"], "the recovery of side")
     agent.bad["health/a"] = "broken"
     agent.until(lambda: len(agent.runs) == 2, "the action on a")
     agent.rest(2.0)
     assert (agent.within, agent.seen) == (["side"], ["side"])
     agent.open = True
-    agent.until(lambda: agent.steps("a")[-1:] == [Phase.VERIFIED], "the proof of a")
+    agent.until(lambda: agent.steps("a")[-1:] == [Phase.VERIFIED], "the verification of a")
     assert agent.seen == ["side", "a"]
 
 
-def test_its_own_repair_waits_while_another_restarts_it(agents: list[Owners]) -> None:
-    """And is decided again then: what the other's restart has healed needs no attempt."""
+def test_a_containers_own_recovery_waits_while_another_restarts_it(agents: list[Owners]) -> None:
+    """And is decided again afterwards: a fault that the other's restart has resolved needs no attempt."""
     agent = make(agents)
     agent.bad["health/side"] = "odd"  # no ladder: only reported
     agent.until(lambda: agent.opened() == ["health/side"], "the fault of side")
@@ -107,14 +107,14 @@ def test_its_own_repair_waits_while_another_restarts_it(agents: list[Owners]) ->
     agent.rest(5.0)
     assert agent.bad["health/side"] == "broken"
     agent.open = True
-    agent.until(lambda: agent.steps("a")[-1:] == [Phase.VERIFIED], "the proof of a")
+    agent.until(lambda: agent.steps("a")[-1:] == [Phase.VERIFIED], "the verification of a")
     agent.rest(10.0)
     assert agent.runs == [("a", "health/a")]
     assert agent.pipeline.open_faults() == ()
 
 
 def test_a_result_from_a_dependent_restart_causes_no_action(agents: list[Owners]) -> None:
-    """`side` needs a second to come up after `a` has restarted it; the fault that it had before waits for its grace."""
+    """`side` needs a second to start after `a` has restarted it; its earlier fault waits for its grace."""
     agent = make(agents)
     agent.open = True
     agent.bad["health/side"] = "odd"
@@ -129,7 +129,7 @@ def test_a_result_from_a_dependent_restart_causes_no_action(agents: list[Owners]
 
     agent.behave = slow
     agent.bad["health/a"] = "broken"
-    agent.until(lambda: Phase.VERIFIED in agent.steps("a"), "the proof of a")
+    agent.until(lambda: Phase.VERIFIED in agent.steps("a"), "the verification of a")
     agent.rest(1.0)
     del agent.bad["health/side"]
     agent.rest(5.0)
@@ -137,7 +137,7 @@ def test_a_result_from_a_dependent_restart_causes_no_action(agents: list[Owners]
 
 
 def test_a_locked_target_is_not_acted_on(agents: list[Owners]) -> None:
-    """Whoever has it; nothing is counted as an attempt meanwhile."""
+    """Whichever recovery has locked it; nothing counts as an attempt meanwhile."""
     agent = make(agents)
     agent.open = True
     other = object()
@@ -151,7 +151,7 @@ def test_a_locked_target_is_not_acted_on(agents: list[Owners]) -> None:
 
 
 def test_a_superseded_verification_is_not_a_failure_of_the_target(agents: list[Owners]) -> None:
-    """`side` waits for its proof when `a` has to restart it: that attempt says nothing about `side`."""
+    """`side` waits for its verification when `a` has to restart it: that attempt says nothing about `side`."""
     agent = make(agents, same_failure=1)
 
     def on_side(key: str, context: ActionContext, fault: Fault) -> None:
@@ -169,15 +169,15 @@ def test_a_superseded_verification_is_not_a_failure_of_the_target(agents: list[O
     agent.bad["health/side"] = "broken"
     agent.until(lambda: Phase.DONE in agent.steps("side"), "the action on side")
     agent.bad["health/a"] = "broken"
-    agent.until(lambda: Phase.FAILED in agent.steps("side"), "the end of its proof")
-    told = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.FAILED]
-    assert told == ["side was started again by the recovery of a before restart was verified"]
+    agent.until(lambda: Phase.FAILED in agent.steps("side"), "the end of its verification")
+    details = [event.detail for event in agent.of(ActionEvent) if event.phase is Phase.FAILED]
+    assert details == ["side was started again by the recovery of a before restart was verified"]
     agent.until(lambda: Phase.VERIFIED in agent.steps("side"), "another attempt, which helps")
     assert Phase.ESCALATED not in agent.steps("side")
 
 
-def test_an_action_that_was_given_up_begins_nothing_more(agents: list[Owners]) -> None:
-    """It comes back after its deadline: dependents are not restarted behind the next attempt's back."""
+def test_an_abandoned_action_begins_nothing_more(agents: list[Owners]) -> None:
+    """It returns after its deadline: dependents are not restarted while the next attempt runs."""
     agent = make(agents, same_failure=1)
     late: list[str] = []
 

@@ -47,7 +47,7 @@ def locks(calls: TrackerCalls, clock: testing.FakeClock) -> TargetLocks:
 
 
 class Waiter:
-    """A thread that wants one more container and, when it has it, keeps it until `go`."""
+    """A thread that requests one more container and, once it has it, keeps it until `go`."""
 
     def __init__(self, locks: TargetLocks, wanted: str, owner: object) -> None:
         self.outcome, self.go, self.inside = "", threading.Event(), threading.Event()
@@ -81,7 +81,7 @@ def test_a_target_has_one_owner_at_a_time(locks: TargetLocks) -> None:
 
 
 def test_an_attempt_waits_for_a_locked_dependent(locks: TargetLocks, clock: testing.FakeClock) -> None:
-    """Two repairs, one dependent: one after the other."""
+    """Two recoveries, one dependent: one after the other."""
     first = Waiter(locks, "side", object())
     assert first.inside.wait(LIMIT_S)
     second = Waiter(locks, "side", object())
@@ -97,10 +97,10 @@ def test_an_attempt_waits_for_a_locked_dependent(locks: TargetLocks, clock: test
 
 
 def test_a_wait_for_a_lock_is_limited(locks: TargetLocks, clock: testing.FakeClock) -> None:
-    """A repair that hangs with the dependent in hand costs others their time and no more."""
+    """A recovery that hangs with the dependent locked delays others only for the time limit."""
     assert locks.acquire("side", object())
     repair = Waiter(locks, "side", object())
-    until(lambda: repair.outcome, "the outcome of the repair", step=lambda: pass_time(clock))
+    until(lambda: repair.outcome, "the outcome of the recovery", step=lambda: pass_time(clock))
     assert repair.outcome == "another recovery was acting on side for 10 s"
 
 
@@ -108,14 +108,14 @@ def test_a_wait_for_a_lock_is_limited(locks: TargetLocks, clock: testing.FakeClo
 def test_attempts_that_wait_for_each_other_do_not_deadlock(
     locks: TargetLocks, clock: testing.FakeClock, links: int
 ) -> None:
-    """The request that would deadlock is refused; when its owner releases, the others continue."""
+    """The request that would deadlock is denied; when its owner releases, the others continue."""
     owners = [object() for _ in range(links)]
     for number, owner in enumerate(owners):
         assert locks.acquire(f"c{number}", owner)
     waiting = [Waiter(locks, f"c{number + 1}", owner) for number, owner in enumerate(owners[:-1])]
     clock.wait_for_sleepers(links - 1)
     with pytest.raises(TargetBusy, match="waits for this one"), locks.locked_dependent("c0", owners[-1], LIMIT_S):
-        pytest.fail("somebody has what is in another's hand")
+        pytest.fail("a target has two owners")
     for number in range(links - 1, 0, -1):
         locks.release(f"c{number}", owners[number])
         until(waiting[number - 1].inside.is_set, f"number {number} to enter", step=lambda: pass_time(clock))
@@ -125,7 +125,7 @@ def test_attempts_that_wait_for_each_other_do_not_deadlock(
 
 
 def test_an_action_hold_is_ended_by_its_last_owner(locks: TargetLocks, calls: TrackerCalls) -> None:
-    """A repair that proves itself while its container is restarted for another's sake does not end the other's hold."""
+    """A recovery that is being verified while its container is restarted for another one does not end the other's hold."""
     own, other = object(), object()
     locks.start_hold("side", own, "health/side", "restart", 60.0, proving=True)
     locks.start_hold("side", other, "container/app", "restart", 60.0)

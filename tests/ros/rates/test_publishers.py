@@ -1,4 +1,4 @@
-"""Several publishers of one topic whose samples carry no sender: their numbers alone tell them apart."""
+"""Several publishers of one topic whose samples carry no sender: only their sequence numbers distinguish them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WAYS = [
 def jittered(
     hz: float, seconds: float, first: int, phase_s: float, share: float, rnd: random.Random
 ) -> list[Publication]:
-    """A timer whose publications stray by `share` of its period."""
+    """A timer whose publications deviate by `share` of its period."""
     times = sorted(phase_s + count / hz + rnd.gauss(0.0, share / hz) for count in range(int(seconds * hz)))
     return [Publication(at_s, at_s, first + count) for count, at_s in enumerate(times)]
 
@@ -34,7 +34,7 @@ def jittered(
 @pytest.mark.parametrize("start", ["together", "apart"])
 @pytest.mark.parametrize("share", [0.03, 0.3])
 def test_the_rates_of_several_publishers_are_added_up(rates: tuple[float, ...], start: str, share: float) -> None:
-    """Rates equal and unequal, even and uneven, numbers that begin together as in one launch, or anywhere."""
+    """Equal and unequal rates, even and uneven timing, numbers that start together as in one launch, or anywhere."""
     for seed in range(3):
         rnd = random.Random(seed)
         publications = [
@@ -62,7 +62,7 @@ def test_lines_that_cross_keep_their_slopes() -> None:
 
 
 def test_a_publisher_that_stalls_and_catches_up_keeps_its_line() -> None:
-    """50 ms late, then five samples at once, ten times a second: within a queue numbers that follow each other are enough."""
+    """50 ms late, then five samples in a burst, ten times a second: within a queue, consecutive numbers are enough."""
     times = [100 + n / 100 + (0.05 - n % 10 / 100 if n % 10 < 5 else 0.0) for n in range(2000)]
     publications = [Publication(at_s + n * 1e-7, at_s + n * 1e-7, 5000 + n) for n, at_s in enumerate(times)]
     publications += even(150.0, 100.001, 20.0)
@@ -70,8 +70,8 @@ def test_a_publisher_that_stalls_and_catches_up_keeps_its_line() -> None:
     assert (fact.hz, fact.problem) == (pytest.approx(250.0, rel=0.02), "")
 
 
-def test_uneven_publishers_are_counted_while_the_queue_holds_all() -> None:
-    """Two of 20 Hz whose periods vary by a third: their lines are mixed up, their samples are not lost."""
+def test_uneven_publishers_are_counted_while_the_queue_holds_all_samples() -> None:
+    """Two of 20 Hz whose periods vary by a third: their lines are mixed up, but no sample is lost."""
     rnd = random.Random(3)
     publications = [
         Publication(at_s, at_s, number)
@@ -83,8 +83,8 @@ def test_uneven_publishers_are_counted_while_the_queue_holds_all() -> None:
     assert (fact.hz, fact.problem) == (pytest.approx(40.0, rel=0.03), "")
 
 
-def test_more_publishers_than_can_be_told_apart_are_ambiguous() -> None:
-    """Their count is told instead of a rate that means nothing."""
+def test_too_many_publishers_are_ambiguous() -> None:
+    """Their count is reported instead of a meaningless rate."""
     count = MOST + 1
     publications = [
         publication
@@ -98,7 +98,7 @@ def test_more_publishers_than_can_be_told_apart_are_ambiguous() -> None:
 
 
 def test_numbers_that_form_no_lines_are_ambiguous() -> None:
-    """More publishers at work than discovery lists, or one that numbers at random."""
+    """More active publishers than discovery lists, or one with random numbers."""
     rnd = random.Random(1)
     publications = [Publication(100 + n / 200, 100 + n / 200, rnd.randint(1, 10**6)) for n in range(2000)]
     meter = RateEstimator(200.0, 3.0)
@@ -106,8 +106,8 @@ def test_numbers_that_form_no_lines_are_ambiguous() -> None:
     assert fact.problem == "ambiguous: 2 publishers, whose sequence numbers cannot be distinguished"
 
 
-def test_a_restart_of_one_is_no_puzzle() -> None:
-    """One of two begins to count anew: the sum is back as soon as its rate is known."""
+def test_a_restart_of_one_publisher_is_resolved() -> None:
+    """One of two restarts its count: the sum is back as soon as its rate is known."""
     publications = even(10.0, 100.0, 20.0) + even(10.0, 100.03, 5.0, first=500) + even(10.0, 106.03, 14.0)
     meter = RateEstimator(20.0, 3.0)
     many = Listening(3, several=True)
@@ -119,8 +119,8 @@ def test_a_restart_of_one_is_no_puzzle() -> None:
     assert (fact.hz, fact.restarts) == (pytest.approx(20.0, rel=1e-3), 1)
 
 
-def test_what_is_remembered_is_bounded() -> None:
-    """Numbers at random make a new line each; the oldest go."""
+def test_the_number_of_lines_is_bounded() -> None:
+    """Each random number starts a new line; the oldest lines are dropped."""
     sorter, rnd = PublisherDemux(3.0), random.Random(1)
     for _, samples in looks(
         [Publication(n / 50, n / 50, rnd.randint(1, 10**9)) for n in range(5000)], 0.0, 100.0, depth=64

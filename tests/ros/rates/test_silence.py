@@ -1,4 +1,4 @@
-"""From when on a topic counts as silent: the rule, and what it makes of recorded traces."""
+"""When a topic counts as silent: the rule, and its result on recorded traces."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ from tests.fakes.ros_flow import TICK_S, looks, silent_from, trace
 
 CONFIGURED_S = 3.0
 SETTLE_S = 2.0
-"""`settle_s` of the rates check: a silence that ends before is told to nobody."""
+"""`settle_s` of the rates check: a shorter silence is not published."""
 PHASES = (0.0, 0.06, 0.12, 0.19)
-"""Looks may fall anywhere between two publications."""
+"""Polls may fall anywhere between two publications."""
 
 
 def silences(name: str, phase_s: float) -> tuple[list[float], float]:
-    """Of the trace and then nothing: when silence was called while it went on, and how long after its last publication."""
+    """For the trace followed by silence: when silence was reported during the trace, and how long after its last
+    publication.
+    """
     recorded = trace(name)
     meter = RateEstimator(round(recorded.hz, 1), CONFIGURED_S)
     began = silent_from(meter, recorded.publications, phase_s - 1.0, recorded.end_s + 5.0)
     early = [at_s for at_s in began if at_s <= recorded.end_s]
-    (called_s,) = [at_s for at_s in began if at_s > recorded.end_s]
-    return early, called_s - recorded.publications[-1].published_s
+    (detected_s,) = [at_s for at_s in began if at_s > recorded.end_s]
+    return early, detected_s - recorded.publications[-1].published_s
 
 
 @pytest.mark.parametrize("phase_s", PHASES)
 def test_a_steady_topic_of_1_hz_is_silent_within_2_seconds(phase_s: float) -> None:
-    """45 minutes of a real 1 Hz timer: no false alarm, and its end is called a second before the configured 3 s."""
+    """45 minutes of a real 1 Hz timer: no false alarm, and its end is detected a second before the configured 3 s."""
     early, after_s = silences("steady", phase_s)
     assert early == []
     assert after_s <= 2.0
@@ -35,17 +37,18 @@ def test_a_steady_topic_of_1_hz_is_silent_within_2_seconds(phase_s: float) -> No
 
 @pytest.mark.parametrize("phase_s", PHASES)
 @pytest.mark.parametrize("name", ["lognormal", "bursty"])
-def test_an_uneven_topic_is_given_its_time(name: str, phase_s: float) -> None:
-    """45 minutes of pauses of up to 2.7 s: no false alarm; its end is called by the configured 3 s and one look."""
+def test_an_uneven_topic_gets_a_longer_timeout(name: str, phase_s: float) -> None:
+    """45 minutes of pauses of up to 2.7 s: no false alarm; its end is detected after the configured 3 s and one poll."""
     early, after_s = silences(name, phase_s)
     assert early == []
     assert after_s <= CONFIGURED_S + 2 * TICK_S
 
 
 @pytest.mark.parametrize("phase_s", PHASES)
-def test_a_stall_that_was_never_seen_before_is_not_told(phase_s: float) -> None:
-    """A steady topic pauses for up to 2.7 s once in a while: the first pause may be called silence, for less than it
-    takes to be told, and from then on the topic has its time."""
+def test_a_first_stall_is_not_published(phase_s: float) -> None:
+    """A steady topic pauses for up to 2.7 s once in a while: the first pause may count as silence, for less than
+    settle_s, and from then on the timeout covers such pauses.
+    """
     recorded = trace("stalling")
     meter = RateEstimator(1.0, CONFIGURED_S)
     silent_s, spans = 0.0, []
@@ -61,14 +64,14 @@ def test_a_stall_that_was_never_seen_before_is_not_told(phase_s: float) -> None:
 
 @pytest.mark.parametrize("phase_s", PHASES)
 def test_a_fast_topic_on_a_busy_machine_is_silent_after_a_second_or_two(phase_s: float) -> None:
-    """10 Hz while other processes use all processors: no false alarm, and no need for 3 s."""
+    """10 Hz while other processes use all cores: no false alarm, and no need for 3 s."""
     early, after_s = silences("fast", phase_s)
     assert early == []
     assert after_s <= 2.0
 
 
 def test_the_traces_are_long_and_real() -> None:
-    """What the tests above prove is worth as much as the recordings."""
+    """The tests above are only as good as the recordings."""
     assert all(trace(name).end_s > 2400 for name in ("steady", "lognormal", "bursty", "stalling"))
     assert trace("fast").end_s > 120
 
@@ -81,7 +84,7 @@ def fed(hz: float, pauses: list[float], most_s: float = 3.0, every_s: float | No
 
 
 def test_the_configured_limit_holds_until_enough_was_seen() -> None:
-    """Twenty pauses, over fifteen seconds at least."""
+    """Twenty pauses, over at least fifteen seconds."""
     assert fed(1.0, [1.0] * (LEAST - 1)).limit_s == 3.0
     assert fed(1.0, [1.0] * LEAST).limit_s == pytest.approx(1.5)
     assert fed(10.0, [0.0] * LEAST).limit_s == 3.0
@@ -101,25 +104,26 @@ def test_the_configured_limit_holds_until_enough_was_seen() -> None:
     ],
 )
 def test_the_limit_follows_the_longest_pause(hz: float, pauses: list[float], limit_s: float) -> None:
-    """Longest plus twice what it is longer than usual, half a second at least; never below 1 s or 1.5 periods, never
-    above what is configured. A publisher at half its rate is slow, not silent."""
+    """The longest pause plus twice its excess over the usual one, plus at least half a second; never below 1 s or 1.5
+    periods, never above the configured value. A publisher at half its rate is slow, not silent.
+    """
     most_s = max(3.0, 3 / hz)
     assert fed(hz, pauses, most_s).limit_s == pytest.approx(limit_s, rel=0.05)
 
 
-def test_a_silence_teaches_nothing() -> None:
-    """What was longer than the configured limit was no pause of a well topic."""
+def test_a_silence_does_not_extend_the_timeout() -> None:
+    """A gap longer than the configured limit is not a pause of a working topic."""
     assert fed(1.0, [1.0] * 50 + [60.0] + [1.0] * 5).limit_s == pytest.approx(1.5)
 
 
 def test_a_pause_is_forgotten_after_ten_minutes() -> None:
-    """One stall does not make a topic slow to be seen for ever."""
+    """One stall does not delay detection permanently."""
     assert fed(1.0, [1.0] * 50 + [2.5] + [1.0] * 500).limit_s == 3.0
     assert fed(1.0, [1.0] * 50 + [2.5] + [1.0] * 700).limit_s == pytest.approx(1.5)
 
 
-def test_the_largest_of_recent_numbers() -> None:
-    """Kept for as long as asked for, and not longer than a tenth more."""
+def test_a_windowed_maximum_forgets_old_values() -> None:
+    """A value is kept for the given time, plus at most a tenth."""
     recent = WindowedMax(10.0)
     assert recent.most is None
     recent.add(5.0, 0.0)

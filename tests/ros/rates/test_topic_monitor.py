@@ -1,4 +1,4 @@
-"""The sampler in the real child against real publishers."""
+"""The topic monitor in the real child process, with real publishers."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ SET = (
 NUMBERED: Sequence[str] = (sys.executable, "-m", "phm.probes.ros.child")
 HIDDEN: Sequence[str] = (sys.executable, "-c", HIDE)
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-DEAF = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com"><profiles><participant profile_name="deaf" is_default_profile="true"><rtps>
+NO_DATA = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com"><profiles><participant profile_name="no_data" is_default_profile="true"><rtps>
 <defaultUnicastLocatorList><locator><udpv4><port>17777</port><address>192.0.2.1</address></udpv4></locator>
 </defaultUnicastLocatorList></rtps></participant></profiles></dds>
 """
@@ -60,14 +60,14 @@ def flows(bench: Bench, name: str, path: Path, *flows: str, **environ: str) -> s
 
 
 def sent(path: Path) -> list[tuple[int, float, int]]:
-    """(count, seconds, subscriptions) of each publication; the last line may be half written."""
+    """(count, seconds, subscriptions) of each publication; the last line may be incomplete."""
     if not path.exists():
         return []
     lines = [line.split() for line in path.read_text(encoding="ascii").splitlines()[:-1]]
     return [(int(words[0]), float(words[1]), int(words[2])) for words in lines]
 
 
-def right(fact: RosFact, *paths: Path, within: float = 0.02) -> bool:
+def matches_published(fact: RosFact, *paths: Path, within: float = 0.02) -> bool:
     """Whether the rate is that of all publishers together, over the same time."""
     rate = rate_of(fact)
     if rate.hz is None or rate.window_s < 2.0 or not all(len(sent(path)) > 1 for path in paths):
@@ -77,65 +77,75 @@ def right(fact: RosFact, *paths: Path, within: float = 0.02) -> bool:
 
 @pytest.mark.parametrize("hz", [2.0, 2000.0])
 def test_slow_and_very_fast_topics(bench: Bench, tmp_path: Path, hz: float) -> None:
-    """From one sample in two looks to five hundred in one."""
+    """From one sample every other poll to five hundred per poll."""
     flows(bench, "source", tmp_path / "sent", f"topic_1:{hz}")
     probe = bench.probe([{"name": TOPIC, "rate": hz}])
-    seen(probe, lambda fact: right(fact, tmp_path / "sent"), "a rate within 2 %")
+    seen(probe, lambda fact: matches_published(fact, tmp_path / "sent"), "a rate within 2 %")
 
 
 @pytest.mark.parametrize("command", [NUMBERED, HIDDEN], ids=["numbered", "hidden"])
 def test_two_nodes_on_one_topic_are_added_up(bench: Bench, tmp_path: Path, command: Sequence[str]) -> None:
-    """Each counts by itself; the rate is the sum, and their number is told."""
+    """Each is counted separately; the rate is the sum, and the number of publishers is reported."""
     flows(bench, "one", tmp_path / "one", "topic_1:20")
     flows(bench, "two", tmp_path / "two", "topic_1:8")
     probe = bench.probe([{"name": TOPIC, "rate": 28}], command=command)
     both = (tmp_path / "one", tmp_path / "two")
-    seen(probe, lambda fact: rate_of(fact).publishers == 2 and right(fact, *both, within=0.05), "the sum", 40.0)
+    seen(
+        probe,
+        lambda fact: rate_of(fact).publishers == 2 and matches_published(fact, *both, within=0.05),
+        "the sum",
+        40.0,
+    )
 
 
-def test_fast_publishers_are_told_apart(bench: Bench, tmp_path: Path) -> None:
-    """More samples between two looks than the queue holds: what is left shows whose they are."""
+def test_fast_publishers_are_distinguished(bench: Bench, tmp_path: Path) -> None:
+    """More samples between two polls than the queue holds: the remaining ones show their publishers."""
     flows(bench, "one", tmp_path / "one", "topic_1:150")
     flows(bench, "two", tmp_path / "two", "topic_1:100")
     probe = bench.probe([{"name": TOPIC, "rate": 250}])
     both = (tmp_path / "one", tmp_path / "two")
-    seen(probe, lambda fact: rate_of(fact).publishers == 2 and right(fact, *both, within=0.05), "the sum", 40.0)
+    seen(
+        probe,
+        lambda fact: rate_of(fact).publishers == 2 and matches_published(fact, *both, within=0.05),
+        "the sum",
+        40.0,
+    )
 
 
 @pytest.mark.long
 def test_two_publishers_of_one_node_are_added_up(bench: Bench, tmp_path: Path) -> None:
-    """They look like a node that was restarted, until their numbers are found mixed."""
+    """They look like a restarted node until their numbers are found to be mixed."""
     flows(bench, "source", tmp_path / "sent", "topic_1:10", "topic_1:10")
     probe = bench.probe([{"name": TOPIC, "rate": 20}])
     seen(probe, lambda fact: 18.0 < (rate_of(fact).hz or 0.0) < 22.0, "the sum", 60.0)
 
 
-def test_a_restarted_publisher_is_measured_anew(bench: Bench, tmp_path: Path) -> None:
-    """A new life of the same node, while the killed one is still listed: a restart, and not a second publisher."""
+def test_a_restarted_publisher_is_measured_again(bench: Bench, tmp_path: Path) -> None:
+    """A restarted node, while the killed one is still listed: a restart, and not a second publisher."""
     first = flows(bench, "source", tmp_path / "first", "topic_1:40")
     probe = bench.probe([{"name": TOPIC, "rate": 40}])
-    seen(probe, lambda fact: right(fact, tmp_path / "first"), "a rate")
+    seen(probe, lambda fact: matches_published(fact, tmp_path / "first"), "a rate")
     assert rate_of(probe.look()).restarts == 0
     first.kill()
     first.wait()
     flows(bench, "source", tmp_path / "second", "topic_1:10")
-    seen(probe, lambda fact: right(fact, tmp_path / "second"), "the new rate", 40.0)
+    seen(probe, lambda fact: matches_published(fact, tmp_path / "second"), "the new rate", 40.0)
     seen(probe, lambda fact: rate_of(fact).restarts == 1, "the restart")
     assert rate_of(probe.look()).publishers == 2
 
 
-def test_without_sequence_numbers_samples_are_counted(bench: Bench, tmp_path: Path) -> None:
-    """Humble and Cyclone give no numbers: a deep queue is counted instead, with the same result."""
+def test_samples_are_counted_without_sequence_numbers(bench: Bench, tmp_path: Path) -> None:
+    """Humble and Cyclone DDS give no numbers: a deep queue is counted instead, with the same result."""
     flows(bench, "source", tmp_path / "sent", "topic_1:50")
     probe = bench.probe([{"name": TOPIC, "rate": 50}], command=HIDDEN)
-    seen(probe, lambda fact: right(fact, tmp_path / "sent"), "a rate within 2 %")
+    seen(probe, lambda fact: matches_published(fact, tmp_path / "sent"), "a rate within 2 %")
 
 
 @pytest.mark.parametrize(
     "command", [pytest.param(NUMBERED, id="numbered"), pytest.param(HIDDEN, id="hidden", marks=pytest.mark.long)]
 )
-def test_a_large_topic_is_listened_to_in_windows(bench: Bench, tmp_path: Path, command: Sequence[str]) -> None:
-    """4 MB/s: most of the time there is no subscription, the rate is exact all the same, and silence is found."""
+def test_a_large_topic_is_subscribed_in_windows(bench: Bench, tmp_path: Path, command: Sequence[str]) -> None:
+    """4 MB/s: most of the time there is no subscription; the rate is still exact, and silence is detected."""
     path = tmp_path / "sent"
     source = flows(bench, "source", path, "topic_1:20:200000")
     probe = bench.probe([{"name": TOPIC, "rate": 20}], command=command, silence=1.0)
@@ -157,15 +167,15 @@ def test_a_large_topic_is_listened_to_in_windows(bench: Bench, tmp_path: Path, c
 
 
 def test_simulated_time_does_not_matter(bench: Bench, tmp_path: Path) -> None:
-    """The stamps are the middleware's own: a node whose clock stands still has the rate that it really has."""
+    """The stamps are the middleware's: a node whose clock is stopped has its real rate."""
     flows(bench, "source", tmp_path / "sent", "topic_1:20:sim")
     probe = bench.probe([{"name": TOPIC, "rate": 20}])
-    fact = seen(probe, lambda fact: right(fact, tmp_path / "sent") and fact, "a rate within 2 %")
+    fact = seen(probe, lambda fact: matches_published(fact, tmp_path / "sent") and fact, "a rate within 2 %")
     assert rate_of(fact).age_s == pytest.approx(0.0, abs=1.0)
 
 
-def test_a_publishers_clock_that_is_set_bends_nothing(bench: Bench, tmp_path: Path) -> None:
-    """An hour ahead, and then a minute back: the rate is right again after a window, and nothing else is made of it."""
+def test_setting_a_publishers_clock_does_not_distort_its_rate(bench: Bench, tmp_path: Path) -> None:
+    """An hour ahead, then a minute back: the rate is right again after one window, and nothing else is reported."""
     path, off = tmp_path / "sent", tmp_path / "off"
     off.write_text("0", encoding="ascii")
     flows(bench, "source", path, "topic_1:20")
@@ -176,19 +186,19 @@ def test_a_publishers_clock_that_is_set_bends_nothing(bench: Bench, tmp_path: Pa
         environ={"PHM_DEBUG_ROS_CLOCK": str(off)},
         installs=[str(tmp_path)],
     )
-    seen(probe, lambda fact: right(fact, path), "a rate within 2 %")
+    seen(probe, lambda fact: matches_published(fact, path), "a rate within 2 %")
     rates: list[RateFact] = []
     for seconds in (3600, -60):
         off.write_text(str(seconds), encoding="ascii")
         taken = rate_of(probe.look()).samples
         seen(probe, lambda fact: rates.append(rate_of(fact)) or rate_of(fact).samples > taken + 16, "four seconds")  # noqa: B023
-        seen(probe, lambda fact: right(fact, path), "a rate within 2 % again")
+        seen(probe, lambda fact: matches_published(fact, path), "a rate within 2 % again")
     assert {(rate.restarts, rate.problem) for rate in rates} == {(0, "")}
     assert all(rate.hz is None or 15.0 < rate.hz < 25.0 for rate in rates)
 
 
-def test_a_latched_sample_that_was_published_before_is_seen(bench: Bench, tmp_path: Path) -> None:
-    """The reader takes the quality of its publishers: first of one that keeps nothing, then of one that does."""
+def test_a_latched_sample_from_before_the_subscription_is_received(bench: Bench, tmp_path: Path) -> None:
+    """The reader adopts the QoS of its publishers: first of a volatile one, then of a transient-local one."""
     path, leases = tmp_path / "sent", dict.fromkeys(PROFILE_VARIABLES, str(ROOT / "config" / "fastdds.xml"))
     first = flows(bench, "source", path, "topic_1:0", **leases)
     probe = bench.probe([{"name": TOPIC, "rate": 0}])
@@ -204,7 +214,7 @@ def test_a_latched_sample_that_was_published_before_is_seen(bench: Bench, tmp_pa
 
 
 def test_a_publisher_in_another_partition_is_a_mismatch(bench: Bench, tmp_path: Path) -> None:
-    """Discovery lists it, and the middleware does not connect: the reason is told, and no fault of the topic."""
+    """Discovery lists it, but the middleware does not connect: the reason is reported, not a fault of the topic."""
     profile = tmp_path / "apart.xml"
     profile.write_text(APART, encoding="ascii")
     environ = {**dict.fromkeys(PROFILE_VARIABLES, str(profile)), "RMW_FASTRTPS_USE_QOS_FROM_XML": "1"}
@@ -215,10 +225,12 @@ def test_a_publisher_in_another_partition_is_a_mismatch(bench: Bench, tmp_path: 
     assert rate_of(fact).matched == 0
 
 
-def test_a_blocked_transport_shows_a_publisher_and_nothing_of_it(bench: Bench, tmp_path: Path) -> None:
-    """Discovery passes and data does not: the publisher is listed and connected, its node has no name, no sample comes."""
-    profile = tmp_path / "deaf.xml"
-    profile.write_text(DEAF, encoding="ascii")
+def test_a_blocked_transport_shows_a_publisher_without_data(bench: Bench, tmp_path: Path) -> None:
+    """Discovery works but no data arrives: the publisher is listed and matched, its node has no name, no sample
+    arrives.
+    """
+    profile = tmp_path / "no_data.xml"
+    profile.write_text(NO_DATA, encoding="ascii")
     path = tmp_path / "sent"
     flows(bench, "source", path, "topic_1:20")
     probe = bench.probe([{"name": TOPIC, "rate": 20}], environ=dict.fromkeys(PROFILE_VARIABLES, str(profile)))
@@ -231,7 +243,7 @@ def test_a_blocked_transport_shows_a_publisher_and_nothing_of_it(bench: Bench, t
 
 
 def test_a_publisher_of_another_type_is_ambiguous(bench: Bench, tmp_path: Path) -> None:
-    """Two types on one topic: only one of them can be measured, so none is told."""
+    """Two types on one topic: only one of them can be measured, so no rate is reported."""
     code = (
         "import rclpy, time; from std_msgs.msg import Bool; rclpy.init(args=[]); n = rclpy.create_node('other')\n"
         f"n.create_publisher(Bool, '{TOPIC}', 1); time.sleep(600)"

@@ -1,4 +1,4 @@
-"""How far a rate may be off by unevenness alone: the rule, and what the check makes of recorded traces with it."""
+"""The uncertainty of a rate due to uneven publication: the rule, and the check's result on recorded traces."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from phm_checks.rates import Rates
 from tests.fakes.ros_flow import Publication, even, feed, looks, trace
 
 SETTLE_S = 2.0
-"""`settle_s` of the rates check: what is over before is told to nobody, unless the check is sure earlier."""
+"""`settle_s` of the rates check: a shorter failure is not published, unless conclusive."""
 LOOKS_A_RUN = 4
-"""The check runs once a second, and at once when a topic falls silent or its rate has become another one."""
+"""The check runs once a second, and immediately when a topic falls silent or its rate changes."""
 
 
-def told(
+def published(
     name: str, phase_s: float, publications: Sequence[Publication] | None = None
 ) -> list[tuple[float, float, str]]:
-    """What the check finds bad in a trace, for long enough to be told: when it began, when it ended, and what it was.
+    """The failures that the check finds in a trace and that last long enough to be published: (begin, end, condition).
 
-    Its node has a beacon that always says that it is well, so nothing is kept back for its sake.
+    The node has a beacon that always reports OK, so no failure is held back because of the node.
     """
     recorded = trace(name)
     publications = recorded.publications if publications is None else publications
@@ -57,7 +57,7 @@ def told(
 
 
 def halved(name: str, at_s: float, end_s: float) -> list[Publication]:
-    """The trace, with every second sample from `at_s` on left out."""
+    """The trace without every second sample from `at_s` on."""
     publications = trace(name).publications
     rest = [publication for publication in publications if at_s <= publication.received_s < end_s][::2]
     before = [publication for publication in publications if publication.received_s < at_s]
@@ -72,35 +72,37 @@ def halved(name: str, at_s: float, end_s: float) -> list[Publication]:
 @pytest.mark.parametrize("phase_s", [0.0, 0.12])
 @pytest.mark.parametrize("name", ["steady", "lognormal", "bursty", "stalling", "fast"])
 def test_no_recorded_trace_raises_an_alarm(name: str, phase_s: float) -> None:
-    """45 minutes each, with the default tolerance of 10 %: jitter, bursts and stalls are no wrong rate and no silence."""
-    assert told(name, phase_s) == []
+    """45 minutes each, with the default tolerance of 10 %: jitter, bursts and stalls are neither a wrong rate nor
+    silence.
+    """
+    assert published(name, phase_s) == []
 
 
 @pytest.mark.parametrize(
     ("name", "within_s"), [("steady", 8.0), ("stalling", 8.0), ("lognormal", 40.0), ("bursty", 40.0)]
 )
-def test_half_the_rate_is_still_told(name: str, within_s: float) -> None:
-    """Of a steady topic after its window; of an uneven one when it is beyond its unevenness."""
+def test_a_halved_rate_is_still_published(name: str, within_s: float) -> None:
+    """For a steady topic after its window; for an uneven one when it exceeds the uncertainty."""
     for at_s in (300.0, 600.0, 1000.0):
-        began_s, _, condition = told(name, 0.0, halved(name, at_s, at_s + 100.0))[0]
+        began_s, _, condition = published(name, 0.0, halved(name, at_s, at_s + 100.0))[0]
         assert condition in ("rate_low", "silent")
         assert at_s < began_s <= at_s + within_s
 
 
-def test_a_steady_rate_has_no_error() -> None:
-    """The looks' own unevenness is not the publisher's."""
+def test_a_steady_rate_has_no_uncertainty() -> None:
+    """Uneven polling is not attributed to the publisher."""
     fact = feed(RateEstimator(10.0, 3.0), even(10.0, 100.0, 30.0), 100.0, 130.0)
     assert fact.error_hz == pytest.approx(0.0, abs=1e-6)
     assert fact.window_s == pytest.approx(3.0, abs=0.3)
 
 
-def test_the_error_is_not_known_before_two_windows_were_compared() -> None:
+def test_the_uncertainty_is_unknown_until_two_windows_were_compared() -> None:
     """None is not zero."""
     assert feed(RateEstimator(10.0, 3.0), even(10.0, 100.0, 5.0), 100.0, 105.0).error_hz is None
 
 
 def test_an_uneven_topic_is_measured_over_a_longer_window() -> None:
-    """With an error that fits what its rate really does."""
+    """With an uncertainty that matches the real variation of its rate."""
     rnd, at_s, publications = random.Random(1), 100.0, []
     for number in range(600):
         at_s += rnd.lognormvariate(-0.08, 0.4)
@@ -117,8 +119,8 @@ def test_an_uneven_topic_is_measured_over_a_longer_window() -> None:
     assert sum(errors) / len(errors) == pytest.approx(spread, rel=0.5)
 
 
-def test_a_rate_that_changes_once_is_no_unevenness() -> None:
-    """From 10 to 5 Hz: the error stays far below the change, so that it is told."""
+def test_a_single_rate_change_does_not_count_as_unevenness() -> None:
+    """From 10 to 5 Hz: the uncertainty stays far below the change, so that it is published."""
     meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 60.0), 100.0, 160.0)
     fact = feed(meter, even(5.0, 160.0, 6.0, first=601), 160.0, 166.0)
@@ -126,8 +128,8 @@ def test_a_rate_that_changes_once_is_no_unevenness() -> None:
     assert (fact.error_hz or 0.0) < 1.0
 
 
-def test_what_comes_after_a_silence_is_not_compared_with_what_was_before() -> None:
-    """`forget` begins anew, and keeps what is known of the unevenness."""
+def test_samples_after_a_silence_are_not_compared_with_earlier_ones() -> None:
+    """`forget` restarts the comparison, and keeps the known unevenness."""
     spread = RateUncertainty(3.0)
     for look in range(100):
         spread.add(look * 0.25, 10.0, 3.0)

@@ -1,11 +1,11 @@
-"""Records when samples of real publisher processes were published and received; the results lie beside this file.
+"""Records when samples of real publisher processes were published and received; the results are beside this file.
 
-    python -m tests.ros.traces.record SECONDS SHAPE...      # records all shapes at once, over real ROS on loopback
+python -m tests.ros.traces.record SECONDS SHAPE... # records all shapes at the same time, over real ROS on loopback
 
-Each shape is published by a process of its own, with rclpy, and received by the middleware of this one. A trace is
-JSON: `shape`, `hz`, `recorded` (date), `machine`, `gaps` (tenths of a millisecond from one publication to the next, by
-the publisher's clock), `delays` (tenths of a millisecond from publication to reception), and `lost` (places in the
-list before which samples were lost on the way, with how many).
+Each shape is published by a separate process with rclpy, and received by the middleware of this one. A trace is JSON:
+`shape`, `hz`, `recorded` (date), `machine`, `gaps` (tenths of a millisecond from one publication to the next, by the
+publisher's clock), `delays` (tenths of a millisecond from publication to reception), and `lost` (positions in the list
+before which samples were lost in transit, with their number).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LONGEST_S = 2.7
 
 
 def steady(_: random.Random) -> Iterator[float]:
-    """1 Hz, as a timer does it."""
+    """1 Hz, by a timer."""
     while True:
         yield 1.0
 
@@ -40,7 +40,7 @@ def lognormal(rnd: random.Random) -> Iterator[float]:
 
 
 def bursty(rnd: random.Random) -> Iterator[float]:
-    """Three samples at once, then a pause, as a planner or a radio does it: 1.2 Hz on average."""
+    """Three samples in a burst, then a pause, as from a planner or over radio: 1.2 Hz on average."""
     while True:
         yield from (0.05, 0.05, rnd.uniform(2.3, LONGEST_S))
 
@@ -52,7 +52,7 @@ def stalling(rnd: random.Random) -> Iterator[float]:
 
 
 def fast(_: random.Random) -> Iterator[float]:
-    """10 Hz; recorded while other processes use all processors."""
+    """10 Hz; recorded while other processes use all cores."""
     while True:
         yield 0.1
 
@@ -70,14 +70,14 @@ def publish(name: str) -> None:
     publisher = node.create_publisher(String, f"/trace/{name}", 10)
     next_s = time.monotonic()
     for gap_s in SHAPES[name](random.Random(name)):
-        # A process that is late stays late by that much, as a timer that is not caught up.
+        # A late process stays late by the same time, like a timer that does not catch up.
         next_s = max(next_s + gap_s, time.monotonic())
         time.sleep(max(0.0, next_s - time.monotonic()))
         publisher.publish(String(data=name))
 
 
 def record(seconds: float, names: list[str]) -> None:
-    """Starts the publishers, listens, and writes one file for each."""
+    """Start the publishers, subscribe, and write one file for each."""
     import rclpy
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import String
