@@ -1,4 +1,4 @@
-"""What an agent's record says, put into a trial, and how all its units are meanwhile. Pure."""
+"""Converts an agent's record into a trial, and tracks the levels of all its units. Pure."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from sitl.campaign.trial import Act, Alarm, Start, Trial, Warned
 from sitl.harness.log_follower import Event
 
 SHARED = "host/"
-"""Units about the machine that all agents of a swarm share: how they are says nothing about one agent."""
+"""Units about the machine that all agents of a swarm share; their levels say nothing about one agent."""
 MEMORY = ("companion", "WARN")
 """PHM reports for a while that it restarted or was suspended; after this time it is OK again."""
 
 
 def note(trial: Trial, agent: int, event: Event) -> None:
-    """Put one event of an agent's record into the trial. The end of what opened before the trial is not part of it."""
+    """Put one event of an agent's record into the trial. The end of an earlier fault is not part of it."""
     take = _TAKES.get(event["event"])
     if take is not None:
         take(trial, agent, event)
@@ -81,7 +81,9 @@ def _alarms(trial: Trial, agent: int, event: Event) -> list[Alarm]:
 
 
 class Levels:
-    """How every unit of one agent is, by its record. A new life of PHM knows nothing until its first report."""
+    """The levels of all units of one agent, from its record. After a restart of PHM nothing is known until its first
+    report.
+    """
 
     def __init__(self) -> None:
         self.units: dict[str, str] = {}
@@ -106,11 +108,11 @@ class Levels:
             self.reported = True
 
     def bad(self, unit: str) -> bool:
-        """Whether the unit was reported already: then it would not be reported again."""
+        """Whether the unit was already reported: then it would not be reported again."""
         return unit in self.open.values()
 
     def unwell(self, usual: Mapping[str, str]) -> list[str]:
-        """What is worse than `usual`, a unit's level by its name, in words; empty when all is well."""
+        """Which units are worse than `usual`, levels by unit name, as text; empty when none is."""
         if not self.reported:
             return ["no report yet"]
         found = [f"{unit} is faulty" for unit in self.open.values() if not unit.startswith(SHARED)]
@@ -124,5 +126,5 @@ class Levels:
         return found + [f"{unit} is not judged" for unit in usual if unit not in self.units]
 
     def as_usual(self) -> dict[str, str]:
-        """Levels as they are now, for `unwell` later: with nothing injected, some units may not be known for good."""
+        """The present levels, for `unwell` later: with nothing injected, some units may be unknown permanently."""
         return {unit: level for unit, level in self.units.items() if not unit.startswith(SHARED)}

@@ -1,4 +1,4 @@
-"""Which faults a campaign can inject, and what it must know of each. Pure but for looking at what there is."""
+"""Which faults a campaign can inject, and their properties. Pure except for reading the available files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sitl.faults.base import Agent, Fault
 from sitl.faults.file_deleted import CONTENT
 
 LEFT_ALONE = ("node_killed", "network_disconnected", "container_stopped")
-"""Injected with recovery off: each would be healed with it."""
+"""Injected with recovery off: each would be recovered with it."""
 CHANGES = {
     "\n  budget: 5": "\n  budget: 100",
     '#sha256: "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"': f'sha256: "{hashlib.sha256(CONTENT).hexdigest()}"',
@@ -19,7 +19,7 @@ CHANGES = {
 }
 """Of the shipped configuration, for all agents: room for many faults in a row, and a file that can be judged and restored."""
 OFF = {"\n  mode: act": '\n  mode: "off"'}
-"""In quotes, since the swarm's configuration goes through a reader for which a bare off is a falsehood."""
+"""In quotes, since the swarm's configuration is parsed by a reader for which an unquoted off is false."""
 _GROUPS = {
     **dict.fromkeys(("container", "health", "network", "devices", "nodes", "topics", "rates", "consensus"), "app"),
     "files": "files",
@@ -42,7 +42,7 @@ def class_of(fault: Fault) -> Class:
 
 
 def unsuitable_because(fault: Fault, agents: int, *, air: bool) -> str:
-    """Why a campaign of so many agents, with emulated links or without, leaves the fault out; empty: it does not."""
+    """Why a campaign with this many agents, with or without emulated links, excludes the fault; empty if it does not."""
     if fault.also:
         return "it is two faults, and a campaign makes compound faults itself"
     if "starvation" in fault.needs:
@@ -55,7 +55,7 @@ def unsuitable_because(fault: Fault, agents: int, *, air: bool) -> str:
 
 
 def chosen(faults: Mapping[str, Fault], only: Collection[str], agents: int, *, air: bool) -> dict[str, Fault]:
-    """The faults to draw from. ValueError names what is asked for and cannot be had."""
+    """The faults to draw from. Raises ValueError for a requested fault that is not available."""
     unknown = sorted(set(only) - faults.keys())
     if unknown:
         raise ValueError(f"no such fault: {', '.join(unknown)}; there are {', '.join(sorted(faults))}")
@@ -67,7 +67,7 @@ def chosen(faults: Mapping[str, Fault], only: Collection[str], agents: int, *, a
 
 
 def injection(fault: Fault, agent: Agent) -> Injection:
-    """What the record says of a fault before it is injected."""
+    """The record of a fault before its injection."""
     names = {"agent": agent.name, "id": f"A{agent.number:02d}"}
     found = group(fault)
     return Injection(

@@ -106,7 +106,7 @@ def _setting(asked: argparse.Namespace, faults: dict[str, Fault]) -> dict[str, A
 
 
 def _same(done: Sequence[Trial], setting: dict[str, Any], file: Path) -> None:
-    """A record is of one campaign alone. ValueError says what differs."""
+    """Raise ValueError with the difference when the record is of another campaign."""
     for trial in done:
         other = {
             key
@@ -121,7 +121,7 @@ def _same(done: Sequence[Trial], setting: dict[str, Any], file: Path) -> None:
 
 
 def _swarm(asked: argparse.Namespace, console: Console) -> tuple[Swarm, bool]:
-    """The swarm that is up under this name, or a new one; and whether it is ours to take down."""
+    """The running swarm of this name, or a new one; and whether the campaign must take it down."""
     try:
         swarm = Swarm.load(asked.name)
     except LookupError:
@@ -162,7 +162,7 @@ def _play(
     setting: dict[str, Any],
     console: Console,
 ) -> bool:
-    """Make what is not made yet; whether everything is."""
+    """Run the trials that are still missing; return whether all are made."""
     began, ours = time.monotonic(), False
     swarm = None
     try:

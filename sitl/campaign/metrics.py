@@ -13,7 +13,7 @@ from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Trial
 
 @dataclass(frozen=True)
 class Stats:
-    """Of n values; all None when there are none. p50 and p95 are by nearest rank: values that were really seen."""
+    """Statistics of n values; all None for n = 0. p50 and p95 are by nearest rank, so they are measured values."""
 
     n: int
     mean: float | None = None
@@ -23,7 +23,7 @@ class Stats:
 
 
 def stats(values: Iterable[float | None]) -> Stats:
-    """Of those that are not None."""
+    """Statistics of the values that are not None."""
     known = sorted(value for value in values if value is not None)
     if not known:
         return Stats(0)
@@ -31,7 +31,7 @@ def stats(values: Iterable[float | None]) -> Stats:
 
 
 def rank(ordered: Sequence[float], part: float) -> float:
-    """The smallest of the ordered values that is not below `part` (0 to 1) of them."""
+    """The smallest of the ordered values that is not below the share `part` (0 to 1) of them."""
     return ordered[max(0, math.ceil(part * len(ordered)) - 1)]
 
 
@@ -69,7 +69,7 @@ class Figures:
     resolved: float | None
     uptime: float | None
     heard: float | None
-    """As `uptime`, with the time for which the injector kept the ground from hearing an agent."""
+    """As `uptime`, including the time in which the injector cut the agent from the ground."""
     alarms_per_fault: float | None
     missed: int
     false: int
@@ -97,7 +97,7 @@ class Figures:
 
 
 def figures(trials: Sequence[Trial]) -> Figures:
-    """All of them; trials may be any part of a campaign."""
+    """All figures; trials may be any part of a campaign."""
     judged = tuple(judge(trial) for trial in trials)
     played = [each for each in judged if each.trial.kind == TRIAL]
     verdicts = [verdict for each in played for verdict in each.verdicts]
@@ -155,7 +155,7 @@ def _of_class(name: str, verdicts: Sequence[Verdict]) -> OfClass:
 
 
 def _alarms(verdicts: Iterable[Verdict]) -> float | None:
-    """Per alarm that was due, of the faults that were reported at all: one that is missed must not make up for a chain."""
+    """Alarms per expected alarm, of the reported faults only: a missed one must not compensate for a chain."""
     reported = [verdict for verdict in verdicts if not verdict.missed]
     due = sum(verdict.expected for verdict in reported)
     return sum(verdict.count for verdict in reported) / due if due else None

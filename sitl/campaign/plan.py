@@ -1,4 +1,4 @@
-"""What a campaign does, drawn from a seed: which faults, on which agents, alone or together. Pure."""
+"""The plan of a campaign, drawn from a seed: which faults, on which agents, single or compound. Pure."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ SIZES = (1, 2, 1, 3)
 
 @dataclass(frozen=True)
 class Class:
-    """What the plan must know of a fault. `group`: faults of one group on one agent hide or heal each other, so that
-    they never come together. `whole`: nothing else comes on its agent, since PHM there sees or says nothing meanwhile.
-    `alone`: it concerns more than one agent, and nothing else comes at all."""
+    """The properties of a fault that the plan needs. `group`: faults of one group on one agent hide or resolve each
+    other, so they are never combined. `whole`: no other fault is combined on its agent, since PHM there detects or
+    reports nothing meanwhile. `alone`: it affects more than one agent, and is never combined.
+    """
 
     name: str
     layer: str
@@ -36,7 +37,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class TrialPlan:
-    """`number` counts from 1. All draws are injected in the same moment."""
+    """`number` counts from 1. All draws are injected at the same time."""
 
     number: int
     draws: tuple[Draw, ...]
@@ -49,8 +50,8 @@ class TrialPlan:
 def plan(seed: int, agents: int, trials: int, classes: Collection[Class]) -> tuple[TrialPlan, ...]:
     """The first `trials` trials of a seed. More trials of the same seed begin with the same ones.
 
-    Each layer's classes come in a random order, the layers take turns, and no class comes again before all others of its
-    layer have; agents take turns likewise. Raises ValueError when there is nothing to draw from.
+    Each layer's classes come in a random order, the layers alternate, and no class is repeated before all others of its
+    layer were drawn; agents alternate likewise. Raises ValueError when there is nothing to draw from.
     """
     if agents < 1 or trials < 0:
         raise ValueError(
@@ -80,7 +81,7 @@ def _trials(rng: random.Random, agents: int, classes: Sequence[Class]) -> Iterat
 
 
 def fits(fault: Class, agent: int, taken: Sequence[tuple[Class, int]]) -> bool:
-    """Whether the fault can come with those that are taken already."""
+    """Whether the fault can be combined with those already drawn."""
     if not taken:
         return True
     if fault.alone or any(each.alone for each, _ in taken):
@@ -94,7 +95,7 @@ def _sociable(fault: Class) -> bool:
 
 
 class _Faults:
-    """A shuffled bag for each layer; the layers take turns."""
+    """A shuffled bag for each layer; the layers alternate."""
 
     def __init__(self, rng: random.Random, classes: Sequence[Class]) -> None:
         self._rng = rng
@@ -107,7 +108,7 @@ class _Faults:
         self._turns = deque(layers)
 
     def next(self, wanted: Callable[[Class], bool]) -> Class | None:
-        """The next class that is wanted; its layer goes to the end of the row. None when no layer has one in its bag."""
+        """The next suitable class; its layer moves to the end of the queue. None when no layer has one in its bag."""
         for layer in tuple(self._turns):
             bag = self._bags[layer]
             if not bag:
@@ -122,7 +123,7 @@ class _Faults:
 
 
 class _Victims:
-    """All agents in a random order, then again in another: none comes twice in a row where there are two or more."""
+    """All agents in a random order, repeatedly: none is drawn twice in succession if there are two or more."""
 
     def __init__(self, rng: random.Random, agents: int) -> None:
         self._rng, self._agents = rng, agents

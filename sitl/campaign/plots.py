@@ -1,4 +1,4 @@
-"""Plots of a campaign as self-contained SVG: no script, no font, no file from elsewhere. Pure."""
+"""Plots of a campaign as self-contained SVG: no script, no font, no external file. Pure."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ Marks = Sequence[tuple[str, Sequence[float]]]
 
 
 def x_of(seconds: float) -> float:
-    """Place of a time on the logarithmic axis; values beyond its ends are drawn at them."""
+    """The position of a time on the logarithmic axis; values off the axis are drawn at its ends."""
     part = math.log(min(max(seconds, LOW_S), HIGH_S) / LOW_S) / math.log(HIGH_S / LOW_S)
     return LEFT + part * (WIDTH - LEFT - RIGHT)
 
 
 def strips(title: str, rows: Marks, lines: Sequence[tuple[str, float]] = ()) -> str:
-    """One row of dots for each class, one dot a fault, on a logarithmic axis; `lines`: named times right across."""
+    """One row of dots for each class, one dot per fault, on a logarithmic axis; `lines`: named times across all rows."""
     height = TOP + ROW * max(1, len(rows)) + BOTTOM
     body = [_axis(height), *(_line(name, seconds, height) for name, seconds in lines)]
     for place, (name, values) in enumerate(rows):

@@ -1,4 +1,4 @@
-"""A campaign's report: JSON with everything in it, an HTML page that needs no other file, Markdown. Pure."""
+"""A campaign's report: JSON with all data, a self-contained HTML page, Markdown. Pure."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ svg text.c0 { fill: #0b61c4 } svg text.c1 { fill: #b35900 } svg text.c2 { fill: 
 
 @dataclass(frozen=True)
 class Setting:
-    """Under what a campaign ran. `day` as 2026-01-01."""
+    """The parameters of a campaign. `day` as 2026-01-01."""
 
     seed: int
     machine: str
@@ -47,7 +47,7 @@ class Setting:
 
 
 def as_json(trials: Sequence[Trial], setting: Setting) -> str:
-    """Setting, aims, figures, one verdict for each fault, and the whole record of each trial."""
+    """Parameters, targets, figures, one verdict for each fault, and the complete record of each trial."""
     found = figures(trials)
     scalars = {each.name: getattr(found, each.name) for each in fields(found) if each.name not in ("classes", "judged")}
     return json.dumps(

@@ -1,4 +1,4 @@
-"""Bringing an agent back to health by force, whatever a fault or a killed campaign has left of it."""
+"""Restores an agent to health by force, after any fault or a killed campaign."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from sitl.swarm.swarm import Swarm, SwarmAgent
 
 
 def restore(swarm: Swarm, agent: SwarmAgent) -> None:
-    """Links, router, device, file, networks, configuration; then application and PHM are restarted. Each step is tried by itself."""
+    """Restore links, router, device, file, networks and configuration; then restart application and PHM. Each step is
+    tried separately.
+    """
     for step in (_air, _router, _device, _networks, _file, _application, _phm):
         _try(step, swarm, agent)
 

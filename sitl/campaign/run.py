@@ -1,4 +1,4 @@
-"""Playing a campaign on a swarm that is up: nominal run, run with recovery off, trials; each restored before the next."""
+"""Runs a campaign on a running swarm: nominal run, run with recovery off, trials; each is restored before the next."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sitl.swarm.swarm import Swarm, SwarmAgent
 Progress = Callable[[str], None]
 POLL_S = 0.05
 SEEN_LIMIT_S = 30.0
-"""So long after its injection a fault that was not reported is missed."""
+"""A fault that was not reported within this time after its injection is missed."""
 HEALED_LIMIT_S = 90.0
 AFTER_S = 10.0
 """How long a trial is watched after its faults are recovered or reported: longer than any grace, so late alarms are caught."""
@@ -40,16 +40,16 @@ LASTING_S = 31.0
 
 
 class NotOk(RuntimeError):
-    """The swarm could not be brought back to health: the campaign cannot go on."""
+    """The swarm could not be restored to health: the campaign cannot continue."""
 
 
 def heartbeat_s(agents: int) -> float:
-    """PHM's own period in a swarm of so many."""
+    """PHM's heartbeat period in a swarm of this size."""
     return next(period_s for most, period_s, _ in SIZES if agents <= most)
 
 
 class Runner:
-    """Makes trials. `setting` goes into each of them. `progress` is called with a line now and then."""
+    """Runs trials. `setting` is recorded in each. `progress` is called with status lines."""
 
     def __init__(self, swarm: Swarm, faults: Mapping[str, Fault], setting: dict[str, Any], progress: Progress) -> None:
         self.swarm, self.faults, self.setting, self.progress = swarm, faults, setting, progress
@@ -62,7 +62,9 @@ class Runner:
         """When the last fault at a unit of an agent was over."""
 
     def start(self) -> None:
-        """Listen, and wait until all is well and the ground hears everybody. Whatever a killed campaign left is undone."""
+        """Listen, and wait until all agents are OK and received by the ground. Leftovers of a killed campaign are
+        undone.
+        """
         self.watch.ear.start()
         left = [
             agent
@@ -93,7 +95,7 @@ class Runner:
         return self._end(trial, well=not self.watch.unwell())
 
     def off(self, seed: int) -> Trial:
-        """Faults that would be healed, on agents whose recovery is off: nothing in the world may change."""
+        """Inject faults that would be recovered, with recovery off: nothing may change."""
         victims = random.Random(f"phm-campaign-off/{seed}").sample(
             sorted(self.agents), min(len(LEFT_ALONE), len(self.agents))
         )
@@ -124,7 +126,9 @@ class Runner:
         return trial
 
     def trial(self, plan: TrialPlan) -> Trial:
-        """Inject all of it in one moment, watch, clear, and wait until all is well again. Raises Unwell when it does not become so."""
+        """Inject all faults at the same time, observe, clear, and wait until all is OK again. Raises NotOk if it does
+        not recover.
+        """
         faults = [self.faults[draw.fault] for draw in plan.draws]
         special = [
             (fault, self.agents[draw.agent])
@@ -167,7 +171,7 @@ class Runner:
         self.watch.end()
         trial.well_after = trial.ended - trial.began if well else None
         trial.cost = self.meter.costs()
-        # Until all is well again: a link that is back must be reopened, and a radio's buffer to run empty.
+        # Until all is OK again: a restored link must be reopened, and a radio's buffer must be sent.
         trial.blind = [
             (fault.agent, fault.moment, trial.ended)
             for fault in trial.injections
@@ -176,7 +180,7 @@ class Runner:
         return trial
 
     def _inject(self, trial: Trial, draws: Sequence[Draw]) -> None:
-        """All at once; what concerns one agent one after the other, since a Docker client is one thread's."""
+        """Inject all in parallel; faults on one agent one after another, since a Docker client belongs to one thread."""
         trial.injections = [injection(self.faults[draw.fault], self.agents[draw.agent]) for draw in draws]
         by_agent: dict[int, list[Injection]] = {}
         for each in trial.injections:
@@ -210,7 +214,9 @@ class Runner:
             self._ended[draw.agent, each.unit] = time.monotonic()
 
     def _done(self, trial: Trial) -> bool:
-        """Whether every fault is recovered, or reported where it cannot be recovered, or nothing more is to be expected of it."""
+        """Whether every fault is recovered, or reported where it cannot be recovered, or nothing more can be expected
+        of it.
+        """
         now = time.monotonic()
         for verdict in judge(trial).verdicts:
             fault, begun = verdict.injection, verdict.injection.moment or now
@@ -226,13 +232,15 @@ class Runner:
         return True
 
     def _rest(self, draws: Sequence[Draw]) -> None:
-        """What was hurt a moment ago must have lasted before it is hurt again, else PHM rightly counts a repair that did not."""
+        """A unit that was broken recently must have been OK for a while, or PHM correctly counts a repair that did not
+        last.
+        """
         units = [(draw.agent, injection(self.faults[draw.fault], self.agents[draw.agent]).unit) for draw in draws]
         until = max((self._ended.get(each, 0.0) for each in units), default=0.0) + LASTING_S
         self._wait(lambda: time.monotonic() >= until, LASTING_S)
 
     def _recover(self, victims: Sequence[int]) -> bool:
-        """Whether all became well by itself once the faults were cleared; else they are restored by force."""
+        """Whether all recovered once the faults were cleared; otherwise restore them by force."""
         try:
             self._well(WELL_LIMIT_S)
         except NotOk as error:
@@ -257,7 +265,7 @@ class Runner:
             raise NotOk(f"not well after {limit_s:g} s: {'; '.join(words)}")
 
     def _configure(self, agents: Sequence[SwarmAgent], changes: Mapping[str, str]) -> None:
-        """Start the PHM of these agents with their configuration and the changes to it, all at once."""
+        """Start the PHM of these agents with their configuration and the changes, in parallel."""
         mark = time.monotonic()
         with ThreadPoolExecutor(len(agents)) as pool:
             at_work = [pool.submit(self.swarm.configure, agent, changes) for agent in agents]
@@ -271,7 +279,7 @@ class Runner:
         return self.watch.levels[agent].since > mark and self.watch.levels[agent].reported
 
     def _wait(self, wanted: Callable[[], bool], limit_s: float) -> bool:
-        """Poll what is observable; False when it did not come."""
+        """Poll `wanted`; False on timeout."""
         until = time.monotonic() + limit_s
         while True:
             self.watch.update()

@@ -1,4 +1,4 @@
-"""What a trial's record says about each injected fault. Pure: the rules are those of docs/development/campaign.md."""
+"""Scores a trial's record for each injected fault. Pure: the rules are those of docs/development/campaign.md."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 from sitl.campaign.trial import OFF, Alarm, Injection, Line, Start, Trial, Warned
 
 BESIDE = "host/"
-"""All agents share one machine: any of them may report its load, which belongs to no agent's fault."""
+"""All agents share one machine: any of them may report its load, which belongs to no injected fault."""
 PEERS = "peers/"
 """Every other agent keeps the same unit about an agent that it misses; together they are one alarm."""
 
 
 @dataclass
 class Verdict:
-    """One injected fault. Seconds count from the moment at which it was there; None: it did not happen."""
+    """One injected fault. Seconds since its injection was complete; None: it did not happen."""
 
     trial: int
     kind: str
@@ -42,14 +42,15 @@ class Verdict:
 
     @property
     def count(self) -> int:
-        """Alarms; what several agents say about the same peer is one."""
+        """The number of alarms; reports of several agents about the same peer count once."""
         return counted(self.alarms)
 
 
 @dataclass
 class Judged:
-    """A trial: its faults, the alarms that belong to none of them, those about the machine that all share, and those that
-    clearing has caused: a fault that was not healed is mostly cleared by a restart."""
+    """A trial: its faults, the alarms that belong to none of them, those about the shared machine, and those that
+    clearing has caused: a fault that was not recovered is mostly cleared by a restart.
+    """
 
     trial: Trial
     verdicts: list[Verdict]
@@ -59,7 +60,7 @@ class Judged:
 
 
 def judge(trial: Trial) -> Judged:
-    """Give every alarm to the fault that it belongs to, then read each fault's times."""
+    """Assign every alarm to its fault, then compute each fault's times."""
     verdicts = [
         Verdict(trial.number, "single" if len(trial.injections) == 1 else "compound", each, due(each))
         for each in trial.injections
@@ -83,7 +84,7 @@ def judge(trial: Trial) -> Judged:
 
 
 def counted(alarms: Sequence[Alarm]) -> int:
-    """How many alarms these are to an operator."""
+    """The number of alarms that an operator sees."""
     own = sum(not alarm.unit.startswith(PEERS) for alarm in alarms)
     reported = Counter((alarm.unit, alarm.agent) for alarm in alarms if alarm.unit.startswith(PEERS))
     most: dict[str, int] = {}
@@ -93,7 +94,7 @@ def counted(alarms: Sequence[Alarm]) -> int:
 
 
 def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
-    """The fault that an alarm belongs to: at its unit; about its agent as a peer; on board its agent, of its group first."""
+    """The fault that an alarm belongs to: at its unit; about its agent as a peer; on its agent, of its group first."""
     begun = [verdict for verdict in verdicts if alarm.mono >= _asked(verdict.injection)]
     for verdict in begun:
         if _expected(alarm, verdict.injection):
@@ -110,31 +111,35 @@ def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
 
 
 def _asked(fault: Injection) -> float:
-    """From when on it may be seen: what it takes to cause it, a restart for one, comes before it is there."""
+    """The time from which its alarm may be raised: a side effect of the injection, e.g. a restart, comes before the
+    fault.
+    """
     times = [each for each in (fault.asked, fault.moment) if each is not None]
     return min(times, default=0.0)
 
 
 def _about(alarm: Alarm, fault: Injection) -> bool:
-    """Whether an alarm about peers follows from the fault: it names its agent, or is on board it, or reports a split."""
+    """Whether an alarm about peers is a consequence of the fault: it names its agent, is raised on it, or reports a
+    split.
+    """
     subject = alarm.unit.removeprefix(PEERS)
     concerned = fault.layer == "link" or fault.phm
     return concerned and (subject == f"A{fault.agent:02d}" or alarm.agent == fault.agent or subject == "swarm")
 
 
 def places(injection: Injection) -> list[str]:
-    """Units at which an alarm is due."""
+    """Units at which an alarm is expected."""
     return [unit for unit in (injection.unit, *injection.also) if unit]
 
 
 def due(injection: Injection) -> int:
-    """How many alarms a fault is to raise: a warning is none."""
+    """The number of alarms that a fault is expected to raise: none for a warning."""
     units = set(places(injection) if injection.level == "ERROR" else ()) | {injection.others}
     return len(units - {""})
 
 
 def _expected(alarm: Alarm, injection: Injection) -> bool:
-    """Whether this is an alarm that the fault is expected to raise: on board its agent, or the others."""
+    """Whether the fault is expected to raise this alarm: on its agent, or on the others."""
     if alarm.agent == injection.agent:
         return alarm.unit in places(injection)
     return bool(injection.others) and alarm.unit == injection.others
@@ -164,7 +169,7 @@ def _times(verdict: Verdict, trial: Trial) -> None:
 
 
 def _rebirth(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
-    """PHM itself was gone: its next life says so by its first line, and is whole with its first complete report."""
+    """PHM itself was down: its next run reports by its first line, and is complete with its first complete report."""
     fault = verdict.injection
     start = next((each for each in trial.starts if each.agent == fault.agent and each.mono >= begun), None)
     if start is None:
@@ -181,7 +186,7 @@ def _rebirth_healed(verdict: Verdict, start: Start, begun: float, until: float) 
 
 
 def _healing(verdict: Verdict, trial: Trial, warned: Sequence[Warned], begun: float, until: float) -> None:
-    """Over before anybody cleared it: proven by an action, or closed as resolved. All of its units must be."""
+    """Over before it was cleared: verified by an action, or closed as resolved. This must be true for all of its units."""
     fault, ends, by = verdict.injection, [], []
     back = [each for each in trial.starts if each.agent == fault.agent and each.mono >= begun and each.report]
     if fault.phm and back:
@@ -218,7 +223,7 @@ def _healing(verdict: Verdict, trial: Trial, warned: Sequence[Warned], begun: fl
 
 
 def _wrong(verdict: Verdict, named: Sequence[Alarm], warned: Set[str]) -> str:
-    """`warned`: conditions as which the unit was WARN."""
+    """`warned`: conditions with which the unit was WARN."""
     fault = verdict.injection
     if not named and not warned:
         return f"reported at {_units(verdict.alarms)}, expected at {fault.unit}" if verdict.alarms else ""
@@ -237,7 +242,9 @@ def _units(alarms: Sequence[Alarm]) -> str:
 
 
 def reports(line: Line, fault: Injection, slot: int) -> bool:
-    """Whether a line reports a bad state of this agent in that slot: a change, or the refresh; its own, or another's."""
+    """Whether a line reports a bad state of this agent in that slot: a change, or the refresh; from itself or another
+    agent.
+    """
     who = f"A{fault.agent:02d}"
     words = "FAIL|GAVE UP|WARN" if fault.level == "WARN" else "FAIL|GAVE UP"
     if re.match(rf"{who} ({words}) (?:[01-]{{8}} )?{slot}\b", line.text):

@@ -1,4 +1,4 @@
-"""A campaign's figures as rows of words, for terminal, Markdown, HTML. Pure."""
+"""A campaign's figures as text rows, for terminal, Markdown, HTML. Pure."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MET = {True: "met", False: "NOT met", None: ""}
 
 
 def table2(found: Figures, interval_s: float) -> list[tuple[str, ...]]:
-    """The paper's parameters, then every metric with its aim and whether it is met."""
+    """The paper's parameters, then every metric with its target and whether it is met."""
     rows: list[tuple[str, ...]] = [
         ("Parameter: Reactivation Interval", "20 s", f"{interval_s:g} s", "", ""),
         ("Parameter: SITL Agents", "8", str(found.agents), "", ""),
@@ -41,7 +41,7 @@ def table2(found: Figures, interval_s: float) -> list[tuple[str, ...]]:
 
 
 def beyond(found: Figures) -> list[tuple[str, str]]:
-    """Figures without an aim."""
+    """Figures without a target."""
     heard = "-" if found.heard is None else f"{100 * found.heard:.3f} %"
     return [
         ("Healing time, mean / p50 / p95 / max", spread(found.healing)),
@@ -83,7 +83,7 @@ def classes(found: Figures) -> list[tuple[str, ...]]:
 
 
 def trials(judged_trials: Sequence[Judged]) -> list[tuple[str, ...]]:
-    """One row for each injected fault, with what is remarkable about it."""
+    """One row for each injected fault, with remarks."""
     return [_trial(each, verdict) for each in judged_trials for verdict in each.verdicts]
 
 
@@ -103,7 +103,7 @@ def _trial(each: Judged, verdict: Verdict) -> tuple[str, ...]:
 
 
 def remarks(each: Judged, verdict: Verdict) -> list[str]:
-    """What about this fault is not as it should be."""
+    """The problems of this fault."""
     fault, found = verdict.injection, []
     if verdict.missed and fault.unit:
         found.append("missed")
@@ -122,7 +122,7 @@ def remarks(each: Judged, verdict: Verdict) -> list[str]:
 
 
 def short(judged_trials: Sequence[Judged]) -> list[str]:
-    """Everything that is not as it should be, one sentence each."""
+    """All problems, one sentence each."""
     lines = [
         f"trial {each.trial.number}, {verdict.injection.fault} on A{verdict.injection.agent:02d}: {remark}"
         for each in judged_trials

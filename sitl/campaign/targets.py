@@ -1,4 +1,4 @@
-"""What a campaign is measured against: the paper's Table 2, and our own aims. Pure."""
+"""The reference values of a campaign: the paper's Table 2, and PHM's own targets. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Value = float | int | None
 
 @dataclass(frozen=True)
 class Aim:
-    """One row of the table. `met` of a value; `shown` how it is written."""
+    """One row of the table. `met` tests a value; `shown` formats it."""
 
     name: str
     paper: str
@@ -24,7 +24,7 @@ class Aim:
 
 @dataclass(frozen=True)
 class Row:
-    """An aim judged. `met` is None when nothing was measured."""
+    """An evaluated target. `met` is None when nothing was measured."""
 
     name: str
     paper: str
@@ -74,7 +74,7 @@ AIMS = (
 
 
 def judged(found: Figures) -> list[Row]:
-    """Every aim beside what was measured."""
+    """Every target with its measured value."""
     rows = []
     for aim in AIMS:
         value = aim.value(found)
@@ -97,5 +97,5 @@ _WITHOUT = {"PHM uptime", "False alarms", "Sidecar, CPU of one core", "Changed w
 
 
 def short(found: Figures) -> list[str]:
-    """What falls short, in words; empty when every aim that was measured is met."""
+    """The missed targets as text; empty when every measured target is met."""
     return [f"{row.name}: {row.shown}, aim {row.aim}" for row in judged(found) if row.met is False]

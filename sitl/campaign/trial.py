@@ -1,7 +1,7 @@
-"""The record of one trial, one JSON object a line: complete enough to compute every metric from it, and to argue about.
+"""The record of one trial, one JSON object per line: complete enough to compute and verify every metric.
 
-Times are seconds on this machine's monotonic clock, which its containers share, so PHM's own stamps, the injector's and
-the ground's can be subtracted; `utc` is the same in seconds since 1970, for the eye.
+Times are seconds on this machine's monotonic clock, which its containers share, so PHM's own timestamps, the injector's
+and the ground's can be subtracted; `utc` is the same in seconds since 1970, for readers.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ NOMINAL, OFF, TRIAL = "nominal", "off", "trial"
 
 @dataclass
 class Injection:
-    """One fault on one agent. `unit`: where PHM must report it, on board that agent, as `condition`; empty: nowhere, since it is
-    not a fault that can be reported. `level`: ``ERROR``, which opens a fault, or ``WARN``. `others`: where the other agents must
-    report it, too, together one alarm."""
+    """One fault on one agent. `unit`: where PHM must report it on that agent, as `condition`; empty for a fault that
+    cannot be reported. `level`: ``ERROR``, which opens a fault, or ``WARN``. `others`: where the other agents must
+    report it, too, together one alarm.
+    """
 
     fault: str
     title: str
@@ -35,16 +36,16 @@ class Injection:
     cause: str = ""
     group: str = ""
     blinds: bool = False
-    """While it lasts, the ground cannot hear this agent, whether its PHM lives or not."""
+    """While it lasts, the ground cannot receive this agent, whether its PHM runs or not."""
     phm: bool = False
-    """PHM itself is what is hurt."""
+    """PHM itself is affected."""
     passes: bool = False
-    """It ends without anybody's doing."""
+    """It ends without being cleared."""
     also: list[str] = field(default_factory=list)
     asked: float | None = None
-    """When the injector began; what it takes to cause a fault may be seen before the fault is there."""
+    """When the injector began; side effects of the injection may be seen before the fault is complete."""
     moment: float | None = None
-    """From when on it was there; None: it could not be injected."""
+    """When the injection was complete; None: it failed."""
     cleared: float | None = None
     """When `clear` was called."""
     error: str = ""
@@ -52,7 +53,7 @@ class Injection:
 
 @dataclass
 class Alarm:
-    """A fault that PHM opened, with how it ended so far. `conditions`: as what its unit was known, in order."""
+    """A fault that PHM opened, with its present outcome. `conditions`: all its conditions, in order."""
 
     agent: int
     unit: str
@@ -68,7 +69,7 @@ class Alarm:
 
 @dataclass
 class Warned:
-    """A unit became WARN; `conditions`: as what, in order; `ended`: when it was OK again."""
+    """A unit became WARN; `conditions`: all conditions, in order; `ended`: when it was OK again."""
 
     agent: int
     unit: str
@@ -93,7 +94,7 @@ class Act:
 
 @dataclass
 class Start:
-    """PHM began a new life; `report`: when its first report was complete."""
+    """PHM was started; `report`: when its first report was complete."""
 
     agent: int
     mono: float
@@ -112,7 +113,7 @@ class Line:
 
 @dataclass
 class Cost:
-    """Of one agent's sidecar between two looks `seconds` apart, all its processes together."""
+    """Resources used by one agent's sidecar between two samples `seconds` apart, all its processes together."""
 
     agent: int
     seconds: float
@@ -122,7 +123,7 @@ class Cost:
 
 @dataclass
 class Trial:
-    """What happened between `began` and `ended`, on all agents."""
+    """The events between `began` and `ended`, on all agents."""
 
     kind: str
     number: int
@@ -138,16 +139,16 @@ class Trial:
     starts: list[Start] = field(default_factory=list)
     lines: list[Line] = field(default_factory=list)
     heartbeats: dict[int, list[float]] = field(default_factory=dict)
-    """Of each agent's PHM, as the ground received them; the first is the last one before `began`."""
+    """Of each agent's PHM, as received by the ground; the first is the last one before `began`."""
     blind: list[tuple[int, float, float]] = field(default_factory=list)
-    """Agent, from, to: when the ground could not have heard that agent."""
+    """Agent, from, to: when the ground could not have received that agent."""
     received: dict[int, int] = field(default_factory=dict)
     """Bytes of the frames from each agent's PHM that reached the ground between `began` and `ended`."""
     cost: list[Cost] = field(default_factory=list)
     well_after: float | None = None
-    """When all agents were well again; None: they were not, within the limit."""
+    """When all agents were OK again; None: not within the limit."""
     changed: list[str] = field(default_factory=list)
-    """With recovery off: what changed in the world all the same."""
+    """With recovery off: what changed nevertheless."""
     setting: dict[str, Any] = field(default_factory=dict)
     """Seed, autopilot, machine: which campaign this trial belongs to."""
     v: int = VERSION
@@ -174,7 +175,7 @@ def to_json(trial: Trial) -> str:
 
 
 def from_json(line: str | bytes) -> Trial:
-    """Keys that are not known are left out. Raises ValueError for what is not a trial of this version."""
+    """The trial of a line; unknown keys are ignored. Raises ValueError for anything but a trial of this version."""
     data = json.loads(line)
     if not isinstance(data, dict) or data.get("v") != VERSION:
         raise ValueError(f"not a trial of version {VERSION}")
@@ -196,8 +197,9 @@ def _made(part: Any, data: dict[str, Any]) -> Any:
 
 
 def load(path: Path) -> list[Trial]:
-    """All whole trials of a file, oldest first; the last of several with one kind and number counts. A line that a kill
-    left torn is skipped. A file that does not exist has none."""
+    """All complete trials of a file, oldest first; the last of several with one kind and number counts. A line
+    truncated by a kill is skipped. A missing file has none.
+    """
     found: dict[tuple[str, int], Trial] = {}
     lines: Iterable[bytes] = path.read_bytes().splitlines() if path.exists() else ()
     for line in lines:
@@ -211,7 +213,7 @@ def load(path: Path) -> list[Trial]:
 
 
 def append(path: Path, trial: Trial) -> None:
-    """Put the trial at the end of the file, on the disk before this returns; a torn last line stays a line of its own."""
+    """Append the trial to the file, synced to disk; a truncated last line stays separate."""
     with path.open("a+b") as stream:
         stream.seek(0, os.SEEK_END)
         torn = False

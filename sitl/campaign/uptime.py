@@ -1,4 +1,4 @@
-"""How much of the time PHM was up, as a ground station sees it. Pure."""
+"""The share of time that PHM was up, as seen by a ground station. Pure."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Span = tuple[float, float]
 
 
 def gaps(times: Sequence[float], period_s: float, ended: float) -> list[Span]:
-    """When the heartbeat was overdue: from when it was due to when it came, or to the end of the watch."""
+    """When the heartbeat was overdue: from its due time to its arrival, or to the end of the measurement."""
     pauses = pairwise([*sorted(times), ended])
     return [(start + period_s, end) for start, end in pauses if end - start > GAP * period_s]
 
 
 def without(span: Span, holes: Sequence[Span]) -> list[Span]:
-    """What remains of a span when the holes are cut out of it; in order."""
+    """The rest of a span without the holes; in order."""
     left = [span] if span[1] > span[0] else []
     for begin, end in holes:
         left = (
@@ -41,8 +41,9 @@ def length(spans: Sequence[Span]) -> float:
 
 
 def of_agent(trial: Trial, agent: int, *, net: bool = True) -> tuple[float, float]:
-    """Seconds watched, and seconds of them down. With `net`, the time for which the ground could not have heard this
-    agent, and one period after it, is not watched."""
+    """Seconds measured, and seconds of them down. With `net`, the time in which the ground could not have received this
+    agent, and one period after it, is not measured.
+    """
     span = (trial.began, trial.ended)
     holes = [(start, end + trial.heartbeat_s) for blind, start, end in trial.blind if net and blind == agent]
     watched = without(span, holes)
@@ -53,7 +54,7 @@ def of_agent(trial: Trial, agent: int, *, net: bool = True) -> tuple[float, floa
 
 
 def share(trials: Sequence[Trial], *, net: bool = True) -> float | None:
-    """Up, from 0 to 1, over all agents and trials; None when nothing was watched."""
+    """The share of time up, from 0 to 1, over all agents and trials; None when nothing was measured."""
     watched = down = 0.0
     for trial in trials:
         for agent in range(1, trial.agents + 1):

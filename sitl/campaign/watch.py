@@ -1,4 +1,4 @@
-"""What the outside sees while a trial runs: each agent's record, the ground's ear, the sidecars' cost."""
+"""External observations during a trial: each agent's record, messages at the ground, the sidecars' cost."""
 
 from __future__ import annotations
 
@@ -40,21 +40,21 @@ class GroundListener:
         self.ground.stop()
 
     def begin(self) -> None:
-        """A trial begins: counters at zero, the last heartbeats kept."""
+        """Start a trial: reset the counters, keep the last heartbeats."""
         with self._lock:
             self._heartbeats = {agent: times[-LAST:] for agent, times in self._heartbeats.items()}
             self._bytes = {}
         self.ground.lines.clear()
 
     def fill(self, trial: Trial) -> None:
-        """What was heard since `begin`."""
+        """Fill in what was received since `begin`."""
         with self._lock:
             trial.heartbeats = {agent: [round(beat, 3) for beat in times] for agent, times in self._heartbeats.items()}
             trial.received = dict(self._bytes)
         trial.lines = [Line(line.system, line.severity, line.text, line.mono) for line in list(self.ground.lines)]
 
     def heard(self) -> set[int]:
-        """Agents whose PHM was heard at all."""
+        """Agents whose PHM was received at all."""
         with self._lock:
             return set(self._heartbeats)
 
@@ -69,7 +69,7 @@ class GroundListener:
 
 
 class SwarmWatcher:
-    """All agents' records and levels, and the ear. `update` is to be called often."""
+    """All agents' records and levels, and the ground listener. Call `update` often."""
 
     def __init__(self, records: Mapping[int, Path], ear: GroundListener) -> None:
         self.ear = ear
@@ -79,13 +79,13 @@ class SwarmWatcher:
         self._trial: Trial | None = None
 
     def begin(self, trial: Trial) -> None:
-        """From now on everything goes into this trial."""
+        """From now on everything is recorded in this trial."""
         self.update()
         self.ear.begin()
         self._trial = trial
 
     def end(self) -> None:
-        """The trial is over: `ended` is now, and the ground's part is filled in."""
+        """End the trial: set `ended`, and fill in the ground's part."""
         self.update()
         if self._trial is not None:
             self._trial.ended = time.monotonic()
@@ -102,7 +102,7 @@ class SwarmWatcher:
                     note(self._trial, agent, event)
 
     def learn(self) -> None:
-        """How the units are now is how they usually are: with nothing injected, some may not be known for good."""
+        """Take the present levels as the usual ones: with nothing injected, some units may be unknown permanently."""
         self.usual = {agent: levels.as_usual() for agent, levels in self.levels.items()}
 
     def unwell(self) -> dict[int, list[str]]:
@@ -112,7 +112,7 @@ class SwarmWatcher:
 
 
 class CostMeter:
-    """CPU and memory of the sidecars between two looks."""
+    """CPU and memory of the sidecars between two samples."""
 
     def __init__(self, agents: Mapping[int, Agent]) -> None:
         self._agents = agents
@@ -124,7 +124,7 @@ class CostMeter:
         self._before = {number: self._look(agent)[0] for number, agent in self._agents.items()}
 
     def costs(self) -> list[Cost]:
-        """Since `begin`. An agent whose sidecar did not run at both looks is left out."""
+        """Cost since `begin`. An agent whose sidecar did not run at both samples is left out."""
         found = []
         for number, agent in self._agents.items():
             now, rss = self._look(agent)

@@ -2,9 +2,10 @@
 
 ``python -m sitl.simulation.autopilot --id 1 --companion udpin:0.0.0.0:14550 --ground tcpin:0.0.0.0:5760 [--armed]``
 
-What it sends and obeys is in `sitl.simulation.autopilot_model`. It passes frames between its links unchanged by ArduPilot's rules, measured on a
-real one: a link gets passed-on frames only after it has itself sent a packet; frames that claim to be
-from the autopilot itself vanish; what is addressed to the autopilot stays with it, and so does a radio's RADIO_STATUS.
+`sitl.simulation.autopilot_model` defines what it sends and which commands it executes. It forwards frames between its
+links unchanged, by ArduPilot's rules, as measured on a real one: a link gets forwarded frames only after it has sent a
+packet; frames that claim to be from the autopilot are dropped; messages to the autopilot and a radio's RADIO_STATUS are
+not forwarded.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from sitl.simulation.link import Port
 
 
 class Autopilot:
-    """Runs in one thread: `run` until `stop`. `armed` may be set from outside, and `hung`: its ports stay open, and nothing
-    comes or is passed on. Raises OSError when a port is taken."""
+    """Runs in one thread: `run` until `stop`. `armed` and `hung` may be set from outside; while it is hung its ports
+    stay open, and nothing is sent or forwarded. Raises OSError when a port is in use.
+    """
 
     def __init__(self, system_id: int, companion: str, ground: str, *, armed: bool = False) -> None:
         self.system_id = system_id
@@ -50,7 +52,7 @@ class Autopilot:
         self._pilot.hung = hung
 
     def reboot(self, boot_s: float = BOOT_S) -> None:
-        """Its ports stay; it is silent for so long, has forgotten routes and arming, and its time since boot restarts."""
+        """Keep the ports, be silent for `boot_s`, and forget routes, arming and the time since boot."""
         self._pilot.reboot(time.monotonic(), boot_s)
 
     def stop(self) -> None:

@@ -1,6 +1,6 @@
-"""What a simulated autopilot does: the part without sockets. Used by `sitl.simulation.autopilot` and by the swarm's air process.
+"""A simulated autopilot without sockets. Used by `sitl.simulation.autopilot` and by the swarm's link emulator.
 
-It sends what an ArduPilot copter sends (HEARTBEAT, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT) and obeys
+It sends the messages of an ArduPilot copter (HEARTBEAT, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT) and executes
 MAV_CMD_COMPONENT_ARM_DISARM and MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN. Armed, it flies a circle.
 """
 
@@ -24,7 +24,9 @@ APART_E7, CIRCLE_E7, TURN_S, HEIGHT_MM = 1300, 1800, 60.0, 30_000
 
 
 class AutopilotModel:
-    """Times are of the caller's monotonic clock. `armed` may be set from outside, and `hung`: nothing comes, nothing is obeyed."""
+    """Times are of the caller's monotonic clock. `armed` and `hung` may be set from outside; while it is hung it sends
+    and executes nothing.
+    """
 
     def __init__(self, system_id: int, now: float, *, armed: bool = False) -> None:
         self.system_id, self.armed, self.hung = system_id, armed, False
@@ -34,7 +36,7 @@ class AutopilotModel:
         self._due = {self._heartbeat: now, self._attitude: now}
 
     def reboot(self, now: float, boot_s: float = BOOT_S) -> None:
-        """It is silent for so long, is disarmed after, and its time since boot restarts."""
+        """Be silent for `boot_s`, then disarmed, with a new time since boot."""
         self._boot_until = now + boot_s
 
     def booted(self, now: float) -> bool:
@@ -50,7 +52,7 @@ class AutopilotModel:
         return self.hung or self._boot_until is not None
 
     def due(self, now: float) -> list[bytes]:
-        """The frames that are due by now."""
+        """The frames that are due at `now`."""
         if self.dumb:
             return []
         found = []
@@ -61,11 +63,11 @@ class AutopilotModel:
         return found
 
     def next_s(self) -> float:
-        """The moment at which something may be due."""
+        """The time at which the next frame may be due."""
         return self._boot_until if self._boot_until is not None else min(self._due.values())
 
     def obey(self, now: float, message: Any) -> list[bytes]:
-        """What it answers to a message for it: an acknowledgement, and its new state."""
+        """The answer to a message for the autopilot: an acknowledgement, and its new state."""
         if self.dumb or message.get_type() != "COMMAND_LONG":
             return []
         result = mavlink.MAV_RESULT_UNSUPPORTED

@@ -1,7 +1,8 @@
-"""What lies between two radios: a queue that is emptied at the rate of the air, delay, losses, a cut. Pure: the time is given.
+"""One radio link: a queue that is sent at the air data rate, delay, losses, a cut. Pure: the time is a parameter.
 
-A frame enters the transmit buffer whole or, when there is no room, not at all. It leaves it at the rate of the air, may
-get lost there, and arrives a delay later. While the link is cut nothing leaves the buffer, so it fills up, as in a SiK radio.
+A frame enters the transmit buffer entirely or, without space, not at all. It leaves the buffer at the air data rate,
+may get lost, and arrives after the delay. While the link is cut nothing leaves the buffer, so it fills up, as in a SiK
+radio.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any, Generic, TypeVar
 Item = TypeVar("Item")
 
 SIK_SHARE = 3170 / 8000
-"""Of its air data rate a SiK pair carries so much each way: 64 kbit/s are 3170 bytes a second (docs/reference/mavlink.md)."""
+"""The share of its air data rate that a SiK pair transfers each way: 64 kbit/s give 3170 bytes/s (docs/reference/mavlink.md)."""
 BUFFER_BYTES = 2048
 """Transmit buffer of a SiK radio."""
 FOREIGN_BYTES = 64
@@ -33,7 +34,7 @@ _LIMITS: Mapping[str, tuple[float, float]] = {
 
 @dataclass
 class Conditions:
-    """What a link is like at this moment; see `sitl.swarm.control.LinkEmulatorClient.set` for each field."""
+    """The state of a link; see `sitl.swarm.control.LinkEmulatorClient.set` for each field."""
 
     cut: bool = False
     off: bool = False
@@ -46,7 +47,7 @@ class Conditions:
     fill_bps: float = 0.0
 
     def change(self, values: Mapping[str, Any]) -> None:
-        """Set what is named. ValueError for a name that is not known or a value out of its range; then nothing is changed."""
+        """Set the named fields. Raises ValueError for an unknown name or a value out of range; then nothing is changed."""
         known = {field.name for field in fields(self)}
         for key, value in values.items():
             if key not in known:
@@ -67,7 +68,9 @@ def _judge(key: str, value: Any) -> None:
 
 
 class Losses:
-    """Which frames get lost: `loss` of them in the long run, `burst` in a row on average (Gilbert's model of two states)."""
+    """Which frames get lost: the share `loss` in the long run, `burst` consecutive ones on average (Gilbert's two-state
+    model).
+    """
 
     def __init__(self, chance: random.Random) -> None:
         self._chance, self._bad = chance, False
@@ -118,7 +121,7 @@ class Pipe(Generic[Item]):
         return self.conditions.rate_bps / 8 * self._share
 
     def offer(self, now: float, size: int, item: Item) -> bool:
-        """A frame of so many bytes for the other end; False: there was no room for it."""
+        """Queue a frame of `size` bytes for the other end; False when there was no space for it."""
         self._drain(now)
         if not self._put(_Waiting(size, item, now)):
             self.full += 1
@@ -126,7 +129,7 @@ class Pipe(Generic[Item]):
         return True
 
     def arrived(self, now: float) -> list[Item]:
-        """What has come out at the other end since it was asked last, in order."""
+        """The frames that have arrived at the other end since the last call, in order."""
         self._drain(now)
         found = []
         while self._flying and self._flying[0][0] <= now:
@@ -134,12 +137,12 @@ class Pipe(Generic[Item]):
         return found
 
     def free_percent(self, now: float) -> int:
-        """How much of the transmit buffer is free: RADIO_STATUS.txbuf."""
+        """The free share of the transmit buffer in percent: RADIO_STATUS.txbuf."""
         self._drain(now)
         return max(0, 100 * (self._buffer - self._held) // self._buffer)
 
     def next_s(self) -> float | None:
-        """The moment of the next arrival, as far as it is known now; None: nothing is on its way."""
+        """The time of the next arrival, as far as it is known; None when nothing is in transit."""
         if self._flying:
             return self._flying[0][0]
         if self._waiting and not self.conditions.cut:
@@ -147,7 +150,7 @@ class Pipe(Generic[Item]):
         return None
 
     def clear(self) -> None:
-        """The radio loses power: what was in it is gone."""
+        """The radio loses power and the content of its buffer."""
         self._waiting.clear()
         self._flying.clear()
         self._held = 0
@@ -183,13 +186,13 @@ class Pipe(Generic[Item]):
                 self._flying.append((gone + self.conditions.delay_s, frame.item))
 
     def _foreign(self, now: float) -> None:
-        """Foreign frames come evenly; those that find no room are gone."""
+        """Foreign frames arrive evenly; those without space are dropped."""
         if not self._filled or not self.conditions.fill_bps:
             self._foreign_from = None
             return
         every_s = FOREIGN_BYTES * 8 / self.conditions.fill_bps
         came = now if self._foreign_from is None else self._foreign_from
-        # After a long pause only as many as the buffer can hold: the rest would have been dropped.
+        # After a long pause only as many as fit into the buffer: the others would have been dropped.
         came = max(came, now - every_s * (self._buffer // FOREIGN_BYTES))
         while came <= now:
             self._put(_Waiting(FOREIGN_BYTES, None, came))

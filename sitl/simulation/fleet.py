@@ -1,4 +1,6 @@
-"""Many agents on one clock: each with the real probe, reporters and outbox, joined by links with configured losses."""
+"""Many agents on one clock: each with the real probe, reporters and send queue, connected by links with configured
+losses.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ STEP_S = 0.25
 
 
 class Port:
-    """A hub with one link: what is sent waits in a real outbox, and leaves when the fleet lets it."""
+    """A hub with one link: messages wait in a real send queue until the fleet calls `leave`."""
 
     def __init__(self, agent: int, clock: FakeClock, budget: float | None) -> None:
         self.outbox = SendQueue(clock, budget)
@@ -58,7 +60,7 @@ class Port:
         self._listeners.append((callback, frozenset(ids)))
 
     def watch(self, callback: Callable[[], None]) -> None:
-        """Looked at by the fleet itself."""
+        """Not used: the fleet polls."""
 
     def leave(self) -> list[bytes]:
         frames = []
@@ -76,7 +78,7 @@ class Port:
 
 
 class Agent:
-    """One agent: how it is, is set from outside."""
+    """One agent, whose state is set from outside."""
 
     def __init__(
         self, number: int, clock: FakeClock, fleet: list[int], budget: float | None, units: Sequence[UnitState] = ()
@@ -124,7 +126,7 @@ class Agent:
         )
 
     def turn(self, units: Sequence[UnitState]) -> None:
-        """It is so from now on; changes are published as the tracker does."""
+        """Set the units; changes are published as by the tracker."""
         before, self.units = self.units, {state.unit: state for state in units}
         for state in units:
             old = before[state.unit].level if state.unit in before else Level.STALE
@@ -136,9 +138,11 @@ class Agent:
 
 
 class Fleet:
-    """`count` agents from number 1 on, without 51. `no_gcs`: agents without a link to the ground. `cut`: (sender, receiver) pairs.
+    """`count` agents from number 1 on, without 51. `no_gcs`: agents without a link to the ground. `cut`: (sender,
+    receiver) pairs.
 
-    units: what each agent's checks say, or a few of their own. step_s: of the clock; a coarse one is quicker to compute.
+    units: the results of each agent's checks; a few default ones. step_s: step of the clock; a large one is faster to
+    compute.
     """
 
     def __init__(
@@ -158,7 +162,7 @@ class Fleet:
         self.no_gcs: set[int] = set()
         self.cut: set[tuple[int, int]] = set()
         self.ground: list[tuple[int, int, str]] = []
-        """What the ground station read: agent, severity, text."""
+        """What the ground station received: agent, severity, text."""
         self._loss, self._random = loss, random.Random(seed)
         self._parser = Codec(255, 190, lambda _: True).parser()
 
@@ -176,7 +180,7 @@ class Fleet:
                 self._deliver(agent.number, agent.port.leave(), up)
 
     def lines(self, least: int = 7) -> list[str]:
-        """Lines of at most this severity number that the ground read since the last call."""
+        """Lines of at most this severity number that the ground received since the last call."""
         found = [text for _, severity, text in self.ground if severity <= least]
         self.ground.clear()
         return found

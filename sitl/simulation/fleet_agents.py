@@ -1,8 +1,8 @@
-"""Simulated agents of a fleet, many in one process: the real reporter of each, with a session of its own.
+"""Simulated agents of a fleet, many in one process: the real reporter of each, with a separate session.
 
-`python -m sitl.simulation.fleet_agents ENDPOINT FLEET FIRST COUNT [OPTIONS]` prints `ready` when all have begun to connect, then takes
-one JSON object a line on standard input, and ends with it (in order, as a daemon that is stopped). Options are further keys
-of the section `fleet`.
+`python -m sitl.simulation.fleet_agents ENDPOINT FLEET FIRST COUNT [OPTIONS]` prints `ready` when all have started to
+connect, then reads one JSON object per line from standard input, and ends with it (like a stopped daemon). Options are
+further keys of the section `fleet`.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ LIMIT_S = 60.0
 
 
 class Agent:
-    """One agent's reporter, as a daemon runs it; its units are what `turn` makes of them."""
+    """One agent's reporter, as run by a daemon; its units are set by `turn`."""
 
     def __init__(self, name: str, endpoint: str, fleet: str, **options: Any) -> None:
         section = {"enabled": True, "name": fleet, "connect": [endpoint], **options}
@@ -80,7 +80,7 @@ class Agent:
         reporter.handle(Report(at, 1, at, ()))
 
     def turn(self) -> None:
-        """Break the node, or heal it. The fault's brief says when, on the machine's monotonic clock."""
+        """Break or repair the node. The fault's brief has the time, on the machine's monotonic clock."""
         at = self.clock.stamp()
         old, broken = self._units[NODE], self._fault is None
         level = Level.ERROR if broken else Level.OK
@@ -114,7 +114,7 @@ class Ticker:
 
 
 class Crowd:
-    """A process of simulated agents, from outside."""
+    """A process of simulated agents, seen from its parent."""
 
     def __init__(self, endpoint: str, fleet: str, first: int, count: int, **options: Any) -> None:
         words = (
@@ -132,21 +132,21 @@ class Crowd:
         self.began = time.monotonic()
 
     def ready(self) -> None:
-        """Wait until all of them have begun."""
+        """Wait until all agents have started."""
         self._line()
 
     def turn(self, numbers: Iterable[int], spacing_s: float = 0.0) -> None:
-        """Break or heal these, counted from 0 within this crowd."""
+        """Break or repair these agents, counted from 0 within this process."""
         self._ask({"turn": list(numbers), "spacing_s": spacing_s})
 
     def report(self) -> Mapping[str, Any]:
-        """Sums over the agents, and what the process uses."""
+        """Sums over the agents, and the resources that the process uses."""
         self._ask({"report": True})
         answer: dict[str, Any] = json.loads(self._line())
         return answer
 
     def end(self) -> int:
-        """In order; the exit code."""
+        """Shut the process down; return its exit code."""
         assert self.process.stdin is not None
         self.process.stdin.close()
         code = self.process.wait(LIMIT_S)

@@ -1,7 +1,8 @@
-"""A Zenoh router and a reader of a fleet, for tests and `scripts/bench fleet`: `python -m sitl.simulation.fleet_router SESSIONS OPTIONS`.
+"""A Zenoh router and a reader of a fleet, for tests and `scripts/bench fleet`: `python -m sitl.simulation.fleet_router
+SESSIONS OPTIONS`.
 
-The router is a session in mode router: the same Rust code as the program `zenohd`, without its plug-ins. It runs until its
-standard input ends. No discovery by multicast.
+The router is a session in mode router: the same Rust code as the program `zenohd`, without its plug-ins. It runs until
+its standard input ends, without multicast discovery.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def config(mode: str, **options: Any) -> Any:
 
 
 class Router:
-    """The router in a process of its own, on loopback. A new one may take the same port after `kill`."""
+    """The router in a separate process, on loopback. A new one may use the same port after `kill`."""
 
     def __init__(self, port: int, sessions: int = 1000, **options: Any) -> None:
         self.endpoint = f"tcp/127.0.0.1:{port}"
@@ -63,9 +64,10 @@ class Router:
 
 
 class Ground:
-    """Reads a fleet as any client would: subscribes, asks once for what there is, and watches the tokens.
+    """Reads a fleet like any client: subscribes, queries the present state once, and monitors the tokens.
 
-    statuses: the newest by agent. tokens: agent and boot id of those present. times: of each event, on the monotonic clock.
+    statuses: the newest by agent. tokens: agent and boot id of those present. times: of each event, on the monotonic
+    clock.
     """
 
     def __init__(self, endpoint: str, fleet: str, on_status: Callable[[FleetStatus], None] | None = None) -> None:
@@ -84,11 +86,11 @@ class Ground:
         self.ask()
 
     def ask(self) -> None:
-        """What was published before this reader came; answered by each agent."""
+        """Query what was published before this reader connected; each agent answers."""
         self.session.get(f"phm/{self._fleet}/*/status", self._reply, timeout=START_LIMIT_S)
 
     def wait(self, done: Callable[[Ground], bool], limit_s: float = 120.0) -> float:
-        """Poll until `done`; how long that took. Raises TimeoutError with what is known."""
+        """Poll until `done`; return how long that took. Raises TimeoutError with the known state."""
         began = time.monotonic()
         while not done(self):
             if time.monotonic() - began > limit_s:
@@ -112,7 +114,7 @@ class Ground:
             self.messages += 1
             self.payload_bytes += len(payload)
             known = self.statuses.get(status.agent)
-            # An answer to the question may be older than what was published meanwhile.
+            # The answer to a query may be older than a publication that arrived meanwhile.
             if known is None or known.boot_id != status.boot_id or known.sequence < status.sequence:
                 self.statuses[status.agent] = status
         if self._on_status is not None:

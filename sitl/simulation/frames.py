@@ -1,4 +1,4 @@
-"""A MAVLink frame on its way, with what routers look at."""
+"""A MAVLink frame in transit, with the fields that routers use."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RADIO_STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
 
 
 class Frame(NamedTuple):
-    """raw: the bytes as they came. target_system, target_component: 0 where it is for all."""
+    """raw: the unchanged bytes. target_system, target_component: 0 for a broadcast."""
 
     raw: bytes
     kind: int
@@ -23,7 +23,7 @@ class Frame(NamedTuple):
 
     @classmethod
     def of(cls, message: Any) -> Frame:
-        """What pymavlink has decoded."""
+        """The frame of a message that pymavlink has decoded."""
         return cls(
             bytes(message.get_msgbuf()),
             message.get_msgId(),

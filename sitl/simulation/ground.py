@@ -1,4 +1,4 @@
-"""A ground station's eyes: what an operator would read of PHM, as lines on a terminal or for a program.
+"""A simulated ground station: the lines of PHM that an operator would see, on a terminal or as JSON.
 
 ``python -m sitl.simulation.ground tcp:127.0.0.1:5760 [--json] [--for SECONDS]``
 """
@@ -59,10 +59,10 @@ class WordChange:
 
 
 class Ground:
-    """Connects like a ground station, keeps reconnecting, and remembers what it read (the last KEPT of each).
+    """Connects like a ground station, keeps reconnecting, and stores what it received (the last KEPT of each).
 
-    `lines` and `words` are filled by a thread between `start` and `stop`; `on_news` is called there with each, and
-    `on_frame` with each message at all and when it came, in seconds of the monotonic clock.
+    `lines` and `words` are filled by a thread between `start` and `stop`; that thread calls `on_news` with each, and
+    `on_frame` with every message and its time of arrival, in seconds of the monotonic clock.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Ground:
         self._thread.join(3.0)
 
     def wait(self, wanted: Callable[[Ground], bool], limit_s: float) -> bool:
-        """Until `wanted` of this ground station is true; False when that did not happen in time."""
+        """Wait until `wanted` is true for this ground station; False after `limit_s`."""
         end = time.monotonic() + limit_s
         while not wanted(self):
             if time.monotonic() > end:
@@ -168,7 +168,7 @@ def as_text(news: TextLine | WordChange) -> str:
     head = f"{clock} {news.system}/{news.component}"
     if isinstance(news, TextLine):
         name = _SEVERITIES[news.severity] if news.severity < len(_SEVERITIES) else str(news.severity)
-        # The text came by radio: it must not be able to steer this terminal.
+        # The text is from a radio link: it must not be able to control this terminal.
         return f"{head} {name:8} {''.join(char if char.isprintable() else '?' for char in news.text)}"
     state = _STATES[news.system_status] if news.system_status < len(_STATES) else str(news.system_status)
     try:

@@ -1,6 +1,6 @@
 """Small MAVLink sockets for the simulated autopilot and ground station; independent of PHM's own transport.
 
-Frames are passed on as the bytes that came in. A port that has no room drops frames, as an autopilot does.
+Frames are forwarded as the received bytes. A port without space drops frames, as an autopilot does.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ _READ_BYTES = 65535
 
 
 def parser() -> Any:
-    """A pymavlink decoder that takes garbage for what it is."""
+    """A pymavlink decoder that tolerates garbage."""
     decoder = mavlink.MAVLink(None)
     decoder.robust_parsing = True
     return decoder
 
 
 def messages(decoder: Any, data: bytes) -> list[Any]:
-    """Whole messages in `data`, without what pymavlink could not read."""
+    """Complete messages in `data`, without what pymavlink could not parse."""
     found = decoder.parse_buffer(data) or []
     return [message for message in found if message.get_type() != "BAD_DATA"]
 
 
 class Pty:
-    """A pseudo terminal that passes for a serial port at `path`, as far as `Port` uses sockets. The far end is kept open, so
-    that it stays when programs open and close it."""
+    """A pseudo terminal at `path` in place of a serial port, with the methods of a socket that `Port` uses. The far end
+    is kept open, so that it persists when programs open and close it.
+    """
 
     def __init__(self, path: str) -> None:
         self._near, self._far = pty.openpty()
@@ -71,7 +72,7 @@ class Pty:
 
 @dataclass
 class Peer:
-    """The other end of a connection. `spoken`: a frame has come from there."""
+    """The other end of a connection. `spoken`: a frame was received from there."""
 
     sock: Any
     address: Any = None
@@ -79,12 +80,12 @@ class Peer:
     spoken: bool = False
 
     def send(self, frame: bytes) -> bool:
-        """False when the connection is lost; a frame without room is dropped."""
+        """Send a frame; False when the connection is lost. A frame without space is dropped."""
         try:
             if self.address is not None:
                 self.sock.sendto(frame, self.address)
                 return True
-            return bool(self.sock.send(frame) == len(frame))  # half a frame would spoil the stream
+            return bool(self.sock.send(frame) == len(frame))  # an incomplete frame would corrupt the stream
         except BlockingIOError:
             return True
         except OSError:
@@ -92,9 +93,10 @@ class Peer:
 
 
 class Port:
-    """``udpin:HOST:PORT``, ``tcpin:HOST:PORT``, ``udpout:HOST:PORT``, ``tcp:HOST:PORT``, or ``pty:PATH``, a serial port.
+    """``udpin:HOST:PORT``, ``tcpin:HOST:PORT``, ``udpout:HOST:PORT``, ``tcp:HOST:PORT``, or ``pty:PATH``, a serial
+    port.
 
-    Raises OSError when it cannot be opened. `lost` is set when the other end of a ``tcp:`` port went away.
+    Raises OSError when it cannot be opened. `lost` is set when the other end of a ``tcp:`` port disconnected.
     """
 
     def __init__(self, url: str) -> None:
@@ -126,11 +128,11 @@ class Port:
 
     @property
     def bound_port(self) -> int:
-        """The port that was really bound, for url port 0."""
+        """The port that was actually bound, for port 0 in the URL."""
         return int(self._main.getsockname()[1])
 
     def sockets(self) -> list[Any]:
-        """What to select on."""
+        """The sockets to select on."""
         clients = [peer.sock for peer in self.peers.values() if peer.sock is not self._main]
         return [self._main, *clients]
 
@@ -160,7 +162,7 @@ class Port:
         return self._heard(sock, peer, data)
 
     def send(self, frame: bytes, *, spoken_only: bool = False, but: Hashable = None) -> None:
-        """To every peer except `but`; `spoken_only` leaves out those that never sent a frame."""
+        """Send to every peer except `but`; `spoken_only` leaves out those that never sent a frame."""
         for key, peer in list(self.peers.items()):
             if key != but and (peer.spoken or not spoken_only) and not peer.send(frame):
                 self._drop(key)

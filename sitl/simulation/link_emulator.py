@@ -1,8 +1,9 @@
-"""The air of a swarm: routers, simulated autopilots, radios to the ground and between agents, as one process.
+"""The links of a swarm: routers, simulated autopilots, radios to the ground and between agents, in one process.
 
-``python -m sitl.simulation.link_emulator --agents 8`` listens on fixed ports of its own container (`sitl.simulation.ports.INSIDE`): for each agent's PHM
-one to its router (TCP) and one to the agents' network (UDP), one where ground stations connect (TCP), and the control
-socket, which takes what `sitl.swarm.control.LinkEmulatorClient` sends: one JSON object a line.
+``python -m sitl.simulation.link_emulator --agents 8`` listens on fixed ports of its own container
+(`sitl.simulation.ports.INSIDE`): for each agent's PHM one for its router (TCP) and one for the agents' network (UDP),
+one where ground stations connect (TCP), and the control socket, which accepts the requests of
+`sitl.swarm.control.LinkEmulatorClient`: one JSON object per line.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ CONTROL_BYTES = 65536
 
 
 class LinkEmulator:
-    """Runs in one thread: `run` until `stop`. Raises OSError when a port is taken.
+    """Runs in one thread: `run` until `stop`. Raises OSError when a port is in use.
 
-    pilots: urls of real autopilots by agent; agents without one have a simulated one. host, ports: where it listens.
+    pilots: URLs of real autopilots by agent; other agents have a simulated one. host, ports: the listening addresses.
     """
 
     def __init__(
@@ -157,7 +158,7 @@ class LinkEmulator:
                 port.send(raw)
         vehicle.out.clear()
 
-    # ------------------------------------------------------------ sockets that come and go
+    # ------------------------------------------------------------ changing sockets
 
     def _routers(self) -> None:
         """A killed router has no socket: connections are refused."""
@@ -168,7 +169,7 @@ class LinkEmulator:
                 self._phm[number] = Port(self.routers[number])
 
     def _call_pilots(self, now: float) -> None:
-        """A real autopilot may not be up yet, or may go away."""
+        """A real autopilot may not have started yet, or may disconnect."""
         for number, url in self._urls.items():
             port = self._pilots.get(number)
             if port is not None and port.lost:
@@ -209,7 +210,7 @@ class LinkEmulator:
                 client.sendall(json.dumps(self.answer(line)).encode() + b"\n")
 
     def answer(self, line: bytes) -> dict[str, Any]:
-        """What is said to one line of the control socket: ``{"error": words}`` when it makes no sense."""
+        """The answer to one line of the control socket: ``{"error": words}`` for an invalid request."""
         try:
             words = json.loads(line)
             found = self._do(words.pop("do"), words)

@@ -1,4 +1,4 @@
-"""The network between agents: each has one radio there, and hears all others of its group. No sockets, no clock."""
+"""The network between agents: each has one radio there, and receives all others of its group. No sockets, no clock."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Radio:
 
 
 class Mesh:
-    """`take` an agent's datagram, `turn` the time on: (agent that hears it, bytes)."""
+    """`take` an agent's datagram, advance the time with `turn`, which returns (receiving agent, bytes)."""
 
     def __init__(self, agents: Iterable[int], chance: random.Random) -> None:
         self._radios = {agent: _Radio(chance) for agent in agents}
@@ -30,12 +30,14 @@ class Mesh:
 
     def take(self, now: float, agent: int, data: bytes) -> None:
         radio = self._radios[agent]
-        # Unlike a pair to the ground, there is no certain receiver: what is sent into a cut is lost.
+        # Unlike a pair to the ground, there is no certain receiver: frames sent while cut are lost.
         if not (radio.air.off or radio.air.cut) and radio.pipe.offer(now, len(data), data):
             radio.counts["to_peers"] += len(data)
 
     def turn(self, now: float) -> list[tuple[int, bytes]]:
-        """What has been received by now, and by which agent. Losses are drawn twice: at the sender and at the receiver."""
+        """The frames that arrive by `now`, with their receivers. Losses are drawn twice: at the sender and at the
+        receiver.
+        """
         found = []
         for sender, radio in self._radios.items():
             for data in radio.pipe.arrived(now):
@@ -49,7 +51,7 @@ class Mesh:
         return min((moment for moment in moments if moment is not None), default=None)
 
     def change(self, agent: int, values: dict[str, Any]) -> None:
-        """As `Air.set` for `peers`."""
+        """Like `LinkEmulatorClient.set` for `peers`."""
         radio = self._radios[agent]
         radio.air.change(values)
         if radio.air.off:
@@ -59,7 +61,7 @@ class Mesh:
         self._radios[agent].air.change(asdict(Conditions(delay_s=DELAY_S)))
 
     def split(self, groups: Sequence[Sequence[int]]) -> None:
-        """ValueError for an agent that is not there, or twice."""
+        """Split the network. Raises ValueError for an unknown agent, or one named twice."""
         named = [agent for group in groups for agent in group]
         wrong = sorted(set(named) - set(self._radios))
         if wrong or len(set(named)) != len(named):

@@ -1,4 +1,4 @@
-"""Ports of the air process."""
+"""Ports of the link emulator."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Ports:
-    """Agent K's router and its radio on the network between agents have the port given plus K. 0: any free one."""
+    """The router of agent K, and its radio on the network between agents, have the given port plus K. 0: any free one."""
 
     ground: int = 0
     control: int = 0

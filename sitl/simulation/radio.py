@@ -2,9 +2,9 @@
 
 ``python -m sitl.simulation.radio --near tcpin:0.0.0.0:5790 --far tcpin:0.0.0.0:5760``
 
-As the firmware of SiK radios has it: a radio answers each HEARTBEAT that its own side gives it with a RADIO_STATUS to that
-side, as system 51 component 68, whether or not the other radio is there; its values of that one are zero once nothing was
-heard of it for a while. Everything else goes through unchanged.
+Like the firmware of SiK radios: a radio answers each HEARTBEAT from its own side with a RADIO_STATUS to that side, as
+system 51 component 68, whether or not the other radio is received; the values of the other radio are zero once nothing
+was received from it for a while. All other messages are forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ FILLS = 10
 
 @dataclass
 class AirSettings:
-    """What there is between the radios, to be set from outside. Signal and noise in the radios' units, loss 0 to 1."""
+    """The state of the radio link, set from outside. Signal and noise in the radios' units, loss 0 to 1."""
 
     rssi: int = 180
     noise: int = 40
     loss: float = 0.0
     cut: bool = False
-    """The radios do not hear each other."""
+    """The radios do not receive each other."""
 
 
 FORGETS_S = 3.4
@@ -52,7 +52,7 @@ class _End:
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
 
     def report(self, air: AirSettings) -> None:
-        """RADIO_STATUS to its own side."""
+        """Send RADIO_STATUS to its own side."""
         known = time.monotonic() - self.partner_at <= FORGETS_S
         far_rssi, far_noise = (air.rssi, air.noise) if known else (0, 0)
         message = mavlink.MAVLink_radio_status_message(
@@ -63,8 +63,10 @@ class _End:
 
 
 class Radio:
-    """Runs in one thread: `run` until `stop`. near, far: where the two radios are plugged in, as `sitl.simulation.link.Port` has it.
-    `air` and `near.off`, `far.off` (no power) may be set from outside. Raises OSError when a port is taken."""
+    """Runs in one thread: `run` until `stop`. near, far: where the two radios are connected, as in
+    `sitl.simulation.link.Port`. `air` and `near.off`, `far.off` (no power) may be set from outside. Raises OSError when
+    a port is in use.
+    """
 
     def __init__(self, near: str, far: str, seed: int = 0) -> None:
         self.air = AirSettings()

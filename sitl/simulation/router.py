@@ -1,7 +1,8 @@
-"""The MAVLink router on board one agent, as a program: forwards between PHM and the agent's port of the air.
+"""The MAVLink router on board one agent, as a program: forwards between PHM and the agent's port of the link emulator.
 
-``python3 -I -S router.py PORT HOST FAR_PORT`` listens on PORT while it is connected to FAR_PORT of HOST, where its radio and its autopilot
-are (`sitl.simulation.link_emulator`); else connections are refused. Uses the standard library alone and imports little: there is one for each agent.
+``python3 -I -S router.py PORT HOST FAR_PORT`` listens on PORT while it is connected to FAR_PORT of HOST, where its
+radio and its autopilot are (`sitl.simulation.link_emulator`); otherwise connections are refused. Uses the standard
+library alone and imports little: there is one for each agent.
 """
 
 from __future__ import annotations
@@ -16,22 +17,22 @@ from types import FrameType
 RETRY_S = 0.2
 CONNECT_S = 2.0
 SEND_S = 1.0
-"""A client that takes nothing for so long is disconnected: a router does not wait for one."""
+"""A client that reads nothing for this time is disconnected: a router does not wait for it."""
 BYTES = 65536
 
 
 class PeerLost(Exception):
-    """The connection to the air has ended."""
+    """The connection to the link emulator has ended."""
 
 
 class Router:
-    """One client at a time, PHM; who comes later takes its place. What comes while there is none is dropped."""
+    """One client at a time, PHM; a later one replaces it. Data that arrive without a client are dropped."""
 
     def __init__(self, port: int, far: tuple[str, int]) -> None:
         self._port, self._far = port, far
 
     def run(self) -> None:
-        """Without end."""
+        """Run without end."""
         while True:
             try:
                 self.carry(socket.create_connection(self._far, CONNECT_S))
@@ -39,7 +40,7 @@ class Router:
                 time.sleep(RETRY_S)
 
     def carry(self, far: socket.socket) -> None:
-        """Until the far side is lost, which is raised as Lost."""
+        """Forward until the far side is lost. Raises PeerLost."""
         with far, socket.create_server(("", self._port)) as door:
             far.settimeout(SEND_S)
             near: socket.socket | None = None
@@ -94,7 +95,7 @@ def _taken(door: socket.socket, before: socket.socket | None) -> socket.socket:
 
 
 def _read(end: socket.socket) -> bytes:
-    """Empty when it has ended."""
+    """Received data; empty when the connection has ended."""
     try:
         return end.recv(BYTES)
     except OSError:

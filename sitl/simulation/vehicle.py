@@ -40,7 +40,7 @@ class _End:
     def __init__(self) -> None:
         self._errors, self._since = 0.0, 0.0
         self.partner_at = float("-inf")
-        """When the other radio was heard last."""
+        """When the other radio was last received."""
         self._mav = mavlink.MAVLink(None, srcSystem=RADIO[0], srcComponent=RADIO[1])
 
     def status(self, now: float, air: Conditions, free: int, fixed: int = 0) -> Frame:
@@ -58,9 +58,9 @@ class _End:
 
 
 class Vehicle:
-    """`take` what came from somewhere, `turn` the time on, and fetch from `out` what goes where: (place, bytes).
+    """`take` a frame from a place, advance the time with `turn`, and read the results from `out`: (place, bytes).
 
-    pilot: the simulated one; None: a real one is at the place "pilot".
+    pilot: the simulated autopilot; None: a real one is at the place "pilot".
     """
 
     def __init__(self, number: int, now: float, chance: random.Random, pilot: AutopilotModel | None) -> None:
@@ -75,7 +75,7 @@ class Vehicle:
         self._routes: dict[tuple[int, int], Place] = {}
         self._now = now
 
-    # ------------------------------------------------------------ what comes in
+    # ------------------------------------------------------------ input
 
     def take(self, now: float, place: Place, frame: Frame) -> None:
         """A frame from PHM, from the ground station or from a real autopilot."""
@@ -87,7 +87,7 @@ class Vehicle:
         self.turn(now)
 
     def turn(self, now: float) -> None:
-        """What the time brings: the autopilot's own frames, and what arrives over the air."""
+        """Advance the time: the autopilot's own frames, and arrivals over the radio link."""
         self._now = now
         if not self.ground.cut and not self.ground.off:
             self._on_board.partner_at = self._below.partner_at = now
@@ -102,14 +102,16 @@ class Vehicle:
                 self._route("ground", frame)
 
     def next_s(self) -> float | None:
-        """When something may happen by itself."""
+        """When the next event without input may occur."""
         moments = [self.up.next_s(), self.down.next_s(), self.pilot.next_s() if self.pilot is not None else None]
         return min((moment for moment in moments if moment is not None), default=None)
 
-    # ------------------------------------------------------------ what is done to it
+    # ------------------------------------------------------------ changes from outside
 
     def change(self, link: str, values: dict[str, Any]) -> None:
-        """As `Air.set`, for `ground`, `router` and `autopilot`. ValueError when it makes no sense."""
+        """Like `LinkEmulatorClient.set`, for `ground`, `router` and `autopilot`. Raises ValueError for an invalid
+        change.
+        """
         if link == "ground":
             self.ground.change(values)
             if self.ground.off:
@@ -124,14 +126,14 @@ class Vehicle:
             self.pilot_off = values.get("off", self.pilot_off)
 
     def reset(self) -> None:
-        """All links as at the start, the autopilot awake."""
+        """Reset all links, and resume the autopilot."""
         self.ground.change(asdict(Conditions()))
         self.router_off = self.pilot_off = False
         if self.pilot is not None:
             self.pilot.hung = False
 
     def order(self, now: float, what: str, values: dict[str, Any]) -> None:
-        """As `Air.autopilot`. ValueError when it makes no sense."""
+        """Like `LinkEmulatorClient.autopilot`. Raises ValueError for an invalid command."""
         if self.pilot is None:
             raise ValueError(f"the autopilot of agent {self.number} is a real one: command it by MAVLink")
         if what in ("hang", "resume"):

@@ -306,7 +306,7 @@ def test_back_off_follows_the_action_and_not_the_fault() -> None:
 
 
 def test_effective_and_old_attempts_do_not_count() -> None:
-    """A restart that resolved another fault speaks for the action; a unit that was OK for long has a new fault."""
+    """An effective restart for another fault speaks for the action; a unit that was OK for long has a new fault."""
     helped = History([*other_attempts(900.0, 910.0).attempts, *other_attempts(950.0, worked=True).attempts])
     assert say(helped, container_wide=SHARED, settings=replace_rules(same_failure=2)) == Act("restart", 1)
     fresh = fault(ok_s=RULES.verify + 1)

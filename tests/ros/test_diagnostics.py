@@ -278,7 +278,7 @@ def test_a_running_daemon_judges_and_publishes_diagnostics(bench: Bench, tmp_pat
     finally:
         daemon.terminate()
         assert daemon.wait(30) == 0
-    until(lambda: monitor.heard[unit][:2] == [3, "PHM has stopped"], "the farewell")
+    until(lambda: monitor.heard[unit][:2] == [3, "PHM has stopped"], "the final statuses")
 
 
 def test_statuses_of_any_size_fit_into_messages() -> None:

@@ -229,7 +229,7 @@ def test_a_node_that_shuts_down_is_dead(agent: Agent) -> None:
 
 
 def test_a_node_that_never_started_is_reported(bench: Bench) -> None:
-    """Its neighbour runs; the picture is old enough to prove the absence."""
+    """Its neighbour runs; the snapshot is old enough to prove the absence."""
     agent = Agent(bench, grace="3s", nodes=2)
     agent.start()
     agent.until(lambda: agent.faults, "a fault")
@@ -240,7 +240,7 @@ def test_a_node_that_never_started_is_reported(bench: Bench) -> None:
 
 
 def test_a_node_that_runs_twice_is_one_fault(agent: Agent) -> None:
-    """Both alive, each with a process of its own: one fault, at the node, and none of its rate that doubles."""
+    """Both alive, each with a separate process: one fault, at the node, and none for its doubled rate."""
     agent.start()
     agent.wait_ok()
     agent.start()

@@ -33,7 +33,7 @@ AGENTS = 5
 
 
 @pytest.fixture(scope="module")
-def air() -> Iterator[LinkEmulatorClient]:
+def emulator() -> Iterator[LinkEmulatorClient]:
     process = LinkEmulator(AGENTS, host="127.0.0.1", ports=Ports())
     thread = threading.Thread(target=process.run, name="air", daemon=True)
     thread.start()
@@ -42,38 +42,38 @@ def air() -> Iterator[LinkEmulatorClient]:
     thread.join(5.0)
 
 
-def links(air: LinkEmulatorClient) -> dict[int, dict[str, Any]]:
-    agents: dict[int, dict[str, Any]] = air.state()["agents"]
+def links(emulator: LinkEmulatorClient) -> dict[int, dict[str, Any]]:
+    agents: dict[int, dict[str, Any]] = emulator.state()["agents"]
     return agents
 
 
 @pytest.mark.parametrize("name", LINKED)
-def test_a_fault_affects_its_link_of_one_agent_and_restores_it(name: str, air: LinkEmulatorClient) -> None:
+def test_a_fault_affects_its_link_of_one_agent_and_restores_it(name: str, emulator: LinkEmulatorClient) -> None:
     """Injected: exactly the named links of agent 2 differ. Cleared, twice: none does."""
-    fault, agent = all_faults()[name], Agent("phm-test", "agent_2", mock.Mock(), number=2, air=air)
-    before = links(air)
+    fault, agent = all_faults()[name], Agent("phm-test", "agent_2", mock.Mock(), number=2, emulator=emulator)
+    before = links(emulator)
     fault.inject(agent)
-    after = links(air)
+    after = links(emulator)
     changed = [link for link in before[2] if before[2][link] != after[2][link]]
     assert changed == sorted(TOUCHED[name], key=list(before[2]).index)
     assert all(before[number] == after[number] for number in before if number != 2)
-    assert bool(air.state()["groups"]) is (name == "peer_split")
+    assert bool(emulator.state()["groups"]) is (name == "peer_split")
     fault.clear(agent)
     fault.clear(agent)
-    assert links(air) == before
-    assert not air.state()["groups"]
+    assert links(emulator) == before
+    assert not emulator.state()["groups"]
 
 
-def test_a_disabled_router_affects_one_agent(air: LinkEmulatorClient) -> None:
+def test_a_disabled_router_affects_one_agent(emulator: LinkEmulatorClient) -> None:
     """Its endpoint in the emulator refuses connections, and is restored."""
-    before = links(air)
-    air.set(2, "router", off=True)
-    after = links(air)
+    before = links(emulator)
+    emulator.set(2, "router", off=True)
+    after = links(emulator)
     assert [
         (number, link) for number in before for link in before[number] if before[number][link] != after[number][link]
     ] == [(2, "router")]
-    air.reset(2)
-    assert links(air) == before
+    emulator.reset(2)
+    assert links(emulator) == before
 
 
 def test_a_killed_router_is_killed_in_its_container(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,11 +88,11 @@ def test_a_killed_router_is_killed_in_its_container(monkeypatch: pytest.MonkeyPa
     container.start.assert_called_once_with()
 
 
-def test_a_split_makes_two_groups(air: LinkEmulatorClient) -> None:
+def test_a_split_makes_two_groups(emulator: LinkEmulatorClient) -> None:
     """Each agent is in one group, and a group has at least two."""
-    fault, agent = all_faults()["peer_split"], Agent("phm-test", "agent_4", mock.Mock(), number=4, air=air)
+    fault, agent = all_faults()["peer_split"], Agent("phm-test", "agent_4", mock.Mock(), number=4, emulator=emulator)
     fault.inject(agent)
-    here, there = air.state()["groups"]
+    here, there = emulator.state()["groups"]
     fault.clear(agent)
     assert 4 in here
     assert sorted(here + there) == list(range(1, AGENTS + 1))

@@ -21,7 +21,7 @@ PERIOD_S = 2.0
 
 
 class Swarm:
-    """Agents that receive each other as `hears` permits; each sends a heartbeat and a view per period."""
+    """Agents that receive each other except for the pairs in `cut`; each sends a heartbeat and a view per period."""
 
     def __init__(self, agents: Iterable[int], gcs: Iterable[int] | None = None) -> None:
         self.agents = list(agents)

@@ -145,4 +145,4 @@ def test_with_signing_an_unsigned_frame_is_ignored(start: Start) -> None:
     assert {number: peer.state for number, peer in fact.peers.items()} == {2: "alive", 3: "never seen"}
     assert agent.swarm._peers.peer(2).leaving is False  # type: ignore[union-attr]
     agent.send(2, farewell, signed=True)
-    until(lambda: agent.swarm._peers.peer(2).leaving, "its own farewell")  # type: ignore[union-attr]
+    until(lambda: agent.swarm._peers.peer(2).leaving, "the announced shutdown")  # type: ignore[union-attr]

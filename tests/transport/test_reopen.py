@@ -231,7 +231,7 @@ def test_a_spontaneous_recovery_is_not_credited_to_a_reopening(
 
 
 def test_an_ineffective_reopening_is_given_up(tmp_path: Path, stale: Stale) -> None:
-    """After the number of attempts of recovery.same_failure, then reported once, with what to do by hand."""
+    """After the number of attempts of recovery.same_failure, then reported once, with the manual next step."""
     agent = Agent(tmp_path, stale.port, same_failure=1)
     try:
         until(agent.link_active)
