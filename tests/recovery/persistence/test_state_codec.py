@@ -121,8 +121,8 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
     "change",
     [
         lambda document: [document],
-        spoil("v", 2),
-        spoil("v", 4),
+        spoil("v", 3),
+        spoil("v", 5),
         spoil("v", None),
         spoil("faults", 3),
         spoil("faults", [{}]),
