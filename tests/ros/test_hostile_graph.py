@@ -77,9 +77,9 @@ def test_an_oversized_message_invalidates_the_snapshot(bench: Bench) -> None:
 
 def test_a_tick_does_not_refresh_another_snapshot() -> None:
     """A tick refreshes only the snapshot that it names, and other messages refresh none."""
-    view = GraphSnapshot().with_message(Picture(5.0, {NODE: 1}, number=1), 100.0)
-    assert view.picture is not None
-    assert view.with_message(Tick(6.0, {}, 1), 101.0).fact(view.picture, 101.5).age_s == 0.5
+    view = GraphSnapshot().with_message(GraphMessage(5.0, {NODE: 1}, number=1), 100.0)
+    assert view.graph is not None
+    assert view.with_message(Tick(6.0, {}, 1), 101.0).fact(view.graph, 101.5).age_s == 0.5
     lost = view.with_message(Tick(6.0, {}, 2), 101.0)
     assert lost.graph is not None and lost.fact(lost.graph, 101.5).age_s == 1.5
 
