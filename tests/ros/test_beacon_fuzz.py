@@ -56,7 +56,7 @@ def test_any_beacon_is_rejected_or_reported(said: list[tuple[bytes, float, bytes
     ledger, kept = BeaconRegistry(nodes, lambda: {b"1": "/agent_1/a"}), SelfReports()
     for text, at_s, writer in said:
         ledger.add(BEACON_FORMAT, text.decode("utf-8", "replace"), at_s, writer)
-        news = ledger.news(at_s)
+        news = ledger.changes(at_s)
         for part in portions(news, nodes) if news is not None else ():
             line = encode(part)
             assert len(line) <= LINE_LIMIT

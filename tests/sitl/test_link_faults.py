@@ -50,7 +50,7 @@ def links(emulator: LinkEmulatorClient) -> dict[int, dict[str, Any]]:
 @pytest.mark.parametrize("name", LINKED)
 def test_a_fault_affects_its_link_of_one_agent_and_restores_it(name: str, emulator: LinkEmulatorClient) -> None:
     """Injected: exactly the named links of agent 2 differ. Cleared, twice: none does."""
-    fault, agent = all_faults()[name], Agent("phm-test", "agent_2", mock.Mock(), number=2, emulator=emulator)
+    fault, agent = all_faults()[name], Agent("phm-test", "agent_2", mock.Mock(), number=2, air=emulator)
     before = links(emulator)
     fault.inject(agent)
     after = links(emulator)
@@ -90,7 +90,7 @@ def test_a_killed_router_is_killed_in_its_container(monkeypatch: pytest.MonkeyPa
 
 def test_a_split_makes_two_groups(emulator: LinkEmulatorClient) -> None:
     """Each agent is in one group, and a group has at least two."""
-    fault, agent = all_faults()["peer_split"], Agent("phm-test", "agent_4", mock.Mock(), number=4, emulator=emulator)
+    fault, agent = all_faults()["peer_split"], Agent("phm-test", "agent_4", mock.Mock(), number=4, air=emulator)
     fault.inject(agent)
     here, there = emulator.state()["groups"]
     fault.clear(agent)

@@ -212,7 +212,7 @@ def test_a_spontaneous_recovery_is_not_credited_to_a_reopening(
     tmp_path: Path, stale: Stale, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
     """A reboot shows in TIMESYNC, and a link that answers late has recovered without it."""
-    monkeypatch.setattr(autopilot, "TOLD_S", 1.0)  # how long the reboot is reported before the unit is OK
+    monkeypatch.setattr(autopilot, "REPORT_S", 1.0)  # how long the reboot is reported before the unit is OK
     stale.booted = time.monotonic() - 1000.0
     agent = Agent(tmp_path, stale.port)
     try:
