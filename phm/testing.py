@@ -32,6 +32,8 @@ from phm.facts import (
     DeviceProbe,
     DiskFact,
     DockerProbe,
+    EnvironmentDifference,
+    EnvironmentProbe,
     FileFact,
     FileProbe,
     GcsFact,
@@ -56,6 +58,7 @@ __all__ = [
     "FakeClock",
     "FakeDevices",
     "FakeDocker",
+    "FakeEnvironment",
     "FakeFiles",
     "FakeHost",
     "FakeLinks",
@@ -381,6 +384,18 @@ class FakeRos(_Fake):
         return self.fact
 
 
+class FakeEnvironment(_Fake):
+    """Differences between the ROS environments of a container and of PHM, by container; none unless `found` has them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: dict[str, tuple[EnvironmentDifference, ...]] = {}
+
+    def differences(self, container: str) -> tuple[EnvironmentDifference, ...]:
+        self._asked()
+        return self.found.get(container, ())
+
+
 class FakeLinks(_Fake):
     """What was heard on the MAVLink endpoints. `busy` holds the programs that have a serial port open, by its path."""
 
@@ -470,6 +485,7 @@ def world(
     swarm: SwarmProbe | None = None,
     myself: SelfProbe | None = None,
     pressure: PressureProbe | None = None,
+    environment: EnvironmentProbe | None = None,
 ) -> World:
     """A world of fakes, with those parts replaced that are given."""
     return World(
@@ -483,6 +499,7 @@ def world(
         swarm=swarm or FakeSwarm(),
         myself=myself or FakeSelf(),
         pressure=pressure or FakePressure(),
+        environment=environment or FakeEnvironment(),
     )
 
 

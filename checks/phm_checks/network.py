@@ -8,11 +8,13 @@ from dataclasses import replace
 from phm import api
 from phm.api import Slot
 from phm_checks._data_path import DataPath
+from phm_checks._environment_advice import advice
 from phm_checks._per_container import PerContainer
 from phm_checks._text import brief, clean, joined, listed
 
 _BY_CAUSE = ("network_missing", "no_network", "disconnected", "sidecar_disconnected", "address_silent")
 """Causes before consequences: the first of these found is the condition of the unit."""
+_BLOCKED = "Look for a firewall, or for shared memory without a shared /dev/shm (set FASTDDS_BUILTIN_TRANSPORTS=UDPv4)"
 GRACE_S = 3.0
 """PHM joins the networks after its own start; until then being disconnected is not a fault."""
 
@@ -65,9 +67,9 @@ class Network(PerContainer):
         """The result when the networks are correct, but no data from the nodes arrive; None when they do."""
         why, never = self._data_path.why(world, fact.generation), self._data_path.never_heard
         if not why and (absent := self._data_path.absent(world)):
+            step = advice(world, self.key, "check ROS_DOMAIN_ID, firewalls and discovery between PHM and it")
             return self._bad(
-                f"{self.key} is connected and responds, but {absent}: check ROS_DOMAIN_ID, firewalls and discovery between PHM and "
-                "it; PHM restarts nothing for this",
+                f"{self.key} is connected and responds, but {absent}: {step}; PHM restarts nothing for this",
                 "nodes unreachable",
                 "nodes_unreachable",
             )
@@ -78,8 +80,8 @@ class Network(PerContainer):
         if not why:
             return None
         cause = (
-            "Look for a firewall, or for shared memory without a shared /dev/shm (set FASTDDS_BUILTIN_TRANSPORTS=UDPv4): nothing "
-            "has been received since it was started, so a restart of the application rarely helps"
+            f"{advice(world, self.key, _BLOCKED, data_only=True)}: nothing has been received since it was started, so a "
+            "restart of the application rarely helps"
             if never
             else "Data was received earlier in this run: look for a firewall rule added since; rules in its own network "
             "namespace are removed by a restart of the application, others are not"

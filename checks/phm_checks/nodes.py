@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._environment_advice import advice
 from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
 from phm_checks._liveness import Evidence, Kind, NodeHistory, NodeState, NodeVerdict, Observation, fuse
 from phm_checks._process_matching import Wanted
@@ -152,7 +153,9 @@ class Nodes(api.Check):
         evidence = {node.wanted.name: self._evidence(node, signs[node.wanted.name], now) for node in self._nodes}
         cut_off = self._cut_off(evidence)
         return {
-            node.wanted.unit: self._result(node, evidence[node.wanted.name], fact, why, now, cut_off=cut_off)
+            node.wanted.unit: self._result(
+                node, evidence[node.wanted.name], fact, why, now, cut_off=cut_off, world=world
+            )
             for node in self._nodes
         }
 
@@ -183,6 +186,7 @@ class Nodes(api.Check):
         now: float,
         *,
         cut_off: Collection[str],
+        world: api.World,
     ) -> api.Result:
         table, name = self._tables.get(node.wanted.container), node.wanted.name
         began_at, process, fit = NEVER, "", 0
@@ -191,7 +195,7 @@ class Nodes(api.Check):
         unlisted = table is not None and table.unlisted
         judgement = node.judge(evidence, began_at, now, self._grace_s, fit, unlisted=unlisted)
         node.record_alive(table, evidence, now)
-        level, words, short, condition = self._words(node, judgement, fact, why)
+        level, words, short, condition = self._words(node, judgement, fact, why, world)
         values: dict[str, api.Value] = {"listed": node.graph.count, "process": process}
         known = api.Evidence(
             certain=judgement.state is NodeState.NEVER_STARTED and table is not None and table.not_started(name),
@@ -199,13 +203,15 @@ class Nodes(api.Check):
             listed=node.graph.count,
         )
         if condition == "node_missing" and node.wanted.container in cut_off:
-            return _network_result(node, judgement, values, known)
+            return _network_result(node, judgement, values, known, world)
         target = node.wanted.container if level is Level.ERROR else ""
         return api.Result(
             level, words, brief(last(name), short) if short else "", condition, target, values, evidence=known
         )
 
-    def _words(self, node: _Node, judgement: NodeVerdict, fact: api.RosFact | None, why: str) -> _Text:
+    def _words(
+        self, node: _Node, judgement: NodeVerdict, fact: api.RosFact | None, why: str, world: api.World
+    ) -> _Text:
         """Level, summary, end of the brief, and condition."""
         name, evidence = node.wanted.name, judgement.words
         subject, where = api.topic_id(name), f" in {node.wanted.container}" if node.wanted.container else ""
@@ -252,11 +258,16 @@ class Nodes(api.Check):
             return Level.ERROR, words, "hung", "node_hung"
         dead = state is NodeState.DEAD
         what, remedy = _missing(node, dead=dead)
+        if not node.known and not self._any_listed(node.wanted.container):
+            remedy = advice(world, node.wanted.container, remedy)
         words = (
             f"Not all required nodes are running. Missing node: {subject}; it {what}{where}: {evidence}. It was expected "
             f"to run: {remedy}.{did_you_mean(name, self._unconfigured(fact))}"
         )
         return Level.ERROR, words, "dead" if dead else "never started", "node_missing"
+
+    def _any_listed(self, container: str) -> bool:
+        return any(node.graph.count for node in self._nodes if node.wanted.container == container)
 
     def _unconfigured(self, fact: api.RosFact | None) -> list[str]:
         """Listed nodes that are not configured: only one of these can be the missing node under another name."""
@@ -291,14 +302,14 @@ def _unreachable(evidence: Iterable[Evidence]) -> bool:
 
 
 def _network_result(
-    node: _Node, judgement: NodeVerdict, values: dict[str, api.Value], known: api.Evidence
+    node: _Node, judgement: NodeVerdict, values: dict[str, api.Value], known: api.Evidence, world: api.World
 ) -> api.Result:
     """Result without a recovery target: a restart does not repair the network between PHM and a container."""
     name, where = node.wanted.name, node.wanted.container
+    step = f"check the network between PHM and {where}, ROS_DOMAIN_ID, firewalls, discovery"
     words = (
         f"nothing is received from node {name} or any other node of {where}, although all their processes are running: {judgement.words}. "
-        f"They were expected in the graph: check the network between PHM and {where}, ROS_DOMAIN_ID, firewalls, discovery; "
-        "PHM restarts nothing for this"
+        f"They were expected in the graph: {advice(world, where, step)}; PHM restarts nothing for this"
     )
     return api.Result(
         Level.ERROR, words, brief(last(name), "unreachable"), "node_unreachable", "", values, evidence=known

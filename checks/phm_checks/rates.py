@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._environment_advice import advice
 from phm_checks._node_activity import FRESH_S, turned_s
 from phm_checks._text import StableNumber, brief, clean, last, span
 
@@ -102,12 +103,12 @@ class Rates(api.Check):
         for topic in self._topics:
             seen = fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact())
             memory = self._memory[topic.name]
-            memory.reported = self._judge(topic, seen, fact, memory, world.clock.mono())
+            memory.reported = self._judge(topic, seen, fact, memory, world)
             results[_unit(topic)] = memory.reported
         return results
 
     def _judge(
-        self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, now: float
+        self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, world: api.World
     ) -> api.Result:
         """Early returns, from unmeasurable topics to measured ones."""
         name = api.topic_id(topic.name)
@@ -121,13 +122,13 @@ class Rates(api.Check):
         case = _Case(topic, topic.rate, self._targets[_unit(topic)], values)
         hz, silent_s = seen.rate.hz, seen.rate.silent_s
         if silent_s is None:
-            return self._never(case, seen, fact)
+            return self._never(case, seen, fact, world)
         if hz == 0.0:
             memory.off_since = None
             return self._silent(case, silent_s, seen, fact)
         if hz is None:
             return api.stale(f"{name} is received; measuring its rate", brief="", **values)
-        return self._rate(case, hz, seen, fact, memory, now)
+        return self._rate(case, hz, seen, fact, memory, world.clock.mono())
 
     def _silent(self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
         assert seen.rate is not None
@@ -178,7 +179,7 @@ class Rates(api.Check):
             )
         return api.ok(f"{name}: latched, its publisher exists", **values)
 
-    def _never(self, case: _Case, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
+    def _never(self, case: _Case, seen: api.TopicFact, fact: api.RosFact, world: api.World) -> api.Result:
         """A topic that is listed but was never received. Slow topics get three periods."""
         if not self._due(case.topic, fact):
             return api.stale(
@@ -191,8 +192,8 @@ class Rates(api.Check):
                 Level.ERROR,
                 "transport_blocked",
                 "transport blocked",
-                f"{case.name}: transport blocked. {evidence}: discovery works but no data arrives ({_BLOCKS}); a restart of the "
-                "application does not help",
+                f"{case.name}: transport blocked. {evidence}: discovery works but no data arrives "
+                f"({advice(world, case.target, _BLOCKS, data_only=True)}); a restart of the application does not help",
                 case,
             )
         return self._bad(

@@ -56,6 +56,12 @@ from phm.facts.ros import (
     RosProbe as RosProbe,
     TopicFact as TopicFact,
 )
+from phm.facts.ros_environment import (
+    EnvironmentDifference as EnvironmentDifference,
+    EnvironmentProbe as EnvironmentProbe,
+    RosEnvironment as RosEnvironment,
+    ros_variables as ros_variables,
+)
 from phm.facts.swarm import (
     PeerFact as PeerFact,
     SwarmFact as SwarmFact,
@@ -77,3 +83,4 @@ class World:
     swarm: SwarmProbe
     myself: SelfProbe
     pressure: PressureProbe
+    environment: EnvironmentProbe

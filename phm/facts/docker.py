@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 
@@ -83,6 +84,10 @@ class ContainerFact:
     network_mode: str = "default"
     pid_mode: str = ""
     """Like `network_mode`, for the PID namespace: `container:...` if it shares that of another container."""
+    ipc_mode: str = ""
+    """The same for the IPC namespace, which includes /dev/shm."""
+    ros_variables: Mapping[str, str] = field(default_factory=dict)
+    """Variables of its configured environment that ROS reads (`phm.facts.ros_environment.ROS_VARIABLES`); no others are kept."""
     networks: tuple[Attachment, ...] = ()
     mounts: tuple[Mount, ...] = ()
     devices: tuple[DeviceMapping, ...] = ()

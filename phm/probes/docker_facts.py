@@ -9,7 +9,7 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.maintenance import LABEL
 from phm.core.settings import ContainerSettings
-from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, HealthcheckFact, Mount
+from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, HealthcheckFact, Mount, ros_variables
 from phm.transport.docker import DockerEngine, EngineMissing
 
 _OUTPUT_CHARS = 200
@@ -86,6 +86,8 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         restart_policy=_text(_part(host, "RestartPolicy").get("Name")) or "no",
         network_mode=_text(host.get("NetworkMode")) or "default",
         pid_mode=_text(host.get("PidMode")),
+        ipc_mode=_text(host.get("IpcMode")),
+        ros_variables=ros_variables(_environment(_texts(_part(answer, "Config"), "Env"))),
         networks=_networks(_part(_part(answer, "NetworkSettings"), "Networks")),
         mounts=_mounts(_several(answer, "Mounts"), _part(host, "Tmpfs")),
         devices=tuple(
@@ -105,6 +107,12 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         cpu_period_s=_cpu_period_s(host),
         maintenance=_text(_part(_part(answer, "Config"), "Labels").get(LABEL))[:_OUTPUT_CHARS],
     )
+
+
+def _environment(lines: Sequence[str]) -> dict[str, str]:
+    """Variables by name, from lines of the form NAME=VALUE."""
+    pairs = (line.partition("=") for line in lines)
+    return {name: value for name, equals, value in pairs if equals}
 
 
 def _cpu_limit(host: Mapping[str, Any]) -> float | None:

@@ -23,6 +23,7 @@ from phm.probes.inotify import FileWatcher
 from phm.probes.links import Links
 from phm.probes.pressure import Pressure
 from phm.probes.reachability_monitor import ReachabilityMonitor
+from phm.probes.ros.environment import RosEnvironments
 from phm.probes.ros.supervisor import RosSupervisor
 from phm.probes.swarm import SwarmMonitor
 from phm.transport.docker import DockerEngine
@@ -200,6 +201,7 @@ def build_probes(
         swarm=swarm,
         myself=DaemonSelfProbe(read_self, ros, links),
         pressure=Pressure(engine, docker, settings.containers, settings.pressure, clock),
+        environment=RosEnvironments(docker, settings.ros, clock),
     )
     return ProbeSet(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
 

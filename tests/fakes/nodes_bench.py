@@ -40,13 +40,15 @@ class Bench:
         (self.check,) = Nodes.build(settings)
         self.clock, self.ros = testing.FakeClock(), testing.FakeRos(nodes={NAME: 1}, age_s=0.0)
         self.docker = testing.FakeDocker(testing.container("ros_app"))
+        self.environment = testing.FakeEnvironment()
         self.processes(MAIN, ONE)
 
     def processes(self, *facts: api.ProcessFact) -> None:
         self.docker.lists["ros_app"] = facts
 
     def results(self) -> dict[str, api.Result]:
-        results = self.check.run(testing.world(clock=self.clock, ros=self.ros, docker=self.docker))
+        world = testing.world(clock=self.clock, ros=self.ros, docker=self.docker, environment=self.environment)
+        results = self.check.run(world)
         assert not isinstance(results, api.Result)
         return dict(results)
 

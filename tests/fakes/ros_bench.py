@@ -7,6 +7,7 @@ import fcntl
 import itertools
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -69,11 +70,23 @@ class Bench:
         _open.append(self)
         self._closing.callback(_open.remove, self)
 
-    def node(self, name: str, *arguments: str, module: str = "sitl.application.node") -> subprocess.Popen[bytes]:
-        """A demo node in /agent_1 with the shipped short-lease profile."""
+    def node(
+        self, name: str, *arguments: str, module: str = "sitl.application.node", before: Sequence[str] = ()
+    ) -> subprocess.Popen[bytes]:
+        """A demo node in /agent_1 with the shipped short-lease profile. before: what its command line begins with."""
         environ = {**self.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "config" / "fastdds.xml")}
-        command = [sys.executable, "-m", module, "--name", name, "--namespace", "/agent_1", *arguments]
+        command = [*before, sys.executable, "-m", module, "--name", name, "--namespace", "/agent_1", *arguments]
         return self._keep(subprocess.Popen(command, env=environ))
+
+    def discovery_server(self) -> str:
+        """A Fast DDS discovery server on loopback; its address, as ROS_DISCOVERY_SERVER takes it."""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        program = Path(sys.executable).with_name("fast-discovery-server")
+        command = [str(program), "-i", "0", "-l", "127.0.0.1", "-p", str(port)]
+        self._keep(subprocess.Popen(command, env=self.environ, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL))
+        return f"127.0.0.1:{port}"
 
     def source(self, hz: float, path: Path) -> None:
         """A publisher that writes its publications to `path`; see `ros_source`."""

@@ -13,7 +13,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from phm.probes.ros import sandbox
+from phm.probes.ros import fastdds_profile, sandbox
 from phm.probes.ros.line_splitter import LineSplitter
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
@@ -23,6 +23,7 @@ from phm.probes.ros.protocol import (
     Missing,
     ProtocolError,
     Sandbox,
+    Wanted,
     decode_order,
     decode_wanted,
     encode,
@@ -38,15 +39,6 @@ _PR_SET_PDEATHSIG = 1
 OOM_MORE, OOM_MOST = 500, 1000
 """Of /proc/PID/oom_score_adj: more than the daemon's, and the kernel's limit. Raising it needs no privilege."""
 
-_PROFILE = b"""<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com"><profiles>
-<participant profile_name="phm" is_default_profile="true"><rtps><builtin><discovery_config>
-<leaseDuration><sec>5</sec></leaseDuration>
-<leaseAnnouncement><sec>0</sec><nanosec>250000000</nanosec></leaseAnnouncement>
-</discovery_config></builtin></rtps></participant>
-</profiles></dds>
-"""
-
 
 def main() -> int:
     """Read what is wanted from standard input, then report until it is closed. Returns the exit code."""
@@ -54,12 +46,20 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the daemon, which then closes the pipe
     _die_with_parent()
     _go_first()
-    _announce_often()
     try:
         wanted = decode_wanted(_first_line())
     except ProtocolError as error:
         sys.stderr.write(f"phm ros child: {error}\n")
         return 2
+    fastdds_profile.adapt(os.environ)
+    try:
+        return _look(wanted, out)
+    finally:
+        fastdds_profile.remove(os.environ)
+
+
+def _look(wanted: Wanted, out: int) -> int:
+    """Report until standard input is closed. Returns the exit code."""
     _send(out, _restrict())
     try:
         from phm.probes.ros.observer import Observer
@@ -170,20 +170,6 @@ def _go_first() -> None:
             file.write(str(wanted))
     except (OSError, ValueError):
         return  # a kernel or sandbox without it: then the larger of the two ends
-
-
-def _announce_often() -> None:
-    """Have Fast DDS announce this participant four times a second instead of once in three seconds.
-
-    A node that starts (or was restarted) is seen once it has heard of us too: measured 0.5 s instead of up to
-    4 s. The profile is a file in memory, as the sidecar's file system is read-only; a user's own one wins.
-    """
-    if any(os.environ.get(name) for name in sandbox.PROFILE_VARIABLES):
-        return
-    file = os.memfd_create("phm-fastdds.xml")
-    os.write(file, _PROFILE)
-    for name in sandbox.PROFILE_VARIABLES:
-        os.environ[name] = f"/proc/self/fd/{file}"
 
 
 def _send(out: int, *messages: Message) -> None:

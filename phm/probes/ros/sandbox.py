@@ -29,8 +29,8 @@ _FILE_VARIABLES = (
     "ZENOH_SESSION_CONFIG_URI", "ROS_SECURITY_KEYSTORE", "RCL_LOGGING_CONFIG_FILE",
 )  # fmt: skip
 """Variables that name a file or folder which the middleware reads."""
-_IN_MEMORY = "/proc/self/fd/"
-"""Where the child's own profile is (`phm.probes.ros.child`)."""
+OWN_PROFILE = "PHM_ROS_PROFILE"
+"""Names the child's own profile (`phm.probes.ros.fastdds_profile`), which uses UDP alone."""
 _PATH_VARIABLES = ("AMENT_PREFIX_PATH", "LD_LIBRARY_PATH")
 _SHARED_MEMORY = "/dev/shm"  # noqa: S108 (Fast DDS puts its segments there when a user turns shared memory on)
 
@@ -121,14 +121,8 @@ def _limit_files(readable: list[str], writable: list[str]) -> None:
 
 
 def _allow(ruleset: object, path: str, of_folder: object, of_file: object) -> None:
-    """A relative path, the root and what does not exist are left out: an empty or wrong variable must not open everything.
-    So is a file in memory, which needs no rule and takes none."""
-    if (
-        not path.startswith("/")
-        or os.path.realpath(path) == "/"
-        or not os.path.exists(path)
-        or path.startswith(_IN_MEMORY)
-    ):
+    """A relative path, the root and what does not exist are left out: an empty or wrong variable must not open everything."""
+    if not path.startswith("/") or os.path.realpath(path) == "/" or not os.path.exists(path):
         return
     ruleset.allow(path, rules=of_folder if os.path.isdir(path) else of_file)  # type: ignore[attr-defined]
 
@@ -139,7 +133,7 @@ def _allow(ruleset: object, path: str, of_folder: object, of_file: object) -> No
 def _needs_streams(environ: Callable[[str], str | None]) -> bool:
     """Whether the middleware may use TCP. Fast DDS over UDP and Cyclone do not, and a TCP engine must be out of reach."""
     profiles = [environ(name) or "" for name in PROFILE_VARIABLES]
-    if any(path and not path.startswith(_IN_MEMORY) for path in profiles) or environ("CYCLONEDDS_URI"):
+    if any(path not in ("", environ(OWN_PROFILE)) for path in profiles) or environ("CYCLONEDDS_URI"):
         return True
     if environ("RMW_IMPLEMENTATION") not in (None, "", *_DATAGRAM_MIDDLEWARES):
         return True
