@@ -10,10 +10,9 @@ from pathlib import Path
 
 from phm.core.settings import Settings
 from phm.facts import CannotTell
-from phm.probes.docker import own_ids
 from phm.setup import discovery
 from phm.setup.machine import Machine
-from phm.transport.docker import DockerEngine, EngineMissing
+from phm.transport.docker import DockerEngine
 
 
 @dataclass(slots=True)
@@ -59,15 +58,3 @@ class Surroundings:
         if isinstance(self._machine, CannotTell):
             raise self._machine.with_traceback(None)
         return self._machine
-
-    def own_network_mode(self) -> str:
-        """Docker's network mode of the container that this process runs in; empty when it is not known."""
-        for ref in own_ids(self.proc / "self"):
-            try:
-                answer = self.engine.inspect(ref)
-            except EngineMissing:
-                continue
-            except CannotTell:
-                return ""
-            return str((answer.get("HostConfig") or {}).get("NetworkMode") or "")
-        return ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import ipaddress
 import os
 import socket
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from phm.core.settings import EndpointSettings
 from phm.doctor.context import Surroundings
 from phm.doctor.row import Row, limited, missing, ok
 from phm.probes.serial_port_users import users
+from phm.transport.own_network import is_loopback, is_private
 from phm.wire import status_file
 
 
@@ -25,7 +25,7 @@ def rows(surroundings: Surroundings) -> Iterator[Row]:
         elif endpoint.url.startswith(("udpin", "tcpin")):
             yield _listening(endpoint, surroundings)
         else:
-            yield _sending(endpoint, surroundings)
+            yield _sending(endpoint)
 
 
 def _serial(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
@@ -59,7 +59,7 @@ def _listening(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
     return ok(endpoint.key, f"{endpoint.url}: the port is free")
 
 
-def _sending(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
+def _sending(endpoint: EndpointSettings) -> Row:
     _, host, port = _parts(endpoint)
     try:
         address = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_DGRAM)[0][4][0]
@@ -67,11 +67,11 @@ def _sending(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
         return missing(
             endpoint.key, f"{host} cannot be resolved: {error.strerror or error}", "correct the host in the url"
         )
-    if not ipaddress.ip_address(str(address).partition("%")[0]).is_loopback:
+    if not is_loopback(endpoint.url):
         return ok(endpoint.key, f"{endpoint.url} resolves to {address}")
-    if surroundings.in_container and surroundings.own_network_mode() != "host":
+    if is_private():
         text = f"{endpoint.url} is the loopback of PHM's own container, where no ground station listens"
-        return limited(endpoint.key, text, "use the address of the host or of the ground station")
+        return limited(endpoint.key, text, "use udpout:host.docker.internal:PORT, or the address of the ground station")
     return ok(endpoint.key, f"{endpoint.url}: a program on this machine")
 
 

@@ -62,8 +62,10 @@ def containers(machine: Machine, wanted: Sequence[str]) -> tuple[Application, ..
 
 
 def network(applications: Sequence[Application]) -> Network:
-    """`host` when one of them uses the host's network: discovery does not reach from a bridge to it, but from it to a bridge."""
-    return "host" if any(one.fact.network_mode == "host" for one in applications) else "bridge"
+    """`host` when one of them uses the host's network, or there is none, so that ROS runs on the host: discovery does not reach
+    from a bridge to the host's network, but from there to a bridge."""
+    bridged = applications and all(one.fact.network_mode != "host" for one in applications)
+    return "bridge" if bridged else "host"
 
 
 def ground(chosen: Network) -> str:

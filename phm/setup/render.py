@@ -142,7 +142,7 @@ def _groups(machine: Machine) -> str:
 
 def _network(answers: Answers) -> str:
     if answers.network == "host":
-        return "    # The application uses the host's network, and ROS 2 discovery does not cross from there to a bridge.\n    network_mode: host"
+        return "    # For an application on the host's network: ROS 2 discovery does not cross from there to a bridge.\n    network_mode: host"
     lines = ["    # PHM connects itself to the networks that phm.yaml names."]
     if decided.HOST_NAME in answers.mavlink:
         lines += ["    extra_hosts:", f'      - "{decided.HOST_NAME}:host-gateway" # this machine, for MAVLink']

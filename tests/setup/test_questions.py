@@ -53,6 +53,10 @@ def test_one_container_on_the_hosts_network_decides() -> None:
     assert defaults(interview(machine(APP, CAMERA), network="bridge"))[1].network == "bridge"
 
 
+def test_without_containers_ros_runs_on_the_host() -> None:
+    assert defaults(interview(machine()))[1].network == "host"
+
+
 def test_a_container_brings_the_owner_of_its_network() -> None:
     """Without it, PHM would not be on that network."""
     found = machine(application("app", mode="container:1", owner="pod"), application("pod", mode="host"))

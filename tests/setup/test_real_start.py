@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import subprocess
-import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
@@ -14,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from docker import DockerClient
 from docker.errors import APIError, NotFound
 
-from tests.docs.examples import ROOT
+from phm.cli import group
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
 LIMIT_S = 90.0
@@ -90,8 +90,8 @@ def test_the_written_folder_starts_a_sidecar_that_sees_the_application(
     """Container, health and network are OK; its ROS settings are the application's."""
     app = start(network)
     options = ("--yes", "--no-ros", "--container", app, "--mavlink", "none")
-    run(sys.executable, "-m", "phm.cli", "init", str(folder), *options, cwd=ROOT)
-    run(sys.executable, "-m", "phm.cli", "validate", str(folder / "phm.yaml"), cwd=ROOT)
+    assert CliRunner().invoke(group, ["init", str(folder), *options]).exit_code == 0
+    assert CliRunner().invoke(group, ["validate", str(folder / "phm.yaml")]).exit_code == 0
     run("docker", "compose", "up", "--detach", cwd=folder)
     wanted = {f"container/{app}", f"health/{app}", "engine", *([f"network/{app}"] if network == "bridge" else [])}
     end, levels = time.monotonic() + LIMIT_S, {}
