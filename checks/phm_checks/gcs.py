@@ -50,6 +50,8 @@ class Gcs(api.Check):
         fact, limit_s = world.links.gcs(), self._settings.mavlink.gcs_timeout
         if fact is None:
             return api.bypass("no ground station heartbeat received yet", gcs_age_s=None)
+        if fact.left:
+            return api.bypass("the last ground station has announced its end", gcs_age_s=None)
         values: dict[str, api.Value] = {
             "gcs_age_s": round(fact.age_s, 1),
             "gcs": f"{fact.system}/{fact.component}",

@@ -36,6 +36,8 @@ VERBS = {
     "proxy-rules": "Print Docker proxy rules that allow only the calls PHM makes.",
     "gcs": "Show the status of all agents, as received by a ground station.",
 }
+EX_SOFTWARE = 70
+"""As in sysexits.h; `os` has it on POSIX alone."""
 VERB_GROUP = "phm.verbs"
 
 
@@ -106,4 +108,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         detail = one_line(f"{type(error).__name__}: {error}")
         click.echo(f"phm: internal error: {detail} (set PHM_TRACEBACK=1 for the traceback)", err=True)
-        sys.exit(os.EX_SOFTWARE)
+        sys.exit(EX_SOFTWARE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import select
 import signal
 import sys
@@ -10,23 +9,20 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
+from phm.cli.gcs_options import check_ports, link_options, link_settings, make_station
+from phm.cli.gcs_requests import REQUESTS
 from phm.core import threads
 from phm.core.signals import Signals
 
 if TYPE_CHECKING:
     from phm.core.clock import Clock
-    from phm.core.settings import MavlinkSettings
     from phm.gcs.server import GcsServer
     from phm.gcs.station import GroundStation
 
-DEFAULT = "udpin:0.0.0.0:14551"
-IDS = (251, 254)
-"""Above the agents' ids (up to 250) and below 255, the pilot's ground station."""
-TRY_S = 2.0
 ONCE_S = 5.0
 LOOK_S = 0.2
 
@@ -55,39 +51,37 @@ def _address(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     return host.strip("[]") or "127.0.0.1", int(port)
 
 
-@click.command(epilog="Example, beside QGroundControl and MAVProxy: phm gcs udpin:127.0.0.1:14551")
+class WithRequests(click.Command):
+    """`phm gcs approve A05` is another command than `phm gcs URL`: a URL never equals the name of a request."""
+
+    requests = REQUESTS
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        request = self.requests.get(args[0]) if args else None
+        if request is not None:
+            return request.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        super().format_options(ctx, formatter)
+        with formatter.section("Requests to an agent"):
+            formatter.write_dl([(name, one.get_short_help_str(90)) for name, one in self.requests.items()])
+
+
+@click.command(cls=WithRequests, epilog="Example, beside QGroundControl and MAVProxy: phm gcs udpin:127.0.0.1:14551")
 @click.argument("urls", metavar="[URL]...", nargs=-1)
-@click.option(
-    "--baud",
-    type=click.IntRange(1200, 4_000_000),
-    default=57600,
-    show_default=True,
-    help="Bits per second of a serial port.",
-)
-@click.option(
-    "--id",
-    "system",
-    type=click.IntRange(*IDS),
-    default=IDS[1],
-    show_default=True,
-    help="MAVLink system id. 255 is reserved for the pilot's ground station, which autopilot failsafes watch.",
-)
+@link_options(default_id=254)
 @click.option(
     "--silent",
     is_flag=True,
     help="Receive only: send nothing, not even heartbeats. ArduPilot then forwards nothing to this port.",
 )
 @click.option(
-    "--key",
-    type=click.Path(exists=True, dir_okay=False),
-    help="File with the MAVLink signing key of the agents.",
-)
-@click.option(
-    "--unsigned",
-    type=click.Choice(["vehicle", "all", "none"]),
-    default="vehicle",
-    show_default=True,
-    help="With --key: which unsigned messages to accept.",
+    "--pilot",
+    is_flag=True,
+    help="Count as the pilot's ground station: agents report it as lost when it falls silent.",
 )
 @click.option(
     "--expect", metavar="IDS", callback=_agents, help="Agents to report as missing even if never heard, e.g. 1,2,5-8."
@@ -117,6 +111,7 @@ def command(
     baud: int,
     system: int,
     silent: bool,
+    pilot: bool,
     key: str | None,
     unsigned: str,
     expect: tuple[int, ...],
@@ -130,7 +125,7 @@ def command(
 
     Connects to the MAVLink network and discovers the agents by their messages. URL as in `mavlink.endpoints` of the configuration:
     udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, /dev/ttyUSB0 and so on; default: udpin:0.0.0.0:14551. On a terminal it
-    shows a live table, otherwise one line per event.
+    shows a live table (arrow keys and Enter: request something of an agent), otherwise one line per event.
 
     Exit code 0; 1: a port is in use, or the record is incomplete; with --once also when an agent is in ERROR, lost or never
     heard, or no agent was found.
@@ -138,11 +133,12 @@ def command(
     from phm.cli import render
     from phm.core.clock import SystemClock
     from phm.gcs.console import ConsoleView
+    from phm.gcs.live import LiveView
     from phm.gcs.recorder import Recorder
 
     clock = SystemClock()
     clock.measure()
-    station = _station(_settings(urls or (DEFAULT,), baud, key, unsigned), system, expect, clock, silent=silent)
+    station = make_station(link_settings(urls, baud, key, unsigned), system, clock, expect, silent=silent, pilot=pilot)
     book = Recorder(record, station, clock) if record else None
     server = _server(serve, station, clock) if serve else None
 
@@ -156,7 +152,7 @@ def command(
     with _ending() as stop:
         show, console = ConsoleView(station, clock, _patient(stop), notes, warn), render.console()
         with _running(station, book, server):
-            _tried(station)
+            check_ports(station)
             limit_s = seconds if seconds is not None else ONCE_S if once else None
             end = None if limit_s is None else clock.mono() + limit_s
             if once:
@@ -165,7 +161,7 @@ def command(
             elif as_json or not console.is_terminal:
                 show.lines(stop, end, as_json=as_json)
             else:
-                show.live(stop, end, console)
+                LiveView(station, clock, notes).run(stop, end, console)
         if as_json and not once:
             show.rest(0.0, as_json=True)
     if book is not None and book.about():
@@ -178,8 +174,11 @@ def _patient(stop: threading.Event) -> Callable[[str], None]:
     """Prints a line; gives up when the program is to exit while its output is not read."""
 
     def echo(text: str) -> None:
+        # Windows cannot ask whether output is read.
         with suppress(OSError, ValueError):  # not a file: tests of the command line
-            while not select.select([], [sys.stdout], [], 0.0 if stop.is_set() else LOOK_S)[1]:
+            while (
+                sys.platform != "win32" and not select.select([], [sys.stdout], [], 0.0 if stop.is_set() else LOOK_S)[1]
+            ):
                 if stop.is_set():
                     return
         click.echo(text)
@@ -232,46 +231,6 @@ def _ending() -> Iterator[threading.Event]:
         finally:
             over.set()
             threads.join(thread, 2 * LOOK_S)
-
-
-def _settings(urls: tuple[str, ...], baud: int, key: str | None, unsigned: str) -> MavlinkSettings:
-    from pydantic import ValidationError
-
-    from phm.core.settings import MavlinkSettings
-    from phm.gcs.station import COMPONENT
-
-    if len(set(urls)) < len(urls):
-        raise click.UsageError("A URL is given twice.")
-    endpoints = [{"url": url, "baud": baud, "budget": 0} for url in urls]
-    signing = {"key": os.path.abspath(key) if key else None, "unsigned": unsigned}
-    try:
-        return MavlinkSettings.model_validate({"endpoints": endpoints, "component_id": COMPONENT, "signing": signing})
-    except ValidationError as error:
-        raise click.UsageError(
-            "; ".join(entry["msg"].removeprefix("Value error, ") for entry in error.errors())
-        ) from None
-
-
-def _station(
-    settings: MavlinkSettings, system: int, expect: tuple[int, ...], clock: Clock, *, silent: bool
-) -> GroundStation:
-    from phm.gcs.station import GroundStation
-    from phm.transport.mavlink_signing import InvalidKey
-
-    try:
-        return GroundStation(settings, system, clock, expect, silent=silent)
-    except InvalidKey as problem:
-        raise click.UsageError(str(problem).replace("mavlink.signing.key:", "--key:")) from None
-
-
-def _tried(station: GroundStation) -> None:
-    """Exits when a port to listen on is in use."""
-    taken = station.taken(TRY_S)
-    if taken:
-        raise click.ClickException(
-            f"{taken}: another program listens there, or the address is not this machine's. Choose another port, and "
-            "have the router or MAVProxy forward to it, too (docs/reference/gcs.md)"
-        )
 
 
 def _server(address: tuple[str, int], station: GroundStation, clock: Clock) -> GcsServer:

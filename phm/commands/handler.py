@@ -20,6 +20,11 @@ class CommandHandler:
         self._services, self._containers, self._clock = services, tuple(containers), clock
         self._checked = float("-inf")
 
+    @property
+    def containers(self) -> tuple[str, ...]:
+        """Keys of the configured containers; RestartContainer names them by position."""
+        return self._containers
+
     def execute(self, request: OperatorRequest, by: str) -> Reply:
         """by: the operator, for the log. Never raises: what fails is FAILED, with the reason."""
         try:

@@ -27,15 +27,19 @@ from phm.transport.priority import MessagePriority
 from phm.wire.command import (
     COMMAND_INT,
     COMMAND_LONG,
+    CONTAINERS_TEXT,
     HEARTBEAT,
     READ_ONLY,
+    REPLY_TEXT,
     TUNNEL,
+    USER_1,
     ApproveAction,
     Command,
     CommandResult,
     RepeatMessage,
     Request,
     RestartContainer,
+    SendContainers,
     SendDetails,
     SendMessage,
     describe,
@@ -165,6 +169,8 @@ class MavlinkCommands:
             what = describe(request)
         self._dedup.record(command, frame, reply.result, now)
         self._acknowledge(command, reply.result)
+        if command.command == USER_1 and (command.signed or not self._port.signs):
+            self._send_text(REPLY_TEXT, responses.text(REPLY_TEXT, reply.text, command), command)
         with self._lock:
             logged = self._log.should_log(command, reply.result, now, acts=acts)
         if logged:
@@ -174,9 +180,18 @@ class MavlinkCommands:
                 KIND, f"{result}: {what} from {command.sender} by {command.link}, {signed}: {reply.text}"
             )
 
+    def _urgency(self, command: Command, usual: int) -> int:
+        """Where a link has room for few answers, those to unsigned senders, whose ids may be forged, are sent last."""
+        return UNSIGNED_LAST if self._port.signs and not command.signed else usual
+
+    def _send_text(self, about: str, messages: Sequence[Any], command: Command) -> None:
+        urgency = self._urgency(command, 2)
+        for part, message in enumerate(messages):
+            key = f"detail {command.sender} {about} {part}"
+            self._port.send(message, MessagePriority.REQUEST, key=key, urgency=urgency, link=command.link)
+
     def _acknowledge(self, command: Command, result: CommandResult) -> None:
-        # Where a link has room for few answers, those to unsigned senders, whose ids may be forged, are sent last.
-        urgency = UNSIGNED_LAST if self._port.signs and not command.signed else 0
+        urgency = self._urgency(command, 0)
         key = f"ack {command.sender} {command.command} {command.signed}"
         self._port.send(
             responses.ack(command, result), MessagePriority.REQUEST, key=key, urgency=urgency, link=command.link
@@ -193,6 +208,8 @@ class MavlinkCommands:
                     return self._send(message, command.link)
                 case SendDetails(fault):
                     return self._send_details(fault, command)
+                case SendContainers():
+                    return self._send_containers(command)
                 case RepeatMessage():
                     return self._repeat(request, command)
                 case _:
@@ -211,10 +228,14 @@ class MavlinkCommands:
         if not found:
             return Reply(CommandResult.FAILED, f"fault {number} is unknown" if number else "no fault is open")
         others = [fault.id for fault in open_now if fault.id != found[-1].id]
-        for part, message in enumerate(responses.details(found[-1], command, others)):
-            key = f"detail {command.sender} {found[-1].id} {part}"
-            self._port.send(message, MessagePriority.REQUEST, key=key, urgency=2, link=command.link)
+        self._send_text(found[-1].id, responses.details(found[-1], command, others), command)
         return Reply(CommandResult.ACCEPTED, f"sending details of {found[-1].id}")
+
+    def _send_containers(self, command: Command) -> Reply:
+        if not self._handler.containers:
+            return Reply(CommandResult.FAILED, "no container is configured")
+        self._send_text(CONTAINERS_TEXT, responses.containers(self._handler.containers, command), command)
+        return Reply(CommandResult.ACCEPTED, "sending the list of containers")
 
     def _send(self, message: int, link: str) -> Reply:
         if not self._services.alive():

@@ -10,7 +10,7 @@ from typing import Any
 from phm.core.model import Fault, UnitState, worst_by_slot
 from phm.transport.dialect import mavlink
 from phm.wire import status_line, status_word, tunnel
-from phm.wire.command import HEARTBEAT, STATUSTEXT, Command, CommandResult, fault_number
+from phm.wire.command import CONTAINERS_TEXT, HEARTBEAT, STATUSTEXT, Command, CommandResult, fault_number
 from phm.wire.status_line import Severity
 
 _U8, _I8, _I16, _U32 = 0xFF, 0x7F, 0x7FFF, 0xFFFFFFFF
@@ -87,7 +87,17 @@ def details(fault: Fault, command: Command, others: Sequence[str] = ()) -> list[
     numbers = [number for other in others if (number := fault_number(other)) is not None]
     if numbers:
         pieces.append(f"other open faults: {', '.join(map(str, numbers[:MOST_OTHERS]))}")
-    payloads = [tunnel.encode(part) for part in tunnel.details(fault.id, "; ".join(pieces))]
+    return text(fault.id, "; ".join(pieces), command)
+
+
+def containers(names: Sequence[str], command: Command) -> list[Any]:
+    """TUNNEL messages with the names of the containers and their positions in the configuration, to the sender."""
+    return text(CONTAINERS_TEXT, ", ".join(f"{place} {name}" for place, name in enumerate(names, 1)), command)
+
+
+def text(about: str, words: str, command: Command) -> list[Any]:
+    """TUNNEL messages with a text to the sender of a command. about: a fault's id, CONTAINERS_TEXT or REPLY_TEXT."""
+    payloads = [tunnel.encode(part) for part in tunnel.details(about, words)]
     return [
         mavlink.MAVLink_tunnel_message(
             command.system,

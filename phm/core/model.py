@@ -52,6 +52,14 @@ class Slot(IntEnum):
     USER_2 = 14
     USER_3 = 15
 
+    @property
+    def short(self) -> str:
+        """Three letters, for the head of a column."""
+        return _SHORT_NAMES[self - 1]
+
+
+_SHORT_NAMES = ["GCS", "CON", "FIL", "NET", "DEV", "NOD", "TOP", "RAT", "HST", "AUT", "RAD", "PEE", "US1", "US2", "US3"]
+
 
 class Layer(str, Enum):
     """The three layers of the paper, the links between them, and custom checks."""

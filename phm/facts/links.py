@@ -12,7 +12,7 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True)
 class GcsFact:
-    """The last HEARTBEAT of any ground station. link: name of the endpoint that received it."""
+    """The last HEARTBEAT of the pilot's ground station (`mavlink.pilots`). link: name of the endpoint that received it."""
 
     age_s: float
     system: int = 0
@@ -24,6 +24,8 @@ class GcsFact:
     """Whether it has been silent for longer than that, while its link was open and read."""
     not_counted_s: float = 0.0
     """The part of age_s in which PHM did not run or had not read its link."""
+    left: bool = False
+    """It announced its end, and no other one is received."""
 
     @property
     def silent_s(self) -> float:

@@ -12,13 +12,15 @@ from phm.gcs.frames import BOOT, Heartbeat
 from phm.gcs.presence import Presence, PresenceState
 from phm.gcs.statustext_parser import LineKind, ParsedLine, matches
 from phm.wire import status_word
-from phm.wire.status_line import agent_name
+from phm.wire.command import CONTAINERS_TEXT
+from phm.wire.status_line import ARRAY_SLOTS, agent_name
 from phm.wire.tunnel import FaultDetail, PeerView
 
 PHM_COMPONENT = 193
 MAX_BAD = 4
 """Failing units that are kept for a slot: PHM reports up to ten in all."""
 MAX_DETAILS = 4
+MAX_ADVICE, MAX_CONTAINERS = 8, 64
 MAX_CHANGES, AGAIN_S = 16, 5.0
 """An agent with two links to the ground sends everything twice, in frames with different sequence numbers."""
 _RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
@@ -43,6 +45,18 @@ class ReportedProblem:
     at: Stamp
 
 
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """An action that waits for the operator's approval. fault: its number. valid_s: how long an approval is valid, None: unknown."""
+
+    fault: int
+    slot: int
+    action: str
+    target: str
+    valid_s: float | None
+    at: Stamp
+
+
 @dataclass(slots=True)
 class Agent:
     """`system` and `component` are its MAVLink ids. What it has not sent is None or empty."""
@@ -58,6 +72,8 @@ class Agent:
     state: int | None = None
     levels: Mapping[Slot, Level] = field(default_factory=dict)
     """By its last status word."""
+    newer: dict[Slot, Level] = field(default_factory=dict)
+    """By its lines since then."""
     problem: str = ""
     """Why its status word cannot be read."""
     partial: bool = False
@@ -67,6 +83,10 @@ class Agent:
     last_text: ReceivedText | None = None
     bad: dict[int, OrderedDict[str, ReportedProblem]] = field(default_factory=dict)
     """By slot, then by text, oldest first."""
+    advice: OrderedDict[int, Advice] = field(default_factory=OrderedDict)
+    """By the number of its fault, oldest first."""
+    containers: tuple[str, ...] = ()
+    """Its configured containers in order, once it was asked for them."""
     view: PeerView | None = None
     view_at: Stamp | None = None
     no_ground: bool | None = None
@@ -89,9 +109,14 @@ class Agent:
         return agent_name(self.system) if usual else f"{agent_name(self.system)}/{self.component}"
 
     @property
+    def current(self) -> Mapping[Slot, Level]:
+        """What was reported last about each slot, by a status word or by a line."""
+        return {**self.levels, **self.newer}
+
+    @property
     def worst(self) -> Level | None:
-        """By its last status word; None: it reported no slot."""
-        known = max(self.levels.values(), key=_RANK.__getitem__, default=None)
+        """By its last status word and newer lines; None: it reported no slot."""
+        known = max(self.current.values(), key=_RANK.__getitem__, default=None)
         return Level.STALE if known is Level.OK and self.partial else known
 
     def beat(self, beat: Heartbeat) -> dict[Slot, tuple[Level, Level]]:
@@ -99,15 +124,19 @@ class Agent:
         if beat.state == BOOT and self.state not in (BOOT, None):
             self.restarts += 1
             self.bad.clear()
+            self.advice.clear()
             self.view, self.view_at, self.no_ground = None, None, None
         try:
             levels, self.problem = status_word.decode(beat.custom_mode), ""
         except ValueError as error:
             levels, self.problem = {}, str(error)
         old, self.levels = self.levels, levels
+        self.newer.clear()
         self.word, self.state = beat.custom_mode, beat.state
         for slot in [slot for slot in self.bad if not levels.get(Slot(slot), Level.STALE).bad]:
             del self.bad[slot]
+        for fault in [fault for fault, one in self.advice.items() if not levels.get(Slot(one.slot), Level.STALE).bad]:
+            del self.advice[fault]
         pairs = {slot: (old.get(slot, Level.STALE), levels.get(slot, Level.STALE)) for slot in Slot}
         return {slot: pair for slot, pair in pairs.items() if pair[0] is not pair[1]}
 
@@ -121,17 +150,60 @@ class Agent:
                 self.bad.clear()
         elif line.word == "HOLD":
             self.on_hold = not line.text.endswith(" released")
+        else:
+            self._advised(line, at)
         if line.level is not None:
             self._worse(line, line.level, at)
         elif line.recovered:
             if line.recovered.startswith("GCS:"):
                 self.no_ground = False
             units = self.bad.get(line.slot, OrderedDict())
-            for text in [text for text in units if line.resolves(text)]:
+            over = [text for text in units if line.resolves(text)]
+            for text in over:
                 del units[text]
+            if over:
+                self._better(Slot(line.slot), units)
+        self._array(line)
+
+    def _advised(self, line: ParsedLine, at: Stamp) -> None:
+        """Take over what waits for an approval, and what no longer does."""
+        found = line.advice
+        if found is not None:
+            self.advice.pop(found.fault, None)
+            self.advice[found.fault] = Advice(found.fault, line.slot, found.action, found.target, found.valid_s, at)
+            while len(self.advice) > MAX_ADVICE:
+                self.advice.popitem(last=False)
+        elif line.word == "GAVE UP":
+            self.advice.pop(line.fault or 0, None)
+        elif line.word == "APPROVED":
+            for fault, one in list(self.advice.items()):
+                if (one.slot, f"{one.action} {one.target}") == (line.slot, line.text):
+                    del self.advice[fault]
+
+    def take_text(self, about: str, text: str) -> None:
+        """Take over the list of containers."""
+        if about == CONTAINERS_TEXT:
+            self.containers = tuple(piece.partition(" ")[2][:128] for piece in text.split(", ")[:MAX_CONTAINERS])
+
+    def _array(self, line: ParsedLine) -> None:
+        """Take over the digits of a refresh, as far as they contradict what was reported before: `1` is OK or WARN."""
+        for slot, digit in zip(ARRAY_SLOTS, line.array, strict=False):
+            bad = self.current.get(slot) is Level.ERROR
+            if digit == "0" and not bad:
+                self.newer[slot] = Level.ERROR
+            elif digit != "0" and bad:
+                self.newer[slot] = Level.OK if digit == "1" else Level.STALE
+
+    def _better(self, slot: Slot, left: Mapping[str, ReportedProblem]) -> None:
+        """A known failure ended: the worst of those that are left counts, and without any the slot is OK."""
+        if self.current.get(slot, Level.STALE).bad:
+            levels = (bad.level for bad in left.values())
+            self.newer[slot] = max(levels, key=_RANK.__getitem__, default=Level.OK)
 
     def _worse(self, line: ParsedLine, level: Level, at: Stamp) -> None:
         """A unit fails. A refresh repeats the worst one, whose own line may have been lost, and may know no other."""
+        if line.slot and _RANK[level] > _RANK[self.current.get(Slot(line.slot), Level.STALE)]:
+            self.newer[Slot(line.slot)] = level
         units = self.bad.setdefault(line.slot, OrderedDict())
         known = next((text for text in units if matches(text, line.text)), None)
         old = units[known] if known is not None and line.kind is LineKind.REFRESH else None

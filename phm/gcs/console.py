@@ -1,14 +1,12 @@
-"""Shows events on the terminal: as a live table, as lines of text, or as lines of JSON."""
+"""Shows events as lines of text or of JSON, and the table once. The live table is `live`."""
 
 from __future__ import annotations
 
 import re
 import threading
-from collections import deque
 from collections.abc import Callable
 
-from rich.console import Console, RenderableType
-from rich.live import Live
+from rich.console import Console
 
 from phm.core.clock import Clock
 from phm.gcs import table
@@ -16,9 +14,7 @@ from phm.gcs.events import describe_with_time
 from phm.gcs.station import GroundStation
 from phm.gcs.subscriber_queue import SubscriberQueue
 
-REDRAW_S = 0.5
 LOOK_S = 0.2
-KEPT_LINES = 20
 NOT_OK = frozenset(("ERROR", "LOST", "UNKNOWN"))
 
 Print = Callable[[str], None]
@@ -36,7 +32,6 @@ class ConsoleView:
         self._station, self._clock, self._echo, self._notes, self._warn = station, clock, echo, notes, warn
         self._warned: set[str] = set()
         self._queue = SubscriberQueue(clock)
-        self._lines: deque[str] = deque(maxlen=KEPT_LINES)
         station.subscribe(self._queue)
 
     def lines(self, stop: threading.Event, end: float | None, *, as_json: bool) -> None:
@@ -52,20 +47,13 @@ class ConsoleView:
             if text:
                 self._echo(text)
 
-    def live(self, stop: threading.Event, end: float | None, console: Console) -> None:
-        """Show the table and update it in place."""
-        with Live(self._table(console), console=console, screen=True, auto_refresh=False) as live:
-            while not self._over(stop, end):
-                self._clock.wait(stop, REDRAW_S)
-                live.update(self._table(console), refresh=True)
-
     def once(self, console: Console, *, as_json: bool) -> bool:
         """Print the status of all agents; whether there is one, and all are OK."""
         number, event = self._station.snapshot()
         if as_json:
             self._echo(self._station.line(number, event).decode("ascii"))
         else:
-            console.print(table.render(event.body, notes=self._notes()))
+            console.print(table.render(event.body, width=console.width, notes=self._notes()))
         hows = {agent["how"] for agent in event.body["agents"]}
         return bool(hows) and not hows & NOT_OK
 
@@ -75,11 +63,6 @@ class ConsoleView:
         for kind in notes.keys() - self._warned:
             self._warn(notes[kind])
         self._warned = set(notes)
-
-    def _table(self, console: Console) -> RenderableType:
-        self._lines.extend(text for item in self._queue.take(0.0) if (text := describe_with_time(item.event)))
-        body = self._station.snapshot()[1].body
-        return table.render(body, list(self._lines), height=console.height, notes=self._notes())
 
     def _over(self, stop: threading.Event, end: float | None) -> bool:
         return stop.is_set() or (end is not None and self._clock.mono() >= end)

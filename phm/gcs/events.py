@@ -103,6 +103,10 @@ def _digest(body: Mapping[str, Any]) -> str:
     )
 
 
+def _result(body: Mapping[str, Any]) -> str:
+    return f"answers command {body['command']}: {body['result'].lower().replace('_', ' ')}"
+
+
 def _name(body: Mapping[str, Any]) -> str:
     return str(body["name"])
 
@@ -118,6 +122,7 @@ _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "agent": lambda body: f"{_name(body)} discovered, {body['system']}/{body['component']} on {body['link']}",
     "restart": lambda body: f"{_name(body)} PHM restarted",
     "detail": lambda body: f"{_name(body)} fault {body['fault']}: {body['text']}",
+    "ack": lambda body: f"{_name(body)} {_result(body)}",
     "problem": lambda body: f"problem: {body['text']}",
     "start": lambda body: (
         f"phm gcs {body['version']} as {body['system']}/{body['component']} on {', '.join(body['links'])}"

@@ -44,6 +44,9 @@ class Autopilot:
     def phase(self, now: float) -> PresenceState:
         return self.presence.state(now, PILOT_GUESS_S)
 
+    def lost(self, now: float) -> bool:
+        return self.phase(now) is PresenceState.LOST
+
 
 @dataclass(slots=True)
 class SwarmState:
@@ -104,9 +107,11 @@ class Fleet:
             self.pilots[system] = Autopilot()
         return self.pilots[system]
 
-    def station(self, system: int, component: int, now: float) -> None:
-        """A heartbeat of another ground station was received."""
+    def station(self, system: int, component: int, now: float, *, leaving: bool = False) -> None:
+        """A heartbeat of another ground station was received; `leaving`: its last one."""
         self.stations.pop((system, component), None)
+        if leaving:
+            return
         self.stations[system, component] = now
         while len(self.stations) > MAX_STATIONS:
             self.stations.popitem(last=False)
@@ -157,11 +162,12 @@ class FleetSnapshot:
     def hop(self, agent: Agent) -> BrokenHop | None:
         """The first broken hop on the path to its autopilot."""
         state = self.state(agent)
+        pilot = self._fleet.pilots.get(agent.system)
         if state.there or state is PresenceState.LEFT:
-            return first_broken(agent, state, None, HopEvidence())
+            lost_s = pilot.presence.silent_s(self._now) if pilot is not None and pilot.lost(self._now) else None
+            return first_broken(agent, state, None, HopEvidence(pilot_lost_s=lost_s))
         if state is PresenceState.NEVER and self._early:
             return None
-        pilot = self._fleet.pilots.get(agent.system)
         around = HopEvidence(
             self._closed,
             self._all_silent,

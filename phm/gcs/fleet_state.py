@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from phm.core.model import Stamp
-from phm.gcs import snapshot, statustext_parser
+from phm.gcs import frames, snapshot, statustext_parser
 from phm.gcs.agent import PHM_COMPONENT, Agent, ReceivedText
 from phm.gcs.events import GcsEvent
 from phm.gcs.fleet import Fleet
@@ -20,6 +20,7 @@ from phm.gcs.frames import (
     NO_AUTOPILOT,
     ONBOARD_CONTROLLER,
     POWEROFF,
+    CommandAck,
     Frame,
     Heartbeat,
     RadioStatus,
@@ -55,6 +56,8 @@ class FleetState:
         if isinstance(frame, RadioStatus):
             self.fleet.radio(link, frame, at.mono)
             return []
+        if isinstance(frame, CommandAck):
+            return list(self._ack(frame, at))
         return list(self._payload(frame, at))
 
     def links(self, found: Mapping[str, tuple[bool, str]], at: Stamp) -> list[GcsEvent]:
@@ -94,7 +97,7 @@ class FleetState:
 
     def _beat(self, beat: Heartbeat, link: str, at: Stamp) -> Iterator[GcsEvent]:
         if beat.kind == GCS:
-            self.fleet.station(beat.system, beat.component, at.mono)
+            self.fleet.station(beat.system, beat.component, at.mono, leaving=beat.state == POWEROFF)
         elif beat.autopilot != NO_AUTOPILOT:
             if beat.component == AUTOPILOT:
                 yield from self._pilot(beat, at)
@@ -174,6 +177,14 @@ class FleetState:
             agent.last_text = ReceivedText(said.text, said.severity, at)
             agent.line(line, at)
 
+    def _ack(self, ack: CommandAck, at: Stamp) -> Iterator[GcsEvent]:
+        """The answer of an agent to a command of ours."""
+        agent = self.fleet.agents.get((ack.system, ack.component))
+        if agent is None or ack.to != self._own or (self._signed and not ack.signed):
+            return
+        body = {**snapshot.who(agent), "command": ack.command, "result": frames.result_name(ack.result)}
+        yield GcsEvent(at, "ack", body)
+
     # ------------------------------------------------------------ tunnels
 
     def _payload(self, payload: TunnelPayload, at: Stamp) -> Iterator[GcsEvent]:
@@ -200,6 +211,7 @@ class FleetState:
         elif isinstance(message, FaultDetail):
             text = agent.part(message)
             if text is not None:
+                agent.take_text(message.fault, one_line(text))
                 yield GcsEvent(at, "detail", {**who, "fault": message.fault, "text": one_line(text)})
 
     def _digest(self, agent: Agent, digest: SwarmDigest, at: Stamp) -> GcsEvent:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from phm.wire.command import HEARTBEAT, STATUSTEXT, TUNNEL
+from phm.wire.command import COMMAND_ACK, HEARTBEAT, STATUSTEXT, TUNNEL
 from phm.wire.text import one_line
 
 RADIO_STATUS = 109
-IDS = (HEARTBEAT, STATUSTEXT, TUNNEL, RADIO_STATUS)
+IDS = (HEARTBEAT, STATUSTEXT, TUNNEL, RADIO_STATUS, COMMAND_ACK)
 GCS, ONBOARD_CONTROLLER = 6, 18
 """MAV_TYPE."""
 NO_AUTOPILOT = 8
@@ -19,6 +19,8 @@ ARMED = 128
 STATES = ("UNINIT", "BOOT", "CALIBRATING", "STANDBY", "ACTIVE", "CRITICAL", "EMERGENCY", "POWEROFF", "TERMINATION")
 """MAV_STATE by number."""
 BOOT, POWEROFF = 1, 7
+RESULTS = ("ACCEPTED", "TEMPORARILY_REJECTED", "DENIED", "UNSUPPORTED", "FAILED", "IN_PROGRESS", "CANCELLED")
+"""MAV_RESULT by number."""
 _UNKNOWN = 255
 """In RADIO_STATUS."""
 MAX_TEXT = 200
@@ -74,7 +76,19 @@ class RadioStatus:
     txbuf: int
 
 
-Frame = Heartbeat | StatusText | TunnelPayload | RadioStatus
+@dataclass(frozen=True, slots=True)
+class CommandAck:
+    """A COMMAND_ACK. result: MAV_RESULT. to: MAVLink ids of the receiver; (0, 0): not named."""
+
+    system: int
+    component: int
+    command: int
+    result: int
+    to: tuple[int, int]
+    signed: bool = False
+
+
+Frame = Heartbeat | StatusText | TunnelPayload | RadioStatus | CommandAck
 
 
 def parse(message: Any) -> Frame | None:
@@ -101,7 +115,15 @@ def parse(message: Any) -> Frame | None:
         levels = (message.rssi, message.remrssi, message.noise, message.remnoise)
         rssi, remrssi, noise, remnoise = (None if level == _UNKNOWN else level for level in levels)
         return RadioStatus(system, component, rssi, remrssi, noise, remnoise, message.txbuf)
+    if number == COMMAND_ACK:
+        to = (message.target_system, message.target_component)
+        return CommandAck(system, component, message.command, message.result, to, bool(message.get_signed()))
     return None
+
+
+def result_name(result: int) -> str:
+    """``TEMPORARILY_REJECTED``; a number that has no name stays one."""
+    return RESULTS[result] if 0 <= result < len(RESULTS) else str(result)
 
 
 def state_name(state: int | None) -> str:

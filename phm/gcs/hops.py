@@ -32,7 +32,8 @@ class HopEvidence:
     """What else the ground knows when it looks for the broken hop of one agent.
 
     closed: why no link of the ground is open, else empty. all_silent: no sender is received any more. pilot: the vehicle's
-    autopilot is received. heard_by: other agents that receive it. radio: a radio on the ground's own link answers.
+    autopilot is received. pilot_lost_s: for how long it is no longer received, None: it is, or never was. heard_by: other agents
+    that receive it. radio: a radio on the ground's own link answers.
     """
 
     closed: str = ""
@@ -40,13 +41,20 @@ class HopEvidence:
     pilot: bool = False
     heard_by: Sequence[int] = ()
     radio: bool = False
+    pilot_lost_s: float | None = None
 
 
 def first_broken(agent: Agent, state: PresenceState, silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
     """None: no hop is known to be broken."""
     if state is PresenceState.LEFT:
         return None
-    return _reported(agent) if state.there else _silent(silent_s, around)
+    return (_reported(agent) or _autopilot(around)) if state.there else _silent(silent_s, around)
+
+
+def _autopilot(around: HopEvidence) -> BrokenHop | None:
+    """The agent reports nothing, and the ground does not receive its autopilot any more."""
+    silent_s = around.pilot_lost_s
+    return None if silent_s is None else BrokenHop("autopilot", f"silent {silent_s:.0f} s here", certain=False)
 
 
 def _silent(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:

@@ -5,10 +5,11 @@ What is unknown is null or missing, never a guess; the slots of a lost agent are
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from phm.core.model import Level, Stamp
+from phm.core.model import Level, Slot, Stamp
 from phm.gcs.agent import Agent
 from phm.gcs.events import severity_name
 from phm.gcs.fleet import Autopilot, Fleet, FleetSnapshot, SwarmState
@@ -29,12 +30,11 @@ def who(agent: Agent) -> dict[str, Any]:
 
 def word(agent: Agent) -> dict[str, Any]:
     """The content of its last heartbeat."""
-    return {"word": agent.word, "state": state_name(agent.state), "slots": slots(agent)}
+    return {"word": agent.word, "state": state_name(agent.state), "slots": slots(agent.levels)}
 
 
-def slots(agent: Agent) -> dict[str, str]:
-    """The slots that its last status word reports."""
-    return {str(int(slot)): level.name for slot, level in sorted(agent.levels.items())}
+def slots(levels: Mapping[Slot, Level]) -> dict[str, str]:
+    return {str(int(slot)): level.name for slot, level in sorted(levels.items())}
 
 
 def hop(found: BrokenHop | None) -> dict[str, Any] | None:
@@ -77,10 +77,13 @@ def digest(said: SwarmDigest) -> dict[str, Any]:
     return {"members": said.members, "alive": said.alive, "levels": levels}
 
 
-def agent_status(agent: Agent, state: PresenceState) -> str:
-    """One word for an agent: OK, WARN, ERROR, STALE, HOLD, BOOT, LOST, LEFT, UNKNOWN."""
+def agent_status(agent: Agent, state: PresenceState, *, autopilot_lost: bool = False) -> str:
+    """One word for an agent: OK, WARN, ERROR, STALE, HOLD, BOOT, LOST, LEFT, UNKNOWN. autopilot_lost: the ground has received the
+    vehicle's autopilot, and no longer does: ERROR, whatever the agent reports."""
     if not state.there:
         return {PresenceState.LOST: "LOST", PresenceState.LEFT: "LEFT"}.get(state, UNKNOWN)
+    if autopilot_lost:
+        return Level.ERROR.name
     worst = agent.worst
     if agent.state == BOOT and worst not in (Level.WARN, Level.ERROR):
         return "BOOT"
@@ -122,17 +125,19 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, now: float) -> dict[
         **who(agent),
         "component": agent.component,
         "link": agent.link or None,
-        "how": agent_status(agent, state),
+        "how": agent_status(agent, state, autopilot_lost=autopilot is not None and autopilot.lost(now)),
         "presence": state.value,
         "age_s": seconds(agent.presence.silent_s(now)),
         "period_s": seconds(agent.presence.period_s(fleet.guess_s)) if learned else None,
         "word": agent.word,
         "state": state_name(agent.state) or None,
-        "slots": slots(agent) if state.there else {},
-        "last_slots": slots(agent),
+        "slots": slots(agent.current) if state.there else {},
+        "last_slots": slots(agent.levels),
         "hop": hop(look.hop(agent)),
         "line": _line(agent, now),
         "bad": _bad(agent, now) if state.there else [],
+        "advice": _advice(agent, now) if state.there else [],
+        "containers": list(agent.containers),
         "view": _view(agent, now),
         "heard_by": heard_by,
         "not_heard_by": not_heard_by,
@@ -160,6 +165,20 @@ def _bad(agent: Agent, now: float) -> list[dict[str, Any]]:
         {"slot": slot, "level": bad.level.name, "text": bad.text, "age_s": seconds(now - bad.at.mono)}
         for slot, units in sorted(agent.bad.items())
         for bad in units.values()
+    ]
+
+
+def _advice(agent: Agent, now: float) -> list[dict[str, Any]]:
+    return [
+        {
+            "fault": one.fault,
+            "slot": one.slot,
+            "action": one.action,
+            "target": one.target,
+            "valid_s": one.valid_s,
+            "age_s": seconds(now - one.at.mono),
+        }
+        for one in agent.advice.values()
     ]
 
 

@@ -1,13 +1,14 @@
 """Receives MAVLink frames, updates the fleet's state, and passes its events to subscribers.
 
-It sends one HEARTBEAT a second like any ground station, because an ArduPilot forwards frames only to a link that has sent one.
-It sends nothing else.
+It sends one HEARTBEAT a second like any ground station, because an ArduPilot forwards frames only to a link that has sent one,
+and a last one with POWEROFF. It sends a command only when the operator requests it.
 """
 
 from __future__ import annotations
 
 import errno
 import logging
+import secrets
 import threading
 import uuid
 from collections.abc import Iterable
@@ -26,9 +27,11 @@ from phm.gcs.events import GcsEvent, encode
 from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Frame
 from phm.gcs.ingress_filter import IngressFilter
+from phm.gcs.operator import OperatorCommand
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
+from phm.wire.gcs_marker import MONITOR
 
 logger = logging.getLogger(__name__)
 
@@ -65,11 +68,14 @@ class GroundStation:
         expected: Iterable[int] = (),
         *,
         silent: bool = False,
+        pilot: bool = False,
     ) -> None:
-        """system: our own MAVLink id. silent: send nothing at all."""
+        """system: our own MAVLink id. silent: send nothing at all. pilot: agents report the loss of this station."""
         self.ids = (system, settings.component_id)
         self.run = uuid.uuid4().hex[:12]
-        self._urls, self._clock, self._silent = [entry.key for entry in settings.endpoints], clock, silent
+        self.silent = silent
+        self._urls, self._clock = [entry.key for entry in settings.endpoints], clock
+        self._mode = 0 if pilot else MONITOR
         # Each PHM with the key signs all that it sends.
         signed = settings.signing.key is not None and settings.signing.unsigned != "all"
         self._store, self._hub = FleetState(expected, self.ids, signed=signed), MavlinkHub(settings, system, clock)
@@ -79,6 +85,7 @@ class GroundStation:
         self._number = 0
         self._problems: tuple[str, ...] = ()
         self._twin = ""
+        self._nonce = float(secrets.randbelow(2**24))
         self._tick_at = self._beat_at = float("-inf")
         self._lock, self._limits = threading.Lock(), threading.Lock()
         self._stop = threading.Event()
@@ -98,6 +105,7 @@ class GroundStation:
         self._frames.wake()
         if self._thread.ident is not None:
             self._thread.join(CLOSE_LIMIT_S)
+        self._heartbeat(mavlink.MAV_STATE_POWEROFF)
         self._hub.close()
         with self._lock:
             self._publish([GcsEvent(self._clock.stamp(), "end", {})])
@@ -114,6 +122,18 @@ class GroundStation:
             if len(facts) == len(listening) or self._clock.mono() >= end:
                 return ""
             self._clock.wait(self._stop, 0.02)
+
+    def command(self, system: int, component: int, command: OperatorCommand, confirmation: int, link: str = "") -> None:
+        """Send a command to one agent, on the link by which it is received; never waits. confirmation: counts repetitions from 0."""
+        # The last parameter is unused by PHM, which takes equal frames within seconds for copies of one: programs that were started
+        # one after another send equal ones.
+        padding = (0.0, 0.0, 0.0, 0.0, self._nonce)
+        self._hub.send(
+            mavlink.MAVLink_command_long_message(
+                system, component, command.command, confirmation, *map(float, command.params), *padding
+            ),
+            link=link,
+        )
 
     def subscribe(self, queue: SubscriberQueue) -> None:
         """Put all events into this queue from now on."""
@@ -173,16 +193,17 @@ class GroundStation:
                 with self._lock:
                     self._publish(self._store.hear(one.frame, one.link, one.at))
         now = self._clock.mono()
-        if now - self._beat_at >= HEARTBEAT_S and not self._silent:
+        if now - self._beat_at >= HEARTBEAT_S:
             self._beat_at = now
-            self._hub.send(
-                mavlink.MAVLink_heartbeat_message(
-                    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-                )
-            )
+            self._heartbeat(mavlink.MAV_STATE_ACTIVE)
         if now - self._tick_at >= TICK_S:
             self._tick_at = now
             self._tick()
+
+    def _heartbeat(self, state: int) -> None:
+        if not self.silent:
+            kind, autopilot = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID
+            self._hub.send(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, self._mode, state, 3))
 
     def _tick(self) -> None:
         links = {link.name: (link.open, link.error) for link in self._hub.links()}

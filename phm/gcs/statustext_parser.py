@@ -20,6 +20,8 @@ _RELAY = re.compile(rf"{_AGENT} (?P<text>no GCS radio[,:] .*)")
 _SWARM = re.compile(r"SWARM (?P<well>[0-9]{1,3})/(?P<members>[0-9]{1,3}) (?P<word>OK|WARN|FAIL)(?: (?P<text>.+))?")
 _VERB = rf"(?:{'|'.join(PAST_VERBS.values())}|fixed by \S{{1,12}})"
 _RECOVERED = re.compile(rf"{_VERB}: (?P<brief>.+)|(?P<subject>\S+) {_VERB}")
+_ADVICE = re.compile(r"(?P<action>\S+) (?P<target>.*?) ?#(?P<fault>[0-9]{1,9})(?: (?P<valid_s>[0-9]{1,4})s)?")
+_FAULT = re.compile(r"#([0-9]{1,9})$")
 _MORE = re.compile(r" \+[0-9]+$")
 _NAMED = re.compile(r"A([0-9]{2,3}):")
 LEVELS = {"FAIL": Level.ERROR, "GAVE UP": Level.ERROR, "WARN": Level.WARN}
@@ -35,6 +37,16 @@ class LineKind(str, Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class ParsedAdvice:
+    """fault: its number. valid_s: how long an approval is valid, None: the line does not say it."""
+
+    fault: int
+    action: str
+    target: str
+    valid_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class ParsedLine:
     """agent: the agent that it is about, 0 for the swarm. slot: 0 if the line has none. text: the rest of the line."""
 
@@ -45,11 +57,28 @@ class ParsedLine:
     text: str
     alone: bool = False
     """A refresh that reports one failing unit and no more."""
+    array: str = ""
+    """The digits of a refresh, slots 1 to 8."""
 
     @property
     def level(self) -> Level | None:
         """The level that it reports for a unit: ERROR or WARN, else None."""
         return LEVELS.get(self.word) if self.kind in (LineKind.CHANGE, LineKind.REFRESH) and self.text else None
+
+    @property
+    def advice(self) -> ParsedAdvice | None:
+        """The action that waits for an approval; None if the line does not ask for one."""
+        match = _ADVICE.fullmatch(self.text) if self.word == "ADVISE" else None
+        if match is None:
+            return None
+        valid_s = float(match["valid_s"]) if match["valid_s"] else None
+        return ParsedAdvice(int(match["fault"]), match["action"], match["target"], valid_s)
+
+    @property
+    def fault(self) -> int | None:
+        """The number of the fault with which the line ends."""
+        match = _FAULT.search(self.text)
+        return int(match[1]) if match else None
 
     @property
     def recovered(self) -> str:
@@ -93,7 +122,8 @@ def parse(text: str) -> ParsedLine | None:
             return None
         word, rest = found.get("word") or "", found.get("text") or ""
         if kind is LineKind.REFRESH:
-            return ParsedLine(kind, agent, word, slot, _MORE.sub("", rest), word in LEVELS and not _MORE.search(rest))
+            alone = word in LEVELS and not _MORE.search(rest)
+            return ParsedLine(kind, agent, word, slot, _MORE.sub("", rest), alone, found["array"])
         return ParsedLine(kind, agent, word, slot, rest)
     return None
 

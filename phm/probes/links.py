@@ -11,9 +11,10 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import MavlinkSettings
 from phm.facts import AutopilotFact, GcsFact, LinkFact, RadioFact
-from phm.probes.adaptive_timeout import UNEVEN_S, AdaptiveTimeout
+from phm.probes.adaptive_timeout import UNEVEN_S
 from phm.probes.autopilot_state import AutopilotState
 from phm.probes.blocking_call import BlockingCallWorker
+from phm.probes.ground_stations import GroundStations, StationBeat, counts_as_pilot
 from phm.probes.link_radio import RadioState
 from phm.probes.link_stats import LinkStats
 from phm.probes.serial_port_users import users
@@ -54,9 +55,9 @@ class Links:
     ) -> None:
         self._hub, self._clock, self._on_wake = hub, clock, on_wake
         self._system, self._settings = agent, settings
-        self._gcs: tuple[float, int, int, str] | None = None
-        # A ground station may freeze while its operator loads a map, and all agents would report it: half of the timeout.
-        self._gcs_cadence = AdaptiveTimeout(self._settings.gcs_timeout, max(UNEVEN_S, self._settings.gcs_timeout / 2))
+        self._pilots_gcs = GroundStations(self._settings.gcs_timeout)
+        self._any_gcs = GroundStations(self._settings.gcs_timeout)
+        """Also stations that are not the pilot's: who relays to the ground depends on them."""
         self._unreached = False
         """It was out of reach, and was not heard since: a radio at the edge of its range finds and loses the other one."""
         self._pilot = AutopilotState(self._settings.autopilot_timeout, clock.late_s)
@@ -79,23 +80,27 @@ class Links:
     # ------------------------------------------------------------ what checks ask
 
     def gcs_age_s(self) -> float | None:
-        gcs = self.gcs()
+        gcs = self._fact(self._any_gcs)
         return None if gcs is None else gcs.silent_s
 
     def gcs(self) -> GcsFact | None:
+        return self._fact(self._pilots_gcs)
+
+    def _fact(self, stations: GroundStations) -> GcsFact | None:
         with self._lock:
-            gcs = self._gcs
-            if gcs is None:
+            last = stations.last
+            if last is None:
                 return None
-            read_at, due_s = self._hub.read_at(gcs[3]), self._gcs_cadence.due_s()
-            overdue = self._gcs_cadence.overdue(read_at, self._clock.late_s)
-            not_counted_s = self._not_counted_s(gcs[0], gcs[3], self._settings.gcs_timeout)
-            return GcsFact(self._clock.mono() - gcs[0], *gcs[1:], due_s, overdue, not_counted_s)
+            read_at, due_s = self._hub.read_at(last.link), stations.cadence.due_s()
+            overdue = stations.cadence.overdue(read_at, self._clock.late_s)
+            not_counted_s = self._not_counted_s(last.at, last.link, self._settings.gcs_timeout)
+            age_s = self._clock.mono() - last.at
+            return GcsFact(age_s, last.system, last.component, last.link, due_s, overdue, not_counted_s, stations.left)
 
     def gcs_unreachable(self) -> bool:
         """Whether this agent certainly cannot reach a ground station, even if `gcs_timeout` has not passed: the radio on board
         has lost its counterpart, or all endpoints to the ground are gone. Silence of the ground alone does not prove it."""
-        return self._gcs_unreachable(self.gcs(), self.radios())
+        return self._gcs_unreachable(self._fact(self._any_gcs), self.radios())
 
     def autopilot(self) -> AutopilotFact | None:
         with self._lock:
@@ -173,8 +178,9 @@ class Links:
             before, self._sampled = self._sampled, now if len(closed) < len(links) else None
             if before is not None and now - before > STALL_S:
                 self._pilot.stalled(now)
-            if self._gcs is not None and self._gcs[3] in closed:
-                self._gcs_cadence.broke(now)
+            for stations in (self._pilots_gcs, self._any_gcs):
+                if stations.last is not None and stations.last.link in closed:
+                    stations.cadence.broke(now)
             if self._pilot.link in closed:
                 self._pilot.broke(now)
             for name, traffic in self._hub.traffic().items():
@@ -188,11 +194,12 @@ class Links:
         if pilot is not None:
             lost = (pilot.silent_s > limits.autopilot_timeout, pilot.overdue)
             flying = (lost, pilot.armed, pilot.reboots)
-        ground = None if gcs is None else (gcs.silent_s > limits.gcs_timeout, gcs.overdue)
+        ground = None if gcs is None else (gcs.silent_s > limits.gcs_timeout, gcs.overdue, gcs.left)
         heard = self.radios()
+        unreachable = self._gcs_unreachable(self._fact(self._any_gcs), heard)
         radios = tuple((radio.silent_s <= limits.radio_timeout, *_report(radio)) for radio in heard)
         links = tuple((link.name, link.open, _gone(link)) for link in self._hub.links())
-        return ground, self._gcs_unreachable(gcs, heard), flying, len(self.problems()), radios, links
+        return ground, unreachable, flying, len(self.problems()), radios, links
 
     def _gcs_unreachable(self, gcs: GcsFact | None, radios: tuple[RadioFact, ...]) -> bool:
         gone = {link.name for link in self._hub.links() if _gone(link)}
@@ -217,13 +224,23 @@ class Links:
                 self._hear_pilot(now, message, link, stalled=stalled)
         elif message.type == mavlink.MAV_TYPE_GCS and system != self._system:
             # With our own system id it is a program on board that calls itself a ground station.
-            with self._lock:
-                if stalled:
-                    self._gcs_cadence.broke(now)
-                self._gcs_cadence.beat(now, 0.0 if self._gcs is None else self._clock.late_s(self._gcs[0]))
-                self._unreached = False
-                self._gcs = (now, system, component, link)
+            self._hear_ground(now, message, link, stalled=stalled)
         self.look()
+
+    def _hear_ground(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
+        system, component = message.get_srcSystem(), message.get_srcComponent()
+        leaving = message.system_status == mavlink.MAV_STATE_POWEROFF
+        with self._lock:
+            if leaving:
+                self._pilots_gcs.leave(system, component, now)
+                return
+            self._unreached = False
+            for stations in (self._pilots_gcs, self._any_gcs):
+                if stations is self._any_gcs or counts_as_pilot(system, message.custom_mode, self._settings.pilots):
+                    if stalled:
+                        stations.cadence.broke(now)
+                    late_s = 0.0 if stations.last is None else self._clock.late_s(stations.last.at)
+                    stations.beat(StationBeat(now, system, component, link), late_s)
 
     def _hear_pilot(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
         with self._lock:

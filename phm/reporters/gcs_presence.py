@@ -24,6 +24,8 @@ class GcsPresence:
             return False
         sender = (message.get_srcSystem(), message.get_srcComponent())
         heard = self._heard.pop(sender, None)
+        if message.system_status == mavlink.MAV_STATE_POWEROFF:
+            return False  # it ends; when it is back, it is new
         self._heard[sender] = now
         while len(self._heard) > MAX_STATIONS:
             self._heard.popitem(last=False)

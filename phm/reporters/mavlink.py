@@ -50,7 +50,7 @@ class MavlinkReporter(Reporter):
         self._context, self._port = context, port
         self._settings, self._agent = context.settings.mavlink, context.settings.agent.id
         now = context.clock.mono()
-        self._builder, self._damper = StatusTextBuilder(self._agent), FlapDamper()
+        self._builder, self._damper = StatusTextBuilder(self._agent, context.settings.recovery.approval), FlapDamper()
         open_before = {fault.unit for fault in context.restored}
         self._builder.knows([state for state in context.states() if state.unit in open_before])
         self._heartbeat_at = now

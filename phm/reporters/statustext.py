@@ -43,8 +43,9 @@ class StatusTextLine:
 class StatusTextBuilder:
     """Builds lines from events. `_sent` holds, by unit, the last failure that was sent and has not been resolved."""
 
-    def __init__(self, agent: int) -> None:
-        self._agent = agent
+    def __init__(self, agent: int, approval_s: float | None = None) -> None:
+        """approval_s: how long an approval is valid."""
+        self._agent, self._approval_s = agent, approval_s
         self._sent: dict[str, tuple[UnitState, str]] = {}
         self._open: set[str] = set()
         self._asks: dict[str, StatusTextLine] = {}
@@ -91,7 +92,7 @@ class StatusTextBuilder:
             return self._asked(event, state, key)
         number = command.fault_number(event.fault)
         if event.phase is Phase.ADVISED:
-            text = status_line.advise(self._agent, state.slot, event.action, event.target, number)
+            text = status_line.advise(self._agent, state.slot, event.action, event.target, number, self._approval_s)
             return [self._ask(event.unit, StatusTextLine(key, Severity.WARNING, text))]
         if event.phase is Phase.APPROVED:
             self._asks.pop(event.unit, None)

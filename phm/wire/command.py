@@ -6,13 +6,14 @@ The contract for ground stations (`docs/reference/mavlink.md`, Commands)::
         0    HEARTBEAT, with the status word
         253  STATUSTEXT: the status line, which has the array
         390  ONBOARD_COMPUTER_STATUS
-        385  TUNNEL: the text about the fault with number param2; 0 or none: the newest open fault
+        385  TUNNEL: the text about the fault with number param2; 0 or none: the newest open fault; -1: the containers
     MAV_CMD_SET_MESSAGE_INTERVAL (511)   param1 253, 390 or 385 (the newest open fault), param2 microseconds; -1 and 0: off
     MAV_CMD_USER_1 (31010)               param1 the operation
         1    run all checks now
         2    approve the recommended action for the fault with number param2
         3    restart the container at position param2 in the configuration, from 1
 
+The answer to MAV_CMD_USER_1 is also sent as text, in a TUNNEL to the sender.
 A fault's number is the part of its id after the dash: 17 of ``ab12-17``.
 """
 
@@ -26,6 +27,10 @@ COMMAND_INT, COMMAND_LONG, COMMAND_ACK = 75, 76, 77
 HEARTBEAT, STATUSTEXT, TUNNEL, ONBOARD_COMPUTER_STATUS = 0, 253, 385, 390
 SET_MESSAGE_INTERVAL, REQUEST_MESSAGE, USER_1 = 511, 512, 31010
 CHECK, APPROVE, RESTART = 1, 2, 3
+CONTAINERS = -1
+"""param2 of a request for TUNNEL."""
+CONTAINERS_TEXT, REPLY_TEXT = "containers", "reply"
+"""Used instead of the id of a fault in the TUNNEL messages that carry other texts."""
 SHORTEST_S = {STATUSTEXT: 2.0, ONBOARD_COMPUTER_STATUS: 5.0, TUNNEL: 10.0}
 """Messages that can be repeated, with their shortest interval."""
 LARGEST = 2**24
@@ -90,6 +95,11 @@ class SendDetails:
 
 
 @dataclass(frozen=True, slots=True)
+class SendContainers:
+    """Send the names of the configured containers with their positions."""
+
+
+@dataclass(frozen=True, slots=True)
 class RepeatMessage:
     """Send a message every `every_s` seconds; 0: stop."""
 
@@ -116,7 +126,7 @@ class RestartContainer:
     place: int
 
 
-Request = SendMessage | SendDetails | RepeatMessage | RunChecks | ApproveAction | RestartContainer
+Request = SendMessage | SendDetails | SendContainers | RepeatMessage | RunChecks | ApproveAction | RestartContainer
 
 
 class UnknownCommand(Exception):
@@ -143,6 +153,7 @@ def required_permission(request: Request) -> Permission:
         return Permission.DETAILS if request.message == TUNNEL else Permission.STATUS
     words: dict[type, Permission] = {
         SendDetails: Permission.DETAILS,
+        SendContainers: Permission.DETAILS,
         RunChecks: Permission.CHECK,
         ApproveAction: Permission.APPROVE,
         RestartContainer: Permission.RESTART,
@@ -157,6 +168,8 @@ def describe(request: Request) -> str:
             return f"send message {message}"
         case SendDetails(fault):
             return f"send details of {f'fault {fault}' if fault else 'the newest fault'}"
+        case SendContainers():
+            return "send the list of containers"
         case RepeatMessage(message, every_s):
             return f"send message {message} every {every_s:g} s" if every_s else f"stop repeating message {message}"
         case RunChecks():
@@ -174,6 +187,8 @@ def fault_number(fault_id: str) -> int | None:
 
 
 def _message(what: int, second: float) -> Request:
+    if what == TUNNEL and second == CONTAINERS:
+        return SendContainers()
     if what == TUNNEL:
         # Ground stations send NaN in a parameter that they do not use.
         return SendDetails(0 if math.isnan(second) else _whole(second, "param2"))

@@ -10,7 +10,8 @@ The array has a digit for each of the slots 1 to 8: ``1`` OK or WARN, ``0`` ERRO
     A01 OK 1 recovered: GCS: no heartbeat 3 s the same where the failure begins with no name
     A01 OK 9 cleared: disk / 88%              the warning ended
     A01 WARN 6 flapping: node_1 dead          it fails and recovers repeatedly; reported again when it is stable
-    A01 ADVISE 2 restart ros_app #17          the action that PHM recommends; 17 is the number of the fault
+    A01 ADVISE 2 restart ros_app #17 60s      the action that PHM recommends; 17 is the number of the fault; once given, an
+                                              approval is valid for 60 s
     A01 GAVE UP 2 ros_app exited #17          PHM cannot fix this: the operator has to
     A01 HOLD 2 ros_app 10 min: new firmware   an operator holds the container: PHM does nothing to it
     A01 HOLD 2 ros_app released               the hold ended
@@ -115,9 +116,14 @@ def flapping(agent: int, slot: Slot, brief: str) -> str:
     return _line(f"{agent_name(agent)} WARN {slot:d} flapping:", brief)
 
 
-def advise(agent: int, slot: Slot, action: str, target: str, number: int | None = None) -> str:
-    """PHM recommends an action. `number`: of the fault, with which an operator approves; None if it has none. It is never cut."""
-    return _line(f"{agent_name(agent)} ADVISE {slot:d} {_short(action, 16)}", target, _numbered(number))
+def advise(
+    agent: int, slot: Slot, action: str, target: str, number: int | None = None, valid_s: float | None = None
+) -> str:
+    """PHM recommends an action. `number`: of the fault, with which an operator approves; None if it has none. `valid_s`: how long
+    an approval is valid after it was given. Both are never cut.
+    """
+    tail = _numbered(number) + (f" {valid_s:.0f}s" if number is not None and valid_s is not None else "")
+    return _line(f"{agent_name(agent)} ADVISE {slot:d} {_short(action, 16)}", target, tail)
 
 
 def approved(agent: int, slot: Slot, action: str, target: str) -> str:

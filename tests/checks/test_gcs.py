@@ -48,6 +48,16 @@ def test_a_ground_station_that_was_never_received_is_ok_with_a_note() -> None:
     assert "no ground station heartbeat received yet" in result.summary
 
 
+def test_a_ground_station_that_announced_its_end_is_not_lost() -> None:
+    """However long it is away."""
+    links = heard(600.0)
+    fact = links.gcs()
+    assert fact is not None
+    links.gcs = lambda: dataclasses.replace(fact, left=True)  # type: ignore[method-assign]
+    result = run(check(), links)
+    assert (result.bypass, result.summary) == (True, "the last ground station has announced its end")
+
+
 def test_a_lost_ground_station_is_an_error() -> None:
     """Silence beyond `gcs_timeout` is `gcs_lost`, with its duration in the brief."""
     result = run(check(), heard(12.0))

@@ -16,7 +16,7 @@ from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_signing import Signer, Signing, unsigned_of
 from phm.transport.priority import MessagePriority
 from tests.commands.test_signing import KEY, NOW, OTHER, sign, ticks
-from tests.fakes.mavlink import Sender, heartbeat
+from tests.fakes.mavlink import Sender, heartbeat, is_reply
 
 ALL = ["status", "details", "check", "approve", "restart"]
 IDS = frozenset((0, 75, 76, 109, 385))
@@ -66,7 +66,7 @@ class Scene:
     ) -> None:
         if message.get_type() == "COMMAND_ACK":
             self.acks.append(message.result)
-        else:
+        elif not is_reply(message):
             self.did.append(message.get_type())
 
     def listen(self, callback: Any, ids: Any) -> None:

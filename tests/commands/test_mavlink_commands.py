@@ -395,11 +395,34 @@ def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
     heard._signed = True
     scene.handler.hear(heard, "radio")
     scene.handler.turn()
-    acks = [message.result for message, _link in scene.sent]
+    acks = [message.result for message, _link in scene.sent if message.get_type() == "COMMAND_ACK"]
     assert acks[0] == CommandResult.ACCEPTED
     assert set(acks[1:]) == {CommandResult.DENIED}
     assert len(acks) == MAX_WAITING + 1
-    assert scene.urgencies[0] < min(scene.urgencies[1:])
+    assert max(scene.urgencies[:2]) < min(scene.urgencies[2:]), "the signed one's acknowledgement and its text"
+
+
+@pytest.mark.parametrize("allowed", [True, False])
+def test_the_answer_to_an_operator_has_a_text(allowed: bool) -> None:
+    """What follows, or why not: MAVLink's result alone does not say it."""
+    scene = Scene(*(["approve"] if allowed else []))
+    scene.faults = (fault(17, 1.0),)
+    sent = scene.ask(long(31010, 2, 17))
+    assert [message.get_type() for message in sent] == ["COMMAND_ACK", "TUNNEL"]
+    name, text = details_of(sent)
+    assert name == "reply"
+    assert (sent[0].result, "mavlink.commands" in text) == ((0, False) if allowed else (2, True))
+
+
+def test_unsigned_senders_get_no_text_where_signing_is_on() -> None:
+    """Anybody on the link can be one, and a text is six times as long as its acknowledgement."""
+    sent = Scene("approve", signs=True).ask(long(31010, 2, 17))
+    assert [message.get_type() for message in sent] == ["COMMAND_ACK"]
+
+
+def test_the_ground_can_list_the_containers() -> None:
+    """So that an operator restarts one by its name."""
+    assert details_of(Scene("details").ask(long(512, 385, -1))) == ("containers", "1 app, 2 db")
 
 
 def test_the_handler_answers_from_its_own_thread() -> None:

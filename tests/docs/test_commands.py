@@ -135,6 +135,8 @@ def of_phm(arguments: list[str]) -> str:
     with click.Context(group) as parent:
         command = group.get_command(parent, verb)
         assert command is not None
+        if given and given[0] in getattr(command, "requests", {}):
+            command, given = command.requests[given[0]], given[1:]  # type: ignore[attr-defined]
         context = click.Context(command, info_name=verb, parent=parent)
         try:
             command.make_parser(context).parse_args(given)

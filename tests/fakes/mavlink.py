@@ -9,6 +9,8 @@ from typing import Any
 from phm.facts import LinkFact
 from phm.transport.dialect import mavlink
 from phm.transport.priority import MessagePriority
+from phm.wire import tunnel
+from phm.wire.command import REPLY_TEXT
 
 LIMIT_S = 15.0
 
@@ -28,6 +30,14 @@ def heartbeat(
 
 def text(words: str, severity: int = 6) -> Any:
     return mavlink.MAVLink_statustext_message(severity, words.encode())
+
+
+def is_reply(message: Any) -> bool:
+    """Whether it is the text that follows the acknowledgement of a command."""
+    if message.get_type() != "TUNNEL":
+        return False
+    part = tunnel.decode(bytes(message.payload[: message.payload_length]))
+    return isinstance(part, tunnel.FaultDetail) and part.fault == REPLY_TEXT
 
 
 class Sender:

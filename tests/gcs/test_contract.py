@@ -9,6 +9,7 @@ from typing import Any
 import phm
 from phm.core.model import Level, Slot
 from phm.gcs.events import describe_with_time, encode
+from phm.gcs.frames import CommandAck
 from phm.wire import tunnel
 from phm.wire.tunnel import PeerState, PeerView, StatusWords, SwarmDigest
 from tests.gcs.bench import Ground, phm_heartbeat, pilot, text_frame, tunnel_frame
@@ -37,6 +38,7 @@ def flight() -> Ground:
         tunnel_frame(7, StatusWords({8: 0x40025D55})),
     )
     ground.hear(tunnel_frame(7, tunnel.details("ab12-1", "node_1 is dead")[0]))
+    ground.hear(text_frame(7, "A07 ADVISE 6 restart app #1 60s", 4), CommandAck(7, 193, 31010, 0, (254, 190)))
     ground.hear(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), phm_heartbeat(7, {}, state=1))
     ground.wait(30, phm_heartbeat(7))
     return ground
@@ -66,6 +68,7 @@ def test_every_event_and_key_is_documented() -> None:
         "view",
         "digest",
         "words",
+        "ack",
         "detail",
         "pilot",
     }

@@ -8,7 +8,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from phm.runtime.daemon import Daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.wire import json_log
+from phm.wire.gcs_marker import MONITOR
 from sitl.simulation.autopilot import Autopilot
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text
 from tests.fakes.until import until
@@ -40,8 +41,16 @@ class SlowClock(SystemClock):
         return super().utc() - 9e7
 
 
-def agent(folder: Path, number: int, url: str, *, key: Path | None = None, engine: bool = False) -> Daemon:
-    """A PHM. engine: it has a configured container, and an engine that is not running."""
+def agent(
+    folder: Path,
+    number: int,
+    url: str,
+    *,
+    key: Path | None = None,
+    engine: bool = False,
+    commands: Sequence[str] = ("status", "details"),
+) -> Daemon:
+    """A PHM. engine: it has a container, and an engine that is not there. commands: `mavlink.commands`."""
     docker = {"docker": {"socket": f"unix://{folder}/none.sock"}, "containers": [{"name": "app"}]} if engine else {}
     made = settings(
         agent={"id": number},
@@ -55,6 +64,7 @@ def agent(folder: Path, number: int, url: str, *, key: Path | None = None, engin
             "heartbeat": 0.5,
             "refresh": 1,
             "signing": {"key": str(key) if key else None},
+            "commands": list(commands),
         },
         **docker,
     )
@@ -212,10 +222,10 @@ def test_the_record_can_be_read_back(scene: Scene, tmp_path: Path) -> None:
 def wired() -> Iterator[Callable[..., tuple[GroundStation, Wire]]]:
     made: list[tuple[GroundStation, Wire]] = []
 
-    def make(*, silent: bool = False) -> tuple[GroundStation, Wire]:
+    def make(*, silent: bool = False, pilot: bool = False) -> tuple[GroundStation, Wire]:
         port = free_port(socket.SOCK_DGRAM)
         station, wire = (
-            GroundStation(endpoints(f"udpin:127.0.0.1:{port}"), 254, SystemClock(), silent=silent),
+            GroundStation(endpoints(f"udpin:127.0.0.1:{port}"), 254, SystemClock(), silent=silent, pilot=pilot),
             Wire(port),
         )
         made.append((station, wire))
@@ -239,6 +249,19 @@ def test_the_station_sends_heartbeats_like_a_ground_station(wired: Callable[...,
     }
 
 
+@pytest.mark.parametrize(("is_pilot", "mode"), [(False, MONITOR), (True, 0)])
+def test_the_station_announces_its_end(
+    wired: Callable[..., tuple[GroundStation, Wire]], is_pilot: bool, mode: int
+) -> None:
+    """Its heartbeats say that it is `phm gcs`, or with --pilot a ground station like others; the last one says POWEROFF."""
+    station, wire = wired(pilot=is_pilot)
+    wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
+    first = until(lambda: wire.hear() or None, "a heartbeat")[0]
+    assert (first.custom_mode, first.system_status) == (mode, mavlink.MAV_STATE_ACTIVE)
+    station.close()
+    until(lambda: any(one.system_status == mavlink.MAV_STATE_POWEROFF for one in wire.hear()), "the farewell")
+
+
 def test_a_silent_station_sends_nothing(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """It still receives."""
     station, wire = wired(silent=True)
@@ -246,6 +269,8 @@ def test_a_silent_station_sends_nothing(wired: Callable[..., tuple[GroundStation
     wire.send(sender.frame(heartbeat(1 << 30)))
     until(lambda: station.snapshot()[1].body["agents"], "the agent")
     assert [wire.hear() for _ in range(8)] == [[]] * 8
+    station.close()
+    assert wire.hear() == []
 
 
 def test_another_program_with_our_id_is_reported(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:

@@ -79,6 +79,53 @@ def test_two_phms_of_one_vehicle_are_two_rows(ground: Ground) -> None:
     assert [(one["name"], one["how"]) for one in ground.snapshot()["agents"]] == [("A07", "OK"), ("A07/195", "ERROR")]
 
 
+# ---------------------------------------------------------------- what was reported last
+
+
+def test_a_line_counts_until_the_next_heartbeat(ground: Ground) -> None:
+    """A failure or its end is known by whichever is received first."""
+    ground.hear(phm_heartbeat(7), text_frame(7, "A07 FAIL 6 node_1 dead"))
+    assert (ground.agent(7)["how"], ground.agent(7)["slots"]["6"]) == ("ERROR", "ERROR")
+    ground.hear(text_frame(7, "A07 FAIL 6 node_2 dead"), text_frame(7, "A07 OK 6 node_1 restarted", 5))
+    assert ground.agent(7)["how"] == "ERROR"
+    ground.hear(text_frame(7, "A07 OK 6 node_2 restarted", 5))
+    assert (ground.agent(7)["how"], ground.agent(7)["slots"]["6"]) == ("OK", "OK")
+    ground.hear(phm_heartbeat(7, {Slot.NODES: Level.ERROR}))
+    assert ground.agent(7)["how"] == "ERROR"
+
+
+def test_the_end_of_an_unknown_failure_proves_nothing(ground: Ground) -> None:
+    """The heartbeat says ERROR, and the lines about its causes were not received: others may last."""
+    ground.hear(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 OK 6 node_1 restarted", 5))
+    assert ground.agent(7)["how"] == "ERROR"
+
+
+@pytest.mark.parametrize(
+    ("before", "line", "how"),
+    [
+        (None, "A07 FAIL 11111011 6 node_1 dead +2", "ERROR"),
+        ({Slot.NODES: Level.ERROR}, "A07 OK 11111111", "OK"),
+        ({Slot.NODES: Level.ERROR}, "A07 STALE 11111-11 6", "STALE"),
+        (None, "A07 WARN 11111111 9 disk / 88%", "WARN"),
+        (None, "A07 FAIL 11111111 0 x", "OK"),
+    ],
+)
+def test_a_refresh_counts_until_the_next_heartbeat(
+    ground: Ground, before: dict[Slot, Level] | None, line: str, how: str
+) -> None:
+    """Its digits are the newest about slots 1 to 8."""
+    ground.hear(phm_heartbeat(7, before), text_frame(7, line, 6))
+    assert ground.agent(7)["how"] == how
+
+
+def test_a_ground_station_that_announces_its_end_is_no_longer_listed(ground: Ground) -> None:
+    """So that the table of another `phm gcs` does not show it."""
+    ground.hear(Heartbeat(250, 190, 6, 8, 0, 0, 4))
+    assert ground.snapshot()["stations"] == [{"system": 250, "component": 190}]
+    ground.hear(Heartbeat(250, 190, 6, 8, 0, 0, 7))
+    assert ground.snapshot()["stations"] == []
+
+
 # ---------------------------------------------------------------- presence
 
 

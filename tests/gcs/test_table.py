@@ -21,7 +21,7 @@ def drawn(ground: Ground, *, width: int = 80, height: int | None = None, events:
     stream = io.StringIO()
     target = Console(file=stream, width=width, highlight=False, markup=False, emoji=False)
     snapshot = {**ground.snapshot(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
-    target.print(table.render(snapshot, events, height=height))
+    target.print(table.render(snapshot, events, width=width, height=height))
     return [line.rstrip() for line in stream.getvalue().splitlines()]
 
 
@@ -57,10 +57,49 @@ def test_each_agent_has_its_row(ground: Ground) -> None:
     assert row(lines, "A04").endswith("by swarm: WARN")
     assert row(lines, "A07").startswith("A07   ???????? ???? ??? LOST    30s  dis  companion")
     assert row(lines, "A100").startswith("A100  ++++++++ ++-- +-- OK      0s   ?")
-    assert "SWARM 1/5 FAIL A07:lost A02:ROS  (A01, 0s ago)" in lines
+    assert "SWARM 1/5 FAIL A07:lost A02:ROS  (A01, 0 s ago)" in lines
     assert "links: gcs open; other ground stations: none" in lines
     ground.hear(RadioStatus(51, 68, 190, 180, 60, None, 99))
-    assert "radio of gcs: signal/noise 190/60, other end 180/?, 0s ago" in drawn(ground)
+    assert "radio of gcs: signal/noise 190/60, other end 180/?, 0 s ago" in drawn(ground)
+
+
+def test_a_wide_terminal_shows_the_names_of_the_slots(ground: Ground) -> None:
+    """Each letter is below the name of its slot; narrower, the numbers."""
+    lines = drawn(ground, width=120)
+    assert lines[1].startswith("agent GCS CON FIL NET DEV NOD TOP RAT HST AUT RAD PEE US1 US2 US3 is")
+    head, failed = lines[1], row(lines, "A02")
+    assert failed[head.index("NOD") + 1] == "E"
+    assert failed[head.index("HST") + 1] == "W"
+    assert failed[head.index("FIL") + 1] == "-"
+    assert failed[head.index(" is ") + 1 :].startswith("ERROR")
+    assert "NOD" not in drawn(ground, width=119)[1]
+
+
+def test_a_lost_agent_does_not_show_its_last_line_as_current(ground: Ground) -> None:
+    """Its age comes first."""
+    assert "30 s ago: OK 11111111" in row(drawn(ground, width=200), "A07")
+
+
+def test_an_agent_whose_autopilot_is_lost_is_not_ok() -> None:
+    """The ground has received the autopilot and no longer does, whatever the agent reports; one never received says nothing."""
+    ground = Ground()
+    ground.hear(phm_heartbeat(1), pilot(1), phm_heartbeat(2))
+    ground.wait(20, phm_heartbeat(1), phm_heartbeat(2))
+    assert [(one["name"], one["how"]) for one in ground.snapshot()["agents"]] == [("A01", "ERROR"), ("A02", "OK")]
+    assert ground.agent(1)["hop"] == {"name": "autopilot", "evidence": "silent 20 s here", "certain": False}
+    ground.hear(pilot(1))
+    assert ground.agent(1)["how"] == "OK"
+
+
+def test_the_selected_agent_and_alarms_are_marked(ground: Ground) -> None:
+    """Where not all agents fit, the selected one is among those shown."""
+    snapshot = {**ground.snapshot(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
+    target = Console(file=io.StringIO(), width=80, height=12)
+    target.print(table.render(snapshot, height=12, selected="A01", alarms=["A02"], dialog=["what the keys do"]))
+    lines = target.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert any(line.startswith("A01 ") for line in lines)
+    assert any(line.startswith("A02! ") for line in lines)
+    assert any(line.startswith("what the keys do") for line in lines)
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 200])
@@ -112,6 +151,14 @@ def test_received_names_cannot_control_the_terminal(ground: Ground) -> None:
 def test_ages_are_short(seconds: float | None, shown: str) -> None:
     """Four characters at most, for years."""
     assert table.age(seconds) == shown
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"), [(None, ""), (3.0, "3 s ago"), (200.0, "3 min ago"), (7300.0, "2 h ago"), (2e5, "2 d ago")]
+)
+def test_ages_in_a_sentence_have_their_unit(seconds: float | None, shown: str) -> None:
+    """`3 min ago`, since `3m` may be metres."""
+    assert table.ago(seconds) == shown
 
 
 def test_letters_are_those_of_the_status_word() -> None:

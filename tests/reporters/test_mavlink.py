@@ -189,10 +189,10 @@ def test_an_action_to_approve_has_its_number() -> None:
     scene.become("container/app", Level.ERROR, "app exited")
     scene.port.sent.clear()
     act(scene, Phase.ADVISED)
-    assert scene.port.lines() == [(4, "A01 ADVISE 2 restart app #17")]
+    assert scene.port.lines() == [(4, "A01 ADVISE 2 restart app #17 60s")]
     scene.reporter.gcs_appeared()
     scene.pass_time(1.0)
-    assert (4, "A01 ADVISE 2 restart app #17") in scene.port.lines()
+    assert (4, "A01 ADVISE 2 restart app #17 60s") in scene.port.lines()
     act(scene, Phase.ESCALATED)
     assert scene.port.lines() == [(2, "A01 GAVE UP 2 app exited #17")]
     scene.become("container/app", Level.OK)
@@ -307,6 +307,21 @@ def test_a_returning_ground_station_receives_the_full_state_again() -> None:
         scene.port.hear(gcs.received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
         scene.pass_time(0.5)
         assert [severity for severity, _ in scene.port.lines()].count(2) == expected
+
+
+def test_a_ground_station_that_announced_its_end_is_new_when_it_is_back() -> None:
+    """However soon: the program was started again, and knows nothing."""
+    scene = Scene().running()
+    gcs, leaving = Sender(254, 190), heartbeat(kind=mavlink.MAV_TYPE_GCS)
+    leaving.system_status = mavlink.MAV_STATE_POWEROFF
+    full = []
+    for message in (heartbeat(kind=mavlink.MAV_TYPE_GCS), leaving, heartbeat(kind=mavlink.MAV_TYPE_GCS)):
+        scene.pass_time(5.0)
+        scene.port.sent.clear()
+        scene.port.hear(gcs.received(message))
+        scene.pass_time(0.5)
+        full.append(bool(scene.port.heartbeats()))
+    assert full == [True, False, True]
 
 
 def test_answers_of_a_swarm_are_spread() -> None:

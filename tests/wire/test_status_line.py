@@ -79,6 +79,12 @@ def test_advice_and_giving_up_name_the_target() -> None:
         == "A250 ADVISE 2 restart a_container..y_long_name #17"
     )
     assert (
+        status_line.advise(1, Slot.CONTAINER, "restart", "ros_app", 17, 60.0) == "A01 ADVISE 2 restart ros_app #17 60s"
+    )
+    longest = status_line.advise(250, Slot.USER_3, "a" * 40, long, 999_999_999, 600.0)
+    assert longest.endswith(" #999999999 600s")
+    assert len(longest) <= status_line.MAX_CHARS
+    assert (
         status_line.operator_request(1, Slot.CONTAINER, "restart", "done", "ros_app")
         == "A01 OK 2 restart done: ros_app"
     )

@@ -90,6 +90,9 @@ class MavlinkSettings(Section):
     """Seconds between repeats of the status line; default: by the number of agents, 10 s for up to 8."""
     gcs_timeout: Annotated[Seconds, Field(ge=1)] = 10.0
     """A ground station that was received and is silent for longer is reported as lost."""
+    pilots: Annotated[list[Annotated[int, Field(ge=1, le=255)]], Field(max_length=16)] = Field(default_factory=list)
+    """System ids of the ground stations whose loss is reported. Default: every ground station but `phm gcs`, which counts only if
+    it is listed or runs with --pilot."""
     autopilot: bool = False
     """True: an autopilot must be received on these endpoints; else it is a fault."""
     autopilot_timeout: Annotated[Seconds, Field(ge=2, le=60)] = 3.5

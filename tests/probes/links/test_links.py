@@ -13,6 +13,7 @@ from phm.probes.links import Links
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
+from phm.wire.gcs_marker import MONITOR
 from tests.fakes.mavlink import Sender, heartbeat
 from tests.fakes.until import until
 
@@ -30,9 +31,9 @@ LINKS = [
 class Scene:
     """The probe of agent 7 on a hub with closed endpoints, into which the test injects messages."""
 
-    def __init__(self) -> None:
+    def __init__(self, **mavlink_settings: Any) -> None:
         self.clock, self.wakes = FakeClock(), 0
-        chosen = settings(agent={"id": 7}, mavlink={"gcs_timeout": 10, "endpoints": LINKS})
+        chosen = settings(agent={"id": 7}, mavlink={"gcs_timeout": 10, "endpoints": LINKS, **mavlink_settings})
         self.hub = MavlinkHub(chosen.mavlink, 7, self.clock)
         self.links = Links(self.hub, chosen.agent.id, chosen.mavlink, self.clock, self.wake)
 
@@ -78,6 +79,53 @@ def test_a_ground_station_appears_and_is_lost() -> None:
     assert scene.pass_time(2.0) == 0
     assert scene.receive(254, 190, GCS) == 1
     assert scene.links.gcs_age_s() == 0.0
+
+
+PHM_GCS = heartbeat(MONITOR, kind=mavlink.MAV_TYPE_GCS)
+
+
+def leaving(custom_mode: int = 0) -> Any:
+    message = heartbeat(custom_mode, kind=mavlink.MAV_TYPE_GCS)
+    message.system_status = mavlink.MAV_STATE_POWEROFF
+    return message
+
+
+def test_phm_gcs_is_not_the_pilots_ground_station() -> None:
+    """Its loss is not reported, with or without a farewell; relays still depend on it."""
+    scene = Scene()
+    scene.receive(254, 190, PHM_GCS)
+    assert scene.links.gcs() is None
+    assert scene.links.gcs_age_s() == 0.0
+    scene.receive(255, 190, GCS)
+    scene.pass_time(11.0)
+    scene.receive(254, 190, PHM_GCS)
+    lost = scene.links.gcs()
+    assert lost is not None and (lost.system, lost.age_s) == (255, pytest.approx(11.0))
+    assert scene.links.gcs_age_s() == 0.0
+
+
+@pytest.mark.parametrize(("pilots", "counted"), [([], 250), ([254], 254), ([255], None)])
+def test_listed_systems_are_the_pilots(pilots: list[int], counted: int | None) -> None:
+    """`mavlink.pilots`: only those, and `phm gcs`, too, if it is listed."""
+    scene = Scene(pilots=pilots)
+    scene.receive(250, 190, GCS)
+    scene.receive(254, 190, PHM_GCS)
+    fact = scene.links.gcs()
+    assert (None if fact is None else fact.system) == counted
+
+
+def test_a_station_that_announces_its_end_is_not_lost() -> None:
+    """Without another one none is expected; another one that is received still counts."""
+    scene = Scene()
+    scene.receive(255, 190, GCS)
+    assert scene.receive(255, 190, leaving()) == 1
+    fact = scene.links.gcs()
+    assert fact is not None and fact.left
+    scene.receive(250, 190, GCS)
+    scene.receive(255, 190, GCS)
+    scene.receive(255, 190, leaving())
+    fact = scene.links.gcs()
+    assert fact is not None and (fact.left, fact.system) == (False, 250)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,116 @@
+"""Requests of the operator to an agent, and the agent's answers. Pure; the caller brings time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from phm.gcs.events import GcsEvent
+from phm.wire.command import APPROVE, CHECK, CONTAINERS, REPLY_TEXT, REQUEST_MESSAGE, RESTART, TUNNEL, USER_1
+
+RESEND_S, ATTEMPTS = 1.5, 4
+"""An unanswered command is sent again, with a higher `confirmation`: an agent does not execute it twice."""
+REPLY_S = 2.0
+"""The text of an answer follows its COMMAND_ACK within this time; an older PHM sends none."""
+HINTS = {
+    "DENIED": "not among mavlink.commands on board, or not signed with the key of the agents (--key)",
+    "TEMPORARILY_REJECTED": "not possible now; the agent's log has the reason",
+    "UNSUPPORTED": "this version of PHM does not know the request",
+    "FAILED": "there is nothing to do, or recovery is not allowed there; the agent's log has the reason",
+}
+"""Used where the agent sends no text."""
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorCommand:
+    """A MAVLink command. text: for the operator."""
+
+    text: str
+    command: int
+    params: tuple[float, float]
+
+    @property
+    def has_reply(self) -> bool:
+        """Whether a text follows the COMMAND_ACK."""
+        return self.command == USER_1
+
+
+def run_checks() -> OperatorCommand:
+    return OperatorCommand("run all checks", USER_1, (CHECK, 0))
+
+
+def approve(fault: int, what: str = "") -> OperatorCommand:
+    """fault: its number. what: the action."""
+    return OperatorCommand(f"approve #{fault}{f' {what}' if what else ''}", USER_1, (APPROVE, fault))
+
+
+def restart(place: int, name: str) -> OperatorCommand:
+    """place: position of the container in the configuration, from 1."""
+    return OperatorCommand(f"restart {name}", USER_1, (RESTART, place))
+
+
+def list_containers() -> OperatorCommand:
+    return OperatorCommand("list containers", REQUEST_MESSAGE, (TUNNEL, CONTAINERS))
+
+
+def menu(agent: Mapping[str, Any]) -> list[tuple[str, OperatorCommand]]:
+    """What can be requested of an agent, with the text to choose from. agent: of a snapshot."""
+    found = [("run all checks", run_checks())]
+    for one in agent["advice"]:
+        what = f"{one['action']} {one['target']}".strip()
+        valid = "" if one["valid_s"] is None else f", an approval is valid for {one['valid_s']:g} s"
+        found.append((f"approve {what} (fault #{one['fault']}{valid})", approve(one["fault"], what)))
+    for place, name in enumerate(agent["containers"], 1):
+        found.append((f"restart {name}", restart(place, name)))
+    return found
+
+
+class Exchange:
+    """One command to one agent until its answer. Not thread-safe.
+
+    send: sends the command with this `confirmation`. name: of the agent, as in events.
+    """
+
+    def __init__(self, name: str, command: OperatorCommand, send: Callable[[int], None], now: float) -> None:
+        self.name, self.command, self._send = name, command, send
+        self.result = ""
+        """Name of the MAV_RESULT; `TIMEOUT` without an answer."""
+        self.reply = ""
+        self._attempts, self._at = 1, now
+        self._send(0)
+
+    @property
+    def accepted(self) -> bool:
+        return self.result == "ACCEPTED"
+
+    def hear(self, event: GcsEvent, now: float) -> None:
+        """Take an event of the station."""
+        body = event.body
+        if body.get("name") != self.name:
+            return
+        if event.event == "ack" and body["command"] == self.command.command and not self.result:
+            self.result, self._at = body["result"], now
+        elif event.event == "detail" and body["fault"] == REPLY_TEXT:
+            self.reply = body["text"]
+
+    def done(self, now: float) -> bool:
+        """Whether the answer is complete, or none is expected any more; sends the command again when it is time."""
+        if self.result:
+            return bool(self.reply) or not self.command.has_reply or now - self._at >= REPLY_S
+        if now - self._at >= RESEND_S:
+            if self._attempts >= ATTEMPTS:
+                self.result = "TIMEOUT"
+                self._at = float("-inf")
+                return True
+            self._send(self._attempts)
+            self._attempts, self._at = self._attempts + 1, now
+        return False
+
+    def answer(self) -> str:
+        """One sentence."""
+        head = f"{self.name} {self.command.text}: "
+        if self.result == "TIMEOUT":
+            return f"{head}no answer within {ATTEMPTS * RESEND_S:g} s"
+        text = self.reply or HINTS.get(self.result, "")
+        return f"{head}{self.result.lower().replace('_', ' ')}{f': {text}' if text else ''}"

@@ -1,0 +1,155 @@
+"""Requests of the operator: what is offered, how often it is sent, and what the answer says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm.core.model import Level, Slot, Stamp
+from phm.gcs import operator
+from phm.gcs.alarms import Alarms
+from phm.gcs.events import GcsEvent
+from phm.gcs.frames import CommandAck
+from phm.gcs.operator import ATTEMPTS, REPLY_S, RESEND_S, Exchange
+from phm.wire import tunnel
+from tests.gcs.bench import Ground, events, phm_heartbeat, text_frame, tunnel_frame
+
+ADVICE = "A07 ADVISE 2 restart ros_app #17 60s"
+FAILED = {Slot.CONTAINER: Level.ERROR}
+
+
+@pytest.fixture
+def ground() -> Ground:
+    """Agent 7 advises a restart and has named its containers."""
+    made = Ground()
+    made.hear(phm_heartbeat(7, FAILED), text_frame(7, "A07 FAIL 2 ros_app exited 1"), text_frame(7, ADVICE, 4))
+    made.hear(tunnel_frame(7, tunnel.details("containers", "1 ros_app, 2 router")[0]))
+    return made
+
+
+# ---------------------------------------------------------------- what is offered
+
+
+def test_the_menu_offers_what_is_advised_and_each_container(ground: Ground) -> None:
+    """With how long an approval is valid; checks come first, because they harm nothing."""
+    choices = operator.menu(ground.agent(7))
+    assert [text for text, _ in choices] == [
+        "run all checks",
+        "approve restart ros_app (fault #17, an approval is valid for 60 s)",
+        "restart ros_app",
+        "restart router",
+    ]
+    assert [command.params for _, command in choices] == [(1, 0), (2, 17), (3, 1), (3, 2)]
+
+
+@pytest.mark.parametrize(
+    "over",
+    [
+        text_frame(7, "A07 APPROVED 2 restart ros_app", 5),
+        text_frame(7, "A07 GAVE UP 2 ros_app exited 1 #17"),
+        phm_heartbeat(7),
+        phm_heartbeat(7, FAILED, state=1),
+    ],
+    ids=["approved", "given up", "recovered", "restarted"],
+)
+def test_advice_ends(ground: Ground, over: Any) -> None:
+    """What cannot be approved any more is not offered."""
+    assert [one["fault"] for one in ground.agent(7)["advice"]] == [17]
+    ground.hear(over)
+    assert ground.agent(7)["advice"] == []
+
+
+def test_advice_of_an_older_phm_has_no_time(ground: Ground) -> None:
+    """And advice without a number cannot be approved by MAVLink."""
+    ground.hear(text_frame(7, "A07 ADVISE 6 relaunch node_1 #18", 4), text_frame(7, "A07 ADVISE 6 relaunch node_2", 4))
+    advice = ground.agent(7)["advice"]
+    assert [(one["fault"], one["target"], one["valid_s"]) for one in advice] == [
+        (17, "ros_app", 60.0),
+        (18, "node_1", None),
+    ]
+
+
+def test_a_hostile_sender_fills_no_memory(ground: Ground) -> None:
+    """Neither advice nor names of containers grow without limit."""
+    ground.hear(*(text_frame(7, f"A07 ADVISE 2 start x #{number} 60s", 4) for number in range(100)))
+    ground.hear(
+        *(tunnel_frame(7, part) for part in tunnel.details("containers", ", ".join(f"{n} c" for n in range(1, 400))))
+    )
+    assert len(ground.agent(7)["advice"]) == 8
+    assert len(ground.agent(7)["containers"]) == 64
+
+
+# ---------------------------------------------------------------- an exchange
+
+
+class Bench:
+    """An exchange with agent 7; `sent` has the confirmation of each time it was sent."""
+
+    def __init__(self, command: operator.OperatorCommand) -> None:
+        self.sent: list[int] = []
+        self.exchange = Exchange("A07", command, self.sent.append, 0.0)
+
+    def hear(self, event: str, now: float = 0.1, **body: Any) -> None:
+        self.exchange.hear(GcsEvent(Stamp(0.0, now), event, {"agent": 7, "name": "A07", **body}), now)
+
+
+def test_the_answer_is_the_result_and_its_text() -> None:
+    """Answers to other commands, and of other agents, are not taken for it."""
+    bench = Bench(operator.approve(17, "restart ros_app"))
+    bench.hear("ack", command=512, result="ACCEPTED")
+    bench.hear("ack", name="A08", command=31010, result="ACCEPTED")
+    assert not bench.exchange.done(0.2)
+    bench.hear("ack", command=31010, result="DENIED")
+    assert not bench.exchange.done(0.3)
+    bench.hear("detail", fault="reply", text="'approve' is not in mavlink.commands")
+    assert bench.exchange.done(0.4)
+    assert not bench.exchange.accepted
+    expected = "A07 approve #17 restart ros_app: denied: 'approve' is not in mavlink.commands"
+    assert bench.exchange.answer() == expected
+
+
+@pytest.mark.parametrize("result", ["DENIED", "TEMPORARILY_REJECTED", "UNSUPPORTED", "FAILED"])
+def test_a_refusal_without_a_text_still_says_why(result: str) -> None:
+    """An older PHM sends none, and a radio may lose it."""
+    bench = Bench(operator.run_checks())
+    bench.hear("ack", command=31010, result=result)
+    assert not bench.exchange.done(REPLY_S - 0.1)
+    assert bench.exchange.done(REPLY_S + 0.2)
+    assert bench.exchange.answer().startswith(f"A07 run all checks: {result.lower().replace('_', ' ')}: ")
+
+
+def test_an_unanswered_command_is_sent_again_as_a_repetition() -> None:
+    """The agent executes it once, by its `confirmation`; in the end there is no answer."""
+    bench = Bench(operator.restart(1, "ros_app"))
+    times = [step * RESEND_S / 2 for step in range(1, 2 * ATTEMPTS + 2)]
+    done = [bench.exchange.done(now) for now in times]
+    assert bench.sent == list(range(ATTEMPTS))
+    assert done.index(True) == 2 * ATTEMPTS - 1
+    assert bench.exchange.answer() == "A07 restart ros_app: no answer within 6 s"
+
+
+def test_only_answers_to_this_ground_station_are_events(ground: Ground) -> None:
+    """Of agents that are known; the autopilot's own are not."""
+    assert ground.hear(CommandAck(7, 193, 31010, 0, (255, 190)), CommandAck(7, 1, 31010, 0, (254, 190))) == []
+    found = ground.hear(CommandAck(7, 193, 31010, 2, (254, 190)))
+    assert events(found, "ack") == [{"agent": 7, "name": "A07", "command": 31010, "result": "DENIED"}]
+
+
+# ---------------------------------------------------------------- alarms
+
+
+def test_a_critical_line_is_an_alarm_until_it_is_acknowledged(ground: Ground) -> None:
+    """Once for each line; repetitions, warnings and text of other programs are none."""
+    alarms = Alarms()
+    lines = [
+        text_frame(7, "A07 FAIL 6 node_1 dead"),
+        text_frame(7, "A07 FAIL 6 node_1 dead"),
+        text_frame(7, "A07 WARN 9 disk / 88%", 4),
+        text_frame(7, "hello", component=1),
+    ]
+    news = ground.hear(*lines)
+    assert [alarms.take(event, "A07") for event in news] == [True, False, False, False]
+    assert alarms.text() == "1 new CRITICAL: A07   a: acknowledge"
+    alarms.acknowledge()
+    assert alarms.text() == ""
