@@ -230,8 +230,8 @@ def test_sigkill_loses_no_accepted_line(tmp_path: Path) -> None:
 def test_a_truncated_record_is_readable_and_continued(tmp_path: Path) -> None:
     """After a power cut the truncated line and zero bytes are skipped, and the next boot's lines follow."""
     written(tmp_path, Note(at(), "PHM", "first"))
-    whole = (tmp_path / "phm.jsonl").read_bytes()
-    (tmp_path / "phm.jsonl").write_bytes(whole[:-20] + bytes(100))
+    content = (tmp_path / "phm.jsonl").read_bytes()
+    (tmp_path / "phm.jsonl").write_bytes(content[:-20] + bytes(100))
     lines = written(tmp_path, Note(at(), "PHM", "second"))
     assert [line["event"] for line in lines] == ["start", "note"]
     assert lines[-1]["text"] == "second"

@@ -199,10 +199,10 @@ def test_a_child_that_does_not_read_blocks_nothing(bench: Bench) -> None:
     probe = bench.probe(nodes=[{"name": "/a/n"}], command=fake)
     big = {f"s{n}": DiagnosticFact(0.0, 0, "x" * 250) for n in range(400)}
     assert probe.publish(big) == 0  # no snapshot yet: no child to send it to
-    seen(probe, lambda fact: fact.nodes, "a picture")
+    seen(probe, lambda fact: fact.nodes, "a snapshot")
     until(lambda: probe.publish(big) >= 3, "arrays that were not taken")
     up_s = probe.look().up_s
-    seen(probe, lambda fact: fact.up_s > up_s + 0.5, "pictures")
+    seen(probe, lambda fact: fact.up_s > up_s + 0.5, "snapshots")
     assert probe.restarts == 0
 
 

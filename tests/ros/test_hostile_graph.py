@@ -69,7 +69,7 @@ def test_a_name_that_is_not_utf_8_is_reported_and_hides_nothing(bench: Bench, ba
 def test_an_oversized_message_invalidates_the_snapshot(bench: Bench) -> None:
     """Nothing is known until the next snapshot, the reason is given, and PHM reports it as its own problem."""
     probe = bench.probe(command=fake("blind"), limits=FAST)
-    seen(probe, lambda fact: fact.nodes == {"/a/n": 1}, "a picture")
+    seen(probe, lambda fact: fact.nodes == {"/a/n": 1}, "a snapshot")
     until(lambda: stale(probe) == OVERLONG, "the loss")
     assert OVERLONG in probe.problems() and OVERLONG in bench.notes
     assert probe.restarts == 0

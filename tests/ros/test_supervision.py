@@ -68,18 +68,18 @@ def test_an_interpreter_without_rclpy_reports_what_to_install(bench: Bench, monk
 def test_stray_output_is_harmless(bench: Bench, behaviour: str) -> None:
     """Lines that are not messages, and unterminated lines, are dropped; the messages between them count."""
     probe = bench.probe(command=fake(behaviour), limits=FAST)
-    seen(probe, lambda fact: fact.up_s > 0.5 and fact.nodes == {"/a/n": 1}, "a picture among the garbage")
+    seen(probe, lambda fact: fact.up_s > 0.5 and fact.nodes == {"/a/n": 1}, "a snapshot among the garbage")
     assert probe.restarts == 0
 
 
 def test_a_stopped_child_is_replaced(bench: Bench) -> None:
     """SIGSTOP looks like a deadlock in the middleware: the child is killed, and another answers."""
     probe = bench.probe(command=fake("good"), limits=FAST)
-    seen(probe, lambda fact: fact.nodes, "a picture")
+    seen(probe, lambda fact: fact.nodes, "a snapshot")
     first = probe.pid
     os.kill(first, signal.SIGSTOP)
     until(lambda: stale(probe), "STALE while it is silent")
-    seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
+    seen(probe, lambda fact: probe.pid not in (0, first), "a snapshot of another child")
     assert gone(first)
     assert probe.restarts == 1
 
@@ -120,20 +120,20 @@ def test_an_unconfigured_node_listed_twice_does_not_replace_the_child(bench: Ben
 def test_a_killed_child_is_replaced(bench: Bench) -> None:
     """SIGKILL from outside (the kernel's out-of-memory killer) is reported, and another child answers."""
     probe = bench.probe(command=fake("good"), limits=FAST)
-    seen(probe, lambda fact: fact.nodes, "a picture")
+    seen(probe, lambda fact: fact.nodes, "a snapshot")
     first = probe.pid
     os.kill(first, signal.SIGKILL)
     until(lambda: bench.notes == ["the ROS child was terminated by SIGKILL"], "the note")
-    seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
+    seen(probe, lambda fact: probe.pid not in (0, first), "a snapshot of another child")
 
 
 def test_renewing_replaces_the_child_without_counting_a_failure(bench: Bench) -> None:
     """After PHM joined a network the child is restarted on purpose, so it does not count."""
     probe = bench.probe(command=fake("good"), limits=FAST)
-    seen(probe, lambda fact: fact.nodes, "a picture")
+    seen(probe, lambda fact: fact.nodes, "a snapshot")
     first = probe.pid
     probe.renew("PHM joined a network")
-    seen(probe, lambda fact: probe.pid not in (0, first), "a picture of another child")
+    seen(probe, lambda fact: probe.pid not in (0, first), "a snapshot of another child")
     assert gone(first)
     assert probe.restarts == 0
     assert bench.notes == ["the ROS child is restarted: PHM joined a network"]
@@ -163,10 +163,10 @@ def test_the_probe_cannot_tell_before_its_start() -> None:
 def test_the_first_snapshot_and_its_loss_are_changes(bench: Bench) -> None:
     """Checks are woken when there is a snapshot and when it is lost, and not by every message."""
     probe = bench.probe(command=fake("good"), limits=FAST)
-    seen(probe, lambda fact: fact.up_s > 0.5, "several pictures")
+    seen(probe, lambda fact: fact.up_s > 0.5, "several snapshots")
     assert bench.changes == 1
     os.kill(probe.pid, signal.SIGKILL)
-    until(lambda: bench.changes >= 3, "the loss, and the first picture of the next")
+    until(lambda: bench.changes >= 3, "the loss, and the first snapshot of the next")
 
 
 def test_the_environment_of_the_child() -> None:

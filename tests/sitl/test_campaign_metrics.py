@@ -90,8 +90,8 @@ def test_a_cut_radio_does_not_count_as_a_dead_phm() -> None:
     made.heartbeats[3] = [heartbeat for heartbeat in made.heartbeats[3] if not 40 < heartbeat < 61]
     assert uptime.of_agent(made, 3) == (pytest.approx(100 - 21.5), pytest.approx(0))
     assert uptime.share([made]) == 1.0
-    heard = uptime.share([made], net=False)
-    assert heard is not None and heard < 1.0
+    received_share = uptime.share([made], net=False)
+    assert received_share is not None and received_share < 1.0
 
 
 def test_an_agent_that_was_never_received_was_down() -> None:
@@ -128,7 +128,7 @@ def test_missed_targets_are_reported() -> None:
 
 
 def test_an_empty_campaign_meets_no_target() -> None:
-    """Without trials nothing is proven."""
+    """Without trials there is no evidence."""
     rows = judged(figures([]))
     assert len(rows) == len(AIMS)
     assert [row.met for row in rows if row.name != "False alarms"] == [None] * (len(AIMS) - 1)

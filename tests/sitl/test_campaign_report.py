@@ -61,12 +61,12 @@ def test_a_truncated_file_keeps_its_complete_trials(
     file = tmp_path_factory.mktemp("campaign") / "trials.jsonl"
     for number in (1, 2, 3):
         append(file, trial(number=number))
-    whole = file.read_bytes()
-    cut = data.draw(st.integers(0, len(whole)))
-    file.write_bytes(whole[:cut])
+    content = file.read_bytes()
+    cut = data.draw(st.integers(0, len(content)))
+    file.write_bytes(content[:cut])
     kept = [each.number for each in load(file)]
     assert kept == [1, 2, 3][: len(kept)]
-    assert len(kept) >= whole[:cut].count(b"\n")
+    assert len(kept) >= content[:cut].count(b"\n")
     append(file, trial(number=9))
     assert [each.number for each in load(file)][-1] == 9
     assert [each.number for each in load(file)][: len(kept)] == kept

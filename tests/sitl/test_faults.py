@@ -72,7 +72,7 @@ def test_only_faults_that_need_a_configuration_are_injected_separately() -> None
 
 LINKS = "played with real sockets by tests/transport/test_reopen.py: no container is touched"
 ENDS = "played by the campaign, docs/development/sitl_faults.md has the figures"
-UNPROVEN = {
+NOT_COVERED = {
     "disk_full": ENDS,
     "publisher_lost": ENDS,
     "subscriber_lost": ENDS,
@@ -89,8 +89,8 @@ UNPROVEN = {
 def test_every_ladder_is_covered_by_the_proof() -> None:
     """Each condition with a ladder in PHM has a fault, or a reason why not (docs/reference/recovery.md states it, too)."""
     known = faults.all_faults()
-    proven = {known[name].condition for name in (*plan.ORDER, *plan.APART)}
-    assert set(LADDERS) - proven == set(UNPROVEN)
+    covered = {known[name].condition for name in (*plan.ORDER, *plan.APART)}
+    assert set(LADDERS) - covered == set(NOT_COVERED)
 
 
 def test_consecutive_faults_of_the_proof_affect_different_units() -> None:
@@ -102,8 +102,8 @@ def test_consecutive_faults_of_the_proof_affect_different_units() -> None:
 
 def test_the_programme_can_be_restricted() -> None:
     """By fault and by mode; the rest keeps its order, and no other fault is injected."""
-    whole = list(plan.plays())
-    assert [play.mode for play in whole if not play.first] == ["act", "act", "off", "advise"]
+    all_plays = list(plan.plays())
+    assert [play.mode for play in all_plays if not play.first] == ["act", "act", "off", "advise"]
     assert list(plan.plays(["container_stopped"], ["advise"])) == [plan.Play("advise", ("container_stopped",))]
     assert [play.faults for play in plan.plays(["node_killed"], ["act"])] == [("node_killed",), ("node_killed",)]
     assert [play.apart for play in plan.plays(["netns_owner_killed"])] == [True]

@@ -25,11 +25,11 @@ def test_an_unfinished_line_waits_for_its_end(tmp_path: Path) -> None:
     """An incomplete line is read when its rest is written, once."""
     file = tmp_path / "phm.jsonl"
     record = Record(file)
-    whole = line(1) + line(2)
-    file.write_text(whole[:-5])
+    both = line(1) + line(2)
+    file.write_text(both[:-5])
     record.update()
     assert [event["number"] for event in record.events] == [1]
-    file.write_text(whole)
+    file.write_text(both)
     record.update()
     record.update()
     assert [event["number"] for event in record.events] == [1, 2]

@@ -77,18 +77,20 @@ def test_a_silent_ground_port_receives_only_the_autopilot(flight: Flight) -> Non
     """As measured on a real ArduPilot: frames are forwarded only to links that have sent a packet."""
     until(lambda: flight.links.autopilot() is not None)
     silent = Port(f"tcp:127.0.0.1:{flight.ground_port}")
-    heard: list[tuple[int, int]] = []
+    received: list[tuple[int, int]] = []
 
     def listen() -> bool:
         flight.hub.send(text("for everybody"))
         for sock in silent.sockets():
-            heard.extend((message.get_srcSystem(), message.get_srcComponent()) for _, message in silent.receive(sock))
-        return heard.count((7, 1)) > 6 and len(flight.ground.lines) > 6
+            received.extend(
+                (message.get_srcSystem(), message.get_srcComponent()) for _, message in silent.receive(sock)
+            )
+        return received.count((7, 1)) > 6 and len(flight.ground.lines) > 6
 
     until(listen)
-    assert set(heard) == {(7, 1)}
+    assert set(received) == {(7, 1)}
     silent.send(Sender(254, 190).frame(heartbeat(kind=6)))
-    until(lambda: listen() and (7, 193) in heard)
+    until(lambda: listen() and (7, 193) in received)
     silent.close()
 
 

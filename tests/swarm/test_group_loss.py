@@ -158,8 +158,8 @@ def test_no_agent_is_lost_early_when_a_link_is_closed() -> None:
 def test_no_agent_is_lost_when_a_growing_swarm_slows_its_heartbeats() -> None:
     air = Air(7, 8)
     air.run(LEARNED_S)
-    heard = max(peer.heard_s or 0.0 for peer in air.peers.all().values())
-    while air.now < heard + 5.0:
+    last_received = max(peer.heard_s or 0.0 for peer in air.peers.all().values())
+    while air.now < last_received + 5.0:
         air.now += STEP_S
         air.peers.watch(air.now, 5.0)
         assert air.lost() == set()

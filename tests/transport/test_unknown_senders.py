@@ -320,8 +320,8 @@ def test_a_link_without_a_radio_is_not_slowed_down(udp: Callable[..., socket.soc
         hub = MavlinkHub(
             MavlinkSettings.model_validate({"endpoints": [{"url": url, "radio": radio}]}), 7, SystemClock()
         )
-        heard: list[Any] = []
-        hub.listen(lambda message, link, to=heard: to.append(message), (0,))  # type: ignore[misc]
+        received: list[Any] = []
+        hub.listen(lambda message, link, to=received: to.append(message), (0,))  # type: ignore[misc]
         hub.start()
         try:
             hub.send(text("hello"))
@@ -329,7 +329,7 @@ def test_a_link_without_a_radio_is_not_slowed_down(udp: Callable[..., socket.soc
             sender = Sender(51, 68)
             for message in (full, heartbeat()):
                 ground.sendto(sender.frame(message), ours)
-            until(lambda seen=heard: seen)  # type: ignore[misc]
+            until(lambda seen=received: seen)  # type: ignore[misc]
             slowed[radio] = hub.budgets()[url][1]
         finally:
             hub.close()

@@ -167,7 +167,7 @@ def test_a_restart_by_docker_does_not_end_the_verification(yard: Yard) -> None:
     yard.containers.start("app", by_policy=True)
     agent.rest(1.0)
     agent.bad.clear()
-    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the proof")
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the verification")
     assert Phase.FAILED not in agent.steps()
 
 

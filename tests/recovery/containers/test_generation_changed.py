@@ -84,7 +84,7 @@ def test_a_second_fault_of_the_earlier_life_causes_no_restart(agent: Agent) -> N
     agent.bad[ONE] = agent.bad[TWO] = "broken"
     agent.until(lambda: agent.runs, "the restart")
     del agent.bad[ONE]
-    agent.until(lambda: Phase.VERIFIED in agent.steps(), "its proof")
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "its verification")
     assert sorted(agent.opened()) == [TWO, ONE]
     agent.executor.handle(late[0])
     agent.rest(2.0)

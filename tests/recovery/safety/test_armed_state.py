@@ -93,10 +93,10 @@ def test_a_restart_of_phm_in_flight_lifts_no_restriction(tmp_path: Path) -> None
     """An armed vehicle stays armed until the autopilot reports disarmed and has not just booted; the flight-critical
     container is left alone.
     """
-    clock, containers, heard = FakeClock(), Containers("app"), [fact(0.1, None)]
+    clock, containers, facts = FakeClock(), Containers("app"), [fact(0.1, None)]
 
     def life() -> Agent:
-        monitor = ArmedMonitor(lambda: heard[0] if heard else None, TIMEOUT_S, clock)
+        monitor = ArmedMonitor(lambda: facts[0] if facts else None, TIMEOUT_S, clock)
         return Agent(
             {"container/app": Of("app")}, containers, clock, folder=tmp_path, critical=("app",), monitor=monitor
         )
@@ -104,16 +104,16 @@ def test_a_restart_of_phm_in_flight_lifts_no_restriction(tmp_path: Path) -> None
     first = life()
     first.rest(2.0)
     first.stop()
-    heard.clear()
+    facts.clear()
     second = life()
     second.bad["container/app"] = "broken"
     second.rest(30.0)
     assert second.runs == []
     assert any("it was armed before" in event.detail for event in second.actions())
-    heard.append(fact(None, 0.1, boot_s=5.0, boot_age_s=0.1))
+    facts.append(fact(None, 0.1, boot_s=5.0, boot_age_s=0.1))
     second.rest(30.0)
     assert second.runs == []
-    heard[:] = [fact(None, 0.1, boot_s=35.0, boot_age_s=0.1)]
+    facts[:] = [fact(None, 0.1, boot_s=35.0, boot_age_s=0.1)]
     second.until(lambda: second.runs == [("app", "container/app")], "the restart after the fresh disarmed")
     second.stop()
 
