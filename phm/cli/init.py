@@ -128,12 +128,12 @@ def _with_nodes(machine: Machine, answers: Answers, engine: DockerEngine) -> Ans
     from dataclasses import replace
 
     from phm.setup import answers as decided, ros_nodes
-    from phm.setup.ros_settings import source
+    from phm.setup.ros_settings import source, variables
 
     watched = decided.containers(machine, answers.containers) if answers.containers else ()
-    application = source(watched)
+    found = source(machine, watched)
     try:
-        names = ros_nodes.nodes(application.environment if application is not None else {})
+        names = ros_nodes.nodes(variables(found) if found is not None else {})
     except ros_nodes.NoGraph as error:
         click.echo(f"ROS nodes are not listed: {error}")
         return answers
@@ -166,7 +166,7 @@ def _show(machine: Machine) -> None:
     if not machine.applications:
         click.echo("  no application container is running: start yours first, or add it to phm.yaml later")
     if machine.sidecars:
-        click.echo(one_line(f"  PHM is already running as {', '.join(machine.sidecars)}"))
+        click.echo(one_line(f"  PHM is already running as {', '.join(one.name for one in machine.sidecars)}"))
 
 
 def _finish(directory: Path, names: list[str], answers: Answers) -> None:

@@ -9,10 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from phm.core.settings import Settings
-from phm.facts import CannotTell
+from phm.facts import CannotTell, ContainerFact
+from phm.probes.docker import own_ids
+from phm.probes.docker_facts import container_fact
 from phm.setup import discovery
 from phm.setup.machine import Machine
-from phm.transport.docker import DockerEngine
+from phm.transport.docker import DockerEngine, EngineMissing
 
 
 @dataclass(slots=True)
@@ -52,9 +54,18 @@ class Surroundings:
         with self._lock:
             if self._machine is None:
                 try:
-                    self._machine = discovery.look(self.engine, self.dev)
+                    self._machine = discovery.look(self.engine, self.dev, self.proc)
                 except CannotTell as error:
                     self._machine = error
         if isinstance(self._machine, CannotTell):
             raise self._machine.with_traceback(None)
         return self._machine
+
+    def own_container(self) -> ContainerFact | None:
+        """The container that this process runs in; None when the engine does not know it. Raises CannotTell."""
+        for ref in own_ids(self.proc / "self"):
+            try:
+                return container_fact(self.engine.inspect(ref))
+            except EngineMissing:
+                continue
+        return None

@@ -7,35 +7,35 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from phm.doctor.context import Surroundings
 from phm.doctor.row import Row, limited, missing, ok
-from phm.facts import CannotTell
-from phm.setup.discovery import PROFILE_VARIABLES, ROS_VARIABLES
-from phm.setup.machine import Application
+from phm.facts import CannotTell, RosEnvironment
+from phm.probes.ros.environment import of_container, of_phm
+from phm.probes.ros.environment_differences import differences, rmw
 
 CHILD_LIMIT_S = 15.0
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108
-DEFAULT_RMW = "rmw_fastrtps_cpp"
-COMPARED = tuple(name for name in ROS_VARIABLES if name not in (*PROFILE_VARIABLES, "ROS_DISTRO"))
-_DEFAULTS = {"ROS_DOMAIN_ID": "0", "RMW_IMPLEMENTATION": DEFAULT_RMW, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+MAX_PROCESSES = 10
+"""ROS processes of the host that are compared."""
 
 
 def rows(surroundings: Surroundings) -> Iterator[Row]:
-    needed = bool(surroundings.settings.ros.nodes or surroundings.settings.ros.topics)
-    yield _installation(needed=needed)
+    settings = surroundings.settings.ros
+    yield _installation(needed=bool(settings.nodes or settings.topics))
     own = _own(surroundings)
-    yield ok("domain", f"ROS_DOMAIN_ID {own['ROS_DOMAIN_ID']}, {own['RMW_IMPLEMENTATION']}")
+    yield ok("domain", f"ROS_DOMAIN_ID {own.variables.get('ROS_DOMAIN_ID', '0')}, {rmw(own)}")
     yield _shared_memory()
     try:
-        applications = surroundings.machine().applications
+        machine = surroundings.machine()
     except CannotTell:
         return
-    for one in applications:
-        if one.environment and one.fact.running:
-            yield _compared(one, own)
+    applications = [one.ros for one in machine.applications if one.ros.variables and one.fact.running]
+    for one in [*applications, *machine.host_ros[:MAX_PROCESSES]]:
+        yield _compared(one, own, configured_domain=settings.domain is not None)
 
 
 def _installation(*, needed: bool) -> Row:
@@ -55,27 +55,31 @@ def _installation(*, needed: bool) -> Row:
     return ok("PHM", text)
 
 
-def _own(surroundings: Surroundings) -> Mapping[str, str]:
-    """PHM's variables with their defaults; the configuration's domain comes first."""
-    own = {name: surroundings.environ[name] for name in COMPARED if surroundings.environ.get(name)}
-    if surroundings.settings.ros.domain is not None:
-        own["ROS_DOMAIN_ID"] = str(surroundings.settings.ros.domain)
-    return {**_DEFAULTS, **own}
+def _own(surroundings: Surroundings) -> RosEnvironment:
+    """PHM's environment: of this process, or of the sidecar where this process runs on the host beside it."""
+    settings, environ = surroundings.settings.ros, surroundings.environ
+    try:
+        sidecars = [one for one in surroundings.machine().sidecars if one.running]
+        myself = surroundings.own_container() if surroundings.in_container else None
+    except CannotTell:
+        sidecars, myself = [], None
+    if not surroundings.in_container and sidecars:
+        return replace(of_container(sidecars[0], (), surroundings.proc), name="PHM")
+    own = of_phm(settings, environ, myself)
+    # In a container that the engine does not know, namespaces cannot be compared.
+    unknown = surroundings.in_container and myself is None
+    return replace(own, network_namespace="", ipc_namespace="") if unknown else own
 
 
-def _compared(one: Application, own: Mapping[str, str]) -> Row:
-    theirs = {**_DEFAULTS, **{name: one.environment[name] for name in COMPARED if name in one.environment}}
-    different = [name for name in COMPARED if theirs.get(name, "") != own.get(name, "")]
-    distribution = one.environment.get("ROS_DISTRO", "")
-    name = f"container {one.name}"
-    if not different:
-        return ok(name, f"{f'{distribution}, ' if distribution else ''}same ROS variables as PHM")
-    first = different[0]
-    text = ", ".join(
-        f"{each}={theirs.get(each) or '(unset)'} (PHM: {own.get(each) or '(unset)'})" for each in different
-    )
-    line = f"set {first}={theirs[first]}" if theirs.get(first) else f"remove {first}"
-    return limited(name, f"PHM may not see its nodes: {text}", f"{line} in PHM's agent.env")
+def _compared(one: RosEnvironment, own: RosEnvironment, *, configured_domain: bool) -> Row:
+    distribution = one.variables.get("ROS_DISTRO", "")
+    found = differences(one, own, configured_domain=configured_domain)
+    if not found:
+        return ok(one.name, f"{f'{distribution}, ' if distribution else ''}its ROS environment fits PHM's")
+    what, _, remedy = found[0].text.rpartition(": ")
+    certain = "PHM does not receive its nodes" if found[0].certain else "PHM may not receive its nodes"
+    more = f" ({len(found) - 1} more differences)" if len(found) > 1 else ""
+    return limited(one.name, f"{certain}: {what or found[0].text}{more}", remedy)
 
 
 def _shared_memory() -> Row:

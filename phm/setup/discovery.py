@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from phm.facts import CannotTell
+from phm.core.clock import SystemClock
+from phm.facts import CannotTell, ContainerFact, ProcessFact
 from phm.probes.docker import own_ids
 from phm.probes.docker_facts import container_fact
+from phm.probes.docker_processes import Processes
+from phm.probes.ros.environment import of_container, of_host_processes
+from phm.probes.ros.sandbox import PROFILE_VARIABLES
 from phm.setup.machine import Application, Machine, SerialPort
 from phm.transport.docker import DockerEngine, EngineMissing
 
-PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-ROS_VARIABLES = (
-    "ROS_DISTRO",
-    "ROS_DOMAIN_ID",
-    "RMW_IMPLEMENTATION",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
-    "ROS_LOCALHOST_ONLY",
-    "ROS_STATIC_PEERS",
-    "ROS_DISCOVERY_SERVER",
-    *PROFILE_VARIABLES,
-)
-"""What decides whether two ROS 2 processes find each other, and the distribution."""
 MAX_CONTAINERS = 200
 MAX_PROFILE_BYTES = 64 * 1024
 _ENTRYPOINT = ["ros-entrypoint", "phm"]
@@ -33,22 +25,23 @@ _ENTRYPOINT = ["ros-entrypoint", "phm"]
 _SERIAL = ("serial/by-id/*", "ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*")
 
 
-def look(engine: DockerEngine, dev: Path = Path("/dev")) -> Machine:
+def look(engine: DockerEngine, dev: Path = Path("/dev"), proc: Path = Path("/proc")) -> Machine:
     """Raises CannotTell, with the remedy, when the engine does not answer. dev: where the host's /dev is."""
     version = str(engine.version().get("Version") or "of unknown version")
     answers = [answer for entry in engine.list()[:MAX_CONTAINERS] if (answer := _inspect(engine, entry))]
-    own = own_ids(Path("/proc/self"))  # `docker run ... init` is a container of PHM's image, too
+    own = own_ids(proc / "self")  # `docker run ... init` is a container of PHM's image, too
     names = {str(answer["Id"]): str(answer.get("Name", "")).lstrip("/") for answer in answers}
     applications = [
-        _application(engine, answer, names) for answer in answers if not _is_phm(answer) and _usable(answer)
+        _application(engine, answer, names, proc) for answer in answers if not _is_phm(answer) and _usable(answer)
     ]
     return Machine(
         engine=version,
         url=engine.url,
         socket_group_id=_group(engine.url.removeprefix("unix://")),
         applications=tuple(sorted(applications, key=lambda one: one.name)),
-        sidecars=tuple(sorted(names[str(one["Id"])] for one in answers if _is_phm(one) and one["Id"] not in own)),
+        sidecars=tuple(container_fact(one) for one in answers if _is_phm(one) and one["Id"] not in own),
         serial_ports=tuple(serial_ports(dev)),
+        host_ros=of_host_processes(proc),
     )
 
 
@@ -71,22 +64,28 @@ def _is_phm(answer: Mapping[str, Any]) -> bool:
     return (answer.get("Config") or {}).get("Entrypoint") == _ENTRYPOINT
 
 
-def _application(engine: DockerEngine, answer: Mapping[str, Any], names: Mapping[str, str]) -> Application:
-    config, host = answer.get("Config") or {}, answer.get("HostConfig") or {}
+def _application(engine: DockerEngine, answer: Mapping[str, Any], names: Mapping[str, str], proc: Path) -> Application:
+    config = answer.get("Config") or {}
     labels = config.get("Labels") or {}
     fact = container_fact(answer)
     mode, _, owner = fact.network_mode.partition(":")
-    environment = _environment(config.get("Env") or ())
+    ros = of_container(fact, _processes(engine, fact), proc)
     return Application(
         fact=fact,
         image=str(config.get("Image", "")),
         project=str(labels.get("com.docker.compose.project", "")),
         service=str(labels.get("com.docker.compose.service", "")),
         owner=_owner(owner, names) if mode == "container" else "",
-        ipc_mode=str(host.get("IpcMode", "")),
-        environment=environment,
-        profile=_profile(engine, fact.id, environment),
+        ros=ros,
+        profile=_profile(engine, fact.id, ros.variables),
     )
+
+
+def _processes(engine: DockerEngine, fact: ContainerFact) -> Sequence[ProcessFact]:
+    try:
+        return Processes(engine, SystemClock()).look(fact.id) if fact.running else ()
+    except CannotTell:
+        return ()
 
 
 def _owner(ref: str, names: Mapping[str, str]) -> str:
@@ -94,14 +93,8 @@ def _owner(ref: str, names: Mapping[str, str]) -> str:
     return names.get(ref, ref if ref in names.values() else "")
 
 
-def _environment(lines: object) -> dict[str, str]:
-    """The ROS variables among `NAME=value` lines."""
-    pairs = (str(line).partition("=") for line in lines) if isinstance(lines, (list, tuple)) else ()
-    return {name: value for name, _, value in pairs if name in ROS_VARIABLES and value}
-
-
-def _profile(engine: DockerEngine, container: str, environment: Mapping[str, str]) -> str:
-    path = next((environment[name] for name in PROFILE_VARIABLES if name in environment), "")
+def _profile(engine: DockerEngine, container: str, variables: Mapping[str, str]) -> str:
+    path = next((variables[name] for name in PROFILE_VARIABLES if name in variables), "")
     if not path.startswith("/"):
         return ""
     try:

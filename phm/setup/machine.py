@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from phm.facts import ContainerFact
+from phm.facts import ContainerFact, RosEnvironment
 
 
 @dataclass(frozen=True, slots=True)
 class Application:
     """A container that is not PHM's.
 
-    fact:        what the engine says of it.
-    project:     its Compose project, empty without Compose.
-    service:     its Compose service, empty without Compose.
-    owner:       name of the container whose network namespace it shares, else empty.
-    ipc_mode:    Docker's `IpcMode`.
-    environment: its ROS variables, those in `phm.setup.discovery.ROS_VARIABLES`.
-    profile:     content of its Fast DDS profile; empty when it has none, or when the file cannot be read.
+    fact:    what the engine says of it.
+    project: its Compose project, empty without Compose.
+    service: its Compose service, empty without Compose.
+    owner:   name of the container whose network namespace it shares, else empty.
+    ros:     the ROS variables of its processes, or of its configuration.
+    profile: content of its Fast DDS profile; empty when it has none, or when the file cannot be read.
     """
 
     fact: ContainerFact
@@ -26,8 +24,7 @@ class Application:
     project: str = ""
     service: str = ""
     owner: str = ""
-    ipc_mode: str = ""
-    environment: Mapping[str, str] = field(default_factory=dict)
+    ros: RosEnvironment = field(default_factory=lambda: RosEnvironment(""))
     profile: str = ""
 
     @property
@@ -55,15 +52,17 @@ class Machine:
     engine:    version of the Docker Engine.
     url:       its address, ``unix:///path`` or ``tcp://host:port``.
     socket_group_id: the group of that socket, None when it cannot be read.
-    sidecars:  names of containers that already run PHM.
+    sidecars:  other containers of PHM.
+    host_ros:  ROS environments of processes that run without a container and may be read.
     """
 
     engine: str
     url: str
     socket_group_id: int | None
     applications: tuple[Application, ...] = ()
-    sidecars: tuple[str, ...] = ()
+    sidecars: tuple[ContainerFact, ...] = ()
     serial_ports: tuple[SerialPort, ...] = ()
+    host_ros: tuple[RosEnvironment, ...] = ()
 
     @property
     def socket(self) -> str:

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from phm.facts import CannotTell
-from phm.setup.discovery import PROFILE_VARIABLES
 from phm.setup.machine import Application
 from phm.transport.docker import DockerEngine
 
@@ -28,9 +27,8 @@ class NoGraph(Exception):
 
 def nodes(environment: Mapping[str, str]) -> tuple[str, ...]:
     """Names of the nodes that a participant with these ROS variables finds within DISCOVERY_S. Raises NoGraph."""
-    own = {name: value for name, value in environment.items() if name not in (*PROFILE_VARIABLES, "ROS_DISTRO")}
     # The application's shared memory cannot be read by another user in another container.
-    environ = {**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", **own}
+    environ = {**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", **environment}
     argv = [sys.executable, "-m", "phm.probes.ros.graph_listing", f"{DISCOVERY_S:g}"]
     try:
         done = subprocess.run(argv, env=environ, capture_output=True, timeout=LIMIT_S, check=False)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from phm.setup.discovery import PROFILE_VARIABLES, ROS_VARIABLES
-from phm.setup.machine import Application
+from phm.facts import RosEnvironment
+from phm.facts.ros_environment import MAX_VALUE
+from phm.probes.ros.environment_differences import sidecar_variables
+from phm.probes.ros.sandbox import PROFILE_VARIABLES
+from phm.setup.machine import Application, Machine
 
 FOLDER = "/etc/phm"
 """Where PHM's container sees the written folder."""
 APPLICATION_PROFILE = "application-fastdds.xml"
 _PLAIN = re.compile(r"[A-Za-z0-9_./:;,@=+-]*")
-_COPIED = tuple(name for name in ROS_VARIABLES if name not in (*PROFILE_VARIABLES, "ROS_DISTRO"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,38 +30,48 @@ class RosSettings:
     mount: str = ""
 
 
-def ros_settings(watched: Sequence[Application], shipped_profile: str) -> RosSettings:
+def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profile: str) -> RosSettings:
     """shipped_profile: PHM's own for applications, which only shortens leases, so that PHM itself does not need it."""
-    one = source(watched)
-    if one is None:
+    found = source(machine, watched)
+    if found is None:
         return RosSettings("# ROS 2: the values of your application.\nROS_DOMAIN_ID=0")
-    lines = [f"# ROS 2: as in container {one.name}; PHM must use the same."]
-    if "ROS_DOMAIN_ID" not in one.environment:
-        lines.append("ROS_DOMAIN_ID=0")
-    lines += [f"{name}={_value(one.environment[name])}" for name in _COPIED if name in one.environment]
-    others = [each.name for each in watched if each is not one and _differs(each, one)]
+    used = variables(found)
+    where = "container" if any(one.ros is found for one in watched) else "process"
+    lines = [f"# ROS 2: as in {where} {found.name}; PHM must use the same.", *_lines({"ROS_DOMAIN_ID": "0", **used})]
+    others = [one.name for one in watched if one.ros.variables and variables(one.ros) != used]
     if others:
         lines.append(f"# Other values are set in {', '.join(others)}: PHM does not see the nodes there.")
-    if not one.profile or one.profile.strip() == shipped_profile.strip():
+    profile = next((one.profile for one in watched if one.ros is found), "")
+    if not profile or profile.strip() == shipped_profile.strip():
         return RosSettings("\n".join(lines))
-    path = next(one.environment[name] for name in PROFILE_VARIABLES if name in one.environment)
+    path = next(found.variables[name] for name in PROFILE_VARIABLES if name in found.variables)
     mounted = not path.startswith(f"{FOLDER}/") and _PLAIN.fullmatch(path) is not None and ":" not in path
     seen = path if mounted else f"{FOLDER}/{APPLICATION_PROFILE}"
     lines += [
         f"# {APPLICATION_PROFILE}, a copy of the application's profile.",
         *(f"{n}={seen}" for n in PROFILE_VARIABLES),
     ]
-    return RosSettings("\n".join(lines), one.profile, path if mounted else "")
+    return RosSettings("\n".join(lines), profile, path if mounted else "")
 
 
-def source(watched: Sequence[Application]) -> Application | None:
-    """The application with the most ROS variables; the first of several; None without containers."""
-    return max(watched, key=lambda one: len(one.environment), default=None)
+def source(machine: Machine, watched: Sequence[Application]) -> RosEnvironment | None:
+    """Of the watched container with the most ROS variables; without containers, of a process of the host; else None."""
+    found = [one.ros for one in watched] or machine.host_ros
+    return max(found, key=lambda ros: len(ros.variables), default=None)
 
 
-def _differs(one: Application, other: Application) -> bool:
-    """Whether a container with ROS variables has others; one without any is most likely not a ROS application."""
-    return bool(one.environment) and any(one.environment.get(name) != other.environment.get(name) for name in _COPIED)
+def variables(ros: RosEnvironment) -> dict[str, str]:
+    """What PHM's environment needs to discover that application."""
+    peers = ros.variables.get("ROS_STATIC_PEERS", "")
+    return {**sidecar_variables(ros), **({"ROS_STATIC_PEERS": peers} if peers else {})}
+
+
+def _lines(used: Mapping[str, str]) -> list[str]:
+    """Lines of an env file. A value that was too long to be kept (`phm.facts.ros_variables`) is not written."""
+    return [
+        f"{name}={_value(value)}" if len(value) < MAX_VALUE else f"# {name} is too long: copy it from the application."
+        for name, value in used.items()
+    ]
 
 
 def _value(text: str) -> str:

@@ -49,6 +49,18 @@ def test_an_application_with_other_variables_is_limited(tmp_path: Path, monkeypa
         fake.containers["other"] = described("other", env={"ROS_DOMAIN_ID": "8"})
         there = surroundings(tmp_path, docker={"socket": fake.url}, environ={"ROS_DOMAIN_ID": "7"})
         found = list(rows(there))
-    assert row(found, "container same").state == "ok"
-    assert row(found, "container other").state == "limited"
-    assert "ROS_DOMAIN_ID" in row(found, "container other").text
+    assert row(found, "same").state == "ok"
+    assert row(found, "other").state == "limited"
+    assert "ROS_DOMAIN_ID" in row(found, "other").text
+
+
+def test_on_the_host_the_sidecar_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not the shell in which `phm doctor` runs."""
+    installed(monkeypatch, JAZZY)
+    with FakeEngine(tmp_path / "engine.sock") as fake:
+        fake.containers["app"] = described("app", env={"ROS_DOMAIN_ID": "8"})
+        sidecar = {"ROS_DOMAIN_ID": "8", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+        fake.containers["phm"] = described("phm", env=sidecar, entrypoint=["ros-entrypoint", "phm"])
+        there = surroundings(tmp_path, docker={"socket": fake.url}, environ={"ROS_DOMAIN_ID": "7"})
+        found = list(rows(there))
+    assert row(found, "app").state == "ok" and "ROS_DOMAIN_ID 8" in row(found, "domain").text

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phm.probes.docker_facts import container_fact
+from phm.probes.ros.environment import of_container
 from phm.setup.machine import Application, Machine, SerialPort
 from tests.fakes.engine import container
 
@@ -35,13 +36,13 @@ def described(
 
 
 def application(name: str, *, service: str = "", owner: str = "", profile: str = "", **more: Any) -> Application:
-    environment = dict(more.get("env") or {})
+    fact = container_fact(described(name, **more))
     return Application(
-        fact=container_fact(described(name, **more)),
+        fact=fact,
         image=f"{name}:1",
         service=service,
         owner=owner,
-        environment=environment,
+        ros=of_container(fact),
         profile=profile,
     )
 

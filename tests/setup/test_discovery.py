@@ -28,7 +28,7 @@ def test_applications_are_found_with_what_ros_reads(fake: FakeEngine, tmp_path: 
     found = look(DockerEngine(fake.url), tmp_path)
     (app,) = found.applications
     assert (app.name, app.image, app.service, app.networks) == ("app", "app:1", "autonomy", ("swarm",))
-    assert app.environment == {"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"}
+    assert app.ros.variables == {"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"}
     assert found.engine == "20.10.24" and found.socket == fake.path
     assert found.socket_group_id == Path(fake.path).stat().st_gid
 
@@ -49,7 +49,7 @@ def test_phm_and_finished_jobs_are_not_applications(fake: FakeEngine, tmp_path: 
     fake.containers["kept"]["HostConfig"]["RestartPolicy"] = {"Name": "unless-stopped"}
     found = look(DockerEngine(fake.url), tmp_path)
     assert [one.name for one in found.applications] == ["kept"]
-    assert found.sidecars == ("phm",)
+    assert [one.name for one in found.sidecars] == ["phm"]
 
 
 def test_the_owner_of_a_shared_network_is_found_by_id(fake: FakeEngine, tmp_path: Path) -> None:

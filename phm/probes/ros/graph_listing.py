@@ -12,12 +12,15 @@ import os
 import sys
 import time
 
+from phm.probes.ros import fastdds_profile
+
 EXIT_MISSING = 3
 MAX_NODES = 300
 
 
 def main(seconds: float) -> int:
     """Wait for discovery, then print `{"nodes": [...]}`: full names, without hidden nodes."""
+    fastdds_profile.adapt(os.environ)
     try:
         import rclpy
     except ImportError:
