@@ -47,10 +47,10 @@ def test_a_pass_is_complete_when_every_unit_ran_since_its_start() -> None:
     rig.pipeline.begin_pass()
     assert isinstance(rig.events[0], ReportStarted)
     assert rig.wakes == [(frozenset({"container", "nodes"}), "pass")]
-    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
-    rig.pipeline.observe({"nodes": ok("well")}, before, 0.0)
+    rig.pipeline.observe({"container": ok("fine")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"nodes": ok("fine")}, before, 0.0)
     assert rig.reports() == []
-    rig.pipeline.observe({"nodes": ok("well")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"nodes": ok("fine")}, rig.clock.mono(), 0.0)
     assert [state.level for state in rig.reports()[0].units] == [Level.OK, Level.OK]
 
 
@@ -58,7 +58,7 @@ def test_a_pass_ends_even_if_a_check_hangs() -> None:
     """A hung check costs its own line, not the report."""
     rig = Rig()
     rig.pipeline.begin_pass()
-    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"container": ok("fine")}, rig.clock.mono(), 0.0)
     rig.clock.advance(15)
     rig.pipeline.tick()
     assert [state.level for state in rig.reports()[0].units] == [Level.OK, Level.STALE]
@@ -94,7 +94,7 @@ def test_a_permanently_hung_check_does_not_end_the_periodic_report() -> None:
     rig.clock.advance(10)
     rig.pipeline.begin_pass()
     rig.pipeline.observe({"container": ok("running")}, rig.clock.mono(), 0.0)
-    assert len(rig.reports()) == 4, "it has come back, so the pass waits for it again"
+    assert len(rig.reports()) == 4, "it has returned, so the pass waits for it again"
     rig.pipeline.observe({"nodes": ok("running")}, rig.clock.mono(), 0.0)
     assert rig.reports()[-1].missing == ()
 
@@ -114,7 +114,7 @@ def test_an_unfinished_pass_is_published_before_the_next_one_starts() -> None:
 def test_a_query_of_the_tracker_wakes_the_checks() -> None:
     """A dependent unit triggers the check of the engine."""
     rig = Rig()
-    rig.pipeline.observe({"container": ok("well"), "nodes": ok("well")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"container": ok("fine"), "nodes": ok("fine")}, rig.clock.mono(), 0.0)
     rig.clock.advance(1)
     rig.pipeline.observe({"nodes": BAD}, rig.clock.mono(), 0.0)
     assert rig.wakes == [(frozenset({"container"}), "confirm")]
@@ -123,12 +123,12 @@ def test_a_query_of_the_tracker_wakes_the_checks() -> None:
 def test_a_container_start_triggers_all_dependent_checks() -> None:
     """A unit that was bad in the old generation is checked again, and does not count before that."""
     rig = Rig(target="app")
-    rig.pipeline.observe({"container": ok("well"), "nodes": ok("well")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"container": ok("fine"), "nodes": ok("fine")}, rig.clock.mono(), 0.0)
     rig.clock.advance(1)
     rig.pipeline.observe({"nodes": BAD}, rig.clock.mono(), 0.0)
     rig.clock.advance(1)
     rig.pipeline.container_started("app")
-    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"container": ok("fine")}, rig.clock.mono(), 0.0)
     assert rig.wakes[-1] == (frozenset({"nodes"}), "confirm")
     assert rig.pipeline.open_faults() == ()
 
@@ -136,11 +136,11 @@ def test_a_container_start_triggers_all_dependent_checks() -> None:
 def test_verification_counts_only_runs_that_started_after_the_action() -> None:
     """An OK that was in progress when the action ended proves nothing."""
     rig = Rig()
-    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"container": ok("fine")}, rig.clock.mono(), 0.0)
     done = rig.clock.mono() + 1
     assert not rig.pipeline.ok_since("container", done)
     rig.clock.advance(2)
-    rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+    rig.pipeline.observe({"container": ok("fine")}, rig.clock.mono(), 0.0)
     assert rig.pipeline.ok_since("container", done)
 
 
@@ -151,7 +151,7 @@ def test_closed_faults_are_kept_up_to_a_limit() -> None:
         rig.clock.advance(1)
         rig.pipeline.observe({"container": BAD}, rig.clock.mono(), 0.0)
         rig.clock.advance(1)
-        rig.pipeline.observe({"container": ok("well")}, rig.clock.mono(), 0.0)
+        rig.pipeline.observe({"container": ok("fine")}, rig.clock.mono(), 0.0)
     recent = rig.pipeline.recent_faults()
     assert len(recent) == 20
     assert recent[-1].id == "F50"
@@ -171,20 +171,20 @@ def test_the_main_loop_ticks_only_while_time_may_change_a_state() -> None:
         called = len(stirred) > before
         for _ in range(40):
             rig.clock.advance(0.5)
-            rig.pipeline.observe({"container": ok("well"), unit: result}, rig.clock.mono(), 0.0)
+            rig.pipeline.observe({"container": ok("fine"), unit: result}, rig.clock.mono(), 0.0)
             rig.pipeline.tick()
         assert not rig.pipeline.waiting
         return called
 
     for unit in ("container", "nodes"):
-        observe(unit, ok("well"))
-    assert not observe("nodes", ok("well"))
-    assert observe("nodes", BAD), "it waits for what it needs to be looked at"
+        observe(unit, ok("fine"))
+    assert not observe("nodes", ok("fine"))
+    assert observe("nodes", BAD), "it waits for the check of its dependency"
     assert not observe("nodes", BAD), "already published"
-    assert observe("nodes", ok("well"))
+    assert observe("nodes", ok("fine"))
     rig.pipeline.begin_action("app", "container", "restart", 30.0)
     rig.pipeline.tick()
-    assert rig.pipeline.waiting, "an action that does not end is ended by time"
+    assert rig.pipeline.waiting, "an action that does not end has a time limit"
     rig.clock.advance(31)
     rig.pipeline.tick()
     rig.pipeline.tick()

@@ -62,7 +62,7 @@ def rig() -> Iterator[Rig]:
 
 def test_a_check_runs_at_start_and_then_every_period(rig: Rig) -> None:
     """The first result does not wait for the first period."""
-    rig.start(Scripted(lambda: api.ok("well")), period_s=20.0)
+    rig.start(Scripted(lambda: api.ok("fine")), period_s=20.0)
     until(lambda: len(rig.batches) == 1, "the first result")
     for count in (2, 3):
         rig.clock.wait_for_sleepers(1)
@@ -86,7 +86,7 @@ def test_a_wake_runs_only_the_checks_of_its_subject(rig: Rig) -> None:
 
 def test_a_check_that_is_woken_all_the_time_leaves_a_gap(rig: Rig) -> None:
     """All wake-ups in between cause one run, after the gap."""
-    engine = rig.start(Scripted(lambda: api.ok("well")))
+    engine = rig.start(Scripted(lambda: api.ok("fine")))
     for count in (1, 2, 3):
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
         rig.clock.wait_for_sleepers(1)
@@ -105,7 +105,7 @@ def test_a_crash_makes_a_unit_stale_and_the_check_continues(rig: Rig) -> None:
         answer = answers.pop(0) if answers else None
         if answer is not None:
             raise answer
-        return api.ok("well again")
+        return api.ok("fine again")
 
     engine = rig.start(Scripted(run))
     for count in (1, 2, 3):
@@ -132,7 +132,7 @@ def test_cannot_tell_is_stale_with_the_text_of_the_probe(rig: Rig) -> None:
 
 def test_a_unit_without_a_result_is_stale(rig: Rig) -> None:
     """Silence is never OK."""
-    rig.start(Scripted(lambda: {"scripted": api.ok("well")}))
+    rig.start(Scripted(lambda: {"scripted": api.ok("fine")}))
     until(lambda: len(rig.batches) == 1, "the first result")
     assert rig.batches[0].units["scripted"].level is api.Level.OK
     assert rig.batches[0].units["scripted/second"].level is api.Level.STALE
@@ -168,7 +168,7 @@ def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:
         raise RuntimeError("defect")
 
     engine = CheckScheduler(
-        [ScheduledCheck(Scripted(lambda: api.ok("well")), 20.0, 5.0)], testing.world(), rig.clock, sink
+        [ScheduledCheck(Scripted(lambda: api.ok("fine")), 20.0, 5.0)], testing.world(), rig.clock, sink
     )
     rig.engines.append(engine)
     engine.start()

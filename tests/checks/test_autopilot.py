@@ -8,7 +8,7 @@ from typing import Any
 from phm import api, testing
 from phm_checks.autopilot import Autopilot
 
-WELL = api.AutopilotFact(0.3, False, 5, 3, "fc", 120.0)
+HEALTHY = api.AutopilotFact(0.3, False, 5, 3, "fc", 120.0)
 OPEN = api.LinkFact("fc", open=True, rx_age_s=0.3)
 
 
@@ -25,7 +25,7 @@ def run(autopilot_check: api.Check, pilot: api.AutopilotFact | None, link: api.L
 
 
 def changed(**fields: Any) -> api.AutopilotFact:
-    return dataclasses.replace(WELL, **fields)
+    return dataclasses.replace(HEALTHY, **fields)
 
 
 def test_an_autopilot_that_sends_heartbeats_is_ok() -> None:

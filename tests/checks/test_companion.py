@@ -11,8 +11,8 @@ def check() -> api.Check:
     return one
 
 
-def run(judge: api.Check, world: api.World) -> api.Result:
-    result = judge.run(world)
+def run(companion_check: api.Check, world: api.World) -> api.Result:
+    result = companion_check.run(world)
     assert isinstance(result, api.Result)
     return result
 

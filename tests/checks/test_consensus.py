@@ -15,9 +15,9 @@ A, B, C, D = "/agent_1/a", "/agent_1/b", "/agent_1/c", "/agent_1/d"
 ALL = (A, B, C, D)
 
 
-def beacon(hears: Mapping[str, bool] | None = None, **fields: Any) -> api.BeaconFact:
+def beacon(receives: Mapping[str, bool] | None = None, **fields: Any) -> api.BeaconFact:
     """A beacon with heartbeats, of a node that has run for 100 s."""
-    views = {name: api.NeighbourFact(alive, 0.3) for name, alive in (hears or {}).items()}
+    views = {name: api.NeighbourFact(alive, 0.3) for name, alive in (receives or {}).items()}
     given: dict[str, Any] = {
         "age_s": 0.1,
         "period_s": 0.2,
@@ -160,14 +160,14 @@ def build(*names: str, container: bool = True, **node: Any) -> Consensus:
     return check
 
 
-def judge(beacons: Mapping[str, api.BeaconFact], check: Consensus | None = None, **ros: Any) -> api.Result:
+def evaluate(beacons: Mapping[str, api.BeaconFact], check: Consensus | None = None, **ros: Any) -> api.Result:
     given: dict[str, Any] = {"up_s": 60.0, "nodes": dict.fromkeys(ALL, 1), **ros}
     return (check or build()).run(testing.world(ros=testing.FakeRos(beacons=beacons, **given)))
 
 
 def test_agreement_is_ok() -> None:
     """The summary names the observers."""
-    result = judge(matrix(A, B, C))
+    result = evaluate(matrix(A, B, C))
     assert result.level is api.Level.OK and not result.bypass
     assert result.summary == "3 of 3 nodes are alive according to agent_1/a, agent_1/b, agent_1/c, PHM"
     assert dict(result.values) == {"nodes": 3, "alive": 3, "hung": 0, "observers": 4, "beacons": 3, "refused": 0}
@@ -188,13 +188,13 @@ def test_without_configured_nodes_no_check_is_built() -> None:
 
 def test_without_beacons_the_result_is_a_bypass() -> None:
     """Beacons are optional."""
-    assert judge({}).bypass
-    assert judge({A: beacon(age_s=61.0)}).bypass, "one that was closed long ago"
+    assert evaluate({}).bypass
+    assert evaluate({A: beacon(age_s=61.0)}).bypass, "one that was closed long ago"
 
 
 def test_dissent_is_a_warning_with_all_names() -> None:
     """The node that is not received, the observers that miss it and those that receive it."""
-    result = judge(matrix(A, B, C, not_received=((A, B),)))
+    result = evaluate(matrix(A, B, C, not_received=((A, B),)))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "dissent", "b not seen by a")
     assert result.summary.startswith("agent_1/b is not received by agent_1/a, but is received by agent_1/c, PHM. ")
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
@@ -202,7 +202,7 @@ def test_dissent_is_a_warning_with_all_names() -> None:
 
 def test_a_split_is_a_warning_that_names_the_sides() -> None:
     """The larger side first."""
-    result = judge(matrix(*ALL, not_received=both((A, B), (A, C), (A, D))), build(*ALL))
+    result = evaluate(matrix(*ALL, not_received=both((A, B), (A, C), (A, D))), build(*ALL))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "split", "nodes split 3|1")
     assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not receive each other" in result.summary
 
@@ -210,7 +210,7 @@ def test_a_split_is_a_warning_that_names_the_sides() -> None:
 def test_a_hung_node_is_mentioned_without_a_second_alarm() -> None:
     """The nodes check reports it."""
     beacons = {**matrix(A, B, C), C: beacon({A: True, B: True}, witness=C, late_s=9.0)}
-    result = judge(beacons)
+    result = evaluate(beacons)
     assert result.level is api.Level.OK
     assert result.summary.endswith("; the executor of agent_1/c is blocked")
     assert result.values["hung"] == 1
@@ -220,28 +220,28 @@ def test_a_dead_node_raises_no_second_alarm() -> None:
     """All observers agree that it is dead."""
     beacons = matrix(A, B, C, not_received=((A, C), (B, C)))
     beacons[C] = beacon({}, age_s=5.0, witness=C)
-    result = judge(beacons)
+    result = evaluate(beacons)
     assert result.level is api.Level.OK
     assert result.summary.startswith("2 of 3 nodes are alive")
 
 
 def test_unconfigured_nodes_have_no_vote() -> None:
     """Nodes that are not configured, such as those of another agent, are not observers and not judged."""
-    stranger = beacon({A: False, B: False}, witness="s")
-    result = judge({**matrix(A, B), "/agent_2/x": stranger}, build(A, B))
+    unconfigured = beacon({A: False, B: False}, witness="s")
+    result = evaluate({**matrix(A, B), "/agent_2/x": unconfigured}, build(A, B))
     assert result.level is api.Level.OK and "agent_2" not in result.summary
 
 
 def test_when_all_nodes_are_silent_the_consensus_is_stale() -> None:
     """The nodes check reports the silence."""
-    assert judge({A: beacon(age_s=3.0), B: beacon(age_s=3.0)}).level is api.Level.STALE
+    assert evaluate({A: beacon(age_s=3.0), B: beacon(age_s=3.0)}).level is api.Level.STALE
 
 
 @pytest.mark.parametrize("ros", [{"age_s": 5.5}, None])
 def test_without_a_current_snapshot_the_consensus_is_stale(ros: dict[str, Any] | None) -> None:
     """PHM itself receives nothing."""
     if ros is not None:
-        assert judge(matrix(A, B, C), **ros).level is api.Level.STALE
+        assert evaluate(matrix(A, B, C), **ros).level is api.Level.STALE
         return
     blind = testing.FakeRos()
     blind.fail("no child")
@@ -249,15 +249,15 @@ def test_without_a_current_snapshot_the_consensus_is_stale(ros: dict[str, Any] |
     assert (result.level, result.summary) == (api.Level.STALE, "no child")
 
 
-def flowing(node: str, hz: float = 10.0) -> dict[str, api.TopicFact]:
+def active_topic(node: str, hz: float = 10.0) -> dict[str, api.TopicFact]:
     return {"/t": api.TopicFact((api.EndpointFact(node, "std_msgs/msg/String"),), (), api.RateFact(hz, 0.1))}
 
 
 @pytest.mark.parametrize(
     ("ros", "words"),
     [
-        ({"topics": flowing(C)}, "; agent_1/c without a beacon, observed by PHM only"),
-        ({"topics": flowing(C, 0.0)}, "; no observer for agent_1/c"),
+        ({"topics": active_topic(C)}, "; agent_1/c without a beacon, observed by PHM only"),
+        ({"topics": active_topic(C, 0.0)}, "; no observer for agent_1/c"),
         (
             {"diagnostics": {"c: loop": api.DiagnosticFact(1.0, 0)}},
             "; agent_1/c without a beacon, observed by PHM only",
@@ -273,7 +273,7 @@ def flowing(node: str, hz: float = 10.0) -> dict[str, api.TopicFact]:
 )
 def test_nodes_without_a_beacon_take_part_by_topics_and_diagnostics(ros: dict[str, Any], words: str) -> None:
     """By a topic that only they publish, or by a diagnostic status whose name begins with theirs."""
-    result = judge(matrix(A, B), **ros)
+    result = evaluate(matrix(A, B), **ros)
     assert result.level is api.Level.OK
     assert result.summary.endswith(words)
 
@@ -281,43 +281,43 @@ def test_nodes_without_a_beacon_take_part_by_topics_and_diagnostics(ros: dict[st
 def test_a_name_that_two_nodes_share_proves_nothing() -> None:
     """diagnostic_updater omits the namespace."""
     other = "/agent_2/c"
-    result = judge(matrix(A, B), build(A, B, C, other), diagnostics={"c: loop": api.DiagnosticFact(1.0, 0)})
+    result = evaluate(matrix(A, B), build(A, B, C, other), diagnostics={"c: loop": api.DiagnosticFact(1.0, 0)})
     assert result.summary.endswith("; no observer for agent_1/c, agent_2/c")
 
 
 def test_a_missing_required_beacon_is_an_error() -> None:
     """Only for a running node: the nodes check reports a dead one."""
     check = build(A, B, beacon="required")
-    result = judge({A: beacon({}, witness=A)}, check)
+    result = evaluate({A: beacon({}, witness=A)}, check)
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "beacon_missing", "b has no beacon")
-    assert judge({A: beacon({}, witness=A)}, check, nodes={A: 1}).level is api.Level.OK
-    assert judge({**matrix(A, B), B: beacon(age_s=11.0)}, check).condition == "beacon_missing"
-    assert judge({}, check, up_s=3.0).level is api.Level.STALE
+    assert evaluate({A: beacon({}, witness=A)}, check, nodes={A: 1}).level is api.Level.OK
+    assert evaluate({**matrix(A, B), B: beacon(age_s=11.0)}, check).condition == "beacon_missing"
+    assert evaluate({}, check, up_s=3.0).level is api.Level.STALE
 
 
 def test_beacons_of_another_version_are_a_warning() -> None:
     """Beacons arrive, but this PHM cannot read them."""
-    result = judge({}, refused=12)
+    result = evaluate({}, refused=12)
     assert (result.level, result.condition) == (api.Level.WARN, "beacons_refused")
     assert "12 messages on /phm/beacon were rejected" in result.summary
-    assert judge(matrix(A, B, C), refused=12).level is api.Level.OK
+    assert evaluate(matrix(A, B, C), refused=12).level is api.Level.OK
 
 
 def test_a_second_publisher_of_a_beacon_is_reported() -> None:
     """Its data is rejected, so the consensus is unaffected; the text names it. A duplicate node is another fault."""
     beacons = matrix(A, B, C)
-    copied = judge({**beacons, A: beacon({B: True, C: True}, witness=A, copied_by="/elsewhere/forger")})
+    copied = evaluate({**beacons, A: beacon({B: True, C: True}, witness=A, copied_by="/elsewhere/forger")})
     assert (copied.level, copied.condition, copied.target) == (api.Level.WARN, "beacon_copied", "")
     assert (
         "beacons of agent_1/a also come from a second publisher: /elsewhere/forger; PHM rejects them" in copied.summary
     )
     rival = {**beacons, A: beacon({B: True, C: True}, witness=A, rivals=1)}
-    assert judge(rival).condition == "beacon_copied"
-    assert judge(rival, nodes={A: 2, B: 1, C: 1}).level is api.Level.OK
+    assert evaluate(rival).condition == "beacon_copied"
+    assert evaluate(rival, nodes={A: 2, B: 1, C: 1}).level is api.Level.OK
 
 
 def test_while_beacons_are_lost_the_consensus_makes_no_statement() -> None:
     """A missing required beacon is not reported either."""
-    result = judge({}, lost_s=1.0)
+    result = evaluate({}, lost_s=1.0)
     assert result.level is api.Level.STALE and "more messages arrive on /phm/beacon than PHM can read" in result.summary
-    assert judge(matrix(A, B, C), lost_s=60.0).level is api.Level.OK
+    assert evaluate(matrix(A, B, C), lost_s=60.0).level is api.Level.OK

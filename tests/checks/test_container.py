@@ -24,7 +24,7 @@ def run(check: api.Check, *facts: api.ContainerFact) -> api.Result:
     return result
 
 
-def judge(**fields: Any) -> api.Result:
+def evaluate(**fields: Any) -> api.Result:
     (check,) = build(Container)
     return run(check, testing.container("ros_app", **fields))
 
@@ -72,7 +72,7 @@ def test_a_broken_event_stream_triggers_the_engine_check() -> None:
 
 def test_a_running_container_is_ok() -> None:
     """This check requires only that it runs."""
-    assert judge().level is api.Level.OK
+    assert evaluate().level is api.Level.OK
 
 
 def test_the_container_depends_on_the_engine_and_is_its_own_target() -> None:
@@ -98,19 +98,19 @@ def test_a_container_that_does_not_exist_is_missing() -> None:
         ("paused", "paused"),
         ("dead", "dead"),
         ("removing", "missing"),
-        ("strange", "not_running"),
+        ("unexpected", "not_running"),
     ],
 )
 def test_each_state_except_running_has_its_own_condition(status: str, condition: str) -> None:
     """Recovery chooses its steps by the condition."""
-    result = judge(status=status)
+    result = evaluate(status=status)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, condition, "ros_app")
     assert result.brief.startswith("ros_app ")
 
 
 def test_an_oom_kill_has_its_own_condition() -> None:
     """Exit code 137 with the OOM flag is a different fault from `docker kill`."""
-    result = judge(status="exited", exit_code=137, oom_killed=True)
+    result = evaluate(status="exited", exit_code=137, oom_killed=True)
     assert (result.condition, result.brief) == ("oom", "ros_app out of memory")
 
 
@@ -132,7 +132,7 @@ def test_an_oom_kill_has_its_own_condition() -> None:
 def test_exit_codes_are_explained_in_words(code: int, words: str) -> None:
     """An operator does not know that 139 is a crash in native code."""
     assert words in code_in_words(code)
-    result = judge(status="exited", exit_code=code)
+    result = evaluate(status="exited", exit_code=code)
     assert words in result.summary
     assert result.brief == f"ros_app exited {code}"
 
@@ -285,7 +285,7 @@ def test_a_run_shorter_than_the_grace_of_its_nodes_is_short() -> None:
 
 def test_the_error_text_of_the_engine_is_reported_without_control_characters() -> None:
     """The text is external input."""
-    result = judge(status="created", error="mount\n\x1b[31mfailed")
+    result = evaluate(status="created", error="mount\n\x1b[31mfailed")
     assert "mount [31mfailed" in result.summary
 
 

@@ -248,11 +248,11 @@ def test_nodes_that_are_neither_listed_nor_received_are_one_fault(path: DataPath
 
 
 @pytest.mark.parametrize(
-    "why", ["one is listed", "not long enough", "one process ended", "one computes", "a young child", "a young life"]
+    "why", ["one is listed", "not long enough", "one process ended", "one computes", "a young child", "a recent start"]
 )
 def test_nodes_that_are_missing_for_another_reason_are_their_own_faults(path: DataPath, why: str) -> None:
     """They are starting, have terminated, or come and go."""
-    path.later(1.0 if why == "a young life" else 20.0, *((1.0, 1.1) if why == "not long enough" else (4.5, 4.6)))
+    path.later(1.0 if why == "a recent start" else 20.0, *((1.0, 1.1) if why == "not long enough" else (4.5, 4.6)))
     path.ros.change(nodes={NODES[1]: 1} if why == "one is listed" else {}, up_s=3.0 if why == "a young child" else 60.0)
     if why in ("one process ended", "one computes"):
         path.docker.lists["ros_app"] = (

@@ -24,7 +24,7 @@ def there(**fields: Any) -> testing.FakeDevices:
     return devices
 
 
-def judge(check: api.Check, host: testing.FakeDevices, **container: Any) -> api.Result:
+def evaluate(check: api.Check, host: testing.FakeDevices, **container: Any) -> api.Result:
     container.setdefault("devices", MAPPED)
     docker = testing.FakeDocker(testing.container("ros_app", **container))
     result = check.run(testing.world(devices=host, docker=docker))
@@ -34,7 +34,7 @@ def judge(check: api.Check, host: testing.FakeDevices, **container: Any) -> api.
 
 def test_a_mapped_device_is_ok() -> None:
     """It exists, is accessible and is mapped."""
-    result = judge(build(), there(description="PX4 FMU"))
+    result = evaluate(build(), there(description="PX4 FMU"))
     assert result.level is api.Level.OK
     assert "PX4 FMU" in result.summary
 
@@ -43,7 +43,7 @@ def test_a_missing_device_is_an_error_that_lists_the_existing_ports() -> None:
     """The message shows a flight controller that reappeared under another name."""
     devices = testing.FakeDevices()
     devices.ports = (api.DeviceFact("/dev/ttyACM1", True, 166, 1, None, description="PX4 FMU"),)
-    result = judge(build(), devices)
+    result = evaluate(build(), devices)
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "device_missing", "ttyACM0 missing")
     assert "/dev/ttyACM1 (PX4 FMU)" in result.summary
 
@@ -59,19 +59,19 @@ def test_a_missing_device_is_reported_even_without_its_container() -> None:
 
 def test_a_directory_in_place_of_a_device_is_the_wrong_type() -> None:
     """Docker creates a directory if the source of a bind mount is missing."""
-    result = judge(build(), there(character=False, openable=None, reason="a directory"))
+    result = evaluate(build(), there(character=False, openable=None, reason="a directory"))
     assert result.condition == "device_wrong_type"
     assert "a directory" in result.summary
 
 
 def test_a_device_that_cannot_be_opened_is_an_error() -> None:
     """The device file may outlive its device."""
-    assert judge(build(), there(openable=False, reason="input/output error")).condition == "device_refused"
+    assert evaluate(build(), there(openable=False, reason="input/output error")).condition == "device_refused"
 
 
 def test_missing_permissions_of_phm_are_not_a_fault() -> None:
     """They say nothing about the permissions of the application."""
-    assert judge(build(), there(openable=None, reason="PHM itself may not open it")).level is api.Level.OK
+    assert evaluate(build(), there(openable=None, reason="PHM itself may not open it")).level is api.Level.OK
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_missing_permissions_of_phm_are_not_a_fault() -> None:
 def test_serial_ports_are_opened_only_on_request(opening: str, major: int, opened: bool) -> None:
     """Opening a port raises DTR, which resets some autopilots and radios."""
     devices = there(major=major)
-    judge(build(open=opening), devices)
+    evaluate(build(open=opening), devices)
     assert bool(devices.opened) is opened
 
 
@@ -99,7 +99,7 @@ def test_each_way_to_map_a_device_counts(container: dict[str, Any]) -> None:
     """By device, symlink, directory, privileged mode, or a bind mount with a cgroup rule."""
     devices = there()
     devices.put("/dev/serial/by-id/usb-PX4", major=166)
-    assert judge(build(), devices, **container).level is api.Level.OK
+    assert evaluate(build(), devices, **container).level is api.Level.OK
 
 
 @pytest.mark.parametrize(
@@ -121,31 +121,31 @@ def test_each_way_to_map_a_device_counts(container: dict[str, Any]) -> None:
 )
 def test_a_device_that_the_container_cannot_use_is_unmapped(container: dict[str, Any], words: str) -> None:
     """The text names the missing part in Compose terms."""
-    result = judge(build(), there(), **container)
+    result = evaluate(build(), there(), **container)
     assert result.condition == "device_unmapped"
     assert words in result.summary
 
 
 def test_the_device_name_inside_the_container_must_be_the_configured_one() -> None:
     """An application that opens /dev/fmu does not find /dev/ttyACM0."""
-    assert judge(build(in_container="/dev/fmu"), there()).condition == "device_unmapped"
+    assert evaluate(build(in_container="/dev/fmu"), there()).condition == "device_unmapped"
     mapped = (api.DeviceMapping(PATH, "/dev/fmu"),)
-    assert judge(build(in_container="/dev/fmu"), there(), devices=mapped).level is api.Level.OK
+    assert evaluate(build(in_container="/dev/fmu"), there(), devices=mapped).level is api.Level.OK
 
 
 @pytest.mark.parametrize("back", [{"minor": 1}, {"inode": 8}, {}])
 def test_a_replugged_device_is_lost_for_the_container(back: dict[str, int]) -> None:
     """Docker copies device files when it starts a container: a replugged device exists on the host only, until a restart."""
     check, devices = build(), there(inode=7)
-    assert judge(check, devices).level is api.Level.OK
+    assert evaluate(check, devices).level is api.Level.OK
     if not back:
         del devices.devices[PATH]
-        assert judge(check, devices).condition == "device_missing"
+        assert evaluate(check, devices).condition == "device_missing"
     devices.put(PATH, **{"major": 166, "inode": 7, **back})
-    result = judge(check, devices)
+    result = evaluate(check, devices)
     assert (result.condition, result.target) == ("device_replugged", "ros_app")
     assert "restart ros_app" in result.summary
-    assert judge(check, devices, started_at="later").level is api.Level.OK
+    assert evaluate(check, devices, started_at="later").level is api.Level.OK
 
 
 @pytest.mark.parametrize(
@@ -159,16 +159,16 @@ def test_a_replugged_device_is_lost_for_the_container(back: dict[str, int]) -> N
 def test_a_replugged_device_is_available_where_dev_is_bind_mounted(container: dict[str, Any]) -> None:
     """A bind mount of /dev shows the current devices, and a stopped container gets new device files when it starts."""
     check, devices = build(), there()
-    assert judge(check, devices, **container).level is api.Level.OK
+    assert evaluate(check, devices, **container).level is api.Level.OK
     del devices.devices[PATH]
-    judge(check, devices, **container)
+    evaluate(check, devices, **container)
     devices.put(PATH, major=166, minor=1)
-    assert judge(check, devices, **container).level is api.Level.OK
+    assert evaluate(check, devices, **container).level is api.Level.OK
 
 
 def test_a_device_that_need_not_be_mapped_is_checked_on_the_host_only() -> None:
     """`mapped: false` ignores the container."""
-    assert judge(build(mapped=False), there(), devices=()).level is api.Level.OK
+    assert evaluate(build(mapped=False), there(), devices=()).level is api.Level.OK
 
 
 def test_without_its_container_the_mapping_is_unknown() -> None:
@@ -182,6 +182,6 @@ def test_a_probe_without_evidence_makes_the_unit_stale() -> None:
     """A /dev that is not mounted is not a missing device."""
     devices = testing.FakeDevices()
     devices.fail("the host's /dev is not mounted")
-    result = judge(build(), devices)
+    result = evaluate(build(), devices)
     assert result.level is api.Level.STALE
     assert "not mounted" in result.summary

@@ -13,7 +13,7 @@ PATH = "/app/critical_file"
 SUM = "ab" * 32
 
 
-def judge(*wanted: dict[str, Any], files: testing.FakeFiles, running: bool = True) -> api.Result:
+def evaluate(*wanted: dict[str, Any], files: testing.FakeFiles, running: bool = True) -> api.Result:
     (check,) = Files.build(testing.settings(containers=[{"name": "ros_app", "files": list(wanted)}]))
     docker = testing.FakeDocker(*([testing.container("ros_app")] if running else []))
     result = check.run(testing.world(files=files, docker=docker))
@@ -35,7 +35,7 @@ def test_containers_without_files_have_no_unit() -> None:
 def test_expected_files_are_ok() -> None:
     """Present, executable, unmodified or absent as configured."""
     files = with_file(mode=0o755, executable=True, sha256=SUM)
-    result = judge(
+    result = evaluate(
         {"path": PATH, "executable": True, "sha256": SUM.upper()}, {"path": "/app/core", "present": False}, files=files
     )
     assert result.level is api.Level.OK
@@ -58,14 +58,14 @@ def test_each_discrepancy_has_its_condition(
 ) -> None:
     """One condition and one line report what is wrong with a file."""
     files = testing.FakeFiles() if fields is None else with_file(**fields)
-    result = judge({"path": PATH, **wanted}, files=files)
+    result = evaluate({"path": PATH, **wanted}, files=files)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, condition, "ros_app")
     assert brief is None or result.brief == brief
 
 
 def test_one_summary_lists_all_problems() -> None:
     """The brief has the first problem only."""
-    result = judge({"path": "/a"}, {"path": PATH}, {"path": "/b"}, files=with_file())
+    result = evaluate({"path": "/a"}, {"path": PATH}, {"path": "/b"}, files=with_file())
     assert result.brief == "a missing"
     assert "/a in" in result.summary and "/b in" in result.summary and PATH not in result.summary
     assert result.values["files_bad"] == 2
@@ -73,7 +73,7 @@ def test_one_summary_lists_all_problems() -> None:
 
 def test_a_restorable_file_comes_first() -> None:
     """Recovery acts on the first condition, and `path` selects the file."""
-    result = judge(
+    result = evaluate(
         {"path": "/a", "executable": True},
         {"path": "/b", "restore": "image"},
         {"path": "/c"},
@@ -87,25 +87,25 @@ def test_an_inaccessible_file_is_stale() -> None:
     """No access to a file does not prove that it is missing."""
     files = testing.FakeFiles()
     files.fail("the container is stopped and no volume covers the path")
-    result = judge({"path": PATH}, files=files)
+    result = evaluate({"path": PATH}, files=files)
     assert result.level is api.Level.STALE
     assert "no volume covers" in result.summary
 
 
 def test_a_file_without_its_container_is_stale() -> None:
     """A container that does not exist is one fault, not one per file."""
-    assert judge({"path": PATH}, files=testing.FakeFiles(), running=False).level is api.Level.STALE
+    assert evaluate({"path": PATH}, files=testing.FakeFiles(), running=False).level is api.Level.STALE
 
 
 def test_a_known_problem_outweighs_an_inaccessible_file() -> None:
     """One unreadable file does not hide that another one is missing."""
     files = with_file()
     files.problems["ros_app", PATH] = api.CannotTell("permission denied")
-    result = judge({"path": PATH}, {"path": "/gone"}, files=files)
+    result = evaluate({"path": PATH}, {"path": "/gone"}, files=files)
     assert result.condition == "file_missing"
     assert "permission denied" in result.summary
 
 
 def test_a_digest_that_could_not_be_read_is_stale() -> None:
     """A file without its digest may be modified."""
-    assert judge({"path": PATH, "sha256": SUM}, files=with_file()).level is api.Level.STALE
+    assert evaluate({"path": PATH, "sha256": SUM}, files=with_file()).level is api.Level.STALE

@@ -11,7 +11,7 @@ import pytest
 from phm import api, testing
 from phm_checks.link import Link
 
-WELL = api.LinkFact("ground", open=True, rx_age_s=0.2, rx_s=300.0, tx_s=15.0, frames_s=12.0, bad_s=0.0)
+HEALTHY = api.LinkFact("ground", open=True, rx_age_s=0.2, rx_s=300.0, tx_s=15.0, frames_s=12.0, bad_s=0.0)
 CLOSED = api.LinkFact("ground", open=False, error="Connection refused", code=errno.ECONNREFUSED)
 SERIAL, TCP = "/dev/ttyUSB0", "tcp:10.0.0.1:5760"
 
@@ -22,17 +22,20 @@ def check(url: str = TCP, *others: dict[str, str], **more: Any) -> api.Check:
 
 
 def run(
-    judge: api.Check, link: api.LinkFact | None = WELL, links: testing.FakeLinks | None = None, uptime_s: float = 60.0
+    link_check: api.Check,
+    link: api.LinkFact | None = HEALTHY,
+    links: testing.FakeLinks | None = None,
+    uptime_s: float = 60.0,
 ) -> api.Result:
     links = links or testing.FakeLinks()
     links.endpoints = (link,) if link is not None else ()
-    result = judge.run(testing.world(links=links, myself=testing.FakeSelf(uptime_s=uptime_s)))
+    result = link_check.run(testing.world(links=links, myself=testing.FakeSelf(uptime_s=uptime_s)))
     assert isinstance(result, api.Result)
     return result
 
 
 def changed(**fields: Any) -> api.LinkFact:
-    return dataclasses.replace(WELL, **fields)
+    return dataclasses.replace(HEALTHY, **fields)
 
 
 def test_an_open_endpoint_is_ok() -> None:
@@ -63,12 +66,12 @@ def test_a_closed_endpoint_is_an_error_without_recovery() -> None:
 
 def test_the_peer_of_an_endpoint_may_start_after_phm() -> None:
     """An endpoint that was never open gets some time first; one that was open and is lost does not."""
-    judge = check()
-    assert run(judge, CLOSED, uptime_s=29.0).level is api.Level.STALE
-    assert run(judge, CLOSED, uptime_s=31.0).level is api.Level.ERROR
-    judge = check()
-    run(judge, WELL, uptime_s=3.0)
-    assert run(judge, CLOSED, uptime_s=5.0).level is api.Level.ERROR
+    link_check = check()
+    assert run(link_check, CLOSED, uptime_s=29.0).level is api.Level.STALE
+    assert run(link_check, CLOSED, uptime_s=31.0).level is api.Level.ERROR
+    link_check = check()
+    run(link_check, HEALTHY, uptime_s=3.0)
+    assert run(link_check, CLOSED, uptime_s=5.0).level is api.Level.ERROR
 
 
 def test_a_closed_endpoint_among_others_is_named() -> None:
@@ -101,12 +104,12 @@ def test_a_lost_redundant_endpoint_is_a_warning(gcs: str, pilot: str, level: api
 
 def test_an_endpoint_to_one_side_is_lost_for_that_side_only() -> None:
     """`leads_to` selects the side."""
-    judge = check(TCP, leads_to="ground")
-    assert run(judge, CLOSED, heard_by("spare", "ground")).level is api.Level.WARN
-    judge = check(TCP, leads_to="autopilot")
-    assert run(judge, CLOSED, heard_by("ground", "spare")).level is api.Level.WARN
-    assert run(judge, CLOSED, heard_by("spare", "ground")).level is api.Level.ERROR
-    assert run(judge, CLOSED, heard_by("spare")).level is api.Level.ERROR
+    link_check = check(TCP, leads_to="ground")
+    assert run(link_check, CLOSED, heard_by("spare", "ground")).level is api.Level.WARN
+    link_check = check(TCP, leads_to="autopilot")
+    assert run(link_check, CLOSED, heard_by("ground", "spare")).level is api.Level.WARN
+    assert run(link_check, CLOSED, heard_by("spare", "ground")).level is api.Level.ERROR
+    assert run(link_check, CLOSED, heard_by("spare")).level is api.Level.ERROR
 
 
 def test_the_endpoint_to_the_other_agents_has_no_substitute() -> None:
@@ -140,13 +143,13 @@ def lossy(percent: float | None, system: int = 1, component: int = 1) -> api.Lin
 
 def test_lost_frames_of_the_neighbour_are_a_warning() -> None:
     """Of the autopilot on its own port; the number is stable, and at its limit the warning does not flap."""
-    judge = check(SERIAL)
-    result = run(judge, lossy(25.0))
+    link_check = check(SERIAL)
+    result = run(link_check, lossy(25.0))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "frames_lost", "port: 25% frames lost")
-    assert run(judge, lossy(18.0)).level is api.Level.WARN
-    assert run(judge, lossy(10.0)).level is api.Level.OK
-    assert run(judge, lossy(18.0)).level is api.Level.OK
-    assert run(judge, lossy(None)).level is api.Level.OK
+    assert run(link_check, lossy(18.0)).level is api.Level.WARN
+    assert run(link_check, lossy(10.0)).level is api.Level.OK
+    assert run(link_check, lossy(18.0)).level is api.Level.OK
+    assert run(link_check, lossy(None)).level is api.Level.OK
 
 
 def test_gaps_of_other_senders_are_only_recorded() -> None:
@@ -159,25 +162,25 @@ def test_gaps_of_other_senders_are_only_recorded() -> None:
 
 def test_behind_a_radio_the_neighbour_is_the_ground_station() -> None:
     """A radio is like a cable: what the ground station sends arrives here."""
-    judge = check(SERIAL, leads_to="ground")
-    assert run(judge, lossy(60.0, 255, 190)).brief == "port: 60% frames lost"
-    assert run(judge, lossy(60.0, 255, 190), testing.FakeLinks(gcs_age_s=None)).level is api.Level.OK
+    link_check = check(SERIAL, leads_to="ground")
+    assert run(link_check, lossy(60.0, 255, 190)).brief == "port: 60% frames lost"
+    assert run(link_check, lossy(60.0, 255, 190), testing.FakeLinks(gcs_age_s=None)).level is api.Level.OK
 
 
 def test_a_reconnected_router_gets_time_to_send() -> None:
     """Silence while the link was closed does not count for the open one: reopening it would cut off incoming data."""
-    clock, judge = testing.FakeClock(), check(leads_to="router")
+    clock, link_check = testing.FakeClock(), check(leads_to="router")
     senders = tuple(api.SenderFact(system, 1, 20.0, 350, 0.0) for system in (1, 255))
     links = testing.FakeLinks()
 
     def look(link: api.LinkFact) -> str:
         links.endpoints = (link,)
-        result = judge.run(testing.world(links=links, clock=clock))
+        result = link_check.run(testing.world(links=links, clock=clock))
         assert isinstance(result, api.Result)
         return result.condition
 
     silent = changed(rx_age_s=20.0, senders=senders)
-    assert look(WELL) == ""
+    assert look(HEALTHY) == ""
     assert look(CLOSED) == "link_closed"
     assert look(silent) == ""
     clock.advance(4.0)
@@ -190,24 +193,24 @@ def refused(times: int) -> api.LinkFact:
 
 def test_a_terminated_router_is_reported_at_the_second_refusal() -> None:
     """It was open for a while, and no process listens any more; one refusal may be a restart."""
-    judge, world = check(), testing.world(links=testing.FakeLinks(links=(WELL,)))
-    judge.run(world)
-    assert run(judge, refused(1)).settle_s is None
-    assert (run(judge, refused(2)).level, run(judge, refused(2)).settle_s) == (api.Level.ERROR, 0.0)
+    link_check, world = check(), testing.world(links=testing.FakeLinks(links=(HEALTHY,)))
+    link_check.run(world)
+    assert run(link_check, refused(1)).settle_s is None
+    assert (run(link_check, refused(2)).level, run(link_check, refused(2)).settle_s) == (api.Level.ERROR, 0.0)
 
 
 def test_a_router_that_comes_and_goes_gets_the_usual_time() -> None:
     """It was open for a moment only: a restart loop is not reported any faster."""
     clock, links = testing.FakeClock(), testing.FakeLinks(links=(CLOSED,))
-    judge, world = check(), testing.world(links=links, clock=clock)
+    link_check, world = check(), testing.world(links=links, clock=clock)
     for link, after_s, settle_s in (
-        (WELL, 6.0, None),
+        (HEALTHY, 6.0, None),
         (refused(2), 1.0, 0.0),
-        (WELL, 1.0, None),
+        (HEALTHY, 1.0, None),
         (refused(2), 1.0, None),
     ):
         links.endpoints = (link,)
-        result = judge.run(world)
+        result = link_check.run(world)
         assert isinstance(result, api.Result)
         assert result.settle_s == settle_s
         clock.advance(after_s)
@@ -215,7 +218,7 @@ def test_a_router_that_comes_and_goes_gets_the_usual_time() -> None:
 
 def test_an_error_other_than_a_refusal_gets_the_usual_time() -> None:
     """The network may be down for a moment."""
-    judge = check()
-    run(judge)
+    link_check = check()
+    run(link_check)
     lost = dataclasses.replace(CLOSED, error="the other side closed the connection", code=0, failed=3)
-    assert run(judge, lost).settle_s is None
+    assert run(link_check, lost).settle_s is None

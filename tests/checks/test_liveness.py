@@ -33,14 +33,14 @@ COMPUTES = piece(Kind.PROCESS, Observation.BUSY)
 ENDED = piece(Kind.PROCESS, Observation.GONE)
 STOPPED = piece(Kind.PROCESS, Observation.STOPPED)
 BEACON_ALIVE = piece(Kind.BEACON, Observation.ALIVE)
-FLOWS = piece(Kind.TOPICS, Observation.ALIVE)
+TOPICS_ACTIVE = piece(Kind.TOPICS, Observation.ALIVE)
 SILENT = piece(Kind.TOPICS, Observation.SILENT, lasted_s=20.0)
 
 
-WELL = NodeHistory()
+NO_HISTORY = NodeHistory()
 
 
-def state(*evidence: Evidence, past: NodeHistory = WELL) -> NodeState:
+def state(*evidence: Evidence, past: NodeHistory = NO_HISTORY) -> NodeState:
     return fuse(evidence, past).state
 
 
@@ -68,7 +68,7 @@ def test_a_stopped_process_is_a_hung_node() -> None:
     assert state(STOPPED, UNLISTED, piece(Kind.BEACON, Observation.SILENT, lasted_s=9.0)) is NodeState.HUNG
 
 
-@pytest.mark.parametrize("sign", [BEACON_ALIVE, FLOWS, piece(Kind.BEACON, Observation.LATE, age_s=0.1)])
+@pytest.mark.parametrize("sign", [BEACON_ALIVE, TOPICS_ACTIVE, piece(Kind.BEACON, Observation.LATE, age_s=0.1)])
 @pytest.mark.parametrize("says", [Observation.GONE, Observation.STOPPED])
 def test_a_sign_of_life_newer_than_the_process_list_contradicts_it(sign: Evidence, says: Observation) -> None:
     """The node was restarted as another process, or resumed since."""
@@ -96,7 +96,7 @@ def test_a_silent_beacon_of_a_computing_node_does_not_prove_it_dead(lasted_s: fl
 
 def test_a_silent_beacon_with_active_topics_does_not_prove_a_dead_node() -> None:
     """The beacon was closed or is filtered."""
-    assert state(piece(Kind.BEACON, Observation.SILENT, 60.0), FLOWS, RUNS, LISTED) is NodeState.ALIVE
+    assert state(piece(Kind.BEACON, Observation.SILENT, 60.0), TOPICS_ACTIVE, RUNS, LISTED) is NodeState.ALIVE
 
 
 def test_a_silent_beacon_of_a_sleeping_process_is_hung_after_a_while() -> None:
@@ -122,7 +122,7 @@ def test_a_blocked_executor_is_hung_if_its_process_sleeps() -> None:
     assert state(late(HANG_S), LISTED) is NodeState.UNKNOWN
     assert state(late(BLIND_HANG_S), LISTED) is NodeState.HUNG
     assert state(late(60.0), COMPUTES, LISTED) is NodeState.ALIVE
-    assert state(late(60.0), FLOWS, RUNS, LISTED) is NodeState.ALIVE
+    assert state(late(60.0), TOPICS_ACTIVE, RUNS, LISTED) is NodeState.ALIVE
 
 
 @pytest.mark.parametrize("says", [Observation.LATE, Observation.SILENT])
@@ -143,7 +143,7 @@ def test_an_unavailable_process_list_does_not_prove_a_dead_node() -> None:
     assert state(piece(Kind.BEACON, Observation.SILENT, 0.7), UNLISTED, past=blind) is NodeState.DEAD
 
 
-@pytest.mark.parametrize("sign", [BEACON_ALIVE, FLOWS])
+@pytest.mark.parametrize("sign", [BEACON_ALIVE, TOPICS_ACTIVE])
 def test_a_node_with_signs_of_life_is_alive_regardless_of_the_graph(sign: Evidence) -> None:
     """The snapshot of the graph may be outdated."""
     assert state(sign, UNLISTED) is NodeState.ALIVE
@@ -190,7 +190,7 @@ def test_silent_topics_alone_do_not_prove_a_dead_node(process: tuple[Evidence, .
     assert state(SILENT, LISTED, *process) is NodeState.ALIVE
 
 
-@pytest.mark.parametrize("sign", [(), (BEACON_ALIVE,), (FLOWS,)])
+@pytest.mark.parametrize("sign", [(), (BEACON_ALIVE,), (TOPICS_ACTIVE,)])
 def test_a_name_listed_twice_for_long_is_a_duplicate(sign: tuple[Evidence, ...]) -> None:
     """Alive, but twice."""
     assert state(LISTED, *sign, past=NodeHistory(twice=True)) is NodeState.DUPLICATE
@@ -207,22 +207,22 @@ def test_the_decisive_evidence_comes_first() -> None:
 @pytest.mark.parametrize(
     ("evidence", "past", "decisive"),
     [
-        ([LISTED, BEACON_ALIVE, piece(Kind.CONTAINER, Observation.GONE)], WELL, "container gone"),
-        ([LISTED, STOPPED, SILENT], WELL, "process stopped"),
-        ([LISTED, ENDED, SILENT], WELL, "process gone"),
-        ([ENDED, piece(Kind.NAME, Observation.GONE, GOODBYE_S / 2)], WELL, "name gone"),
-        ([LISTED, RUNS, piece(Kind.BEACON, Observation.SILENT, 60.0), FLOWS], WELL, "topics alive"),
-        ([LISTED, COMPUTES, piece(Kind.BEACON, Observation.SILENT, 60.0), SILENT], WELL, "process busy"),
-        ([LISTED, RUNS, piece(Kind.BEACON, Observation.SILENT, 60.0), SILENT], WELL, "beacon silent"),
-        ([LISTED, piece(Kind.BEACON, Observation.SILENT, 60.0), SILENT], WELL, "beacon silent"),
-        ([LISTED, COMPUTES, piece(Kind.BEACON, Observation.LATE, 60.0)], WELL, "process busy"),
-        ([LISTED, RUNS, piece(Kind.BEACON, Observation.LATE, 60.0), FLOWS], WELL, "topics alive"),
-        ([LISTED, RUNS, piece(Kind.BEACON, Observation.LATE, 60.0)], WELL, "beacon late"),
-        ([LISTED, RUNS, BEACON_ALIVE, FLOWS], WELL, "beacon alive"),
+        ([LISTED, BEACON_ALIVE, piece(Kind.CONTAINER, Observation.GONE)], NO_HISTORY, "container gone"),
+        ([LISTED, STOPPED, SILENT], NO_HISTORY, "process stopped"),
+        ([LISTED, ENDED, SILENT], NO_HISTORY, "process gone"),
+        ([ENDED, piece(Kind.NAME, Observation.GONE, GOODBYE_S / 2)], NO_HISTORY, "name gone"),
+        ([LISTED, RUNS, piece(Kind.BEACON, Observation.SILENT, 60.0), TOPICS_ACTIVE], NO_HISTORY, "topics alive"),
+        ([LISTED, COMPUTES, piece(Kind.BEACON, Observation.SILENT, 60.0), SILENT], NO_HISTORY, "process busy"),
+        ([LISTED, RUNS, piece(Kind.BEACON, Observation.SILENT, 60.0), SILENT], NO_HISTORY, "beacon silent"),
+        ([LISTED, piece(Kind.BEACON, Observation.SILENT, 60.0), SILENT], NO_HISTORY, "beacon silent"),
+        ([LISTED, COMPUTES, piece(Kind.BEACON, Observation.LATE, 60.0)], NO_HISTORY, "process busy"),
+        ([LISTED, RUNS, piece(Kind.BEACON, Observation.LATE, 60.0), TOPICS_ACTIVE], NO_HISTORY, "topics alive"),
+        ([LISTED, RUNS, piece(Kind.BEACON, Observation.LATE, 60.0)], NO_HISTORY, "beacon late"),
+        ([LISTED, RUNS, BEACON_ALIVE, TOPICS_ACTIVE], NO_HISTORY, "beacon alive"),
         ([LISTED, RUNS, BEACON_ALIVE], NodeHistory(twice=True), "name alive"),
-        ([UNLISTED, COMPUTES], WELL, "name gone"),
-        ([LISTED, SILENT, piece(Kind.ENDPOINTS, Observation.GONE, BARE_S)], WELL, "endpoints gone"),
-        ([LISTED, SILENT], WELL, "name alive"),
+        ([UNLISTED, COMPUTES], NO_HISTORY, "name gone"),
+        ([LISTED, SILENT, piece(Kind.ENDPOINTS, Observation.GONE, BARE_S)], NO_HISTORY, "endpoints gone"),
+        ([LISTED, SILENT], NO_HISTORY, "name alive"),
     ],
 )
 def test_the_text_begins_with_the_decisive_evidence(evidence: list[Evidence], past: NodeHistory, decisive: str) -> None:
@@ -242,7 +242,7 @@ def test_the_text_has_how_long_a_busy_node_has_not_responded() -> None:
     """Also when the beacon is alive while the executor is blocked; never for a node that does not compute."""
     late = piece(Kind.BEACON, Observation.LATE, 12.0)
     assert fuse([late, COMPUTES, LISTED], NodeHistory()).busy_s == 12.0
-    assert fuse([late, RUNS, FLOWS, LISTED], NodeHistory()).busy_s == 0.0
+    assert fuse([late, RUNS, TOPICS_ACTIVE, LISTED], NodeHistory()).busy_s == 0.0
     assert fuse([BEACON_ALIVE, COMPUTES, LISTED], NodeHistory()).busy_s == 0.0
 
 

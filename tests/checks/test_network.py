@@ -21,7 +21,7 @@ def docker(me: api.ContainerFact | None = None, **fields: Any) -> testing.FakeDo
     return testing.FakeDocker(testing.container("ros_app", **fields), networks={NET: ID}, me=me)
 
 
-def judge(engine: testing.FakeDocker, **entry: Any) -> api.Result:
+def evaluate(engine: testing.FakeDocker, **entry: Any) -> api.Result:
     (check,) = Network.build(testing.settings(containers=[{"name": "ros_app", "networks": [NET], **entry}]))
     result = check.run(testing.world(docker=engine))
     assert isinstance(result, api.Result)
@@ -35,35 +35,35 @@ def test_containers_without_networks_have_no_unit() -> None:
 
 def test_a_connected_container_that_responds_is_ok() -> None:
     """Attached to the network with this id, PHM attached too, and its address responds."""
-    result = judge(docker(me=testing.container("phm", networks=on(address="172.20.0.2"))))
+    result = evaluate(docker(me=testing.container("phm", networks=on(address="172.20.0.2"))))
     assert result.level is api.Level.OK
     assert "172.20.0.3" in result.summary
 
 
 def test_a_container_without_its_network_is_disconnected() -> None:
     """Recovery reconnects it."""
-    result = judge(docker(networks=()))
+    result = evaluate(docker(networks=()))
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "disconnected", "ros_app")
     assert result.brief == "ros_app not on swarm_net"
 
 
 def test_an_attachment_to_a_recreated_network_is_disconnected() -> None:
     """Ids count: a recreated network of the same name is another network."""
-    result = judge(docker(networks=on(network_id="old-id")))
+    result = evaluate(docker(networks=on(network_id="old-id")))
     assert result.condition == "disconnected"
     assert "removed and recreated" in result.summary
 
 
 def test_an_attachment_without_address_is_disconnected() -> None:
     """An incomplete endpoint carries no data."""
-    assert judge(docker(networks=on(address=""))).condition == "disconnected"
+    assert evaluate(docker(networks=on(address=""))).condition == "disconnected"
 
 
 def test_a_network_that_does_not_exist_has_its_own_condition() -> None:
     """Connecting cannot help; the text suggests the name that Compose created."""
     engine = docker(networks=on(name=f"project_{NET}"))
     engine.networks.clear()
-    result = judge(engine)
+    result = evaluate(engine)
     assert result.condition == "network_missing"
     assert f"project_{NET}" in result.summary
 
@@ -72,20 +72,20 @@ def test_phm_outside_of_the_network_is_reported_without_a_ping() -> None:
     """From another network a ping proves nothing."""
     engine = docker(me=testing.container("phm", networks=on(network_id="other")))
     engine.silent.add("172.20.0.3")
-    assert judge(engine).condition == "sidecar_disconnected"
+    assert evaluate(engine).condition == "sidecar_disconnected"
 
 
 @pytest.mark.parametrize("me", [None, testing.container("phm", network_mode="host")])
 def test_phm_with_host_networking_reaches_every_network(me: api.ContainerFact | None) -> None:
     """The host reaches bridge networks directly."""
-    assert judge(docker(me=me)).level is api.Level.OK
+    assert evaluate(docker(me=me)).level is api.Level.OK
 
 
 def test_a_silent_address_is_an_error_after_two_pings() -> None:
     """One lost echo is not a fault, two are."""
     engine = docker()
     engine.silent.add("172.20.0.3")
-    assert judge(engine).condition == "address_silent"
+    assert evaluate(engine).condition == "address_silent"
 
 
 def test_one_lost_echo_is_not_a_fault() -> None:
@@ -98,25 +98,25 @@ def test_one_lost_echo_is_not_a_fault() -> None:
             return next(self.answers)
 
     engine = Lossy(testing.container("ros_app", networks=on()), networks={NET: ID})
-    assert judge(engine).level is api.Level.OK
+    assert evaluate(engine).level is api.Level.OK
 
 
 def test_an_address_is_not_pinged_if_the_configuration_disables_it() -> None:
     """Some containers drop pings on purpose."""
     engine = docker()
     engine.silent.add("172.20.0.3")
-    assert judge(engine, address=False).level is api.Level.OK
+    assert evaluate(engine, address=False).level is api.Level.OK
 
 
 @pytest.mark.parametrize("mode", ["host", "container:vpn"])
 def test_a_container_without_its_own_networks_is_a_bypass(mode: str) -> None:
     """It has no connection to check, and reconnecting is impossible."""
-    assert judge(docker(network_mode=mode, networks=())).bypass
+    assert evaluate(docker(network_mode=mode, networks=())).bypass
 
 
 def test_network_mode_none_is_an_error_that_reconnecting_cannot_fix() -> None:
     """Docker refuses to connect such a container, so its condition has no recovery steps."""
-    assert judge(docker(network_mode="none", networks=on(name="none", network_id="n"))).condition == "no_network"
+    assert evaluate(docker(network_mode="none", networks=on(name="none", network_id="n"))).condition == "no_network"
 
 
 def test_the_cause_gives_the_condition_when_several_networks_fail() -> None:
@@ -124,14 +124,14 @@ def test_the_cause_gives_the_condition_when_several_networks_fail() -> None:
     engine = docker()
     engine.networks["second"] = "id-2"
     engine.silent.add("172.20.0.3")
-    result = judge(engine, networks=[NET, "second"])
+    result = evaluate(engine, networks=[NET, "second"])
     assert result.condition == "disconnected"
     assert "second" in result.summary and "172.20.0.3" in result.summary
 
 
 def test_networks_of_a_stopped_container_are_stale() -> None:
     """Docker removes endpoints when a container stops; the network is not at fault."""
-    assert judge(docker(status="exited", networks=())).level is api.Level.STALE
+    assert evaluate(docker(status="exited", networks=())).level is api.Level.STALE
 
 
 def test_a_silent_engine_is_not_a_network_fault() -> None:
@@ -139,4 +139,4 @@ def test_a_silent_engine_is_not_a_network_fault() -> None:
     engine = docker()
     engine.fail()
     with pytest.raises(api.CannotTell):
-        judge(engine)
+        evaluate(engine)

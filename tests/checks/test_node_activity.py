@@ -137,7 +137,7 @@ class Connections:
         (self.check,) = Topics.build(testing.settings(containers=[{"name": "ros_app"}], ros={"topics": [topic]}))
         self.clock = testing.FakeClock()
 
-    def judge(self, out: Any, into: Any, **ros: Any) -> api.Result:
+    def evaluate(self, out: Any, into: Any, **ros: Any) -> api.Result:
         ros = {"nodes": BOTH, "topics": {TOPIC: api.TopicFact(tuple(out), tuple(into))}, **ros}
         results = self.check.run(testing.world(clock=self.clock, ros=testing.FakeRos(**ros)))
         assert not isinstance(results, api.Result)
@@ -147,45 +147,45 @@ class Connections:
 def test_a_subscription_that_a_live_node_dropped_is_reported_within_half_a_second() -> None:
     """Its beacon stays alive; without that the unit's settle time applies, in which a dying node is detected as dead."""
     bench = Connections()
-    bench.judge([endpoint(ONE)], [endpoint(TWO)])
-    lost = bench.judge([endpoint(ONE)], [], beacons={TWO: beacon(0.0)})
+    bench.evaluate([endpoint(ONE)], [endpoint(TWO)])
+    lost = bench.evaluate([endpoint(ONE)], [], beacons={TWO: beacon(0.0)})
     assert (lost.condition, lost.settle_s) == ("subscriber_lost", None)
     bench.clock.advance(0.5)
-    assert bench.judge([endpoint(ONE)], [], beacons={TWO: beacon(0.1)}).settle_s == SETTLE_S
-    assert bench.judge([endpoint(ONE)], [], beacons={TWO: beacon(0.6)}).settle_s is None
+    assert bench.evaluate([endpoint(ONE)], [], beacons={TWO: beacon(0.1)}).settle_s == SETTLE_S
+    assert bench.evaluate([endpoint(ONE)], [], beacons={TWO: beacon(0.6)}).settle_s is None
 
 
 def test_a_mismatch_between_live_nodes_is_reported_immediately() -> None:
     """Both endpoints exist and their nodes are alive: there is no other explanation."""
     out, into = [endpoint(ONE, "best_effort")], [endpoint(TWO)]
     alive = {ONE: beacon(0.1), TWO: beacon(0.1)}
-    found = Connections().judge(out, into, beacons=alive)
+    found = Connections().evaluate(out, into, beacons=alive)
     assert (found.level, found.condition, found.settle_s) == (api.Level.ERROR, "qos_mismatch", SURE_S)
-    assert Connections().judge(out, into, beacons={ONE: beacon(0.1)}).settle_s is None
-    assert Connections().judge(out, into, beacons=alive, nodes={ONE: 2, TWO: 1}).settle_s is None
+    assert Connections().evaluate(out, into, beacons={ONE: beacon(0.1)}).settle_s is None
+    assert Connections().evaluate(out, into, beacons=alive, nodes={ONE: 2, TWO: 1}).settle_s is None
 
 
 def test_a_publisher_that_is_being_recreated_is_not_lost_yet() -> None:
     """A QoS change removes a publisher and creates another: the result after that is reported."""
     bench = Connections()
     alive = {ONE: beacon(0.0), TWO: beacon(0.0)}
-    bench.judge([endpoint(ONE)], [endpoint(TWO)])
-    assert bench.judge([], [endpoint(TWO)], beacons=alive).condition == "publisher_lost"
+    bench.evaluate([endpoint(ONE)], [endpoint(TWO)])
+    assert bench.evaluate([], [endpoint(TWO)], beacons=alive).condition == "publisher_lost"
     bench.clock.advance(0.1)
-    assert bench.judge([], [endpoint(TWO)], beacons=alive).settle_s is None
-    assert bench.judge([endpoint(ONE, "best_effort")], [endpoint(TWO)], beacons=alive).condition == "qos_mismatch"
+    assert bench.evaluate([], [endpoint(TWO)], beacons=alive).settle_s is None
+    assert bench.evaluate([endpoint(ONE, "best_effort")], [endpoint(TWO)], beacons=alive).condition == "qos_mismatch"
 
 
 def test_a_fault_keeps_its_text_while_a_publisher_is_recreated() -> None:
     """From one incompatible QoS to another, or to a compatible one: the moment in between is not reported."""
     bench = Connections()
-    bench.judge([endpoint(ONE)], [endpoint(TWO)])
-    bench.judge([endpoint(ONE, "best_effort")], [endpoint(TWO)])
-    assert bench.judge([], [endpoint(TWO)]).condition == "qos_mismatch"
+    bench.evaluate([endpoint(ONE)], [endpoint(TWO)])
+    bench.evaluate([endpoint(ONE, "best_effort")], [endpoint(TWO)])
+    assert bench.evaluate([], [endpoint(TWO)]).condition == "qos_mismatch"
     bench.clock.advance(SETTLE_S + 0.1)
-    assert bench.judge([], [endpoint(TWO)]).condition == "publisher_lost"
-    assert bench.judge([endpoint(ONE)], [endpoint(TWO)]).level is api.Level.OK
-    assert bench.judge([], [endpoint(TWO)]).condition == "publisher_lost"
+    assert bench.evaluate([], [endpoint(TWO)]).condition == "publisher_lost"
+    assert bench.evaluate([endpoint(ONE)], [endpoint(TWO)]).level is api.Level.OK
+    assert bench.evaluate([], [endpoint(TWO)]).condition == "publisher_lost"
 
 
 # ------------------------------------------------------------ rates
@@ -199,7 +199,7 @@ class TwoTopics:
         (self.check,) = Rates.build(testing.settings(containers=[{"name": "ros_app"}], ros={"topics": topics}))
         self.clock, self.hz = testing.FakeClock(), hz
 
-    def judge(self, rate: api.RateFact, other: api.RateFact | None = None, **ros: Any) -> api.Result:
+    def evaluate(self, rate: api.RateFact, other: api.RateFact | None = None, **ros: Any) -> api.Result:
         other = other or api.RateFact(self.hz, 0.1, 3.0, error_hz=0.0)
         topics = {TOPIC: api.TopicFact((endpoint(ONE),), (), rate), OTHER: api.TopicFact((endpoint(TWO),), (), other)}
         ros = {"nodes": BOTH, "topics": topics, **ros}
@@ -209,7 +209,7 @@ class TwoTopics:
 
     def silent(self, silent_s: float, beacon: api.BeaconFact | None, limit_s: float = 1.0) -> float | None:
         rate = api.RateFact(0.0, silent_s, limit_s=limit_s)
-        found = self.judge(rate, beacons={} if beacon is None else {ONE: beacon})
+        found = self.evaluate(rate, beacons={} if beacon is None else {ONE: beacon})
         assert found.condition == "silent"
         return found.settle_s
 
@@ -228,7 +228,7 @@ def test_a_silent_topic_of_a_possibly_hung_or_dead_node_settles(beacon: api.Beac
 def test_the_start_of_silence_of_a_large_topic_is_unknown() -> None:
     """It is sampled with pauses, so its node may have hung since its last message."""
     large = api.RateFact(0.0, 4.0, limit_s=3.0, sample_bytes=1e6)
-    assert TwoTopics().judge(large, beacons={ONE: beacon(0.1)}).settle_s is None
+    assert TwoTopics().evaluate(large, beacons={ONE: beacon(0.1)}).settle_s is None
 
 
 @pytest.mark.parametrize(("hz", "limit_s", "settles_s"), [(10.0, 1.0, 0.0), (2.5, 1.0, 1.0), (1.0, 1.5, 2.0)])
@@ -243,8 +243,8 @@ CHANGED = api.RateFact(2.5, 0.1, 1.6, error_hz=0.0, changed_s=1.6)
 def test_a_certain_rate_change_is_reported_immediately() -> None:
     """Each sample shows it: no second measurement, no settling."""
     bench = TwoTopics()
-    bench.judge(api.RateFact(5.0, 0.1, 3.0, error_hz=0.0))
-    found = bench.judge(CHANGED)
+    bench.evaluate(api.RateFact(5.0, 0.1, 3.0, error_hz=0.0))
+    found = bench.evaluate(CHANGED)
     assert (found.level, found.condition, found.settle_s) == (api.Level.ERROR, "rate_low", 0.0)
     assert found.summary.startswith("agent_1/topic_1: 2.500 Hz, 50 % too low")
 
@@ -261,8 +261,8 @@ def test_a_certain_rate_change_is_reported_immediately() -> None:
 def test_a_slow_machine_gets_the_usual_time(other: api.RateFact | None, beacon: api.BeaconFact) -> None:
     """The topic of another node changed too, or the node itself waits for a CPU."""
     bench = TwoTopics()
-    bench.judge(api.RateFact(5.0, 0.1, 3.0, error_hz=0.0))
-    assert bench.judge(CHANGED, other, beacons={ONE: beacon}).level is api.Level.OK
+    bench.evaluate(api.RateFact(5.0, 0.1, 3.0, error_hz=0.0))
+    assert bench.evaluate(CHANGED, other, beacons={ONE: beacon}).level is api.Level.OK
     bench.clock.advance(2.0)
-    found = bench.judge(CHANGED, other, beacons={ONE: beacon})
+    found = bench.evaluate(CHANGED, other, beacons={ONE: beacon})
     assert (found.level, found.settle_s) == (api.Level.ERROR, None)

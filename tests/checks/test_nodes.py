@@ -18,8 +18,8 @@ from tests.fakes.nodes_bench import (
     ONE,
     TOPIC,
     Bench,
-    beating,
-    flowing,
+    active_topic,
+    live_beacon,
     rated,
 )
 
@@ -134,7 +134,7 @@ def test_a_node_that_a_new_snapshot_had_and_lost_is_dead() -> None:
 def test_after_a_restart_of_the_ros_child_nothing_is_reported_before_discovery() -> None:
     """Its snapshot is empty at first: earlier names and beacons do not count."""
     bench = rated()
-    bench.ros.change(beacons=beating())
+    bench.ros.change(beacons=live_beacon())
     bench.after(3.0)
     levels = set()
 
@@ -145,7 +145,7 @@ def test_after_a_restart_of_the_ros_child_nothing_is_reported_before_discovery()
             bench.ros.work()
             bench.ros.change(up_s=passed - 1.0, nodes={}, topics={}, beacons={})
             if passed > 5.0:
-                bench.ros.change(nodes={NAME: 1}, topics=flowing(), beacons=beating())
+                bench.ros.change(nodes={NAME: 1}, topics=active_topic(), beacons=live_beacon())
         levels.add(bench.result().level)
 
     assert bench.after(8.0, child).level is api.Level.OK
@@ -186,12 +186,12 @@ def test_a_node_with_two_processes_is_a_duplicate_regardless_of_its_lease() -> N
 def test_two_processes_with_live_beacons_are_a_duplicate_immediately() -> None:
     """Graph, process list and beacons agree, which never happens when a new node overlaps with an old one."""
     bench = Bench()
-    bench.ros.change(beacons=beating())
+    bench.ros.change(beacons=live_beacon())
     bench.after(12.0)
     bench.ros.change(nodes={NAME: 2})
     bench.processes(MAIN, ONE, replace(ONE, pid=99))
     assert bench.after(1.0).level is api.Level.OK
-    bench.ros.change(beacons={NAME: replace(beating()[NAME], rivals=1)})
+    bench.ros.change(beacons={NAME: replace(live_beacon()[NAME], rivals=1)})
     result = bench.after(0.25)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_duplicate", "ros_app")
 
@@ -199,7 +199,7 @@ def test_two_processes_with_live_beacons_are_a_duplicate_immediately() -> None:
 def test_a_second_beacon_elsewhere_is_reported_without_waiting_for_a_lease() -> None:
     """The other node runs in no container of this agent, so nothing here is restarted for it."""
     bench = Bench()
-    bench.ros.change(nodes={NAME: 2}, beacons={NAME: replace(beating()[NAME], rivals=1)})
+    bench.ros.change(nodes={NAME: 2}, beacons={NAME: replace(live_beacon()[NAME], rivals=1)})
     result = bench.after(0.25)
     assert (result.level, result.condition, result.target) == (api.Level.WARN, "node_duplicate", "")
     assert "two processes send beacons under its name" in result.summary
@@ -211,7 +211,7 @@ def test_a_leftover_name_is_not_a_second_node() -> None:
     bench.ros.change(nodes={NAME: 2})
     assert bench.after(2 * TWICE_S).level is api.Level.OK
     ends = (api.EndpointFact(NAME, "std_msgs/msg/String"),) * 2
-    bench.ros.change(topics={TOPIC: replace(flowing()[TOPIC], publishers=ends)})
+    bench.ros.change(topics={TOPIC: replace(active_topic()[TOPIC], publishers=ends)})
     assert bench.after(TWICE_S + 0.5).condition == "node_duplicate"
 
 

@@ -17,8 +17,8 @@ from tests.fakes.nodes_bench import (
     ONE,
     TWO,
     Bench,
-    beating,
-    flowing,
+    active_topic,
+    live_beacon,
     pair,
     rated,
 )
@@ -58,9 +58,9 @@ def test_a_stale_graph_after_a_restart_raises_no_alarm() -> None:
     def restart(passed: float) -> None:
         if passed == 0.25:
             bench.restart_container(MAIN, api.ProcessFact(81, 1, "R", 0.0, ONE.command))
-        bench.ros.change(topics=flowing(passed), nodes={NAME: 1} if passed < 1.5 or passed > 4.0 else {})
+        bench.ros.change(topics=active_topic(passed), nodes={NAME: 1} if passed < 1.5 or passed > 4.0 else {})
         if passed > 4.0:
-            bench.ros.change(topics=flowing())
+            bench.ros.change(topics=active_topic())
         levels.append(bench.result().level)
 
     assert bench.after(6.0, restart).level is api.Level.OK
@@ -72,7 +72,7 @@ def test_a_stale_graph_after_a_restart_hides_no_dead_node() -> None:
     bench = rated()
     bench.after(3.0)
     bench.restart_container(MAIN)
-    result = bench.after(GRACE_S + 3.0, lambda passed: bench.ros.change(topics=flowing(passed)))
+    result = bench.after(GRACE_S + 3.0, lambda passed: bench.ros.change(topics=active_topic(passed)))
     assert (result.level, result.condition) == (api.Level.ERROR, "node_missing")
     assert "no process in its container matches it" in result.summary
 
@@ -85,7 +85,9 @@ def test_a_node_restarted_beside_its_siblings_is_not_dead() -> None:
 
     def relaunched(passed: float) -> None:
         bench.processes(MAIN, api.ProcessFact(95, 1, "S", 0.0, ONE.command))
-        bench.ros.change(topics=flowing(passed if passed < 2.0 else 0.0), nodes={} if 0.5 < passed < 2.0 else {NAME: 1})
+        bench.ros.change(
+            topics=active_topic(passed if passed < 2.0 else 0.0), nodes={} if 0.5 < passed < 2.0 else {NAME: 1}
+        )
         levels.append(bench.result().level)
 
     result = bench.after(5.0, relaunched)
@@ -133,12 +135,12 @@ def test_the_state_of_a_container_that_does_not_run_is_in_the_text(status: str, 
     bench = rated()
     bench.after(3.0)
     bench.docker.change("ros_app", status=status)
-    bench.ros.change(topics=flowing(0.5))
+    bench.ros.change(topics=active_topic(0.5))
     bench.clock.advance(0.25)
     result = bench.result()
     assert (result.condition, f"its container is {status}" in result.summary) == (condition, True)
     bench.docker.change("ros_app", status="running", started_at="later")
-    bench.ros.change(topics=flowing())
+    bench.ros.change(topics=active_topic())
     assert bench.after(1.25).level is api.Level.OK
 
 
@@ -151,7 +153,7 @@ def test_a_launcher_seen_before_its_nodes_is_not_one_of_them() -> None:
     bench.processes(main, replace(ONE, parent=main.pid))
     assert bench.after(12.0).values["process"] == "71 S"
     bench.processes(main)
-    bench.ros.change(topics=flowing(0.25))
+    bench.ros.change(topics=active_topic(0.25))
     bench.clock.advance(0.25)
     assert bench.result().brief == "node_1 dead"
 
@@ -159,7 +161,7 @@ def test_a_launcher_seen_before_its_nodes_is_not_one_of_them() -> None:
 # ---------------------------------------------------------------- missing after a start
 
 
-def born(bench: Bench, process: api.ProcessFact, ago_s: float) -> api.ProcessFact:
+def started_process(bench: Bench, process: api.ProcessFact, ago_s: float) -> api.ProcessFact:
     """The process as `ps` shows it, started `ago_s` before now: its age in whole seconds."""
     return replace(process, age_s=float(int(ago_s)))
 
@@ -172,7 +174,9 @@ def restarted(
     Returns a function that updates the world to each moment after the restart.
     """
     for passed in range(40):
-        bench.processes(MAIN, born(bench, ONE, 100 - late_s + passed / 4), born(bench, TWO, 100 + passed / 4))
+        bench.processes(
+            MAIN, started_process(bench, ONE, 100 - late_s + passed / 4), started_process(bench, TWO, 100 + passed / 4)
+        )
         bench.result()
         bench.clock.advance(0.25)
     bench.restart_container(MAIN)
@@ -180,7 +184,7 @@ def restarted(
 
     def later(passed: float) -> None:
         came = api.ProcessFact(92, 1, "S", 0.0, command)
-        bench.processes(MAIN, *([born(bench, came, passed - sibling_s)] if passed >= sibling_s else []))
+        bench.processes(MAIN, *([started_process(bench, came, passed - sibling_s)] if passed >= sibling_s else []))
 
     return later
 
@@ -269,7 +273,7 @@ def test_the_only_node_of_a_container_has_its_full_grace() -> None:
 def test_a_node_of_the_previous_generation_that_still_sends_was_not_started_in_this_one() -> None:
     """A container replaces another that still runs: its beacon and its topic are from the old one."""
     bench = rated(nodes=[{"name": "agent_1/node_1"}, {"name": "agent_1/node_2"}])
-    bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1}, beacons=beating())
+    bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1}, beacons=live_beacon())
     bench.processes(MAIN, ONE, TWO)
     later = restarted(bench)
     bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
@@ -277,7 +281,7 @@ def test_a_node_of_the_previous_generation_that_still_sends_was_not_started_in_t
     def overlapping(passed: float) -> None:
         later(passed)
         silent_s = max(0.0, passed - 0.5)
-        bench.ros.change(topics=flowing(silent_s), beacons=beating(0.1 + silent_s))
+        bench.ros.change(topics=active_topic(silent_s), beacons=live_beacon(0.1 + silent_s))
 
     _, result = first_bad(bench, overlapping)
     assert result.brief == "node_1 never started"

@@ -14,8 +14,8 @@ from tests.fakes.nodes_bench import (
     MAIN,
     NAME,
     Bench,
-    beating,
-    flowing,
+    active_topic,
+    live_beacon,
     rated,
 )
 
@@ -35,30 +35,30 @@ def test_a_lasting_doubt_is_polled_less_and_less() -> None:
     bench = rated()
     bench.after(3.0)
     before = bench.docker.listings
-    bench.after(5.0, lambda passed: bench.ros.change(topics=flowing(passed)))
+    bench.after(5.0, lambda passed: bench.ros.change(topics=active_topic(passed)))
     assert 6 <= bench.docker.listings - before <= 9
-    bench.after(120.0, lambda passed: bench.ros.change(topics=flowing(5.0 + passed)))
+    bench.after(120.0, lambda passed: bench.ros.change(topics=active_topic(5.0 + passed)))
     before = bench.docker.listings
-    bench.after(100.0, lambda passed: bench.ros.change(topics=flowing(125.0 + passed)))
+    bench.after(100.0, lambda passed: bench.ros.change(topics=active_topic(125.0 + passed)))
     assert bench.docker.listings - before == 100 // QUIET_S
 
 
 def test_a_jittering_topic_does_not_cost_a_process_list_each_time() -> None:
     """It is late, recovers and is late again: one long doubt."""
     bench = rated()
-    bench.after(120.0, lambda passed: bench.ros.change(topics=flowing(0.5 if passed % 1.0 else 0.0)))
+    bench.after(120.0, lambda passed: bench.ros.change(topics=active_topic(0.5 if passed % 1.0 else 0.0)))
     before = bench.docker.listings
-    bench.after(100.0, lambda passed: bench.ros.change(topics=flowing(0.5 if passed % 1.0 else 0.0)))
+    bench.after(100.0, lambda passed: bench.ros.change(topics=active_topic(0.5 if passed % 1.0 else 0.0)))
     assert bench.docker.listings - before <= 100 // QUIET_S + 1
 
 
 def test_a_lasting_doubt_hides_no_new_one() -> None:
     """The topic has been silent for minutes for another reason; then the beacon is late: polled immediately."""
     bench = rated()
-    bench.ros.change(beacons=beating())
-    bench.after(300.0, lambda passed: bench.ros.change(topics=flowing(passed)))
+    bench.ros.change(beacons=live_beacon())
+    bench.after(300.0, lambda passed: bench.ros.change(topics=active_topic(passed)))
     bench.processes(MAIN)
-    bench.ros.change(beacons=beating(0.5))
+    bench.ros.change(beacons=live_beacon(0.5))
     bench.clock.advance(0.25)
     assert bench.result().brief == "node_1 dead"
 
@@ -71,7 +71,7 @@ def test_a_stale_name_beside_the_new_one_is_not_a_lasting_doubt() -> None:
     bench.ros.change(nodes={NAME: 2})
     assert bench.after(12.0).level is api.Level.OK
     bench.processes(MAIN)
-    bench.ros.change(topics=flowing(0.25))
+    bench.ros.change(topics=active_topic(0.25))
     bench.clock.advance(0.25)
     assert bench.result().brief == "node_1 dead"
 

@@ -17,8 +17,8 @@ from tests.fakes.nodes_bench import (
     ONE,
     TOPIC,
     Bench,
-    beating,
-    flowing,
+    active_topic,
+    live_beacon,
     rated,
 )
 
@@ -28,7 +28,7 @@ def test_a_killed_node_is_dead_as_soon_as_its_topic_is_late() -> None:
     bench = rated()
     bench.after(3.0)
     bench.processes(MAIN)
-    bench.ros.change(topics=flowing(0.25))
+    bench.ros.change(topics=active_topic(0.25))
     bench.clock.advance(0.25)
     result = bench.result()
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "node_missing", "node_1 dead")
@@ -41,7 +41,7 @@ def test_only_evidence_from_its_process_is_conclusive() -> None:
     bench.after(3.0)
     assert not bench.result().evidence.conclusive
     bench.processes(MAIN, api.ProcessFact(71, 1, "T", 5.0, ONE.command))
-    bench.ros.change(topics=flowing(0.5))
+    bench.ros.change(topics=active_topic(0.5))
     stopped = bench.after(1.0)
     assert (stopped.condition, stopped.evidence.conclusive) == ("node_hung", True)
     bench.processes(MAIN, ONE)
@@ -56,10 +56,10 @@ def test_only_evidence_from_its_process_is_conclusive() -> None:
 def test_a_killed_node_is_dead_as_soon_as_its_beacon_is_late() -> None:
     """Two missed heartbeats trigger a process list, which proves it."""
     bench = Bench()
-    bench.ros.change(beacons=beating())
+    bench.ros.change(beacons=live_beacon())
     bench.after(3.0)
     bench.processes(MAIN)
-    bench.ros.change(beacons=beating(0.55))
+    bench.ros.change(beacons=live_beacon(0.55))
     bench.clock.advance(0.25)
     assert bench.result().brief == "node_1 dead"
 
@@ -78,7 +78,7 @@ def test_a_stopped_node_is_hung(state: str) -> None:
     bench = rated()
     bench.after(3.0)
     bench.processes(MAIN, api.ProcessFact(71, 1, state, 5.0, ONE.command))
-    bench.ros.change(topics=flowing(0.5))
+    bench.ros.change(topics=active_topic(0.5))
     bench.clock.advance(0.25)
     result = bench.result()
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "node_hung", "node_1 hung")
@@ -87,7 +87,7 @@ def test_a_stopped_node_is_hung(state: str) -> None:
     bench.ros.change(nodes={}, topics={})
     assert bench.after(5.0).condition == "node_hung"
     bench.processes(MAIN, ONE)
-    bench.ros.change(nodes={NAME: 1}, topics=flowing())
+    bench.ros.change(nodes={NAME: 1}, topics=active_topic())
     assert bench.after(1.5).level is api.Level.OK
 
 
@@ -95,13 +95,13 @@ def test_a_stopped_node_is_hung(state: str) -> None:
 def test_a_busy_node_is_not_dead(state: str) -> None:
     """A callback computes for 5 s, on the main thread or another one: its beacon and its topic fall silent."""
     bench = rated()
-    bench.ros.change(beacons=beating())
+    bench.ros.change(beacons=live_beacon())
     bench.after(3.0)
     levels = []
 
     def busy(passed: float) -> None:
         bench.processes(MAIN, api.ProcessFact(71, 1, state, 5.0 + passed // 1, ONE.command))
-        bench.ros.change(topics=flowing(passed), beacons=beating(0.1, late_s=passed))
+        bench.ros.change(topics=active_topic(passed), beacons=live_beacon(0.1, late_s=passed))
         levels.append(bench.result().level)
 
     result = bench.after(5.0, busy)
@@ -114,12 +114,12 @@ def test_a_busy_node_is_not_dead(state: str) -> None:
 def test_a_sleeping_executor_is_hung() -> None:
     """A deadlock: the beacon reports it, the process sleeps. Unknown before HANG_S, so that topics wait."""
     bench = rated()
-    bench.ros.change(beacons=beating())
+    bench.ros.change(beacons=live_beacon())
     bench.after(3.0)
     levels = []
 
     def asleep(passed: float) -> None:
-        bench.ros.change(topics=flowing(passed), beacons=beating(0.1, late_s=passed))
+        bench.ros.change(topics=active_topic(passed), beacons=live_beacon(0.1, late_s=passed))
         levels.append(bench.result().level)
 
     result = bench.after(HANG_S + 0.5, asleep)
@@ -134,14 +134,14 @@ def test_a_silent_topic_of_a_live_node_is_not_a_fault_of_the_node() -> None:
     """Its process runs and it is listed: the topic has its own report."""
     bench = rated()
     bench.after(3.0)
-    assert bench.after(60.0, lambda passed: bench.ros.change(topics=flowing(passed))).level is api.Level.OK
+    assert bench.after(60.0, lambda passed: bench.ros.change(topics=active_topic(passed))).level is api.Level.OK
 
 
 @pytest.mark.parametrize("figures", ["lost", "never there", "no list"])
 def test_a_node_without_cpu_figures_of_its_process_is_not_hung(figures: str) -> None:
     """The engine no longer reports the CPU time, as after one HTTP 500: the node may be busy and is not restarted."""
     bench = rated()
-    bench.ros.change(beacons=beating())
+    bench.ros.change(beacons=live_beacon())
     if figures == "never there":
         bench.processes(MAIN, replace(ONE, cpu_s=None))
     bench.after(12.0)
@@ -152,7 +152,7 @@ def test_a_node_without_cpu_figures_of_its_process_is_not_hung(figures: str) -> 
     seen: list[str] = []
 
     def hang(passed: float) -> None:
-        bench.ros.change(topics=flowing(passed), beacons=beating(0.1, late_s=passed))
+        bench.ros.change(topics=active_topic(passed), beacons=live_beacon(0.1, late_s=passed))
         seen.append(bench.result().condition)
 
     result = bench.after(60.0, hang)
@@ -170,7 +170,7 @@ def test_an_unknown_process_is_not_a_dead_node() -> None:
     bench = rated()
     bench.after(3.0)
     del bench.docker.lists["ros_app"]
-    assert bench.after(5.0, lambda passed: bench.ros.change(topics=flowing(passed))).level is api.Level.OK
+    assert bench.after(5.0, lambda passed: bench.ros.change(topics=active_topic(passed))).level is api.Level.OK
 
 
 @pytest.mark.parametrize("gone", [True, False])
@@ -188,9 +188,9 @@ def test_without_a_known_process_the_beacon_decides() -> None:
     """Silent for three periods: it has its own thread, so the process is dead or stopped."""
     bench = Bench()
     bench.processes(MAIN)
-    bench.ros.change(beacons=beating())
+    bench.ros.change(beacons=live_beacon())
     bench.after(3.0)
-    bench.ros.change(beacons=beating(0.75))
+    bench.ros.change(beacons=live_beacon(0.75))
     result = bench.result()
     assert (result.level, result.condition) == (api.Level.ERROR, "node_missing")
     assert ": its beacon has been silent for 0.8 s; it is listed in the graph" in result.summary
@@ -201,14 +201,16 @@ def test_a_late_ros_child_makes_no_node_silent(silent: str) -> None:
     """While PHM's own child process is late, no node is received: that is not their silence, and costs no list."""
     bench = rated()
     bench.processes(MAIN)
-    bench.ros.change(beacons=beating() if silent == "beacon" else {}, topics=flowing() if silent == "topic" else {})
+    bench.ros.change(
+        beacons=live_beacon() if silent == "beacon" else {}, topics=active_topic() if silent == "topic" else {}
+    )
     bench.after(20.0)
     before = bench.docker.listings
     bench.ros.change(age_s=2.0)
     if silent == "beacon":
-        bench.ros.change(beacons=beating(2.2))
+        bench.ros.change(beacons=live_beacon(2.2))
     else:
-        bench.ros.change(topics=flowing(2.0))
+        bench.ros.change(topics=active_topic(2.0))
     assert bench.result().level is api.Level.OK
     assert bench.docker.listings == before
 
@@ -235,12 +237,12 @@ def test_a_beacon_of_the_previous_node_does_not_count() -> None:
     """The node is in the graph again, as another program without a beacon: the silence is that of its predecessor."""
     bench = Bench()
     bench.processes(MAIN)
-    bench.ros.change(beacons=beating())
+    bench.ros.change(beacons=live_beacon())
     bench.after(3.0)
     silence = 0.0
 
     def silent(passed: float) -> None:
-        bench.ros.change(beacons=beating(silence + passed))
+        bench.ros.change(beacons=live_beacon(silence + passed))
 
     bench.ros.change(nodes={})
     assert bench.after(2.0, silent).brief == "node_1 dead"

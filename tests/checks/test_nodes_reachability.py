@@ -15,7 +15,7 @@ from tests.fakes.nodes_bench import (
     ONE,
     TOPIC,
     Bench,
-    beating,
+    live_beacon,
     pair,
 )
 
@@ -64,7 +64,7 @@ def test_a_node_is_dead_unless_all_nodes_of_its_container_run_unreachable(why: s
     bench.after(3.0)
     bench.ros.change(nodes={"/agent_1/node_2": 1} if why == "one is listed" else {})
     if why == "one is received":
-        bench.after(LOST_S + 1.0, lambda _: bench.ros.change(beacons={"/agent_1/node_2": beating()[NAME]}))
+        bench.after(LOST_S + 1.0, lambda _: bench.ros.change(beacons={"/agent_1/node_2": live_beacon()[NAME]}))
     if why == "one ended":
         bench.processes(MAIN, ONE)
     if why == "the processes are unknown":

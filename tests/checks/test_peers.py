@@ -15,37 +15,37 @@ ALIVE = PeerFact("alive", 1.0, (1, 2), ())
 LOST = PeerFact("lost", 20.0, (), (1, 2))
 
 
-def judge(peers: dict[int, PeerFact], agents: tuple[int, ...] = (2, 3, 4), **fields: Any) -> dict[str, Result]:
+def evaluate(peers: dict[int, PeerFact], agents: tuple[int, ...] = (2, 3, 4), **fields: Any) -> dict[str, Result]:
     living = 1 + sum(peer.state != "lost" for peer in peers.values())
     swarm = testing.FakeSwarm(peers=peers, members=1 + len(peers), living=living, **fields)
     return dict(Peers(agents).run(testing.world(swarm=swarm)))
 
 
 def test_all_agents_alive_is_ok() -> None:
-    results = judge(dict.fromkeys((2, 3, 4), ALIVE))
+    results = evaluate(dict.fromkeys((2, 3, 4), ALIVE))
     assert {result.level for result in results.values()} == {Level.OK}
     assert results[SWARM].summary == "4 of 4 agents of the swarm are alive"
 
 
 def test_one_lost_agent_is_reported_by_its_own_unit() -> None:
-    results = judge({2: ALIVE, 3: LOST, 4: ALIVE})
+    results = evaluate({2: ALIVE, 3: LOST, 4: ALIVE})
     assert (results["peers/A03"].level, results["peers/A03"].condition) == (Level.ERROR, "peer_lost")
     assert results["peers/A03"].brief == "A03 lost"
     assert results[SWARM].level is Level.OK
 
 
 def test_agents_that_still_receive_the_lost_one_are_named() -> None:
-    results = judge({2: ALIVE, 3: PeerFact("lost", 20.0, (4,), (1, 2)), 4: ALIVE})
+    results = evaluate({2: ALIVE, 3: PeerFact("lost", 20.0, (4,), (1, 2)), 4: ALIVE})
     assert "no heartbeat received by A01 A02, here for 20 s, but still received by A04" in results["peers/A03"].summary
 
 
 def test_a_loss_is_conclusive_when_others_confirm_it() -> None:
     """What only this agent misses may be caused by its own delay."""
     mine = PeerFact("lost", 20.0, (), (1,))
-    results = judge({2: ALIVE, 3: LOST, 4: mine})
+    results = evaluate({2: ALIVE, 3: LOST, 4: mine})
     assert [results[unit].evidence.conclusive for unit in ("peers/A03", "peers/A04")] == [True, False]
-    assert judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM].evidence.conclusive is True
-    assert judge({2: LOST, 3: LOST, 4: LOST})[SWARM].evidence.conclusive is False
+    assert evaluate({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM].evidence.conclusive is True
+    assert evaluate({2: LOST, 3: LOST, 4: LOST})[SWARM].evidence.conclusive is False
 
 
 @pytest.mark.parametrize(
@@ -58,19 +58,19 @@ def test_a_loss_is_conclusive_when_others_confirm_it() -> None:
     ],
 )
 def test_each_other_state_has_its_level_and_condition(peer: PeerFact, level: Level, condition: str) -> None:
-    result = judge({2: ALIVE, 3: peer, 4: ALIVE})["peers/A03"]
+    result = evaluate({2: ALIVE, 3: peer, 4: ALIVE})["peers/A03"]
     assert (result.level, result.condition) == (level, condition)
 
 
 def test_a_configured_agent_that_was_never_received_is_missing() -> None:
     """The probe does not know it either."""
-    assert judge({2: ALIVE}, (2, 9))["peers/A09"].condition == "peer_never_seen"
+    assert evaluate({2: ALIVE}, (2, 9))["peers/A09"].condition == "peer_never_seen"
 
 
 def test_a_split_is_one_fault_and_the_cause_of_the_single_losses() -> None:
     check = Peers((2, 3, 4))
     assert all(unit.needs == (SWARM,) for unit in check.units if unit.id != SWARM)
-    result = judge({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM]
+    result = evaluate({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM]
     assert (result.level, result.condition) == (Level.ERROR, "split")
     assert "A03 A04 disappeared together and A01 A02 are still reachable" in result.summary
 
@@ -99,38 +99,38 @@ def test_agents_that_return_one_by_one_are_not_reported_each_time() -> None:
 
 
 def test_losing_all_agents_is_a_fault_of_the_own_radio() -> None:
-    result = judge({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[SWARM]
+    result = evaluate({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[SWARM]
     assert (result.condition, result.brief) == ("alone", "all peers lost")
 
 
 def test_an_agent_that_receives_others_is_not_isolated() -> None:
     """Regardless of what these report of each other."""
-    heard = PeerFact("lost", 1.0, (1,), (2, 3))
-    assert judge({2: heard, 3: heard}, (2, 3))[SWARM].level is Level.OK
+    partly_lost = PeerFact("lost", 1.0, (1,), (2, 3))
+    assert evaluate({2: partly_lost, 3: partly_lost}, (2, 3))[SWARM].level is Level.OK
 
 
 def test_the_only_other_agent_lost_is_reported_as_lost() -> None:
-    results = judge({2: LOST}, (2,))
+    results = evaluate({2: LOST}, (2,))
     assert results[SWARM].level is Level.OK
     assert results["peers/A02"].level is Level.ERROR
 
 
 def test_a_duplicate_id_is_reported_first() -> None:
-    result = judge({2: ALIVE}, duplicate_ids=(2,))[SWARM]
+    result = evaluate({2: ALIVE}, duplicate_ids=(2,))[SWARM]
     assert (result.condition, result.brief) == ("id_clash", "A02 id used twice")
 
 
 def test_without_configuration_received_agents_are_expected() -> None:
-    result = judge({2: ALIVE, 3: LOST}, ())[SWARM]
+    result = evaluate({2: ALIVE, 3: LOST}, ())[SWARM]
     assert (result.level, result.brief) == (Level.ERROR, "A03 lost")
 
 
 def test_without_configuration_a_received_agent_is_lost_no_sooner_than_a_configured_one() -> None:
     """A report that is still in transit may say that it is alive, or that several are lost."""
     fresh = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=1.0)
-    assert judge({2: ALIVE, 3: fresh}, ())[SWARM].level is Level.OK
+    assert evaluate({2: ALIVE, 3: fresh}, ())[SWARM].level is Level.OK
     lasting = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=SETTLE_S)
-    assert judge({2: ALIVE, 3: lasting}, ())[SWARM].condition == "peer_partly"
+    assert evaluate({2: ALIVE, 3: lasting}, ())[SWARM].condition == "peer_partly"
 
 
 def test_a_common_loss_is_reported_immediately_and_single_agents_after_it() -> None:
@@ -139,7 +139,7 @@ def test_a_common_loss_is_reported_immediately_and_single_agents_after_it() -> N
 
 
 def test_without_expected_agents_being_alone_is_ok() -> None:
-    result = judge({}, ())[SWARM]
+    result = evaluate({}, ())[SWARM]
     assert result.level is Level.OK
     assert result.bypass
 

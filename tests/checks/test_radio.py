@@ -10,7 +10,7 @@ import pytest
 from phm import api, testing
 from phm_checks.radio import Radio
 
-WELL = api.RadioFact("ground", 0.5, 2.0, 180, 175, 40, 45, 98, 140.0, 130.0, 0.2, 0.1)
+HEALTHY = api.RadioFact("ground", 0.5, 2.0, 180, 175, 40, 45, 98, 140.0, 130.0, 0.2, 0.1)
 OPEN = api.LinkFact("ground", open=True, rx_age_s=0.5)
 
 
@@ -20,14 +20,14 @@ def check(radio: str = "auto", **mavlink: Any) -> api.Check:
     return one
 
 
-def run(judge: api.Check, *radios: api.RadioFact, link: api.LinkFact = OPEN) -> api.Result:
-    result = judge.run(testing.world(links=testing.FakeLinks(links=(link,), radios=radios)))
+def run(radio_check: api.Check, *radios: api.RadioFact, link: api.LinkFact = OPEN) -> api.Result:
+    result = radio_check.run(testing.world(links=testing.FakeLinks(links=(link,), radios=radios)))
     assert isinstance(result, api.Result)
     return result
 
 
 def changed(**fields: Any) -> api.RadioFact:
-    return dataclasses.replace(WELL, **fields)
+    return dataclasses.replace(HEALTHY, **fields)
 
 
 def test_a_radio_is_expected_on_ground_links() -> None:
@@ -44,7 +44,7 @@ def test_a_radio_is_expected_on_ground_links() -> None:
 
 def test_a_working_radio_is_ok() -> None:
     """Its numbers are in the record."""
-    result = run(check(), WELL)
+    result = run(check(), HEALTHY)
     assert result.level is api.Level.OK
     expected = {"rssi": 180, "remrssi": 175, "noise": 40, "remnoise": 45, "txbuf_percent": 98, "margin": 140.0}
     assert {name: result.values[name] for name in expected} == expected
@@ -64,15 +64,15 @@ def test_a_radio_that_was_never_received_is_a_fault_only_if_required() -> None:
 
 def test_a_silent_radio_is_an_error() -> None:
     """Silence beyond `radio_timeout` is reported with its duration, as a stable number."""
-    judge = check()
-    result = run(judge, changed(age_s=6.0))
+    radio_check = check()
+    result = run(radio_check, changed(age_s=6.0))
     assert (result.level, result.condition, result.brief) == (
         api.Level.ERROR,
         "radio_silent",
         "radio: no RADIO_STATUS 6 s",
     )
-    assert run(judge, changed(age_s=8.0)).brief == "radio: no RADIO_STATUS 6 s"
-    assert run(judge, changed(age_s=13.0)).brief == "radio: no RADIO_STATUS 13 s"
+    assert run(radio_check, changed(age_s=8.0)).brief == "radio: no RADIO_STATUS 6 s"
+    assert run(radio_check, changed(age_s=13.0)).brief == "radio: no RADIO_STATUS 13 s"
 
 
 def test_the_timeout_follows_the_period_of_the_radio() -> None:
@@ -121,17 +121,17 @@ def test_values_that_the_radio_does_not_report_are_ignored() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "bad", "between", "well"),
+    ("name", "bad", "between", "good"),
     [("margin", 14.0, 17.0, 20.0), ("txbuf", 19, 25, 31), ("rxerrors_s", 6.0, 4.0, 2.0)],
 )
-def test_a_value_at_its_limit_does_not_flap(name: str, bad: float, between: float, well: float) -> None:
+def test_a_value_at_its_limit_does_not_flap(name: str, bad: float, between: float, good: float) -> None:
     """A bad value must become clearly better; a good one may go up to the limit."""
-    judge = check()
-    assert run(judge, changed(**{name: between})).level is api.Level.OK
-    assert run(judge, changed(**{name: bad})).level is api.Level.WARN
-    assert run(judge, changed(**{name: between})).level is api.Level.WARN
-    assert run(judge, changed(**{name: well})).level is api.Level.OK
-    assert run(judge, changed(**{name: between})).level is api.Level.OK
+    radio_check = check()
+    assert run(radio_check, changed(**{name: between})).level is api.Level.OK
+    assert run(radio_check, changed(**{name: bad})).level is api.Level.WARN
+    assert run(radio_check, changed(**{name: between})).level is api.Level.WARN
+    assert run(radio_check, changed(**{name: good})).level is api.Level.OK
+    assert run(radio_check, changed(**{name: between})).level is api.Level.OK
 
 
 def test_limits_are_configurable() -> None:
@@ -145,7 +145,7 @@ def test_two_radios_have_separate_lines() -> None:
     """With several endpoints each line names its own."""
     entries = [{"url": f"tcp:10.0.0.1:{n}", "name": f"r{n}"} for n in (1, 2)]
     checks = list(Radio.build(testing.settings(mavlink={"endpoints": entries})))
-    lost = dataclasses.replace(WELL, link="r2", age_s=6.0)
+    lost = dataclasses.replace(HEALTHY, link="r2", age_s=6.0)
     links = testing.FakeLinks(links=(api.LinkFact("r1", open=True), api.LinkFact("r2", open=True)), radios=(lost,))
     results = [one.run(testing.world(links=links)) for one in checks]
     assert [result.brief for result in results if isinstance(result, api.Result)] == [

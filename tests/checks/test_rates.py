@@ -26,7 +26,7 @@ class Bench:
         (self.check,) = Rates.build(settings)
         self.clock, self.ros = testing.FakeClock(), testing.FakeRos()
 
-    def judge(
+    def evaluate(
         self,
         hz: float | None = None,
         silent_s: float | None = 0.1,
@@ -47,9 +47,9 @@ class Bench:
 
     def twice(self, hz: float, apart_s: float = WINDOW_S + 0.1, **rate: Any) -> api.Result:
         """Two measurements; the second one decides."""
-        self.judge(hz, **rate)
+        self.evaluate(hz, **rate)
         self.clock.advance(apart_s)
-        return self.judge(hz, **rate)
+        return self.evaluate(hz, **rate)
 
 
 def test_topics_without_a_rate_have_no_unit() -> None:
@@ -60,9 +60,9 @@ def test_topics_without_a_rate_have_no_unit() -> None:
 def test_the_expected_rate_is_ok() -> None:
     """Within the tolerance, limits included, in the format of the paper's log."""
     bench = Bench()
-    assert bench.judge(0.999).summary == "agent_1/topic_1: 0.999"
-    assert bench.judge(1.1).level is api.Level.OK
-    assert bench.judge(0.9).level is api.Level.OK
+    assert bench.evaluate(0.999).summary == "agent_1/topic_1: 0.999"
+    assert bench.evaluate(1.1).level is api.Level.OK
+    assert bench.evaluate(0.9).level is api.Level.OK
 
 
 @pytest.mark.parametrize(
@@ -101,15 +101,15 @@ def test_each_topic_has_its_own_limits(hz: float, level: api.Level) -> None:
 def test_one_measurement_outside_is_not_reported() -> None:
     """The previous report remains until a second measurement confirms it; an early second check does not count."""
     bench = Bench(10.0)
-    bench.judge(10.0)
-    assert bench.judge(5.0).level is api.Level.OK
+    bench.evaluate(10.0)
+    assert bench.evaluate(5.0).level is api.Level.OK
     bench.clock.advance(0.1)
-    assert bench.judge(5.0).level is api.Level.OK
+    assert bench.evaluate(5.0).level is api.Level.OK
     bench.clock.advance(1.0)
-    assert bench.judge(10.0).level is api.Level.OK
-    assert bench.judge(5.0).level is api.Level.OK
+    assert bench.evaluate(10.0).level is api.Level.OK
+    assert bench.evaluate(5.0).level is api.Level.OK
     bench.clock.advance(CONFIRM_S + 0.01)
-    assert bench.judge(5.0).level is api.Level.ERROR
+    assert bench.evaluate(5.0).level is api.Level.ERROR
 
 
 def test_confirming_measurements_share_no_sample_if_single_samples_matter() -> None:
@@ -135,40 +135,40 @@ def test_a_slow_topic_of_unknown_jitter_is_stale() -> None:
 
 def test_a_first_measurement_outside_is_stale() -> None:
     """There is no previous report that could remain."""
-    assert Bench().judge(0.5).level is api.Level.STALE
+    assert Bench().evaluate(0.5).level is api.Level.STALE
 
 
 def test_a_rate_at_the_limit_does_not_flap() -> None:
     """A level ends only well inside its limit."""
     bench = Bench()
     assert bench.twice(0.85).level is api.Level.WARN
-    levels = [bench.judge(hz).level for hz in (0.905, 0.895, 0.905, 0.895)]
+    levels = [bench.evaluate(hz).level for hz in (0.905, 0.895, 0.905, 0.895)]
     assert set(levels) == {api.Level.WARN}
-    assert bench.judge(0.95).level is api.Level.OK
+    assert bench.evaluate(0.95).level is api.Level.OK
 
 
 def test_a_jittering_rate_keeps_its_brief() -> None:
     """The number in the brief changes only when the rate does."""
     bench = Bench()
     bench.twice(0.5)
-    assert {bench.judge(hz).brief for hz in (0.51, 0.49, 0.5, 0.53)} == {"topic_1 0.5 Hz, not 1"}
+    assert {bench.evaluate(hz).brief for hz in (0.51, 0.49, 0.5, 0.53)} == {"topic_1 0.5 Hz, not 1"}
 
 
 def test_the_sampler_decides_what_is_silent() -> None:
     """A rate of 0.0; the text has the duration and the limit."""
-    result = Bench().judge(hz=0.0, silent_s=1.8)
+    result = Bench().evaluate(hz=0.0, silent_s=1.8)
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "silent", "topic_1 silent")
     assert "Silent for 1.8 s, expected 1 Hz and no gap over 1.5 s" in result.summary
 
 
 def test_a_delay_of_phm_itself_is_not_silence() -> None:
     """The child is late, so its last snapshot grows old; it reported no silence."""
-    assert Bench().judge(hz=1.0, silent_s=2.9, age_s=2.8).level is api.Level.OK
+    assert Bench().evaluate(hz=1.0, silent_s=2.9, age_s=2.8).level is api.Level.OK
 
 
 def test_a_topic_without_any_sample_is_an_error() -> None:
     """Listed, but not one sample: another fault than silence, often of the transport."""
-    result = Bench().judge(silent_s=None)
+    result = Bench().evaluate(silent_s=None)
     assert (result.level, result.condition) == (api.Level.ERROR, "not_received")
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
 
@@ -234,29 +234,29 @@ def test_a_single_node_may_have_no_data_to_send() -> None:
 def test_a_slow_topic_gets_time() -> None:
     """Three periods of a 0.1 Hz topic are 30 s."""
     bench = Bench(0.1)
-    assert bench.judge(silent_s=None, up_s=20.0).level is api.Level.STALE
-    assert bench.judge(silent_s=None, up_s=31.0).condition == "not_received"
+    assert bench.evaluate(silent_s=None, up_s=20.0).level is api.Level.STALE
+    assert bench.evaluate(silent_s=None, up_s=31.0).condition == "not_received"
 
 
 def test_restarts_of_the_ros_child_do_not_hide_a_slow_topic_permanently() -> None:
     """It has been awaited long enough; after a restart only discovery gets its grace."""
     bench = Bench(0.01)
-    assert bench.judge(silent_s=None, up_s=20.0, listened_s=299.0).level is api.Level.STALE
-    assert bench.judge(silent_s=None, up_s=2.0, listened_s=400.0).level is api.Level.STALE
-    assert bench.judge(silent_s=None, up_s=20.0, listened_s=400.0).condition == "not_received"
+    assert bench.evaluate(silent_s=None, up_s=20.0, listened_s=299.0).level is api.Level.STALE
+    assert bench.evaluate(silent_s=None, up_s=2.0, listened_s=400.0).level is api.Level.STALE
+    assert bench.evaluate(silent_s=None, up_s=20.0, listened_s=400.0).condition == "not_received"
 
 
 @pytest.mark.parametrize("problem", ["type unknown: x", "ambiguous: 9 publishers", "QoS mismatch: y"])
 def test_an_unknown_rate_is_stale(problem: str) -> None:
     """The topic is not at fault, and the text has the reason."""
-    result = Bench().judge(silent_s=None, problem=problem)
+    result = Bench().evaluate(silent_s=None, problem=problem)
     assert result.level is api.Level.STALE
     assert problem in result.summary
 
 
 def test_a_rate_still_being_measured_is_stale() -> None:
     """Two samples far enough apart are needed first."""
-    assert Bench().judge(hz=None).level is api.Level.STALE
+    assert Bench().evaluate(hz=None).level is api.Level.STALE
 
 
 @pytest.mark.parametrize(

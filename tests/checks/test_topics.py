@@ -25,7 +25,7 @@ def build(**topic: Any) -> api.Check:
     return check
 
 
-def judge(check: api.Check, fact: api.TopicFact | None, **ros: Any) -> api.Result:
+def evaluate(check: api.Check, fact: api.TopicFact | None, **ros: Any) -> api.Result:
     topics = {} if fact is None else {NAME: fact}
     results = check.run(testing.world(ros=testing.FakeRos(topics=topics, **ros)))
     assert not isinstance(results, api.Result)
@@ -38,7 +38,7 @@ PAIR = api.TopicFact((endpoint(),), (endpoint("/agent_1/node_2"),))
 def test_a_connected_topic_is_ok() -> None:
     """All named endpoints exist and have the configured type."""
     check = build(type=STRING, publishers=["agent_1/node_1"], subscribers=["/agent_1/node_2"])
-    assert judge(check, PAIR).level is api.Level.OK
+    assert evaluate(check, PAIR).level is api.Level.OK
 
 
 def test_a_topic_depends_on_its_nodes_and_their_container() -> None:
@@ -51,13 +51,13 @@ def test_a_topic_depends_on_its_nodes_and_their_container() -> None:
 @pytest.mark.parametrize("fact", [None, api.TopicFact()])
 def test_a_topic_without_endpoints_is_missing(fact: api.TopicFact | None) -> None:
     """No node publishes or subscribes to it."""
-    result = judge(build(), fact)
+    result = evaluate(build(), fact)
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "topic_missing", "topic_1 missing")
 
 
 def test_a_topic_with_subscribers_only_lacks_its_publisher() -> None:
     """Any publisher is accepted if none is named, but one must exist."""
-    assert judge(build(), api.TopicFact((), (endpoint(),))).condition == "publisher_missing"
+    assert evaluate(build(), api.TopicFact((), (endpoint(),))).condition == "publisher_missing"
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_a_topic_with_subscribers_only_lacks_its_publisher() -> None:
 )
 def test_a_missing_named_endpoint_is_reported(side: str, condition: str) -> None:
     """Another node in its place does not count, and a similar name is suggested."""
-    result = judge(build(**{side: ["/agent_1/node_7"]}), PAIR)
+    result = evaluate(build(**{side: ["/agent_1/node_7"]}), PAIR)
     assert (result.level, result.condition) == (api.Level.ERROR, condition)
     assert "node_7" in result.brief and "Did you mean" in result.summary
 
@@ -77,10 +77,10 @@ def test_an_endpoint_dropped_by_a_running_node_is_lost(kind: str, left: tuple[An
     """It existed and its node still runs: a restart of that node's container restores it, so that is the target."""
     check = build(publishers=["/agent_1/node_1"], subscribers=["/agent_1/node_2"])
     nodes = {"/agent_1/node_1": 1, "/agent_1/node_2": 1}
-    assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
-    result = judge(check, api.TopicFact(*left), nodes=nodes)
+    assert evaluate(check, PAIR, nodes=nodes).level is api.Level.OK
+    result = evaluate(check, api.TopicFact(*left), nodes=nodes)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, f"{kind}_lost", "ros_app")
-    assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
+    assert evaluate(check, PAIR, nodes=nodes).level is api.Level.OK
 
 
 def test_a_missing_endpoint_of_a_restarted_node_is_not_lost() -> None:
@@ -88,9 +88,9 @@ def test_a_missing_endpoint_of_a_restarted_node_is_not_lost() -> None:
     check = build(subscribers=["/agent_1/node_2"])
     nodes = {"/agent_1/node_2": 1}
     alone = api.TopicFact(PAIR.publishers)
-    judge(check, PAIR, nodes=nodes)
-    judge(check, alone, nodes={})
-    assert judge(check, alone, nodes=nodes).condition == "subscriber_missing"
+    evaluate(check, PAIR, nodes=nodes)
+    evaluate(check, alone, nodes={})
+    assert evaluate(check, alone, nodes=nodes).condition == "subscriber_missing"
 
 
 INT = "std_msgs/msg/Int32"
@@ -116,7 +116,7 @@ def test_a_wrong_type_is_reported_for_its_endpoint(
         tuple(endpoint(f"/agent_1/node_1{'0' * n}", kind) for n, kind in enumerate(out)),
         tuple(endpoint(TWO, kind) for kind in into),
     )
-    result = judge(build(type=STRING, **topic), fact)
+    result = evaluate(build(type=STRING, **topic), fact)
     assert (result.level, result.condition) == (level, "type_wrong")
     assert f"type {INT} at {'publisher' if INT in out else 'subscriber'} /agent_1/node_" in result.summary
 
@@ -131,14 +131,14 @@ def test_a_wrong_type_is_reported_for_its_endpoint(
 )
 def test_mixed_types_are_an_error_for_a_required_pair(topic: Any, level: api.Level) -> None:
     """Which type is wrong is unknown, but the named subscriber receives nothing."""
-    result = judge(build(**topic), api.TopicFact((endpoint(),), (endpoint(TWO, INT),)))
+    result = evaluate(build(**topic), api.TopicFact((endpoint(),), (endpoint(TWO, INT),)))
     assert (result.level, result.condition) == (level, "type_wrong")
     assert f"{STRING} at publisher {ONE}, {INT} at subscriber {TWO}" in result.summary
 
 
 def test_two_publishers_of_different_type_are_reported_without_a_subscriber() -> None:
     """The next subscriber would receive only one of them."""
-    assert judge(build(), api.TopicFact((endpoint(), endpoint(TWO, INT)), ())).level is api.Level.WARN
+    assert evaluate(build(), api.TopicFact((endpoint(), endpoint(TWO, INT)), ())).level is api.Level.WARN
 
 
 def test_one_type_in_two_versions_is_reported() -> None:
@@ -146,10 +146,10 @@ def test_one_type_in_two_versions_is_reported() -> None:
     fact = api.TopicFact(
         (endpoint(type_hash="RIHS01_aaaa"),), (endpoint(TWO, type_hash="RIHS01_bbbb"), endpoint(THREE))
     )
-    result = judge(build(type=STRING, publishers=[ONE], subscribers=[TWO]), fact)
+    result = evaluate(build(type=STRING, publishers=[ONE], subscribers=[TWO]), fact)
     assert (result.level, result.condition) == (api.Level.ERROR, "type_wrong")
     assert f"publisher {ONE} has RIHS01_aaaa, subscriber {TWO} has RIHS01_bbbb" in result.summary
-    assert judge(build(type=STRING), fact).level is api.Level.WARN
+    assert evaluate(build(type=STRING), fact).level is api.Level.WARN
 
 
 OFFERS = {"reliability": "best_effort", "durability": "volatile", "liveliness": "automatic"}
@@ -177,7 +177,7 @@ ASKS = {"reliability": "reliable", "durability": "transient_local", "liveliness"
 )
 def test_each_policy_is_checked_by_the_rules_of_dds(offered: Any, asked: Any, words: str) -> None:
     """Policy and both sides are named; an offer of the same or more is compatible; unknown policies are ignored."""
-    result = judge(build(), api.TopicFact((endpoint("/talker", **offered),), (endpoint("/listener", **asked),)))
+    result = evaluate(build(), api.TopicFact((endpoint("/talker", **offered),), (endpoint("/listener", **asked),)))
     assert result.level is (api.Level.WARN if words else api.Level.OK)
     assert words.format("/talker", "/listener") in result.summary
 
@@ -196,7 +196,7 @@ STRICT, LAX = {"reliability": "reliable"}, {"reliability": "best_effort"}
 )
 def test_a_required_pair_must_connect(topic: Any, level: api.Level) -> None:
     """A named subscriber receives nothing: ERROR. A pair that the configuration does not name: WARN."""
-    result = judge(build(**topic), api.TopicFact((endpoint(**LAX),), (endpoint(TWO, **STRICT),)))
+    result = evaluate(build(**topic), api.TopicFact((endpoint(**LAX),), (endpoint(TWO, **STRICT),)))
     assert (result.level, result.condition) == (level, "qos_mismatch")
     assert result.evidence.conclusive
 
@@ -204,9 +204,9 @@ def test_a_required_pair_must_connect(topic: Any, level: api.Level) -> None:
 def test_a_named_subscriber_with_another_publisher_is_a_warning() -> None:
     """No publisher is named, so any is accepted; if both are named, that pair must connect."""
     fact = api.TopicFact((endpoint(ONE, **LAX), endpoint(THREE, **STRICT)), (endpoint(TWO, **STRICT),))
-    assert judge(build(subscribers=[TWO]), fact).level is api.Level.WARN
-    assert judge(build(publishers=[THREE], subscribers=[TWO]), fact).level is api.Level.WARN
-    assert judge(build(publishers=[ONE, THREE], subscribers=[TWO]), fact).level is api.Level.ERROR
+    assert evaluate(build(subscribers=[TWO]), fact).level is api.Level.WARN
+    assert evaluate(build(publishers=[THREE], subscribers=[TWO]), fact).level is api.Level.WARN
+    assert evaluate(build(publishers=[ONE, THREE], subscribers=[TWO]), fact).level is api.Level.ERROR
 
 
 @pytest.mark.parametrize(
@@ -223,20 +223,20 @@ def test_the_advice_addresses_the_endpoint_that_differs(out: list[Any], into: li
         tuple(endpoint(f"/out_{n}", **qos) for n, qos in enumerate(out)),
         tuple(endpoint(f"/in_{n}", **qos) for n, qos in enumerate(into)),
     )
-    assert judge(build(), fact).summary.endswith(f"{change}.")
+    assert evaluate(build(), fact).summary.endswith(f"{change}.")
 
 
 def test_many_pairs_are_counted() -> None:
     """The text stays short."""
     fact = api.TopicFact((endpoint(**LAX),), tuple(endpoint(f"/in_{n}", **STRICT) for n in range(9)))
-    assert judge(build(), fact).summary.endswith("And 6 more.")
+    assert evaluate(build(), fact).summary.endswith("And 6 more.")
 
 
 def test_changed_endpoints_are_compared_again() -> None:
     """Earlier results about the endpoints are discarded."""
     check = build()
     bad, good = (api.TopicFact((endpoint(**qos),), (endpoint(TWO, **STRICT),)) for qos in (LAX, STRICT))
-    assert [judge(check, fact).level for fact in (bad, bad, good, bad)] == [
+    assert [evaluate(check, fact).level for fact in (bad, bad, good, bad)] == [
         api.Level.WARN,
         api.Level.WARN,
         api.Level.OK,
@@ -262,7 +262,7 @@ def uses(publishers: Any = (), subscribers: Any = ()) -> api.NameFact:
 )
 def test_a_node_that_uses_a_similar_name_is_reported(name: str, why: str) -> None:
     """The missing node publishes under another name: the text has the node, its name, and the configured name."""
-    result = judge(build(publishers=[ONE]), api.TopicFact((), (endpoint(TWO),)), others={name: uses([ONE])})
+    result = evaluate(build(publishers=[ONE]), api.TopicFact((), (endpoint(TWO),)), others={name: uses([ONE])})
     assert result.condition == "publisher_missing"
     assert f"{ONE} publishes {name}, {why}: did you mean {NAME}?" in result.summary
 
@@ -271,14 +271,15 @@ def test_a_similar_name_with_both_endpoints_is_not_suggested_while_the_right_one
     """It is another topic; but if no node uses the right name, it may be this one."""
     others = {"/agent_1/topc_1": uses([THREE], ["/agent_1/node_4"])}
     assert (
-        "did you mean" not in judge(build(publishers=[ONE]), api.TopicFact((), (endpoint(TWO),)), others=others).summary
+        "did you mean"
+        not in evaluate(build(publishers=[ONE]), api.TopicFact((), (endpoint(TWO),)), others=others).summary
     )
-    assert "did you mean" in judge(build(publishers=[ONE]), None, others=others).summary
+    assert "did you mean" in evaluate(build(publishers=[ONE]), None, others=others).summary
 
 
 def test_a_similar_name_of_another_node_is_suggested_when_one_side_is_missing() -> None:
     """A subscription without a publisher beside a topic without its subscriber."""
-    result = judge(
+    result = evaluate(
         build(subscribers=[TWO]), api.TopicFact((endpoint(),), ()), others={"/agent_1/topc_1": uses((), [THREE])}
     )
     assert f"{THREE} subscribes to /agent_1/topc_1, one character different: did you mean {NAME}?" in result.summary
@@ -323,12 +324,12 @@ def test_an_intentional_similar_name_is_not_a_warning(name: str, fact: api.NameF
 
 def test_a_new_snapshot_proves_no_absence() -> None:
     """Discovery needs seconds to fill the graph."""
-    assert judge(build(), None, up_s=2.0).level is api.Level.STALE
+    assert evaluate(build(), None, up_s=2.0).level is api.Level.STALE
 
 
 def test_an_outdated_snapshot_proves_nothing() -> None:
     """A frozen graph is not evaluated."""
-    assert judge(build(), PAIR, age_s=30.0).level is api.Level.STALE
+    assert evaluate(build(), PAIR, age_s=30.0).level is api.Level.STALE
 
 
 def test_without_a_snapshot_every_topic_is_stale() -> None:
@@ -354,19 +355,19 @@ def test_an_endpoint_of_an_unknown_node_does_not_count_as_missing(side: str) -> 
     """It may be the expected one: STALE with a complete sentence, no alarm and no restart."""
     check = build(publishers=[ONE], subscribers=[TWO])
     nodes = {ONE: 1, TWO: 1}
-    assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
+    assert evaluate(check, PAIR, nodes=nodes).level is api.Level.OK
     seen = {"publishers": PAIR.publishers, "subscribers": PAIR.subscribers, side: (NAMELESS,)}
-    result = judge(check, api.TopicFact(**seen), nodes=nodes)
+    result = evaluate(check, api.TopicFact(**seen), nodes=nodes)
     assert (result.level, result.condition) == (api.Level.STALE, "")
     lacking = ONE if side == "publishers" else TWO
     assert f"has a {side[:-1]} whose node PHM does not know: whether {lacking} is connected" in result.summary
-    assert judge(check, PAIR, nodes=nodes).level is api.Level.OK
+    assert evaluate(check, PAIR, nodes=nodes).level is api.Level.OK
 
 
 def test_a_list_of_unnamed_endpoints_is_a_sentence() -> None:
     """An unnamed endpoint is called so instead of leaving a gap in the list."""
     found = api.TopicFact((endpoint(""), endpoint("", INT)))
-    assert "publisher (unnamed node)" in judge(build(), found).summary
+    assert "publisher (unnamed node)" in evaluate(build(), found).summary
     assert listed(["", "/a"]) == "(unnamed), /a" and listed([]) == "none"
 
 

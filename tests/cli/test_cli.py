@@ -28,7 +28,7 @@ from tests.fakes.records import closed, context, opened, unit
 ROOT = Path(phm.__file__).parents[1]
 DEAD = unit("nodes/agent_1/node_1", Slot.NODES, Level.ERROR, "Node /agent_1/node_1 is not running", brief="node_1 dead")
 BLOCKED = unit("topics/agent_1/topic_1", Slot.TOPICS, Level.STALE, blocked_by=DEAD.unit)
-WELL = unit("host", Slot.HOST, summary="Host is calm")
+HEALTHY = unit("host", Slot.HOST, summary="Host is calm")
 HEALTH = {
     "uptime_s": 3725.0,
     "overdue": [],
@@ -123,7 +123,7 @@ def test_an_unknown_verb_is_a_usage_error() -> None:
 
 def test_the_health_check_imports_almost_nothing(tmp_path: Path) -> None:
     """`phm status --healthy` runs every few seconds on a Pi: no pydantic, Docker, MAVLink, YAML, rich or rclpy."""
-    running(tmp_path, WELL)
+    running(tmp_path, HEALTHY)
     done = phm_process("status", "--healthy", "--run-dir", str(tmp_path), before=("-X", "importtime"))
     assert done.returncode == 0, done.stderr
     imported = {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines()}
@@ -253,7 +253,7 @@ def test_an_installation_without_checks_is_an_error(monkeypatch: pytest.MonkeyPa
 
 def test_status_shows_faults_first_then_units_links_and_counters(tmp_path: Path) -> None:
     """The most important information is first, and levels are words."""
-    running(tmp_path, DEAD, BLOCKED, WELL)
+    running(tmp_path, DEAD, BLOCKED, HEALTHY)
     result = invoke("status", "--run-dir", str(tmp_path))
     assert result.exit_code == 0, result.output
     shown = result.stdout
@@ -405,7 +405,7 @@ def with_daemon(monkeypatch: pytest.MonkeyPatch, **functions: Any) -> None:
 
 def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
     """The documented keys first; exit code 1 since a check has level ERROR."""
-    with_daemon(monkeypatch, run_once=lambda configuration: (DEAD, BLOCKED, WELL))
+    with_daemon(monkeypatch, run_once=lambda configuration: (DEAD, BLOCKED, HEALTHY))
     result = invoke("once", "--json")
     assert result.exit_code == 1
     seen = json.loads(result.stdout)
@@ -418,7 +418,7 @@ def test_once_prints_the_report_as_json(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_once_prints_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slots in order, level words, array; exit code 0 without ERROR, even if a unit is STALE."""
-    with_daemon(monkeypatch, run_once=lambda configuration: (WELL, BLOCKED))
+    with_daemon(monkeypatch, run_once=lambda configuration: (HEALTHY, BLOCKED))
     result = invoke("once")
     assert result.exit_code == 0, result.output
     assert result.stdout.index("blocked by") < result.stdout.index("Host is calm")
@@ -492,6 +492,6 @@ def test_the_page_names_every_verb_option_and_key(tmp_path: Path) -> None:
         assert f"\n## phm {verb}\n" in page
         for parameter in import_module(f"phm.cli.{verb.replace('-', '_')}").command.params:
             assert any(option in page for option in parameter.opts), f"{verb} {parameter.opts} is not described"
-    running(tmp_path, WELL)
+    running(tmp_path, HEALTHY)
     keys = json.loads((tmp_path / "status.json").read_text())
     assert [key for key in keys if f"`{key}`" not in page] == []

@@ -149,7 +149,7 @@ def test_an_unknown_fault_is_reported(tmp_path: Path) -> None:
 
 def test_unexpected_events_are_harmless() -> None:
     """Events with missing parts or of another type, and an endless timeline: nothing raises, everything is limited."""
-    strange: list[dict[str, Any]] = [
+    malformed: list[dict[str, Any]] = [
         {},
         {"event": "action"},
         {"event": "action", "fault": "x"},
@@ -157,6 +157,6 @@ def test_unexpected_events_are_harmless() -> None:
         {"event": "transition", "blocked_by": 7, "unit": None},
         {"event": "fault_opened", "fault": ["z"]},
     ]
-    found = build_timelines([*strange, *[{"event": "action", "fault": "x"}] * 1000], None)
+    found = build_timelines([*malformed, *[{"event": "action", "fault": "x"}] * 1000], None)
     assert [episode["fault"] for episode in found] == ["x", "y"]
     assert len(found[0]["timeline"]) == MAX_STEPS

@@ -27,7 +27,7 @@ class Scene:
     """Everything from the bytes of a link to the command; all is permitted, and signing is on unless disabled."""
 
     def __init__(self, *, signs: bool = True) -> None:
-        self.clock, self.did, self.acks, self.heard = FakeClock(utc=NOW), [], [], 0  # type: ignore[var-annotated]
+        self.clock, self.did, self.acks, self.message_received = FakeClock(utc=NOW), [], [], 0  # type: ignore[var-annotated]
         self.system_id, self.component_id, self.signs = 7, 193, signs
         self.signing = Signing(KEY, self.clock)
         signer = Signer(self.signing, 0, unsigned_of("vehicle")) if signs else None
@@ -74,7 +74,7 @@ class Scene:
 
     def feed(self, data: bytes, *, datagram: bool = False) -> None:
         for message in (self.parser.datagram if datagram else self.parser.feed)(data):
-            self.heard += 1
+            self.message_received += 1
             if message.get_msgId() in (75, 76):
                 self.callback(message, "radio")
         self.handler.turn()
@@ -222,8 +222,8 @@ def test_a_flood_leaves_room_for_a_valid_command(floods: list[tuple[int, int, in
     scene = Scene()
     for system, component, again in floods:
         message = mavlink.MAVLink_command_long_message(7, 193, 31010, again, 3, 1, 0, 0, 0, 0, 0)
-        for heard in scene.parser.feed(Sender(system, component).frame(message)):
-            scene.callback(heard, "radio")
+        for message_received in scene.parser.feed(Sender(system, component).frame(message)):
+            scene.callback(message_received, "radio")
         assert len(scene.handler._waiting) <= MAX_WAITING
     scene.feed(command(ticks(NOW)))
     assert scene.did == ["app"]

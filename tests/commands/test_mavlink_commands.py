@@ -46,7 +46,7 @@ class Scene:
         self.urgencies: list[int] = []
         self.faults: tuple[Fault, ...] = ()
         self.raises: Exception | None = None
-        self.lives = True
+        self.checks_alive = True
         readings = HostReadings(cpu_percent=41.6, memory_percent=50.0)
         host = UnitState(
             "host/cpu",
@@ -62,7 +62,7 @@ class Scene:
             lambda: self.faults,
             lambda: (),
             lambda: True,
-            lambda: self.lives,
+            lambda: self.checks_alive,
             run_checks=lambda: self.did.append("look"),
             approve=lambda name: self._do(f"approve {name}"),
             restart=lambda key, by: self._do(f"restart {key} for {by}"),
@@ -103,10 +103,10 @@ class Scene:
 
     def ask(self, message: Any, *, link: str = "radio", signed: bool = False, by: Sender | None = None) -> list[Any]:
         """The messages sent in response."""
-        heard = (by or self.ground).received(message)
-        heard._signed = signed
+        received = (by or self.ground).received(message)
+        received._signed = signed
         self.sent.clear()
-        self.handler.hear(heard, link)
+        self.handler.hear(received, link)
         self.handler.turn()
         assert {on for _message, on in self.sent} <= {link}
         return [message for message, _link in self.sent]
@@ -219,7 +219,7 @@ def test_disks_and_fans_are_those_of_the_host_check() -> None:
 def test_stalled_checks_are_not_reported() -> None:
     """The dead man's switch applies to requests, too."""
     scene = Scene("status")
-    scene.lives = False
+    scene.checks_alive = False
     sent = scene.ask(long(512, 0))
     assert [message.get_type() for message in sent] == ["COMMAND_ACK"]
     assert sent[0].result == CommandResult.FAILED
@@ -313,9 +313,9 @@ def test_a_message_is_sent_periodically_until_it_is_disabled() -> None:
 
     assert scene.result(long(511, 253, 5e6)) is CommandResult.ACCEPTED
     assert lines(20) == 4
-    scene.lives = False
+    scene.checks_alive = False
     assert lines(20) == 0
-    scene.lives = True
+    scene.checks_alive = True
     assert scene.result(long(511, 253, 1e6)) is CommandResult.DENIED
     assert scene.result(long(511, 253, -1)) is CommandResult.ACCEPTED
     assert lines(20) == 0
@@ -391,9 +391,9 @@ def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
     for n in range(MAX_WAITING + 10):
         scene.clock.advance(1.0)
         scene.handler.hear(Sender(n + 1, 190).received(long(31010, 3, 1)), "radio")
-    heard = scene.ground.received(long(31010, 3, 1))
-    heard._signed = True
-    scene.handler.hear(heard, "radio")
+    received = scene.ground.received(long(31010, 3, 1))
+    received._signed = True
+    scene.handler.hear(received, "radio")
     scene.handler.turn()
     acks = [message.result for message, _link in scene.sent if message.get_type() == "COMMAND_ACK"]
     assert acks[0] == CommandResult.ACCEPTED

@@ -73,7 +73,7 @@ class Agent:
         assert self.answer is not None
         return self.answer
 
-    def well(self) -> bool:
+    def is_ok(self) -> bool:
         states = self.daemon.pipeline.states()
         return {state.level for state in states if state.unit.startswith("container/")} == {Level.OK}
 
@@ -89,7 +89,7 @@ def test_a_restart_requested_by_the_ground_is_executed_verified_and_reported(rea
     agent = Agent(tmp_path, {key: container.name for key, container in containers.items()})
     before = {key: started(container) for key, container in containers.items()}
     try:
-        agent.until(agent.well, "all to be well")
+        agent.until(agent.is_ok, "all to be is_ok")
         assert agent.ask(RESTART, 2) == mavlink.MAV_RESULT_FAILED, "it has not opted in"
         assert agent.ask(RESTART, 1) == mavlink.MAV_RESULT_ACCEPTED
         agent.until(lambda: (5, "A07 OK 2 restart done: app") in agent.lines, "the line about its end")
@@ -107,7 +107,7 @@ def test_a_recommended_action_is_approved_by_the_number_in_its_line(real: Any, t
     container = real.container(RUN)
     agent = Agent(tmp_path, {"app": container.name}, mode="advise")
     try:
-        agent.until(agent.well, "all to be well")
+        agent.until(agent.is_ok, "all to be is_ok")
         container.kill()
         agent.until(lambda: any("ADVISE" in text for _, text in agent.lines), "the advice")
         line = next(text for _, text in agent.lines if "ADVISE" in text)

@@ -230,7 +230,7 @@ RADIO = mavlink.MAVLink_radio_status_message(1, 1, 100, 1, 1, 0, 0)
 TUNNEL = mavlink.MAVLink_tunnel_message(0, 0, 46193, 1, [1, *[0] * 127])
 
 
-def heard(mode: str, *frames: bytes) -> tuple[list[tuple[str, bool]], dict[str, int]]:
+def parse(mode: str, *frames: bytes) -> tuple[list[tuple[str, bool]], dict[str, int]]:
     """Types of the forwarded messages with their signed flag, and the counts of rejected ones."""
     codec = Codec(7, 193, lambda number: True, Signer(Signing(KEY, at()), 0, unsigned_of(mode)))
     parser = codec.parser()
@@ -250,7 +250,7 @@ def heard(mode: str, *frames: bytes) -> tuple[list[tuple[str, bool]], dict[str, 
 def test_messages_accepted_without_a_signature_depend_on_the_mode(mode: str, passed: list[str]) -> None:
     """Commands are forwarded as unsigned, so that they are refused with an answer."""
     sender = Sender(255, 190)
-    types, refused = heard(mode, *(sender.frame(each) for each in (heartbeat(), RADIO, TUNNEL, COMMAND)))
+    types, refused = parse(mode, *(sender.frame(each) for each in (heartbeat(), RADIO, TUNNEL, COMMAND)))
     assert types == [(name, False) for name in passed]
     assert refused["unsigned"] == 4 - len(passed)
 
@@ -260,7 +260,7 @@ def test_a_signed_message_is_forwarded_as_such_and_a_copy_of_a_command_is_not(mo
     """A copy of a message that is also accepted unsigned is forwarded as unsigned."""
     sender, now = Sender(255, 190), ticks(NOW)
     signed = [sign(sender.frame(each), now + n) for n, each in enumerate((heartbeat(), TUNNEL, COMMAND))]
-    types, refused = heard(mode, *signed, *signed)
+    types, refused = parse(mode, *signed, *signed)
     copies = {"vehicle": ["HEARTBEAT"], "all": ["HEARTBEAT", "TUNNEL"], "none": []}[mode]
     assert types == [(n, True) for n in ("HEARTBEAT", "TUNNEL", "COMMAND_LONG")] + [(n, False) for n in copies]
     assert refused["old"] == 3 - len(copies)
@@ -271,7 +271,7 @@ def test_a_message_signed_with_another_key_is_never_forwarded(mode: str) -> None
     """Not as unsigned, either."""
     sender = Sender(255, 190)
     forged = [sign(sender.frame(each), ticks(NOW), key=OTHER) for each in (heartbeat(), RADIO, TUNNEL, COMMAND)]
-    assert heard(mode, *forged) == ([], {"forged": 4, "old": 0, "unsigned": 0})
+    assert parse(mode, *forged) == ([], {"forged": 4, "old": 0, "unsigned": 0})
 
 
 # ---------------------------------------------------------------- across a restart

@@ -112,7 +112,7 @@ def test_a_fault_opened_at_the_limit_is_recovered_later(limit: Full, worlds: lis
     world = make(worlds)
     limit.full, limit.names = True, "phm-recover-"
     world.fail()
-    until(lambda: "phm-recover-app" in threads.problem(), "the fault having been handed over")
+    until(lambda: "phm-recover-app" in threads.problem(), "the fault to reach recovery")
     limit.room()
     world.until(lambda: Phase.VERIFIED in world.phases())
     assert world.runs == ["restart"]

@@ -57,7 +57,7 @@ def test_a_stopped_daemon_is_resumed_and_not_killed(watched: Watched) -> None:
     until(lambda: watched.kills, "the watchdog's first step")
     os.write(watched.pipe, b".")
     assert watched.kills[0] == signal.SIGCONT
-    until(lambda: state_of(watched.process.pid) != "T", "going on")
+    until(lambda: state_of(watched.process.pid) != "T", "the daemon to resume")
 
 
 def test_a_daemon_without_heartbeats_is_killed(watched: Watched) -> None:
@@ -213,7 +213,7 @@ def test_an_unclean_shutdown_is_known_at_the_next_start(tmp_path: Path) -> None:
     assert not ShutdownMarker(str(tmp_path), "boot-2").begin()
 
 
-def test_without_a_writable_directory_there_is_no_statement(tmp_path: Path) -> None:
+def test_without_a_writable_directory_nothing_is_claimed(tmp_path: Path) -> None:
     """There is no evidence; another unit reports the directory."""
     file = tmp_path / "file"
     file.touch()

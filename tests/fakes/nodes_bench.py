@@ -17,13 +17,13 @@ TWO = api.ProcessFact(72, 1, "S", 5.0, "python -m sitl.application.node --name n
 MAIN = api.ProcessFact(70, 0, "S", 1.0, "python -m sitl.application.app")
 
 
-def flowing(silent_s: float = 0.0) -> dict[str, api.TopicFact]:
+def active_topic(silent_s: float = 0.0) -> dict[str, api.TopicFact]:
     """The node's topic at 10 Hz, silent for `silent_s`."""
     rate = api.RateFact(10.0, silent_s, limit_s=1.0)
     return {TOPIC: api.TopicFact((api.EndpointFact(NAME, "std_msgs/msg/String"),), (), rate)}
 
 
-def beating(age_s: float = 0.1, late_s: float = 0.0) -> dict[str, api.BeaconFact]:
+def live_beacon(age_s: float = 0.1, late_s: float = 0.0) -> dict[str, api.BeaconFact]:
     return {NAME: api.BeaconFact(age_s, 0.2, late_s, "a", 100, turns=20)}
 
 
@@ -72,7 +72,7 @@ class Bench:
 def rated(**more: Any) -> Bench:
     """A node that publishes at 10 Hz."""
     bench = Bench(topics=[{"name": TOPIC, "rate": 10, "publishers": [NAME]}], **more)
-    bench.ros.change(topics=flowing())
+    bench.ros.change(topics=active_topic())
     return bench
 
 

@@ -76,7 +76,7 @@ def written(document: Any) -> bytes:
 
 
 @st.composite
-def torn(draw: st.DrawFn, data: bytes) -> bytes:
+def corrupted(draw: st.DrawFn, data: bytes) -> bytes:
     """The bytes with some of them removed, replaced, inserted or repeated."""
     made = bytearray(data)
     for _ in range(draw(st.integers(1, 4))):
@@ -101,6 +101,6 @@ def messages(document: Any) -> st.SearchStrategy[bytes]:
         st.sampled_from(DEEP)
         | damaged(document).map(written)
         | JSON.map(written)
-        | torn(written(document))
+        | corrupted(written(document))
         | st.binary(max_size=200)
     )

@@ -25,7 +25,7 @@ from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
 from phm.transport.docker_session import FAILURES
 from phm.transport.docker_tar import FileCopy, pack, unpack
-from tests.fuzz.hostile import DEEP, JSON, damaged, torn, written
+from tests.fuzz.hostile import DEEP, JSON, corrupted, damaged, written
 from tests.fuzz.targets import folder, fuzzed
 
 ID = "ab" * 32
@@ -139,7 +139,7 @@ class _Pieces:
             yield self._data[at : at + self._size]
 
 
-@fuzzed("tar", data=torn(TAR) | st.binary(max_size=2000), size=st.sampled_from([1, 100, 512, 65536]))
+@fuzzed("tar", data=corrupted(TAR) | st.binary(max_size=2000), size=st.sampled_from([1, 100, 512, 65536]))
 def test_any_tar_is_one_file_or_a_failure(data: bytes, size: int) -> None:
     """Never more than the limit, and only failures that the client explains."""
     taken = bytearray()
@@ -156,7 +156,7 @@ def _http(body: bytes, *headers: str, status: str = "200 OK") -> bytes:
 
 _STAT_HEADER = "X-Docker-Container-Path-Stat: " + base64.b64encode(json.dumps(STAT).encode()).decode()
 _CHUNKED = b'HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n4\r\n{"a"\r\n3\r\n:1}\r\n0\r\n\r\n'
-WHOLE = [
+VALID = [
     _http(json.dumps(INSPECT).encode(), "Content-Type: application/json"), _http(json.dumps(TOP).encode()), _http(TAR),
     _http(b"", _STAT_HEADER), _http(b'{"message": "no"}', status="404 Not Found"), _CHUNKED,
     _http(json.dumps(EVENT).encode() + b"\n"), _http(b"[]"), _http(b'{"Id": "ab"}', status="201 Created"),
@@ -192,8 +192,8 @@ def _fake_server() -> tuple[_FakeServer, DockerEngine]:
 @pytest.mark.parametrize("says", [_http(b"[1]"), _http(DEEP[0])])
 def test_a_response_that_is_not_an_object_is_an_error_of_the_engine(says: bytes) -> None:
     """It does not reach the check, nor does one that is nested too deeply to be parsed."""
-    stranger, engine = _fake_server()
-    stranger.says = says
+    server, engine = _fake_server()
+    server.says = says
     for ask in (engine.inspect, engine.inspect_network, engine.top):
         with pytest.raises(CannotTell):
             ask("app")
@@ -216,7 +216,7 @@ CALLS: list[Callable[[DockerEngine], object]] = [
 
 @fuzzed(
     "HTTP of the engine",
-    says=st.sampled_from(WHOLE).flatmap(torn)
+    says=st.sampled_from(VALID).flatmap(corrupted)
     | damaged(INSPECT).map(written).map(_http)
     | damaged(STAT).map(
         lambda stat: _http(b"", f"X-Docker-Container-Path-Stat: {base64.b64encode(written(stat)[:9000]).decode()}")
@@ -227,7 +227,7 @@ CALLS: list[Callable[[DockerEngine], object]] = [
 )
 def test_any_response_ends_as_a_value_or_an_error_of_the_engine(says: bytes, call: int) -> None:
     """One of the exceptions that checks and recovery know."""
-    stranger, engine = _fake_server()
-    stranger.says = says
+    server, engine = _fake_server()
+    server.says = says
     with contextlib.suppress(CannotTell):
         CALLS[call](engine)

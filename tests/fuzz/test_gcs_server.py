@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from phm.core.clock import SystemClock
 from phm.gcs.server import MAX_REQUEST, GcsServer
-from tests.fuzz.hostile import torn
+from tests.fuzz.hostile import corrupted
 from tests.fuzz.targets import fuzzed
 from tests.gcs.test_server import Source
 
@@ -50,7 +50,7 @@ def _read(server: GcsServer, pieces: list[bytes]) -> bytes:
 
 @fuzzed(
     "HTTP of --serve",
-    asked=st.sampled_from(ASKED).flatmap(torn) | st.sampled_from(ASKED) | st.binary(max_size=300),
+    asked=st.sampled_from(ASKED).flatmap(corrupted) | st.sampled_from(ASKED) | st.binary(max_size=300),
     cuts=st.lists(st.integers(0, 300), max_size=4),
 )
 def test_any_request_gets_an_answer_and_the_next_client_its_snapshot(asked: bytes, cuts: list[int]) -> None:

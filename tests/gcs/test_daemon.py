@@ -158,7 +158,7 @@ def test_two_real_agents_are_found_and_shown(scene: Scene, tmp_path: Path) -> No
     until(lambda: any(bad["slot"] == 2 for bad in scene.of(7)["bad"]), "the line of the fault")
     assert scene.of(7)["slots"]["2"] == "ERROR"
     until(lambda: (view := scene.of(8)["view"]) and view["gcs"] and view["peers"] == {"7": "alive"}, "the view")
-    until(lambda: scene.of(7)["heard_by"] == [8], "who hears it")
+    until(lambda: scene.of(7)["heard_by"] == [8], "the agents that receive it")
     until(lambda: (swarm := scene.station.snapshot()[1].body["swarm"]) and swarm["line"], "the swarm's line")
     assert all(one["presence"] == "alive" for one in (scene.of(7), scene.of(8)))
     lines = [body for body in scene.events("text") if body["phm"] and body["agent"] == 7]
@@ -166,7 +166,7 @@ def test_two_real_agents_are_found_and_shown(scene: Scene, tmp_path: Path) -> No
     now = SystemClock().utc()
     assert all(abs(body["utc_s"] - now) < 600 for body in scene.seen)
     scene.agents[8].stop()
-    until(lambda: scene.of(8)["how"] == "LEFT", "the farewell")
+    until(lambda: scene.of(8)["how"] == "LEFT", "the goodbye")
     hub = scene.agents[7].components.probes.mavlink
     assert hub is not None
     hub.close()  # as a killed process: no goodbye
@@ -188,7 +188,7 @@ def test_with_a_key_only_signed_frames_count(tmp_path: Path) -> None:
         for _ in range(20):
             sock.sendto(forger.frame(forged), ("127.0.0.1", scene.port))
         sock.sendto(forger.frame(text("marker", 7)), ("127.0.0.1", scene.port))
-        until(lambda: any(body["text"] == "marker" for body in scene.events("text")), "the end of the forgery")
+        until(lambda: any(body["text"] == "marker" for body in scene.events("text")), "the end of the forged frames")
         sock.close()
         assert all("9" not in body["peers"] for body in scene.events("view"))
     finally:
@@ -243,8 +243,8 @@ def test_the_station_sends_heartbeats_like_a_ground_station(wired: Callable[...,
     """Type GCS, 254/190, and only heartbeats."""
     _, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
-    heard = until(lambda: (wire.hear() + wire.hear() + wire.hear()) or None, "a heartbeat")
-    assert {(one.get_type(), one.get_srcSystem(), one.get_srcComponent(), one.type) for one in heard} == {
+    received = until(lambda: (wire.hear() + wire.hear() + wire.hear()) or None, "a heartbeat")
+    assert {(one.get_type(), one.get_srcSystem(), one.get_srcComponent(), one.type) for one in received} == {
         ("HEARTBEAT", 254, 190, mavlink.MAV_TYPE_GCS)
     }
 
@@ -280,7 +280,7 @@ def test_another_program_with_our_id_is_reported(wired: Callable[..., tuple[Grou
     own = until(lambda: wire.hear() or None, "a heartbeat of ours")[0]
     wire.send(bytes(own.get_msgbuf()))
     wire.send(Sender(8, 193).frame(heartbeat(1 << 30)))
-    until(lambda: len(station.snapshot()[1].body["agents"]) == 2, "what came behind the echo")
+    until(lambda: len(station.snapshot()[1].body["agents"]) == 2, "a frame after the echo")
     assert station.snapshot()[1].body["problems"] == []
     wire.send(Sender(254, 190).frame(heartbeat(5, kind=mavlink.MAV_TYPE_GCS)))
     problems = until(lambda: station.snapshot()[1].body["problems"], "the problem")
@@ -296,7 +296,7 @@ def test_a_flood_does_not_affect_other_senders(wired: Callable[..., tuple[Ground
         if number % 100 == 0:
             wire.send(os.urandom(64) + calm.frame(heartbeat(1 << 30 | number)))
     until(lambda: station.snapshot()[1].body["frames_refused"], "refused frames")
-    until(lambda: any(one["agent"] == 7 for one in station.snapshot()[1].body["agents"]), "the calm agent")
+    until(lambda: any(one["agent"] == 7 for one in station.snapshot()[1].body["agents"]), "the other agent")
 
 
 @pytest.mark.parametrize("silent", [False, True], ids=["speaks", "silent"])
@@ -324,7 +324,7 @@ def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
 
             until(lambda: speak(1), "the autopilot itself")
             if not silent:
-                until(lambda: speak(1) and body()["agents"], "what is passed on")
+                until(lambda: speak(1) and body()["agents"], "forwarded frames")
             speak(8)
             vehicle.armed = False
             # Sent after all forwarded frames, on the same stream.

@@ -47,7 +47,7 @@ def test_a_failing_disk_is_reported_and_lost_lines_are_counted(tmp_path: Path) -
     until(lambda: "500 lost" in book.about(), "the loss")
     assert book.about().startswith("record: cannot write ")
     folder.unlink()
-    until(lambda: book.about() == "", "the disk working again")
+    until(lambda: book.about() == "", "the disk to work again")
     book.close()
     events = list(json_log.read(folder / "flight.jsonl"))
     assert (events[0]["event"], events[0]["lines"], events[0]["seq"]) == ("lost", 500, 500)

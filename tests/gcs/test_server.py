@@ -150,7 +150,7 @@ def test_http_gives_one_snapshot(server: GcsServer) -> None:
         (b"GET / HTTP/1.1\r\nHost: evil.example:80\r\n\r\n", b"403"),
         (b"x" * MAX_REQUEST, b"431"),
     ],
-    ids=["path", "method", "nonsense", "a web page elsewhere", "too long"],
+    ids=["path", "method", "nonsense", "another host", "too long"],
 )
 def test_an_unsupported_request_is_rejected(
     server: GcsServer, connect: Connect, request_: bytes, status: bytes
@@ -186,10 +186,10 @@ def test_a_client_that_does_not_read_is_dropped(
         nonlocal said
         for _ in range(50):
             said = source.say("x" * 2000)
-        until(lambda: quick.news()[-1:] == [said], "the quick one having all")
+        until(lambda: quick.news()[-1:] == [said], "all lines at the fast client")
         return server.dropped > 0
 
-    until(go_on, "the slow one being dropped")
+    until(go_on, "the slow client to be dropped")
     assert quick.news() == list(range(1, said + 1))
     assert server.dropped == 1
 
@@ -217,7 +217,7 @@ def test_one_host_does_not_take_all_places(server: GcsServer, connect: Connect) 
             stack.enter_context(socket.create_connection(server.address, source_address=("127.0.0.2", 0)))
             for _ in range(MAX_CLIENTS)
         ]
-        until(lambda: server.about().endswith(f"to {PER_HOST}, 0 dropped as too slow"), "the rest being refused")
+        until(lambda: server.about().endswith(f"to {PER_HOST}, 0 dropped as too slow"), "the others to be refused")
         assert b" 503 " in crowd[-1].recv(300)
         until(lambda: _served(connect), "a place for another host")
 

@@ -35,9 +35,9 @@ def ground() -> Ground:
     made = Ground()
     made.hear(*(phm_heartbeat(number) for number in (1, 3, 7)), pilot(1, armed=True), pilot(2), pilot(7))
     made.hear(text_frame(7, "A07 OK 11111111", 6))
-    heard = PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.ALIVE})
+    view = PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.ALIVE})
     bad = phm_heartbeat(2, {Slot.NODES: Level.ERROR, Slot.HOST: Level.WARN, Slot.FILES: Level.STALE})
-    made.wait(30, phm_heartbeat(1), bad, tunnel_frame(1, heard), pilot(1, armed=True), pilot(2), pilot(7))
+    made.wait(30, phm_heartbeat(1), bad, tunnel_frame(1, view), pilot(1, armed=True), pilot(2), pilot(7))
     made.hear(
         text_frame(2, "A02 FAIL 6 node_1 dead"), phm_heartbeat(100, {Slot.AUTOPILOT: Level.OK, Slot.USER_1: Level.OK})
     )

@@ -26,13 +26,13 @@ def emit(kind: str, **more: Any) -> None:
         sys.stdout.flush()
 
 
-def message(heard: MavlinkMessage, _: Any) -> None:
+def message(received: MavlinkMessage, _: Any) -> None:
     emit(
         "message",
-        name=heard.message_name,
-        system=heard.system_id,
-        component=heard.component_id,
-        fields=json.loads(heard.fields_json),
+        name=received.message_name,
+        system=received.system_id,
+        component=received.component_id,
+        fields=json.loads(received.fields_json),
     )
 
 

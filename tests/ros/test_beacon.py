@@ -319,7 +319,7 @@ def test_a_copied_identity_is_rejected_and_reported_with_its_publisher(bench: Be
     node = bench.script("ros_beaconed.py", "a")
     probe = bench.probe(nodes=[{"name": A}])
     seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 5, "its beacon")
-    bench.script("ros_copycat.py", A, "copy")
+    bench.script("ros_beacon_replay.py", A, "copy")
     fact = seen(probe, lambda fact: fact.beacons[A].copied_by and fact, "the report")
     assert fact.beacons[A].copied_by == "/elsewhere/copycat"
     assert fact.beacons[A].late_s < 99.0 and fact.beacons[A].missed < 3.0
@@ -334,7 +334,7 @@ def test_large_foreign_beacons_displace_no_configured_node(bench: Bench) -> None
     bench.script("ros_beaconed.py", "a")
     probe = bench.probe(nodes=[{"name": A}])
     seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 5, "its beacon")
-    bench.script("ros_copycat.py", A, "crowd")
+    bench.script("ros_beacon_replay.py", A, "crowd")
     began = seen(probe, lambda fact: len(fact.beacons) > 100 and fact, "the crowd").beacons[A].heartbeats
 
     def advances(fact: RosFact) -> bool:

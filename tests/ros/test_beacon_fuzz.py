@@ -14,7 +14,7 @@ from phm.probes.ros.beacon_registry import BeaconRegistry, portions
 from phm.probes.ros.beacon_text import log_texts
 from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, decode, encode
 from phm.probes.ros.self_reports import SelfReports
-from tests.fuzz.hostile import messages, torn
+from tests.fuzz.hostile import corrupted, messages
 from tests.fuzz.targets import fuzzed
 
 pytestmark = pytest.mark.ros
@@ -37,10 +37,10 @@ def cdr(name: str, text: str, order: str = "<") -> bytes:
 
 
 WRITERS = st.sampled_from([None, b"1", b"2"])
-WHOLE = [cdr(BEACON_FORMAT, json.dumps(SAID)), cdr(BEACON_FORMAT, json.dumps(SAID), ">")]
+VALID = [cdr(BEACON_FORMAT, json.dumps(SAID)), cdr(BEACON_FORMAT, json.dumps(SAID), ">")]
 
 
-@fuzzed("beacon CDR", data=st.sampled_from(WHOLE).flatmap(torn) | st.binary(max_size=300))
+@fuzzed("beacon CDR", data=st.sampled_from(VALID).flatmap(corrupted) | st.binary(max_size=300))
 def test_any_bytes_are_two_strings_or_rejected(data: bytes) -> None:
     """With ValueError or struct.error, which the child counts."""
     with contextlib.suppress(ValueError, struct.error):

@@ -75,7 +75,7 @@ def test_endpoints_are_reported_with_node_type_and_qos(bench: Bench) -> None:
 def test_every_policy_of_an_endpoint_is_reported(bench: Bench) -> None:
     """Both sides as in DDS; an infinite duration is None."""
     strict = "reliability=best_effort,durability=transient_local,liveliness=manual_by_topic,deadline=0.5,lease=2"
-    bench.script("ros_ends.py", "talker", f"pub:topic_1:{strict}", "sub:topic_1")
+    bench.script("ros_endpoints.py", "talker", f"pub:topic_1:{strict}", "sub:topic_1")
     probe = bench.probe([{"name": TOPIC}])
     fact = seen(probe, lambda fact: has_named_endpoints(fact) and fact, "both ends")
     (publisher,), (subscriber,) = fact.topics[TOPIC].publishers, fact.topics[TOPIC].subscribers
@@ -91,7 +91,7 @@ def test_qos_is_not_reported_for_a_middleware_that_ignores_it(bench: Bench) -> N
         "import phm.probes.ros.graph as g; g.quality_matters = lambda: False\n"
         "from phm.probes.ros.child import main; raise SystemExit(main())"
     )
-    bench.script("ros_ends.py", "talker", "pub:topic_1:deadline=0.5")
+    bench.script("ros_endpoints.py", "talker", "pub:topic_1:deadline=0.5")
     probe = bench.probe([{"name": TOPIC}], command=(sys.executable, "-c", code))
     fact = seen(
         probe, lambda fact: [end for end in fact.topics[TOPIC].publishers if end.node] and fact, "the publisher"
@@ -101,8 +101,10 @@ def test_qos_is_not_reported_for_a_middleware_that_ignores_it(bench: Bench) -> N
 
 def test_unconfigured_topics_are_reported_with_their_nodes(bench: Bench) -> None:
     """A misspelt name appears there; configured, hidden and standard topics are left out; a departed one disappears."""
-    node = bench.script("ros_ends.py", "talker", "pub:topc_1", "sub:topc_1", "sub:topic_1", "sub:_hidden", "sub:/other")
-    bench.script("ros_ends.py", "second", "sub:topc_1")
+    node = bench.script(
+        "ros_endpoints.py", "talker", "pub:topc_1", "sub:topc_1", "sub:topic_1", "sub:_hidden", "sub:/other"
+    )
+    bench.script("ros_endpoints.py", "second", "sub:topc_1")
     probe = bench.probe([{"name": TOPIC}])
     expected = {
         "/agent_1/topc_1": NameFact(("/agent_1/talker",), ("/agent_1/second", "/agent_1/talker")),

@@ -3,7 +3,7 @@
 The graph is that of the shipped configuration with the installed checks; `tests/fakes/agent_world.py` simulates the
 agent and states the time bounds within which evidence of a cause and of its consequences may interleave. Within them,
 the order of runs, lost wake-ups, slow answers and flickers are drawn again for each of more than 1000 examples.
-Recovery is the real code (`tests/fakes/healer.py`); the effects of its actions, and external interventions, are drawn.
+Recovery is the real code (`tests/fakes/sim_recovery.py`); the effects of its actions, and external interventions, are drawn.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from phm.api import error, stale
 from phm.core.model import FaultClosed, FaultOpened, Level, Outcome
 from phm.tracker.starvation import BEFORE_PRESSURE_S
 from tests.fakes.agent_world import CAUSES, HIDDEN, NODES, STARVING, TARGET, Sim, shipped
-from tests.fakes.healer import Healer
+from tests.fakes.sim_recovery import SimRecovery
 
 pytestmark = pytest.mark.long
 
@@ -46,12 +46,12 @@ PAIRS = st.sampled_from([(a, b) for a in sorted(CAUSES) for b in sorted(CAUSES) 
 
 
 @contextmanager
-def healing(sim: Sim, **more: Any) -> Iterator[Healer]:
-    healer = Healer(sim, **more)
+def recovering(sim: Sim, **more: Any) -> Iterator[SimRecovery]:
+    recovery = SimRecovery(sim, **more)
     try:
-        yield healer
+        yield recovery
     finally:
-        healer.stop()
+        recovery.stop()
 
 
 def assert_attributed(sim: Sim, causes: set[str]) -> None:
@@ -168,7 +168,7 @@ def test_independent_faults_are_each_published_once_during_recovery(
 ) -> None:
     """One repair may clear both before the second is published; no fault is published twice, and no other one."""
     sim = Sim(seed)
-    with healing(sim):
+    with recovering(sim):
         sim.world.inject(pair[0], sim.now + 1.5)
         sim.world.inject(pair[1], sim.now + 1.5 + apart_s)
         sim.run(45.0)
@@ -190,7 +190,7 @@ def test_a_repaired_fault_is_published_once_and_closed_once(kind: str, seed: int
     first step of a ladder leaves lost and the next step recovers.
     """
     sim = Sim(seed)
-    with healing(sim, in_part=float(in_part)) as healer:
+    with recovering(sim, in_part=float(in_part)) as recovery:
         sim.world.inject(kind, sim.now + 1.5)
         sim.run(5.0)
         sim.ask(CAUSES[kind][0])
@@ -200,7 +200,7 @@ def test_a_repaired_fault_is_published_once_and_closed_once(kind: str, seed: int
             sim.ask(CAUSES[kind][0])
         sim.run(20.0)
     assert_over(sim, {CAUSES[kind][0]})
-    assert len(healer.acted) <= 1 + in_part
+    assert len(recovery.acted) <= 1 + in_part
 
 
 BY_OTHERS = ("hand", "policy", "recreate")
@@ -226,7 +226,7 @@ def test_recovery_respects_budget_hold_and_arming(
 ) -> None:
     """Whatever fails, returns or is restarted from outside, and however often repairs fail: one cause, one alarm.
 
-    `Healer` asserts that actions run one at a time, within the budget, on a held target, and never on a flight-critical
+    `SimRecovery` asserts that actions run one at a time, within the budget, on a held target, and never on a flight-critical
     target while armed. At the end, everything is repaired and OK.
     """
     sim = Sim(seed)
@@ -234,7 +234,7 @@ def test_recovery_respects_budget_hold_and_arming(
     sim.run(1.0)
     rules = {"budget": 3, "window": 40.0, "same_failure": 2, "verify": 6.0}
     causes: Counter[str] = Counter()
-    with healing(sim, helps=helps, in_part=0.3, armed=drawn(sim), critical=critical, **rules) as healer:
+    with recovering(sim, helps=helps, in_part=0.3, armed=drawn(sim), critical=critical, **rules) as recovery:
         for what, at in sorted(happenings, key=lambda happening: happening[1]):
             sim.run(max(0.0, at - sim.now))
             causes.update(happen(sim, what))
@@ -245,7 +245,7 @@ def test_recovery_respects_budget_hold_and_arming(
             sim.ask(state.unit)
         sim.run(40.0)
     # A target that a repair left lost is published as lost when no next step may follow in time.
-    causes.update(dict.fromkeys(NODES.values(), healer.left_lost))
+    causes.update(dict.fromkeys(NODES.values(), recovery.left_lost))
     assert not Counter(sim.opened) - (causes + reasons_to_publish_again(sim))
     assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
 
@@ -266,7 +266,7 @@ def test_a_unit_in_error_always_has_a_visible_fault(
     """
     sim = Sim(seed)
     rules = {"budget": 20, "window": 40.0, "same_failure": 2, "verify": 6.0}
-    with healing(sim, helps=0.0 if nothing_helps else 0.6, in_part=0.3, **rules):
+    with recovering(sim, helps=0.0 if nothing_helps else 0.6, in_part=0.3, **rules):
         for what, at in sorted(happenings, key=lambda happening: happening[1]):
             sim.run(max(0.0, at - sim.now))
             happen(sim, what)

@@ -21,7 +21,7 @@ from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Hang
 
 
-class Place:
+class Mounted:
     """A container `app` with one mount on /data, which PHM sees as `here`, and the engine's view of it."""
 
     def __init__(self, here: Path, fake: FakeEngine, ask: DockerEngine) -> None:
@@ -34,7 +34,7 @@ class Place:
         self.probe: DockerProbe = FakeDocker(self.fact)
         self.files = Files(self.probe, ask, settings().docker, FakeClock())
 
-    def look(self, path: str, *, digest: bool = False) -> FileFact | None:
+    def read(self, path: str, *, digest: bool = False) -> FileFact | None:
         return self.files.look("app", path, digest=digest)
 
     def engine_has(self, path: str, content: bytes) -> None:
@@ -46,134 +46,136 @@ class Place:
 
 
 @pytest.fixture
-def place(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> Place:
-    return Place(tmp_path / "volume", fake, ask)
+def mounted(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> Mounted:
+    return Mounted(tmp_path / "volume", fake, ask)
 
 
-def test_a_file_in_a_volume_is_read_without_the_engine(place: Place) -> None:
+def test_a_file_in_a_volume_is_read_without_the_engine(mounted: Mounted) -> None:
     """The volume is read directly, with mode, size and digest, while the engine hangs."""
-    (place.here / "model.bin").write_bytes(b"weights")
-    (place.here / "model.bin").chmod(0o750)
-    place.fake.fault = Hang()
-    seen = place.look("/data/model.bin", digest=True)
+    (mounted.here / "model.bin").write_bytes(b"weights")
+    (mounted.here / "model.bin").chmod(0o750)
+    mounted.fake.fault = Hang()
+    seen = mounted.read("/data/model.bin", digest=True)
     assert seen == FileFact("/data/model.bin", "file", 7, 0o750, True, hashlib.sha256(b"weights").hexdigest(), "volume")
 
 
-def test_a_volume_is_read_while_the_engine_is_down(place: Place) -> None:
+def test_a_volume_is_read_while_the_engine_is_down(mounted: Mounted) -> None:
     """The mounts are known from before; a file outside of volumes is unknown."""
-    (place.here / "model.bin").write_bytes(b"weights")
-    place.look("/data/model.bin")
-    assert isinstance(place.probe, FakeDocker)
-    place.probe.fail("the engine is down")
-    assert place.look("/data/model.bin") is not None
-    (place.here / "model.bin").unlink()
-    assert place.look("/data/model.bin") is None
+    (mounted.here / "model.bin").write_bytes(b"weights")
+    mounted.read("/data/model.bin")
+    assert isinstance(mounted.probe, FakeDocker)
+    mounted.probe.fail("the engine is down")
+    assert mounted.read("/data/model.bin") is not None
+    (mounted.here / "model.bin").unlink()
+    assert mounted.read("/data/model.bin") is None
     with pytest.raises(CannotTell, match="the engine is down"):
-        place.look("/opt/app")
+        mounted.read("/opt/app")
 
 
-def test_a_missing_file_and_a_directory_in_a_volume_are_distinguished(place: Place) -> None:
+def test_a_missing_file_and_a_directory_in_a_volume_are_distinguished(mounted: Mounted) -> None:
     """Absence in a volume is certain, and a directory is not a file."""
-    assert place.look("/data/none") is None
-    assert place.look("/data/none/deeper") is None
-    directory = place.look("/data", digest=True)
+    assert mounted.read("/data/none") is None
+    assert mounted.read("/data/none/deeper") is None
+    directory = mounted.read("/data", digest=True)
     assert directory is not None
     assert (directory.kind, directory.sha256) == ("directory", "")
 
 
-def test_a_file_outside_of_volumes_is_read_through_the_engine(place: Place) -> None:
+def test_a_file_outside_of_volumes_is_read_through_the_engine(mounted: Mounted) -> None:
     """The image's own files come from the archive route and are hashed as a stream."""
-    place.engine_has("/opt/app", b"binary")
-    seen = place.look("/opt/app", digest=True)
+    mounted.engine_has("/opt/app", b"binary")
+    seen = mounted.read("/opt/app", digest=True)
     assert seen is not None
     assert (seen.seen_through, seen.sha256, seen.kind) == ("engine", hashlib.sha256(b"binary").hexdigest(), "file")
-    assert place.look("/opt/none") is None
+    assert mounted.read("/opt/none") is None
 
 
-def test_a_digest_is_read_again_only_when_the_file_changed(place: Place) -> None:
+def test_a_digest_is_read_again_only_when_the_file_changed(mounted: Mounted) -> None:
     """Reading a large file every few seconds would wear the SD card: size, times and inode decide."""
-    file = place.here / "model.bin"
+    file = mounted.here / "model.bin"
     file.write_bytes(b"one")
-    first = place.look("/data/model.bin", digest=True)
-    again = place.look("/data/model.bin", digest=True)
+    first = mounted.read("/data/model.bin", digest=True)
+    again = mounted.read("/data/model.bin", digest=True)
     assert first == again
     file.write_bytes(b"two")
     os.utime(file, ns=(1, 1))
-    changed = place.look("/data/model.bin", digest=True)
+    changed = mounted.read("/data/model.bin", digest=True)
     assert changed is not None
     assert changed.sha256 == hashlib.sha256(b"two").hexdigest()
-    place.engine_has("/opt/app", b"binary")
-    place.look("/opt/app", digest=True)
-    before = list(place.fake.calls).count("GET /containers/c1/archive")
-    place.look("/opt/app", digest=True)
-    assert list(place.fake.calls).count("GET /containers/c1/archive") == before
+    mounted.engine_has("/opt/app", b"binary")
+    mounted.read("/opt/app", digest=True)
+    before = list(mounted.fake.calls).count("GET /containers/c1/archive")
+    mounted.read("/opt/app", digest=True)
+    assert list(mounted.fake.calls).count("GET /containers/c1/archive") == before
 
 
-def test_a_file_that_is_too_large_is_rejected_before_it_is_read(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_too_large_is_rejected_before_it_is_read(
+    mounted: Mounted, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its size is known, and reading a gibibyte every few seconds would wear the SD card. A slow one is not read again."""
-    file = place.here / "bag.mcap"
+    file = mounted.here / "bag.mcap"
     file.touch()
     os.truncate(file, MAX_BYTES + 1)
     read: list[bytes] = []
     sha256 = hashlib.sha256
     monkeypatch.setattr(hashlib, "sha256", lambda: SimpleNamespace(update=read.append, hexdigest=sha256().hexdigest))
     with pytest.raises(CannotTell, match="too large to be read: 1024 MiB or more"):
-        place.look("/data/bag.mcap", digest=True)
+        mounted.read("/data/bag.mcap", digest=True)
     assert read == []
     os.truncate(file, 1 << 20)
     monkeypatch.setattr("phm.probes.files.DIGEST_S", -1.0)
     for _ in range(3):
         with pytest.raises(CannotTell, match="too large"):
-            place.look("/data/bag.mcap", digest=True)
+            mounted.read("/data/bag.mcap", digest=True)
     assert len(read) == 1
 
 
-def test_a_symlink_within_the_volume_is_followed(place: Place) -> None:
+def test_a_symlink_within_the_volume_is_followed(mounted: Mounted) -> None:
     """Relative links, and absolute ones with the container's own paths, lead to the file."""
-    (place.here / "v2").mkdir()
-    (place.here / "v2" / "model").write_bytes(b"new")
-    (place.here / "current").symlink_to("v2")
-    (place.here / "absolute").symlink_to("/data/v2/../v2/model")
+    (mounted.here / "v2").mkdir()
+    (mounted.here / "v2" / "model").write_bytes(b"new")
+    (mounted.here / "current").symlink_to("v2")
+    (mounted.here / "absolute").symlink_to("/data/v2/../v2/model")
     for path in ("/data/current/model", "/data/absolute", "/data/./v2/../current//model"):
-        seen = place.look(path)
+        seen = mounted.read(path)
         assert seen is not None
         assert (seen.kind, seen.size, seen.seen_through) == ("file", 3, "volume")
 
 
 @pytest.mark.parametrize("target", ["/etc/passwd", "../../../../../../../../etc/passwd", "../secret"])
-def test_a_symlink_out_of_the_volume_never_leads_to_phms_own_files(place: Place, target: str) -> None:
+def test_a_symlink_out_of_the_volume_never_leads_to_phms_own_files(mounted: Mounted, target: str) -> None:
     """Any program that writes to the volume controls the target: it is resolved in the container, by the engine."""
-    (place.here.parent / "secret").write_bytes(b"of PHM")
-    (place.here / "link").symlink_to(target)
-    assert place.look("/data/link", digest=True) is None
-    assert place.archive_calls > 0
-    place.engine_has("/data/link", b"of the container")
-    seen = place.look("/data/link", digest=True)
+    (mounted.here.parent / "secret").write_bytes(b"of PHM")
+    (mounted.here / "link").symlink_to(target)
+    assert mounted.read("/data/link", digest=True) is None
+    assert mounted.archive_calls > 0
+    mounted.engine_has("/data/link", b"of the container")
+    seen = mounted.read("/data/link", digest=True)
     assert seen is not None
     assert (seen.seen_through, seen.sha256) == ("engine", hashlib.sha256(b"of the container").hexdigest())
 
 
-def test_symlinks_in_a_cycle_are_missing_files(place: Place) -> None:
+def test_symlinks_in_a_cycle_are_missing_files(mounted: Mounted) -> None:
     """The search ends after as many links as the kernel follows."""
-    (place.here / "a").symlink_to("b")
-    (place.here / "b").symlink_to("a")
-    assert place.look("/data/a") is None
+    (mounted.here / "a").symlink_to("b")
+    (mounted.here / "b").symlink_to("a")
+    assert mounted.read("/data/a") is None
 
 
-def test_a_pipe_is_not_opened(place: Place) -> None:
+def test_a_pipe_is_not_opened(mounted: Mounted) -> None:
     """Reading a pipe without a writer would block the check: its kind is `other`, and it has no digest."""
-    os.mkfifo(place.here / "pipe")
-    seen = place.look("/data/pipe", digest=True)
+    os.mkfifo(mounted.here / "pipe")
+    seen = mounted.read("/data/pipe", digest=True)
     assert seen is not None
     assert (seen.kind, seen.sha256) == ("other", "")
 
 
 def test_a_volume_that_phm_may_not_read_is_read_through_the_engine(
-    place: Place, monkeypatch: pytest.MonkeyPatch
+    mounted: Mounted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """PHM is not root: EACCES in the volume proves nothing about the file."""
-    (place.here / "private").mkdir()
-    place.engine_has("/data/private/key", b"k")
+    (mounted.here / "private").mkdir()
+    mounted.engine_has("/data/private/key", b"k")
     real_open = os.open
 
     def forbidden(path: Any, *args: Any, **kwargs: Any) -> int:
@@ -182,17 +184,17 @@ def test_a_volume_that_phm_may_not_read_is_read_through_the_engine(
         return real_open(path, *args, **kwargs)
 
     monkeypatch.setattr(os, "open", forbidden)
-    seen = place.look("/data/private/key")
+    seen = mounted.read("/data/private/key")
     assert seen is not None
     assert seen.seen_through == "engine"
 
 
-def test_a_mount_below_a_volume_that_phm_does_not_see_hides_its_files(place: Place) -> None:
+def test_a_mount_below_a_volume_that_phm_does_not_see_hides_its_files(mounted: Mounted) -> None:
     """A tmpfs on /data/cache: the container does not see what the volume has there."""
-    (place.here / "cache").mkdir()
-    (place.here / "cache" / "old").write_bytes(b"")
+    (mounted.here / "cache").mkdir()
+    (mounted.here / "cache" / "old").write_bytes(b"")
     with pytest.raises(OutsideVolumes):
-        resolve("/data/cache/old", {"/data": str(place.here), "/data/cache": ""})
+        resolve("/data/cache/old", {"/data": str(mounted.here), "/data/cache": ""})
 
 
 def test_phm_in_a_container_uses_its_own_mounts(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
@@ -255,11 +257,11 @@ def test_without_a_container_its_files_are_unknown(ask: DockerEngine) -> None:
         files.look("app", "/etc/hosts", digest=False)
 
 
-def test_with_a_hung_engine_a_file_is_unknown(place: Place) -> None:
+def test_with_a_hung_engine_a_file_is_unknown(mounted: Mounted) -> None:
     """Outside of volumes a silent engine does not mean a missing file."""
-    place.fake.fault = Hang()
+    mounted.fake.fault = Hang()
     with pytest.raises(CannotTell):
-        place.look("/opt/app")
+        mounted.read("/opt/app")
 
 
 def test_a_change_in_a_volume_triggers_the_check(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:

@@ -308,10 +308,10 @@ def test_an_address_that_no_longer_responds_is_silent() -> None:
     """ARP keeps a departed neighbour for up to a minute; it counts only for addresses that never responded before."""
     there = True
     reach = Pinger(ping=lambda _, limit_s: there, known=lambda _: True)
-    assert reach.answers("10.0.0.2", "first life")
+    assert reach.answers("10.0.0.2", "first run")
     there = False
-    assert not reach.answers("10.0.0.2", "first life")
-    assert reach.answers("10.0.0.2", "second life"), "a firewall swallows what we send"
+    assert not reach.answers("10.0.0.2", "first run")
+    assert reach.answers("10.0.0.2", "second run"), "a firewall drops our packets"
     assert reach.answers("10.0.0.3")
 
 

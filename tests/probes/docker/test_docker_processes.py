@@ -151,7 +151,7 @@ def test_real_processes_are_listed_with_their_state(real: Any, engine: DockerEng
     assert parent is not None
     assert None not in (parent.age_s, busy.age_s)
     assert busy.parent == parent.pid
-    until(lambda: (getattr(find("busy"), "cpu_s", None) or 0) >= 1, "its processor time to advance")
+    until(lambda: (getattr(find("busy"), "cpu_s", None) or 0) >= 1, "its CPU time to increase")
     for number, letter in ((signal.SIGSTOP, "T"), (signal.SIGCONT, "R"), (signal.SIGKILL, "gone")):
         made.exec_run(["pkill", f"-{number.value}", "-f", "^bash"])
         until(lambda letter=letter: state("busy") == letter, f"state {letter}")  # type: ignore[misc]

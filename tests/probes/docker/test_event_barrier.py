@@ -137,5 +137,5 @@ def test_results_and_timers_wait_for_earlier_events(
     bring.start()
     bring.join(0.3)
     go.set()
-    until(lambda: "time" in order and not bring.is_alive(), "the result that was brought, and time")
+    until(lambda: "time" in order and not bring.is_alive(), "the result and the timer")
     assert order[0] == "event"

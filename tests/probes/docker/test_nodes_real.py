@@ -72,7 +72,8 @@ def test_a_restarted_container_has_other_processes(made: Any, engine: DockerEngi
     made.restart(timeout=0)
     agent.docker.invalidate()  # as the engine's event does
     until(
-        lambda: agent.results()["node_1"].values["process"] not in (before, "none found"), "the process of the new life"
+        lambda: agent.results()["node_1"].values["process"] not in (before, "none found"),
+        "the process after the restart",
     )
     assert {result.level for result in agent.results().values()} == {api.Level.OK}
 

@@ -142,7 +142,7 @@ def test_a_restarted_container_is_evaluated_from_zero(real: Any, engine: DockerE
     agent.is_error("cpu_throttled")
     made.restart(timeout=0)
     agent.docker.invalidate()
-    agent.until(lambda result: result.level is api.Level.STALE or result.bypass, "a first reading of the new life")
+    agent.until(lambda result: result.level is api.Level.STALE or result.bypass, "a first sample after the restart")
     agent.is_error("cpu_throttled")
 
 

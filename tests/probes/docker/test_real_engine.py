@@ -54,7 +54,7 @@ def heard(engine: DockerEngine) -> Iterator[Callable[..., list[DockerEvent]]]:
         watch = ContainerWatcher(engine, chosen.containers, chosen.docker, SystemClock(), events.append)
         watches.append(watch)
         watch.start()
-        until(watch.healthy, "the watch to follow")
+        until(watch.healthy, "the watcher to connect")
         return events
 
     yield start
@@ -86,7 +86,7 @@ def test_the_states_of_a_container_are_read(real: Any, engine: DockerEngine) -> 
     engine.restart(made.name, 10)
     assert fact_of(docker, made.name).generation != second.generation
     engine.kill(made.name)
-    until(lambda: fact_of(docker, made.name).exit_code == 137, "the kill to show")
+    until(lambda: fact_of(docker, made.name).exit_code == 137, "the kill to be visible")
     made.remove(force=True)
     docker.invalidate()
     assert docker.container(made.name) is None
@@ -138,7 +138,9 @@ def test_restarts_by_the_engine_are_counted_and_a_manual_start_resets_the_count(
     real: Any, engine: DockerEngine, heard: Callable[..., list[DockerEvent]]
 ) -> None:
     """The counter distinguishes the engine from an operator; each start is another generation, published once."""
-    made = real.container("test -e /tmp/born || { touch /tmp/born; sleep 1; exit 3; }; exec sleep 600", start=False)
+    made = real.container(
+        "test -e /tmp/started || { touch /tmp/started; sleep 1; exit 3; }; exec sleep 600", start=False
+    )
     made.update(restart_policy={"Name": "always"})
     docker = probe(engine, made.name)
     events = heard(containers=[{"name": made.name}])
@@ -148,7 +150,7 @@ def test_restarts_by_the_engine_are_counted_and_a_manual_start_resets_the_count(
     again = fact_of(docker, made.name)
     assert (first.restart_count, again.restart_count) == (0, 1)
     made.restart(timeout=0)
-    until(lambda: events[-1].action == "restart", "the restart by hand")
+    until(lambda: events[-1].action == "restart", "the manual restart")
     by_hand = fact_of(docker, made.name)
     assert by_hand.restart_count == 0
     assert len({first.generation, again.generation, by_hand.generation}) == 3

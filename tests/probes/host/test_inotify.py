@@ -45,10 +45,10 @@ def notices() -> Iterator[FileWatcher]:
 
 
 def watching(notices: FileWatcher, folder: Path, name: str, *, content: bool = False) -> tuple[Listener, Watch]:
-    ear = Listener()
-    watch = notices.on(ear, content=content)
+    listener = Listener()
+    watch = notices.on(listener, content=content)
     assert watch(str(folder), name)
-    return ear, watch
+    return listener, watch
 
 
 CHANGES: dict[str, Callable[[Path], object]] = {
@@ -63,23 +63,23 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 def test_a_change_of_a_watched_entry_is_reported(notices: FileWatcher, tmp_path: Path, change: str) -> None:
     """Its creation, its removal and its new permissions."""
     (tmp_path / "file").write_text("a")
-    ear, _ = watching(notices, tmp_path, "file")
+    listener, _ = watching(notices, tmp_path, "file")
     CHANGES[change](tmp_path / "file")
-    assert ear.called()
+    assert listener.called()
 
 
 def test_a_new_entry_is_reported(notices: FileWatcher, tmp_path: Path) -> None:
     """An entry that does not exist yet can be watched."""
-    ear, _ = watching(notices, tmp_path, "file")
+    listener, _ = watching(notices, tmp_path, "file")
     os.mkfifo(tmp_path / "file")
-    assert ear.called()
+    assert listener.called()
 
 
 def test_another_entry_of_the_directory_is_not_reported(notices: FileWatcher, tmp_path: Path) -> None:
     """Only entries that were requested."""
-    ear, _ = watching(notices, tmp_path, "file")
+    listener, _ = watching(notices, tmp_path, "file")
     (tmp_path / "log").write_text("a")
-    assert ear.silent()
+    assert listener.silent()
 
 
 def test_new_content_is_reported_to_listeners_for_content(notices: FileWatcher, tmp_path: Path) -> None:
@@ -95,70 +95,70 @@ def test_watching_twice_returns_false(notices: FileWatcher, tmp_path: Path) -> N
     """True only when the watch started: earlier observations may be outdated then."""
     _, watch = watching(notices, tmp_path, "file")
     assert not watch(str(tmp_path), "file")
-    assert not watch(str(tmp_path / "none"), "file"), "a directory that is not there cannot be watched"
+    assert not watch(str(tmp_path / "none"), "file"), "a missing directory cannot be watched"
 
 
 def test_a_recreated_directory_is_watched_again(notices: FileWatcher, tmp_path: Path) -> None:
     """Its removal is reported, and the next request watches the new one."""
     folder = tmp_path / "folder"
     folder.mkdir()
-    ear, watch = watching(notices, folder, "file")
+    listener, watch = watching(notices, folder, "file")
     folder.rmdir()
-    assert ear.called()
+    assert listener.called()
     folder.mkdir()
     assert watch(str(folder), "file")
     (folder / "file").write_text("a")
-    assert ear.called()
+    assert listener.called()
 
 
 def test_a_moved_directory_is_no_longer_watched(notices: FileWatcher, tmp_path: Path) -> None:
     """Another one may have its path."""
     folder = tmp_path / "folder"
     folder.mkdir()
-    ear, watch = watching(notices, folder, "file")
+    listener, watch = watching(notices, folder, "file")
     folder.rename(tmp_path / "elsewhere")
-    assert ear.called()
+    assert listener.called()
     (tmp_path / "elsewhere" / "file").write_text("a")
-    assert ear.silent()
+    assert listener.silent()
     folder.mkdir()
     assert watch(str(folder), "file")
 
 
 def test_an_entry_that_changes_all_the_time_is_reported_at_intervals(notices: FileWatcher, tmp_path: Path) -> None:
     """A file that is written continuously does not keep its check busy, and its last change is reported."""
-    ear, _ = watching(notices, tmp_path, "file", content=True)
+    listener, _ = watching(notices, tmp_path, "file", content=True)
     for number in range(200):
         (tmp_path / "file").write_text(str(number))
         threading.Event().wait(0.005)
-    assert ear.times < 10
-    before = ear.times
+    assert listener.times < 10
+    before = listener.times
     (tmp_path / "file").write_text("last")
-    while ear.times == before:
-        assert ear.called()
+    while listener.times == before:
+        assert listener.called()
 
 
 def test_a_listener_that_raises_does_not_end_the_watcher(notices: FileWatcher, tmp_path: Path) -> None:
     """Its defect costs one call."""
-    ear = Listener()
+    listener = Listener()
 
     def fail() -> None:
-        ear()
+        listener()
         raise ZeroDivisionError
 
     watch = notices.on(fail)
     assert watch(str(tmp_path), "file")
     (tmp_path / "file").write_text("a")
-    assert ear.called()
+    assert listener.called()
     (tmp_path / "file").unlink()
-    assert ear.called()
+    assert listener.called()
 
 
 def test_a_device_behind_a_symlink_is_followed_through_all_steps(notices: FileWatcher, tmp_path: Path) -> None:
     """Directory, symlink and device may each come and go; the directory may be missing at first."""
-    ear = Listener()
-    devices = Devices(settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), notices, ear)
+    listener = Listener()
+    devices = Devices(settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), notices, listener)
     assert devices.look("/dev/serial/by-id/radio", open_it=False) is None
-    assert ear.called(), "the watch has begun, and the device is looked at once more"
+    assert listener.called(), "the watch has started, and the device is checked once more"
     for change in (
         lambda: (tmp_path / "serial").mkdir(),
         lambda: (tmp_path / "serial/by-id").mkdir(),
@@ -166,9 +166,9 @@ def test_a_device_behind_a_symlink_is_followed_through_all_steps(notices: FileWa
         lambda: (tmp_path / "ttyUSB0").write_text("a"),
     ):
         change()
-        assert ear.called()
+        assert listener.called()
         devices.look("/dev/serial/by-id/radio", open_it=False)
-        while not ear.silent():
+        while not listener.silent():
             pass
     fact = devices.look("/dev/serial/by-id/radio", open_it=False)
     assert fact is not None and fact.path == "/dev/ttyUSB0"

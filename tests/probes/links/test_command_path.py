@@ -105,7 +105,7 @@ class Flight:
 def flight(tmp_path: Path) -> Iterator[Flight]:
     made = Flight(tmp_path)
     try:
-        until(made.settled, "all hops being heard")
+        until(made.settled, "all hops to be received")
         yield made
     finally:
         made.close()
@@ -117,7 +117,7 @@ def test_a_lost_ground_station_is_reported_once_and_cleared(flight: Flight) -> N
     until(flight.alarms, "the alarm")
     assert "is broken at GCS" in until(lambda: flight.path() if "is broken" in flight.path() else "")
     flight.ground = flight.new_ground()
-    until(flight.settled, "all being well")
+    until(flight.settled, "all units to be OK")
     assert [alarm.partition(":")[0] for alarm in flight.alarms()] == ["gcs GCS"]
     assert until(flight.over, "the end of the fault") == ["gcs resolved"]
 
@@ -128,7 +128,7 @@ def test_a_radio_without_power_is_reported_once(flight: Flight) -> None:
     until(flight.alarms, "the alarm")
     until(lambda: "GCS unknown (behind radio)" in flight.path())
     flight.radio.near.off = False
-    until(flight.settled, "all being well")
+    until(flight.settled, "all units to be OK")
     assert [alarm.partition(":")[0] for alarm in flight.alarms()] == ["radio/ground radio"]
     assert len(flight.over()) == 1
 
@@ -142,7 +142,7 @@ def test_radios_without_contact_lose_the_ground_station(flight: Flight) -> None:
     assert "the onboard radio responds" in fault.result.summary
     until(lambda: any(state.result.brief == "radio: buffer full" for state in flight.daemon.pipeline.states()))
     flight.radio.air.cut = False
-    until(flight.settled, "all being well")
+    until(flight.settled, "all units to be OK")
     assert len(flight.alarms()) == 1
 
 
@@ -159,7 +159,7 @@ def test_an_unplugged_port_is_named(flight: Flight) -> None:
     until(flight.alarms, "the alarm")
     until(lambda: "GCS unknown (behind port ground) -> radio unknown (behind port ground)" in flight.path())
     flight.plug_in()
-    until(flight.settled, "all being well")
+    until(flight.settled, "all units to be OK")
     assert flight.alarms() == ["link/ground port ground: ttyRADIO missing"]
     assert flight.over() == ["link/ground resolved"]
 
@@ -171,7 +171,7 @@ def test_a_silent_autopilot_is_reported_to_the_ground(flight: Flight) -> None:
     assert line.startswith("A07 FAIL 10 autopilot: no heartbeat")
     until(lambda: any(isinstance(event, ActionEvent) and event.phase is Phase.DONE for event in list(flight.events)))
     flight.pilot.hung = False
-    until(flight.settled, "all being well")
+    until(flight.settled, "all units to be OK")
     assert len(flight.alarms()) == 1
     assert until(lambda: [line for line in flight.lines() if line.startswith("A07 OK 10")])
 

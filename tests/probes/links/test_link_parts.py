@@ -424,7 +424,7 @@ def test_users_of_a_port_are_named(tmp_path: Path) -> None:
         assert found[0].endswith(f"({other.pid})")
         assert "python" in found[0]
         other.communicate(b"\n")
-    until(lambda: not users(path), "the port being free")
+    until(lambda: not users(path), "the port to be free")
     os.close(far)
     os.close(near)
 

@@ -429,12 +429,12 @@ def test_the_traffic_of_an_endpoint_is_measured() -> None:
                 link = links.links()[0]
                 return bool(link.rx_s and link.frames_s and link.senders and link.senders[0].frames > 20)
 
-            until(measured, "the traffic being measured")
+            until(measured, "the measurement of the traffic")
             (link,) = links.links()
             assert (link.name, link.open) == ("fc", True)
             assert [(one.system, one.component, one.loss_percent) for one in link.senders] == [(7, 1, 0.0)]
             assert link.rx_age_s is not None
-            until(lambda: (links.links()[0].rx_age_s or 0.0) > 1.0, "its silence being seen")
+            until(lambda: (links.links()[0].rx_age_s or 0.0) > 1.0, "its silence")
         finally:
             hub.close()
 
@@ -453,7 +453,7 @@ def test_a_router_that_refuses_twice_disconnects_the_agent_from_the_ground() -> 
         client, _ = listener.accept()
         until(lambda: [link.open for link in links.links()] == [True], "the connection")
         assert not links.gcs_unreachable()
-        until(lambda: hub.read_at("r") is not None, "it being read")
+        until(lambda: hub.read_at("r") is not None, "the first read")
         listener.close()
         client.close()
         until(links.gcs_unreachable, "two refusals")

@@ -88,7 +88,7 @@ class Agent:
             return {}
         return {entry["id"]: entry["level"] for entry in document["checks"]}
 
-    def well(self) -> bool:
+    def is_ok(self) -> bool:
         levels = self.levels()
         return all(levels.get(unit) == "OK" for unit in UNITS)
 
@@ -124,7 +124,7 @@ def test_a_suspended_phm_reports_no_false_loss_and_detects_a_real_one(
     agent: Agent, senders: tuple[Senders, int], frozen: str
 ) -> None:
     """Whether senders kept sending or were frozen too; a sender that stays silent afterwards is reported."""
-    until(agent.well, "all senders received")
+    until(agent.is_ok, "all senders received")
     agent.process.send_signal(signal.SIGSTOP)
     if frozen == "the machine":
         senders[0].speaks.clear()

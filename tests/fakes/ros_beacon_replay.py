@@ -1,4 +1,4 @@
-"""Copies received messages on the beacons' topic, ten times a second; `python tests/fakes/ros_copycat.py NAME HOW`.
+"""Copies received messages on the beacons' topic, ten times a second; `python tests/fakes/ros_beacon_replay.py NAME HOW`.
 
 HOW: `copy` sends the newest beacon of NAME again, with its identity, as one with a hung executor. `crowd` sends two messages of
 the maximum size of a beacon, each of 50 nodes that receive 50 others, all with the longest names allowed.

@@ -1,6 +1,6 @@
 """A real node with endpoints of any quality of service, until it is terminated.
 
-    python tests/fakes/ros_ends.py NODE SIDE:TOPIC[:POLICY=VALUE,...] ...
+    python tests/fakes/ros_endpoints.py NODE SIDE:TOPIC[:POLICY=VALUE,...] ...
 
 SIDE is `pub` or `sub`, TOPIC of std_msgs/String. Policies: reliability, durability, liveliness (in words) and
 deadline, lease (in seconds).

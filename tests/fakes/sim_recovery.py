@@ -88,7 +88,7 @@ class SimBus:
         self._sim.publish(event)
 
 
-class Healer:
+class SimRecovery:
     """Recovery for the one container. `helps` is the probability that an action has its effect; `in_part` that an effective
     action which is not the last of its ladder restores only a part.
 
@@ -172,7 +172,7 @@ class Healer:
     # ------------------------------------------------------------ effects of actions
 
     def _action(self, kind: type[Action]) -> type[Action]:
-        healer = self
+        recovery = self
 
         class Simulated(Action):
             name: ClassVar[str] = kind.name
@@ -180,7 +180,7 @@ class Healer:
             verify_after_s: ClassVar[float] = kind.verify_after_s
 
             def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
-                healer._act(self.name, fault)
+                recovery._act(self.name, fault)
                 return "done"
 
         return Simulated
