@@ -50,7 +50,7 @@ def test_a_ground_station_that_was_never_received_is_ok_with_a_note() -> None:
 
 def test_a_ground_station_that_announced_its_end_is_not_lost() -> None:
     """However long it is away."""
-    links = heard(600.0)
+    links = gcs_links(600.0)
     fact = links.gcs()
     assert fact is not None
     links.gcs = lambda: dataclasses.replace(fact, left=True)  # type: ignore[method-assign]
