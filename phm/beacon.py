@@ -75,21 +75,21 @@ class Beacon:
     def __init__(self, node: Any, *, period_s: float = PERIOD_S, watch_executor: bool = True) -> None:
         if not PERIODS_S[0] <= period_s <= PERIODS_S[1]:
             raise ValueError(f"period_s is {period_s!r}, allowed are {PERIODS_S[0]:g} to {PERIODS_S[1]:g} seconds")
-        self._life: _Life | None = None
+        self._node_beacon: _NodeBeacon | None = None
         if os.environ.get("PHM_BEACON", "").strip().lower() in ("off", "0", "no", "false"):
             return
         try:
-            self._life = _join(node, period_s, watch_executor)
+            self._node_beacon = _join(node, period_s, watch_executor)
         except Exception as error:  # a node without a beacon is better than no node
             _warn(node, f"this node has no PHM beacon: {error!r}")
 
     def close(self) -> None:
         """Fall silent; the node goes on. Safe to call twice."""
-        if self._life is not None:
-            self._life.close()
+        if self._node_beacon is not None:
+            self._node_beacon.close()
 
 
-class _Life:
+class _NodeBeacon:
     """One node with a beacon. Written by its executor (`_turn`) and read by the hub's thread."""
 
     def __init__(self, node: Any, birth: str, watch_executor: bool) -> None:
@@ -207,7 +207,7 @@ class _Hub:
         self._context = context
         self._witness = uuid.uuid4().hex[:12]
         self._neighbours = _Neighbours(self._witness)
-        self._lives: list[_Life] = []
+        self._beacons: list[_NodeBeacon] = []
         self._births = 0
         self._period_s = PERIODS_S[1]
         self._next_hello_s = self._listened_s = 0.0
@@ -227,15 +227,15 @@ class _Hub:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="phm-beacon", daemon=True)
 
-    def add(self, node: Any, period_s: float, watch_executor: bool) -> _Life:
+    def add(self, node: Any, period_s: float, watch_executor: bool) -> _NodeBeacon:
         """Call with `_lock` held."""
         if self._thread.ident is None:
             self._thread.start()  # raises at a limit of processes: then the next node tries again
         self._births += 1
-        life = _Life(node, f"{self._witness}.{self._births}", watch_executor)
-        self._lives.append(life)
+        beacon = _NodeBeacon(node, f"{self._witness}.{self._births}", watch_executor)
+        self._beacons.append(beacon)
         self._period_s = min(self._period_s, period_s)
-        return life
+        return beacon
 
     def stop(self, patience_s: float) -> None:
         self._stop.set()
@@ -259,33 +259,33 @@ class _Hub:
 
     def _has_nodes(self) -> bool:
         with _lock:
-            self._lives = [life for life in self._lives if not life.over] if self._context.ok() else []
-            if not self._lives or self._stop.is_set():
+            self._beacons = [beacon for beacon in self._beacons if not beacon.over] if self._context.ok() else []
+            if not self._beacons or self._stop.is_set():
                 _hubs.pop(id(self._context), None)
-            return bool(self._lives)
+            return bool(self._beacons)
 
     def _beat(self, now_s: float, overslept_s: float) -> None:
         """The beat first: it must come, whatever becomes of the rest."""
-        lives = self._lives
+        beacons = self._beacons
         if overslept_s > TURN_S / 2:
-            for life in lives:
-                life.forgive(overslept_s)
+            for beacon in beacons:
+                beacon.forgive(overslept_s)
         views = {"views": self._neighbours.views(now_s)} if self._has_news else {}
         self._has_news = False
-        for some in _portions(lives):
-            nodes = {life.name: life.beat(now_s) for life in some}
+        for some in _portions(beacons):
+            nodes = {beacon.name: beacon.beat(now_s) for beacon in some}
             said = {"witness": self._witness, "period_s": self._period_s, "nodes": nodes, **views}
             self._beacon.say(said)
         if now_s >= self._next_hello_s:
-            self._greet(now_s, lives)
+            self._greet(now_s, beacons)
         if now_s - self._listened_s >= VIEWS_S - self._period_s / 2:
             self._listen(now_s)
 
-    def _greet(self, now_s: float, lives: list[_Life]) -> None:
+    def _greet(self, now_s: float, beacons: list[_NodeBeacon]) -> None:
         period_s = max(HELLO_S, self._period_s, HELLO_SHARE_S * (1 + self._neighbours.processes))
         self._next_hello_s = now_s + period_s - self._period_s / 2
-        for some in _portions(lives):
-            nodes = {life.name: life.late_s(now_s) for life in some}
+        for some in _portions(beacons):
+            nodes = {beacon.name: beacon.late_s(now_s) for beacon in some}
             said = {"witness": self._witness, "period_s": round(period_s, 3), "nodes": nodes}
             self._hello.say(said)
 
@@ -310,7 +310,7 @@ _hubs: dict[int, _Hub] = {}
 """By id of the context, which the hub keeps alive."""
 
 
-def _join(node: Any, period_s: float, watch_executor: bool) -> _Life:
+def _join(node: Any, period_s: float, watch_executor: bool) -> _NodeBeacon:
     with _lock:
         hub = _hubs.get(id(node.context))
         if hub is None:
@@ -318,8 +318,8 @@ def _join(node: Any, period_s: float, watch_executor: bool) -> _Life:
         return hub.add(node, period_s, watch_executor)
 
 
-def _portions(lives: list[_Life]) -> Iterator[list[_Life]]:
-    return (lives[at : at + MAX_NODES] for at in range(0, len(lives), MAX_NODES))
+def _portions(beacons: list[_NodeBeacon]) -> Iterator[list[_NodeBeacon]]:
+    return (beacons[at : at + MAX_NODES] for at in range(0, len(beacons), MAX_NODES))
 
 
 def _qos(depth: int) -> Any:

@@ -1,7 +1,7 @@
-"""How long a sender of heartbeats may be silent, by how it was heard until then. Pure; the caller brings time.
+"""Adaptive timeout for a sender of heartbeats, learned from its intervals. Pure; callers pass the time.
 
-A sender that was never silent for long is lost well before the configured timeout. Of one that was received for less
-than LEARN_S, or whose heartbeats are uneven or get lost, nothing is concluded: only the configured timeout applies.
+A sender that never made a long pause is lost well before the configured timeout. For a sender received for less than
+LEARN_S, or with irregular or lost heartbeats, only the configured timeout applies.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from phm.core.scheduling_delay import Late, never_late
 
 FACTOR = 2.2
-"""Silence of so many of the longest pauses: one more beat than ever may get lost."""
+"""Silence of so many times the longest pause: one more heartbeat than ever before may be lost."""
 UNEVEN_S = 2.5
-"""After such a pause, two heartbeats lost in a row, the sender or the link is not steady."""
+"""After such a pause, equal to two heartbeats lost in a row, the sender or the link is not steady."""
 LEARN_S = 120.0
 STEP_S, STEPS = 60.0, 60
 """Pauses of the last STEP_S * STEPS seconds count."""
@@ -28,41 +28,46 @@ class _Step:
 
 
 class AdaptiveTimeout:
-    """Not thread-safe. most_s: the configured timeout, under which every limit is. least_s: no limit is under that."""
+    """Not thread-safe. most_s: the configured timeout, the upper limit. least_s: the lower limit."""
 
     def __init__(self, most_s: float, least_s: float = UNEVEN_S) -> None:
         self._most_s, self._least_s = most_s, least_s
         self._steps: deque[_Step] = deque(maxlen=STEPS)
         self._last: float | None = None
-        """The newest beat that the next may be measured from."""
+        """The newest heartbeat, from which the next pause is measured."""
         self._from = float("-inf")
-        """Silence counts from here: before it nothing could be heard."""
+        """Start of the silence that counts: nothing could be received before."""
         self._held_s = 0.0
-        """The newest pause, which `broke` can still take back."""
+        """The newest pause, which `broke` can still remove."""
         self._due_s: float | None = None
         self._lost = False
 
     def beat(self, now: float, late_s: float = 0.0) -> None:
-        """It was heard. late_s: of the pause before, how much PHM did not run."""
+        """Record a heartbeat. late_s: how much of the pause before it PHM did not run."""
         self._keep(now, self._held_s)
         pause_s = 0.0 if self._last is None else max(0.0, now - self._last - late_s)
-        # A longer one was a fault, not a habit of the sender.
+        # A longer pause was a fault, not a property of the sender.
         self._held_s = pause_s if pause_s <= self._most_s else 0.0
         self._last, self._from, self._lost = now, now, False
         self._due_s = self._limit_s()
 
     def broke(self, now: float) -> None:
-        """The next heartbeat does not continue the last: the link was closed, PHM was suspended, or the sender restarted."""
+        """The next heartbeat does not continue the series: the link was closed, PHM was suspended, or the sender
+        restarted."""
         self._last, self._from, self._held_s = None, now, 0.0
         self._due_s = self._limit_s()
 
     def due_s(self) -> float | None:
-        """The limit; None: not known well enough, or not under the configured one."""
+        """The limit in seconds; None if too little is known, or if it is not below the configured one."""
         return self._due_s
 
     def overdue(self, read_at: float | None, late_s: Late = never_late) -> bool:
-        """Whether it was silent for longer, as far as its link was read to the end at `read_at`; None: it is not read. Once
-        it is overdue, it is so until its next beat, whatever becomes of the link. late_s: for how long PHM did not run."""
+        """Whether the sender was silent for longer than the limit, as far as its link was read completely at `read_at`;
+        None: it is not read.
+
+        Once overdue, it stays overdue until its next heartbeat, even if the link closes. late_s: for how long PHM did
+        not run.
+        """
         due_s = self._due_s
         if due_s is not None and read_at is not None and read_at - self._from > due_s:
             self._lost = self._lost or read_at - self._from - late_s(self._from, due_s) > due_s

@@ -1,4 +1,4 @@
-"""Remembers how containers were attached to their networks, for putting them back as they were.
+"""Remembers how containers were attached to their networks, so that recovery can restore that.
 
 Once a container is disconnected, the engine forgets its aliases and its fixed address on that network.
 """
@@ -11,7 +11,7 @@ from phm.facts import Attachment, ContainerFact, DockerProbe, ProcessFact
 class AttachmentCache:
     """A `phm.facts.DockerProbe` that keeps the last attachment of each container to each network.
 
-    Bounded by the configuration: one entry per configured container and network that it was seen on.
+    Bounded by the configuration: one entry per configured container and network on which it was seen.
     """
 
     def __init__(self, inner: DockerProbe) -> None:

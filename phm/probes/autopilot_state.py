@@ -1,7 +1,8 @@
-"""The vehicle's autopilot by its heartbeats, and its reboots by the time since boot that it reports. Pure.
+"""The vehicle's autopilot from its heartbeats, and its reboots from the time since boot that it reports. Pure.
 
-As ArduPilot's routing asks of ground stations, a reboot is seen by `time_boot_ms` going back: in SYSTEM_TIME, or in whatever
-else carries it. It must not be missed, for an autopilot that reboots within seconds leaves no gap in its heartbeats.
+A reboot shows as `time_boot_ms` going back, in SYSTEM_TIME or in another message that contains it, as ArduPilot
+recommends for ground stations. The heartbeats alone are not sufficient: an autopilot that reboots within seconds leaves
+no gap in them.
 """
 
 from __future__ import annotations
@@ -16,50 +17,50 @@ from phm.probes.adaptive_timeout import AdaptiveTimeout
 from phm.transport.dialect import mavlink
 
 BACK_S = 3.0
-"""Messages overtake each other, and some carry the time of a measurement and not of sending."""
+"""Messages overtake each other, and some contain the time of a measurement and not of sending."""
 WRAP_S, WRAPS_AT_S = 60.0, 2**32 / 1000.0
 TWINS, TWINS_S = 4, 6.0
-"""An autopilot that reboots again and again has run for BACK_S each time: faster than so, two of them speak."""
+"""An autopilot that reboots repeatedly runs for at least BACK_S each time: faster changes mean two senders."""
 FLIPS, FLIPS_S = 4, 10.0
-"""An operator does not arm and disarm so often in so short a time: two autopilots disagree."""
+"""No operator arms and disarms so often in so short a time: two autopilots contradict each other."""
 KEPT = 16
 ALIVE_S = 1.0
-"""While other frames of it come, its heartbeats are late or lost, and it is not."""
+"""While its other frames arrive, its heartbeats are late or lost, but the autopilot is not lost."""
 
 
 class AutopilotState:
-    """Not thread-safe. timeout_s: after which it counts as lost in any case. late_s: for how long PHM did not run."""
+    """Not thread-safe. timeout_s: silence after which it is lost in any case. late_s: for how long PHM did not run."""
 
     def __init__(self, timeout_s: float = 3.5, late_s: Late = never_late) -> None:
         self._cadence, self._timeout_s, self._late_s = AdaptiveTimeout(timeout_s), timeout_s, late_s
         self._said: dict[str, tuple[float, bool]] = {}
-        """By link: when a heartbeat came last, and whether it said armed."""
+        """Per link: time of the last heartbeat, and whether it reported armed."""
         self._said_armed: dict[bool, float] = {}
-        """When armed (True) and disarmed (False) was last said, by any link."""
+        """When armed (True) and disarmed (False) were last reported, on any link."""
         self._disarmed_from: float | None = None
-        """When the unbroken row of disarmed heartbeats began; None: the newest one says armed."""
+        """Start of the unbroken series of disarmed heartbeats; None: the newest one reports armed."""
         self._stalled: float | None = None
         self._spoke = float("-inf")
         self._beat: tuple[float, Any, str] | None = None
         self._armed: deque[tuple[float, bool]] = deque(maxlen=KEPT)
-        """Changes of the armed state, with when they were seen."""
+        """Changes of the armed state, with the time when they were observed."""
         self._boot: tuple[float, float] | None = None
-        """When the newest time since boot was heard, and that time in seconds."""
+        """When the newest time since boot was received, and that time in seconds."""
         self._seen: deque[float] = deque(maxlen=TWINS)
         self.reboots = 0
         self._rebooted_armed = False
 
     @property
     def link(self) -> str:
-        """By which it was heard last; empty: by none."""
+        """Link of the newest heartbeat; empty: none received."""
         return self._beat[2] if self._beat is not None else ""
 
     def broke(self, now: float) -> None:
-        """Pauses until now say nothing about it: its link was closed, or PHM was suspended."""
+        """Ignore the pause until now: its link was closed, or PHM was suspended."""
         self._cadence.broke(now)
 
     def stalled(self, now: float) -> None:
-        """PHM has been suspended until now: what it reads next may be old."""
+        """PHM has been suspended until now: the frames that it reads next may be old."""
         self._stalled = now
         self.broke(now)
 
@@ -78,7 +79,7 @@ class AutopilotState:
             self._armed.append((now, armed))
 
     def booted(self, now: float, time_boot_ms: int) -> None:
-        """It says that it has run for so long."""
+        """Record the time since boot that the autopilot reports."""
         self._spoke = now
         new_s = time_boot_ms / 1000.0
         old_s = self._boot[1] if self._boot is not None else 0.0
@@ -91,11 +92,11 @@ class AutopilotState:
         self._boot = (now, new_s)
 
     def boot_s(self, now: float) -> float | None:
-        """For how long it has been running; None: not known."""
+        """How long it has been running, in seconds; None: unknown."""
         return self._boot[1] + now - self._boot[0] if self._boot is not None else None
 
     def twins(self, now: float) -> bool:
-        """Whether two autopilots speak with one identity: by their times since boot, or by their armed states."""
+        """Whether two autopilots use one identity: from their times since boot, or from their armed states."""
         rebooting = len(self._seen) == TWINS and self._seen[-1] - self._seen[0] < TWINS_S
         changes = [at for at, _ in self._armed][-FLIPS:]
         flipping = len(changes) == FLIPS and changes[-1] - changes[0] < FLIPS_S
@@ -104,8 +105,8 @@ class AutopilotState:
     def fact(
         self, now: float, read_at: Callable[[str], float | None] = lambda link: None, unread_s: float = 0.0
     ) -> AutopilotFact | None:
-        """None: never heard. read_at: until when what came by a link of this name has been read; None: not known. unread_s: for
-        how long its link should have been read, and was not."""
+        """The fact; None if never received. read_at: until when the link of this name has been read, None if unknown.
+        unread_s: how long its link should have been read, and was not."""
         if self._beat is None:
             return None
         heard, message, link = self._beat
@@ -138,5 +139,6 @@ class AutopilotState:
         return self._cadence.overdue(None if speaks else read_at, self._late_s)
 
     def _armed_at(self, moment: float) -> bool:
-        """As last heard before `moment`: after a reboot the first heartbeat, disarmed, may come before the new time."""
+        """The armed state as last received before `moment`: after a reboot the first heartbeat, disarmed, may arrive
+        before the new time since boot."""
         return next((armed for at, armed in reversed(self._armed) if at <= moment), False)

@@ -1,4 +1,4 @@
-"""A thread of its own for calls into the kernel that may hang, such as statvfs on a dead network mount."""
+"""A separate thread for system calls that may hang, such as statvfs on a dead network mount."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class _Job(Generic[T]):
-    """One call on its way: `done` is set when `value` or `error` is there."""
+    """One call in progress: `done` is set when `value` or `error` is available."""
 
     def __init__(self, function: Callable[[], T]) -> None:
         self.function = function
@@ -25,7 +25,7 @@ class _Job(Generic[T]):
     def run(self) -> None:
         try:
             self.value = self.function()
-        except Exception as error:  # whatever it is, it is the caller's, who gets it from `result`
+        except Exception as error:  # any exception is passed to the caller of `result`
             self.error = error
         self.done.set()
 
@@ -38,8 +38,8 @@ class _Job(Generic[T]):
 class BlockingCallWorker:
     """Runs one call at a time with a deadline.
 
-    Invariant: at most one thread and one call. While a call hangs, every further one is refused at once,
-    so a dead mount costs one thread however often it is asked about.
+    Invariant: at most one thread and one call. While a call hangs, all others are refused immediately, so a dead mount
+    costs only one thread.
     """
 
     def __init__(self, name: str) -> None:
@@ -50,7 +50,8 @@ class BlockingCallWorker:
         self._thread: threading.Thread | None = None
 
     def call(self, function: Callable[[], T], timeout_s: float) -> T:
-        """The function's value or exception; CannotTell when it does not come back within `timeout_s`."""
+        """Return the function's value or raise its exception. Raises CannotTell if it does not return within
+        `timeout_s`."""
         if not self._lock.acquire(timeout=timeout_s):
             raise CannotTell(f"another call has kept {self._name} busy for {timeout_s:g} s")
         try:

@@ -1,6 +1,6 @@
-"""Reads the files of a container's cgroup, of version 2 or 1, in the host's tree. Read-only; no privilege is needed.
+"""Reads the files of a container's cgroup, version 2 or 1, in the host's tree. Read-only; needs no privilege.
 
-Formats: the kernel's Documentation/admin-guide/cgroup-v2.rst and cgroup-v1/. Where both versions are mounted (hybrid, with
+Formats: the kernel's Documentation/admin-guide/cgroup-v2.rst and cgroup-v1/. If both versions are mounted (hybrid, with
 version 2 at `unified`), limits and counters are those of version 1, and pressure is that of version 2.
 """
 
@@ -16,20 +16,20 @@ from phm.facts import ContainerFact, PressureFact, StallFact
 from phm.probes.kernel_file import head
 
 NEAR_LIMIT = 0.9
-"""Below this share of its memory limit a container's memory.stat, which costs most to read, is not looked at."""
+"""Below this share of its memory limit PHM does not read a container's memory.stat, the most expensive file."""
 MOST_GROUPS = 256
 PERIOD_S = 0.1
-"""Of a CPU limit, where nothing else is set."""
+"""Period of a CPU limit, the kernel's default."""
 _ID = re.compile(r"[0-9a-f]{64}")
 _SCOPE = re.compile(r"(?:docker-)?([0-9a-f]{64})(?:\.scope)?")
 _PARENT = re.compile(r"[A-Za-z0-9_.@:/-]{1,200}")
 _NO_LIMIT = 1 << 60
-"""Version 1 writes its largest number of pages where there is no limit."""
+"""Version 1 writes its largest number of pages if there is no limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cgroup:
-    """One container's directories. `unified` may be that of version 2 alone, or beside version 1."""
+    """The directories of one container. `unified` is that of version 2, used alone or beside version 1."""
 
     unified: str
     cpu: str = ""
@@ -43,7 +43,8 @@ class Cgroup:
 
 
 def find(root: Path, container: ContainerFact) -> Cgroup | None:
-    """The cgroup of a running container below `root`, where the host's /sys/fs/cgroup is seen; None when it is not there."""
+    """The cgroup of a running container below `root`, the mount of the host's /sys/fs/cgroup; None if it does not
+    exist."""
     if not _ID.fullmatch(container.id):
         return None
     for place in _places(container):
@@ -54,7 +55,7 @@ def find(root: Path, container: ContainerFact) -> Cgroup | None:
 
 
 def _places(container: ContainerFact) -> Iterator[str]:
-    """Where the engine puts it, with its cgroup driver cgroupfs or systemd, and with a parent of the user's own."""
+    """Possible paths, for the cgroup drivers cgroupfs and systemd, and for a parent configured by the user."""
     parent = container.cgroup_parent.strip("/")
     if _PARENT.fullmatch(parent) and ".." not in parent.split("/"):
         if parent.endswith(".slice"):
@@ -65,7 +66,7 @@ def _places(container: ContainerFact) -> Iterator[str]:
 
 
 def _slice(name: str) -> str:
-    """The path of a systemd slice: `a-b.slice` lies in `a.slice`."""
+    """The path of a systemd slice: `a-b.slice` is in `a.slice`."""
     words = name.rpartition("/")[2].removesuffix(".slice").split("-")
     return "/".join("-".join(words[: count + 1]) + ".slice" for count in range(len(words)))
 
@@ -82,7 +83,8 @@ def _group(root: Path, place: str) -> Cgroup | None:
 
 
 def read(group: Cgroup, at: float) -> PressureFact:
-    """What the files say at monotonic second `at`. Raises OSError when the container has gone, ValueError when they make no sense."""
+    """Read all figures at monotonic second `at`. Raises OSError if the container has ended, ValueError for unexpected
+    content."""
     return _read_v1(group, at) if group.version == 1 else _read_v2(group, at)
 
 
@@ -147,7 +149,7 @@ def _read_v1(group: Cgroup, at: float) -> PressureFact:
 
 
 def used_by_all(root: Path) -> dict[str, float]:
-    """CPU seconds that each container has used, by its full id; of at most MOST_GROUPS containers."""
+    """CPU seconds used by each container, by full id; for at most MOST_GROUPS containers."""
     first = root if (root / "cgroup.controllers").exists() else root / "cpuacct"
     found: dict[str, float] = {}
     for parent in ("docker", "system.slice"):
@@ -179,12 +181,13 @@ def _names(folder: Path) -> list[str]:
 
 
 def _life(base: str) -> str:
-    """Raises OSError when the cgroup has gone. A container that is started again gets another directory of the same name."""
+    """Raises OSError if the cgroup has gone. A restarted container gets a new directory of the same name."""
     return f"{base}@{os.stat(base).st_ino}"
 
 
 def _not_seen(base: str, cpu: Mapping[str, int], memory_bytes: int | None) -> tuple[str, ...]:
-    """What the kernel does not count for this container: a controller that is off, or no pressure stall information (`psi=1`)."""
+    """What the kernel does not count for this container: a disabled controller, or no pressure stall information
+    (`psi=1`)."""
     missing = [] if "nr_throttled" in cpu else ["its CPU limit"]
     if memory_bytes is None:
         missing.append("its memory limit")
@@ -194,10 +197,10 @@ def _not_seen(base: str, cpu: Mapping[str, int], memory_bytes: int | None) -> tu
 
 
 def _reread(path: str, used: int | None, limit: int | None) -> int | None:
-    """Pages read again by a process that had to wait: no more than the major faults, and no more than the refaults.
+    """Pages read again by a process that had to wait: the lower of the major faults and the refaults.
 
-    Files that are read through once are refaults without a major fault; programs and maps that are loaded for the first time are
-    major faults without a refault.
+    Files that are read once are refaults without a major fault; programs and maps that are loaded for the first time
+    are major faults without a refault.
     """
     if used is None or limit is None or used < NEAR_LIMIT * limit:
         return None
@@ -221,7 +224,7 @@ def _stall(base: str, what: str) -> StallFact | None:
 
 
 def _table(path: str) -> dict[str, int]:
-    """Lines `name number`; others are left out. Empty when the file is not there."""
+    """Lines `name number`; others are ignored. Empty if the file does not exist."""
     found: dict[str, int] = {}
     for line in (_text(path) or "").splitlines():
         name, _, number = line.partition(" ")
@@ -231,7 +234,7 @@ def _table(path: str) -> dict[str, int]:
 
 
 def _number(path: str) -> int | None:
-    """The number in a file; None for `max`, and when the file is not there."""
+    """The number in a file; None for `max`, and if the file does not exist."""
     text = _text(path)
     return None if text is None or text in ("", "max") else int(text)
 
@@ -241,7 +244,7 @@ def _seconds(table: Mapping[str, int], name: str, per_s: float) -> float | None:
 
 
 def _text(path: str) -> str | None:
-    """A small file of the kernel; None when it is not there."""
+    """The content of a small kernel file; None if it does not exist."""
     try:
         return head(path, 8192).strip()
     except OSError:

@@ -1,8 +1,8 @@
-"""Follows what happens to the configured containers: the engine's event stream, and a comparison beside it.
+"""Follows the configured containers through the engine's event stream and regular comparisons with its state.
 
-The stream is fast but loses events (the engine drops a slow reader and keeps only 256), so every few
-seconds and after every reconnect the containers are inspected and compared with what the stream led us
-to expect; each lost event is published as an event of its own.
+The stream is fast but loses events (the engine drops a slow reader and keeps only 256). So every few seconds and after
+every reconnect the containers are inspected and compared with the expected state; each lost event is published as a
+separate event.
 """
 
 from __future__ import annotations
@@ -28,18 +28,20 @@ logger = logging.getLogger(__name__)
 BACKOFF_S = 0.1
 BACKOFF_MAX_S = 5.0
 CONFIRM_S = 0.2
-"""A difference is looked at again after this: the event that explains it may be on its way."""
+"""A difference is checked again after this time: the event that explains it may still arrive."""
 BEHIND_S = 10.0
-"""After this time a reader that is behind hangs or never catches up: `caught_up` no longer waits for it."""
+"""A reader behind for longer than this hangs or never catches up: `caught_up` no longer waits for it."""
 BEHIND_LOOK_S = 0.005
 MISSED_S = 2.0
-"""The engine replays what happened while the stream was closed, from its last 256 events, those of healthchecks included. After
-a longer interruption some may be missing."""
+"""The engine replays events of the time in which the stream was closed, from its last 256, including those of health
+checks. After a longer interruption some may be missing."""
 
 
 class ContainerWatcher:
-    """Two threads: one follows the stream, one compares. `on_event` is called from either, one at a time; `on_turn` when the
-    stream broke, could not be opened, or is open again: mostly the engine itself has gone or come.
+    """Two threads: one follows the stream, one compares.
+
+    `on_event` is called from both, one call at a time; `on_turn` when the stream broke, could not be opened, or is open
+    again, usually because the engine stopped or started.
     """
 
     def __init__(
@@ -73,7 +75,7 @@ class ContainerWatcher:
             threads.start(thread)
 
     def stop(self) -> None:
-        """End both threads; waits at most for a call that is under way."""
+        """End both threads. Waits at most for a call in progress."""
         self._stopping.set()
         self._compare_now.set()
         stream = self._stream
@@ -83,13 +85,13 @@ class ContainerWatcher:
             threads.join(thread, self._engine.timeout_s + 1)
 
     def healthy(self) -> bool:
-        """The stream is open, and the last comparison that succeeded is not older than three periods."""
+        """Whether the stream is open, and the last successful comparison is not older than three periods."""
         at = self._compared_at
         limit_s = 3 * self._compare_s + self._engine.timeout_s
         return self._connected and at is not None and self._clock.mono() - at <= limit_s
 
     def caught_up(self) -> bool:
-        """Whether `on_event` has returned for every event that the engine had sent when this was asked."""
+        """Whether `on_event` has returned for every event that the engine had sent at the time of the call."""
         stream = self._stream
         if stream is None or stream.caught_up():
             self._behind_since = None
@@ -100,7 +102,7 @@ class ContainerWatcher:
         return since is not None and now - since > BEHIND_S
 
     def catch_up(self) -> None:
-        """Wait until it has; not at all in most cases, and BEHIND_S at most."""
+        """Wait until caught up, usually not at all, and at most BEHIND_S."""
         while not self.caught_up() and not self._stopping.is_set():
             self._clock.wait(self._stopping, BEHIND_LOOK_S)
 
@@ -114,18 +116,18 @@ class ContainerWatcher:
                 self._read_stream()
                 silent = False
             except EngineTimeout:
-                silent = self._connected  # nothing happened for long: no failure
+                silent = self._connected  # no event for a long time: not a failure
             except CannotTell as error:
                 silent = False
                 logger.debug("event stream: %s", error)
-            except Exception:  # a defect in reading must not end the watch
+            except Exception:  # a defect in reading must not end the thread
                 silent = False
                 logger.exception("the event stream could not be read")
             if self._connected:
                 self._connected, self.fact = False, replace(self.fact, open=False, since=self._clock.mono())
             if not silent:
                 self._turned()
-            # A stream that is dropped as soon as it is opened must not be reopened ten times a second.
+            # Do not reopen a stream ten times a second if it is dropped as soon as it is opened.
             if silent or self._clock.mono() - opened_at > BACKOFF_MAX_S:
                 backoff.reset()
             if not self._stopping.is_set():
@@ -147,7 +149,7 @@ class ContainerWatcher:
                     self._publish(event)
 
     def _since_opened(self, now: float) -> str:
-        """From when on to replay events when none has come yet: since the stream was first open. Empty: it never was."""
+        """From when to replay events if none has arrived yet: since the stream was first open. Empty: it never was."""
         return "" if self._opened_at is None else f"{self._clock.utc() - (now - self._opened_at):.9f}"
 
     def _reopened(self, opened_at: float) -> EventStreamFact:
@@ -162,7 +164,7 @@ class ContainerWatcher:
             self._compare_now.clear()
             try:
                 complete = self._compare_all()
-            except Exception:  # a defect in comparing must not end the watch
+            except Exception:  # a defect in comparing must not end the thread
                 complete = False
                 logger.exception("containers could not be compared")
             if complete:
@@ -176,7 +178,7 @@ class ContainerWatcher:
         return all(answered)
 
     def _compare_one(self, key: str) -> bool:
-        """Publish what the stream missed about one container; False when the engine did not answer."""
+        """Publish what the stream missed about one container; False if the engine did not answer."""
         seen = self._look(key)
         if seen is not None and self._decoder.differs(key, seen[1]):
             self._clock.wait(self._stopping, CONFIRM_S)
@@ -188,7 +190,7 @@ class ContainerWatcher:
         return True
 
     def _look(self, key: str) -> tuple[int, ExpectedState] | None:
-        """How many events there were about the container before we looked, and what we saw."""
+        """The number of events about the container before the inspection, and its result."""
         count = self._decoder.count(key)
         try:
             fact = find(self._engine, self._containers[key], TimeBudget(self._clock, self._engine.timeout_s))
@@ -204,7 +206,7 @@ class ContainerWatcher:
             return
         try:
             self._on_turn()
-        except Exception:  # the listener's defect must not end the watch
+        except Exception:  # a defect of the listener must not end the thread
             logger.exception("the listener of the event stream failed")
 
     def _publish(self, event: DockerEvent) -> None:
@@ -213,5 +215,5 @@ class ContainerWatcher:
                 return
             try:
                 self._on_event(event)
-            except Exception:  # the listener's defect must not cost the next event
+            except Exception:  # a defect of the listener must not lose the next event
                 logger.exception("an event could not be delivered: %s", event)

@@ -1,4 +1,4 @@
-"""Reads how much of the processor is in use, and how long tasks had to wait for it, for memory and for the disks."""
+"""Reads CPU usage, and how long tasks waited for CPU, memory and disks."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from phm.core.clock import Clock
 from phm.probes.kernel_file import head
 
 SHORTEST_S = 0.2
-"""The kernel counts in hundredths of a second: over less than this, shares say nothing, and the last ones are given."""
+"""The kernel counts in hundredths of a second: over a shorter time shares are meaningless, and the last ones are
+returned."""
 _IDLE, _IOWAIT, _STEAL = 3, 4, 7
 _RUN_DELAY = 8
-"""Field of a `cpu` line of /proc/schedstat (Documentation/scheduler/sched-stats.rst): nanoseconds that tasks waited for it."""
+"""Field of a `cpu` line of /proc/schedstat (Documentation/scheduler/sched-stats.rst): nanoseconds for which tasks
+waited."""
 _MOST_SCHEDSTAT = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
 class CpuUsage:
-    """Shares since the reading before. See `phm.facts.HostFact`."""
+    """Shares since the previous reading. See `phm.facts.HostFact`."""
 
     busy_percent: float
     waiting_percent: float | None = None
@@ -37,17 +39,17 @@ class _Reading:
 
 
 class CpuMonitor:
-    """Not thread-safe. `proc` is where the kernel's /proc is."""
+    """Not thread-safe. `proc` is the path of the kernel's /proc."""
 
     def __init__(self, clock: Clock, proc: Path = Path("/proc")) -> None:
         self._clock, self._proc = clock, str(proc)
         self._last: _Reading | None = None
         self._use = CpuUsage(0.0)
         with contextlib.suppress(OSError, ValueError, IndexError):  # `use` reports it
-            self.use()  # the first reading has nothing to compare with, so it is taken here
+            self.use()  # the first call has no previous reading, so it takes one here
 
     def use(self) -> CpuUsage:
-        """Raises OSError, ValueError or IndexError when the kernel's figures cannot be read."""
+        """Raises OSError, ValueError or IndexError if the kernel's figures cannot be read."""
         now = self._clock.mono()
         if self._last is not None and now - self._last.at < SHORTEST_S:
             return self._use
@@ -59,9 +61,9 @@ class CpuMonitor:
         return self._use
 
     def _waited_us(self) -> int | None:
-        """Microseconds since boot in which some task waited for a core; None where the kernel does not count at all.
+        """Microseconds since boot in which a task waited for a core; None if the kernel does not count.
 
-        Without pressure stall information (`psi=0`), the waits of all tasks added up, per processor.
+        Without pressure stall information (`psi=0`): the total waiting time of all tasks, per CPU.
         """
         waited_us = self._total_us("cpu", "some")
         return self._run_delay_us() if waited_us is None else waited_us

@@ -1,7 +1,7 @@
 """Looks at device files of the host, through the mount of the host's /dev in PHM's container.
 
-A path such as /dev/ttyACM0 is looked up at `dev_root`/ttyACM0; links such as those of /dev/serial/by-id
-are followed within that tree, because their targets name the host's paths.
+A path such as /dev/ttyACM0 is read at `dev_root`/ttyACM0. Links such as those of /dev/serial/by-id are followed within
+that tree, because their targets are paths of the host.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.inotify import FileWatcher
 
 LOOK_S = 1.5
-"""Deadline of one look; opening a device whose driver is stuck can hang."""
+"""Deadline of one look; opening a device with a stuck driver can hang."""
 DESCRIPTION_S = 10.0
 """How long the description of a port is cached."""
 _MOST_DESCRIPTIONS = 64
@@ -31,8 +31,8 @@ _DEV = PurePosixPath("/dev")
 _PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "rfcomm*", "ttyS*")
 _OPENING = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
 
-# What the error of an attempt to open says about the device itself: False it is unusable, True it works but
-# somebody has it, None nothing, because it is PHM that may not.
+# What an error while opening says about the device. False: unusable. True: it works, but another program
+# uses it. None: nothing, because PHM has no permission.
 _ERRORS: dict[int, tuple[bool | None, str]] = {
     errno.EBUSY: (True, "in use"),
     errno.EPERM: (None, "the device rules of PHM's own container do not allow opening it"),
@@ -47,7 +47,8 @@ _ERRORS: dict[int, tuple[bool | None, str]] = {
 class Devices:
     """A `phm.facts.DeviceProbe`. Thread-safe; one call at a time.
 
-    changed: called when a device that was looked at, or a link on the way to it, may have come, gone or changed.
+    changed: called when a device that was looked at, or a link on the path to it, may have appeared, disappeared or
+    changed.
     """
 
     def __init__(
@@ -77,11 +78,11 @@ class Devices:
         fact = self._look(path, open_it, steps)
         fresh = [self._watch(str(self._place(step.parent)), step.name) for step in steps]
         if any(fresh):
-            self._changed()  # it may have changed between this look and the beginning of the watch
+            self._changed()  # it may have changed between the look and the start of the watch
         return fact
 
     def _look(self, path: str, open_it: bool, steps: list[PurePosixPath] | None = None) -> DeviceFact | None:
-        """The device; what is looked up on the way to it is added to `steps`."""
+        """The device; each step of the path to it is added to `steps`."""
         if not self._root.is_dir():
             raise CannotTell(
                 f"the host's /dev is not at {self._root}: mount it there, read-only, or correct host.dev_root"
@@ -105,17 +106,17 @@ class Devices:
         return DeviceFact(str(real), True, major, minor, openable, reason, self._describe(real.name), seen.st_ino)
 
     def _place(self, path: PurePosixPath) -> Path:
-        """Where PHM finds a path of the host: below `dev_root` for /dev, else at the same place."""
+        """The path at which PHM finds a path of the host: below `dev_root` for /dev, otherwise the same."""
         return self._root / path.relative_to(_DEV) if path.is_relative_to(_DEV) else Path(path)
 
     def _resolve(self, path: PurePosixPath, steps: list[PurePosixPath]) -> PurePosixPath | None:
-        """The host's path with links followed as the host would; None for a dangling or endless chain."""
+        """The host's path with links followed as on the host; None for a dangling or endless chain."""
         parts, done, links = list(path.parts[1:]), PurePosixPath("/"), 0
         while parts:
             step = os.path.normpath(done / parts.pop(0))
             done = PurePosixPath(step)
             if done == _DEV or not done.is_relative_to(_DEV):
-                continue  # /dev itself is the mount, and nothing outside it is ours to follow
+                continue  # /dev itself is the mount; PHM must not follow links out of it
             steps.append(done)
             try:
                 target = os.readlink(self._place(done))
@@ -133,7 +134,7 @@ class Devices:
 
     @staticmethod
     def _usable(place: Path, seen: os.stat_result, open_it: bool) -> tuple[bool | None, str]:
-        """Whether the device can be used, and why not or why that is not known."""
+        """Whether the device can be used, and the reason if not or if unknown."""
         if not seen.st_mode & 0o666:
             return False, "its mode allows no user to read or write"
         if not open_it:
@@ -151,14 +152,14 @@ class Devices:
         for pattern in _PORTS:
             for place in sorted(self._root.glob(pattern)):
                 if pattern == "ttyS*" and not _fitted(place.name):
-                    continue  # the kernel makes nodes for ports that the board does not have
+                    continue  # the kernel creates nodes for ports that the board does not have
                 fact = self._look(f"/dev/{place.name}", open_it=False)
                 if fact is not None and fact.character:
                     found.append(fact)
         return tuple(found)
 
     def _describe(self, name: str) -> str:
-        """What a serial port says about itself, in pyserial's words; empty for anything else."""
+        """The description of a serial port, as pyserial formats it; empty for other devices."""
         if not name.startswith(("tty", "rfcomm")):
             return ""
         with self._lock:
@@ -174,13 +175,13 @@ class Devices:
 
 
 _GONE = "gone"
-"""The device vanished between looking and opening."""
+"""The device disappeared between looking and opening."""
 
 
 def _port_words(name: str) -> str:
-    """Product, maker, serial number and USB ids of a port, as far as known."""
+    """Product, manufacturer, serial number and USB ids of a port, as far as known."""
     try:
-        # Only the name counts: pyserial looks it up in /sys/class/tty, which is the host's in a container too.
+        # Only the name matters: pyserial looks it up in /sys/class/tty, which is the host's in a container too.
         port = SysFS(f"/dev/{name}")
     except (OSError, TypeError, ValueError):
         return ""
@@ -191,7 +192,7 @@ def _port_words(name: str) -> str:
 
 
 def _fitted(name: str) -> bool:
-    """Whether a ttyS port has hardware, decided as by pyserial: its subsystem is not `platform`."""
+    """Whether a ttyS port has hardware, determined like in pyserial: its subsystem is not `platform`."""
     try:
         subsystem = SysFS(f"/dev/{name}").subsystem
     except (OSError, TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""The Docker probe: containers, networks and addresses as facts, from the engine's own answers."""
+"""The Docker probe: containers, networks and addresses as facts, from the engine's responses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from phm.probes.docker_processes import Processes
 from phm.transport.docker import DockerEngine, EngineMissing
 
 FRESH_S = 0.2
-"""An answer this young serves where it only leads to another question, and for PHM's own container."""
+"""A response of this age is sufficient if it only leads to another request, and for PHM's own container."""
 _MYSELF = "\0myself"  # no container can have this name
 _ID = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])")
 _BY_DOCKER = ("/etc/hostname", "/etc/hosts", "/etc/resolv.conf")
@@ -27,7 +27,7 @@ _BY_DOCKER = ("/etc/hostname", "/etc/hosts", "/etc/resolv.conf")
 
 @dataclass(slots=True)
 class _Entry:
-    """The last answer about one container. Invariant: read and written with `lock` held."""
+    """The last response about one container. Invariant: read and written with `lock` held."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     asked_at: float = float("-inf")
@@ -38,7 +38,7 @@ class _Entry:
 
 
 class Docker:
-    """Implements `phm.facts.DockerProbe`. Thread-safe; each method ends within the engine's time-out."""
+    """Implements `phm.facts.DockerProbe`. Thread-safe; each method returns within the engine's timeout."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class Docker:
             network = self._engine.inspect_network(name)
         except EngineMissing:
             return ""
-        # The engine also takes the beginning of an id for a name.
+        # The engine also accepts the beginning of an id as a name.
         return str(network.get("Id") or "") if network.get("Name") == name else ""
 
     def reachable(self, address: str) -> bool:
@@ -94,22 +94,23 @@ class Docker:
         return self._pinger.answers(address, holder.generation if holder is not None else "")
 
     def answering(self) -> tuple[str, ...]:
-        """Addresses of configured containers that run and have answered in this life; see `phm.probes.reachability_monitor`."""
+        """Addresses of configured containers that run and have responded in this run; see
+        `phm.probes.reachability_monitor`."""
         facts = [entry.fact for key, entry in self._entries.items() if key != _MYSELF and entry.fact is not None]
         return tuple(
             one.address
             for fact in facts
             if fact.running
             for one in fact.networks
-            if one.address and self._pinger.heard(one.address, fact.generation)
+            if one.address and self._pinger.has_responded(one.address, fact.generation)
         )
 
     def ping(self, address: str) -> bool:
-        """Whether the address answers by itself just now: one question, not a verdict."""
+        """Whether the address responds right now: a single attempt, not a verdict."""
         return self._pinger.ping(address)
 
     def invalidate(self) -> None:
-        """Something happened: what was read before now is old. Called with each Docker event and after each action of PHM."""
+        """Invalidate earlier responses. Called with each Docker event and after each action of PHM."""
         self._generation = next(self._generations)
 
     # ------------------------------------------------------------ one question for all who ask at once
@@ -117,9 +118,10 @@ class Docker:
     def _shared(
         self, key: str, ask: Callable[[TimeBudget], ContainerFact | None], young_s: float
     ) -> ContainerFact | None:
-        """The answer to a question that was asked at most `young_s` before this call, or since: who waits while another thread
-        asks shares its answer with those who wait, too. A check's result counts from when its run began, so nothing that it
-        is made of may be older.
+        """The response to a request that was made at most `young_s` before this call, or later.
+
+        Threads that wait while another one asks share its next response. A check's result counts from the start of its
+        run, so none of its data may be older.
         """
         entry = self._entries[key]
         called_at = self._clock.mono()
@@ -137,7 +139,7 @@ class Docker:
 
     def _usable(self, entry: _Entry, called_at: float, young_s: float) -> bool:
         if entry.error is not None and entry.done_at > called_at:
-            return True  # failed while we waited: to try again would only queue up the deadlines
+            return True  # failed while this thread waited: another attempt would only add up the deadlines
         return entry.generation == self._generation and called_at - entry.asked_at <= young_s
 
     def _ask(self, entry: _Entry, ask: Callable[[TimeBudget], ContainerFact | None]) -> None:
@@ -173,16 +175,16 @@ class Docker:
 
 
 def own_ids(proc: Path) -> list[str]:
-    """Ids that PHM's own container may have, best evidence first; empty outside of containers.
+    """Possible ids of PHM's own container, best evidence first; empty outside of containers.
 
-    proc: the process's directory in /proc. The engine mounts /etc/hostname and its like from a directory
-    named after the id (cgroup v2 hides the id elsewhere); cgroup v1 names it in each path; the host name
-    is its beginning unless the user chose another.
+    proc: the process's directory in /proc. The engine mounts /etc/hostname and similar files from a directory named
+    after the id (cgroup v2 hides the id elsewhere). cgroup v1 has it in each path. The host name is its beginning
+    unless the user chose another.
     """
     found: dict[str, None] = {}
     for line in _lines(proc / "mountinfo"):
         fields = line.split()
-        # Only those that are mounted for this process: a host sees the mounts of all its containers.
+        # Only those mounted for this process: a host sees the mounts of all its containers.
         if len(fields) > 4 and fields[4] in _BY_DOCKER:
             found.update(dict.fromkeys(_ID.findall(fields[3])))
     for line in _lines(proc / "cgroup"):

@@ -21,7 +21,7 @@ CONTAINER_ACTIONS = (
     "rename",
 )
 NETWORK_ACTIONS = ("create", "connect", "disconnect", "destroy")
-# The engine matches actions by their beginning once `health_status` is among them: exec events stay out.
+# The engine matches actions by prefix once `health_status` is among them: exec events are excluded.
 ENDINGS = ("kill", "die", "stop", "destroy")
 FILTERS = {"type": ("container", "network"), "event": tuple(dict.fromkeys((*CONTAINER_ACTIONS, *NETWORK_ACTIONS)))}
 
@@ -52,22 +52,23 @@ class DockerEvent:
 
     @property
     def subjects(self) -> frozenset[str]:
-        """What it wakes: see `phm.api.Check.wakes`."""
+        """The subjects that it wakes: see `phm.api.Check.wakes`."""
         return frozenset({f"container:{self.key}" if self.kind == "container" else "network"})
 
     @property
     def harmless(self) -> bool:
-        """A signal after which the container is not meant to end, e.g. SIGHUP to have it read its configuration."""
+        """A signal that does not stop the container, e.g. SIGHUP to reload its configuration."""
         return self.action == "kill" and self.end_s == 0
 
     @property
     def ends_life(self) -> bool:
-        """A container has ended, or is gone."""
+        """The container has ended or was removed."""
         return self.kind == "container" and self.action in ("die", "destroy")
 
     @property
     def begins_life(self) -> bool:
-        """A container was started. The engine's own `restart` only follows its `start`; a lost one replaces both."""
+        """The container was started. The engine's `restart` event only follows its `start`; if `start` is lost, it
+        replaces it."""
         return self.kind == "container" and (self.action == "start" or (self.action == "restart" and self.lost))
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""What the engine's JSON says, as facts: pure reading that forgives missing fields, and finding a container."""
+"""Converts the engine's JSON to facts, tolerating missing fields, and finds a container."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LEAST_S = 0.05
 
 
 class TimeBudget:
-    """What is left of a method's deadline, for the calls that it makes one after another."""
+    """The rest of a method's deadline, for its successive calls."""
 
     def __init__(self, clock: Clock, limit_s: float) -> None:
         self._clock, self._until = clock, clock.mono() + limit_s
@@ -32,7 +32,7 @@ class TimeBudget:
 
 
 def find(engine: DockerEngine, entry: ContainerSettings, budget: TimeBudget) -> ContainerFact | None:
-    """The container that `entry` names, or None. Raises CannotTell when a label names several."""
+    """The container that `entry` names, or None. Raises CannotTell if a label matches several."""
     ref = entry.name or _by_label(engine, entry.label or "", budget)
     if not ref:
         return None
@@ -40,12 +40,12 @@ def find(engine: DockerEngine, entry: ContainerSettings, budget: TimeBudget) -> 
         fact = container_fact(engine.inspect(ref, deadline_s=budget.left_s()))
     except EngineMissing:
         return None
-    # The engine also takes the beginning of an id for a name.
+    # The engine also accepts the beginning of an id as a name.
     return None if entry.name and fact.name != entry.name else fact
 
 
 def _by_label(engine: DockerEngine, label: str, budget: TimeBudget) -> str:
-    """Id of the container with that label, or empty. One that lives wins over the stopped ones it replaced."""
+    """Id of the container with that label, or empty. A running one has priority over stopped ones that it replaced."""
     found = [
         entry
         for entry in engine.list(label=label, deadline_s=budget.left_s())
@@ -64,7 +64,7 @@ def _name(summary: Mapping[str, Any]) -> str:
 
 
 def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
-    """The fact in an inspect answer. Raises CannotTell when it names no container or no state."""
+    """The fact from an inspect response. Raises CannotTell if it contains no container or no state."""
     state, host = _part(answer, "State"), _part(answer, "HostConfig")
     health = _part(state, "Health")
     if not answer.get("Id") or not state.get("Status"):
@@ -116,7 +116,7 @@ def _environment(lines: Sequence[str]) -> dict[str, str]:
 
 
 def _cpu_limit(host: Mapping[str, Any]) -> float | None:
-    """CPUs, by `--cpus` or by `--cpu-quota`."""
+    """CPU limit in CPUs, from `--cpus` or `--cpu-quota`."""
     cpus = _number(host.get("NanoCpus")) / 1e9 or _number(host.get("CpuQuota")) / 1e6 / _cpu_period_s(host)
     return cpus if cpus > 0 else None
 
@@ -127,7 +127,7 @@ def _cpu_period_s(host: Mapping[str, Any]) -> float:
 
 
 def _signal(value: Any) -> int:
-    """The number of a signal as Docker writes it: a number, or a name with or without SIG, also `SIGRTMIN+3`."""
+    """The number of a signal in Docker's notation: a number, or a name with or without SIG, also `SIGRTMIN+3`."""
     name, plus, more = _text(value).upper().partition("+")
     if name.isdecimal():
         return int(name)
@@ -143,7 +143,7 @@ def _seconds(value: Any) -> float | None:
 
 
 def _healthcheck(given: Mapping[str, Any]) -> HealthcheckFact | None:
-    """Times are in nanoseconds; what is 0 or left out has the engine's default."""
+    """Times are in nanoseconds; 0 or a missing value means the engine's default."""
     test = given.get("Test") or []
     if not test or test == ["NONE"]:
         return None
@@ -180,7 +180,7 @@ def _networks(networks: Mapping[str, Any]) -> tuple[Attachment, ...]:
 
 
 def _mounts(mounts: Sequence[Mapping[str, Any]], tmpfs: Mapping[str, Any]) -> tuple[Mount, ...]:
-    """Mounts, and what `--tmpfs` made, which the engine lists elsewhere."""
+    """Mounts, including `--tmpfs`, which the engine lists separately."""
     found = [
         Mount(
             kind=_text(mount.get("Type")),

@@ -1,7 +1,7 @@
-"""The processes of a container, from the engine's own process list.
+"""The processes of a container, from the engine's process list.
 
-For each question the engine starts the host's `ps`: measured 13 ms, 7 ms of processor time for the engine and 1 ms
-for PHM. So it is not polled quickly.
+For each request the engine starts the host's `ps`: measured 13 ms, with 7 ms of CPU time for the engine and 1 ms for
+PHM. So it is not polled quickly.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from phm.facts import CannotTell, ProcessFact
 from phm.transport.docker import DockerEngine, EngineBroken
 
 LIMIT_S = 1.0
-"""A container that hangs in the kernel can hang questions about its processes."""
+"""A container that hangs in the kernel can block requests about its processes."""
 FORMS = ("-ww -o pid,ppid,stat,times,etimes,args", "-o pid,ppid,stat,args")
-"""Arguments for `ps`, the best first: not cut to the width of a terminal, for one. The second is for hosts with BusyBox,
-whose `ps` knows neither processor time nor age in seconds."""
+"""Arguments for `ps`, the best first, not cut to the width of a terminal. The second is for hosts with BusyBox, whose
+`ps` reports neither CPU time nor age in seconds."""
 AGAIN_S, AGAIN_MOST_S = 5.0, 300.0
-"""A better form that the engine refused is tried again after this time, twice as long after each further refusal: HTTP 500 is its
-answer to a `ps` that does not know the form, and to one that a busy machine could not start."""
+"""A better form that the engine refused is tried again after this time, doubled after each refusal: the engine answers
+HTTP 500 both for a `ps` that does not support the form and for one that a busy machine could not start."""
 MOST = 1000
 _COMMAND_CHARS = 4096
 _ENDED = ("Z", "X")
 
 
 class Processes:
-    """Asks for process lists, in the form that the host's `ps` understands."""
+    """Requests process lists in the form that the host's `ps` supports."""
 
     def __init__(self, engine: DockerEngine, clock: Clock) -> None:
         self._engine, self._clock = engine, clock
         self._best_from, self._wait_s = float("-inf"), AGAIN_S
 
     def look(self, container_id: str) -> tuple[ProcessFact, ...]:
-        """Raises CannotTell: the container does not run, or no answer came in time, or it cannot be parsed."""
+        """Raises CannotTell if the container does not run, no response came in time, or it cannot be parsed."""
         best, simple = FORMS
         if self._clock.mono() >= self._best_from:
             try:
@@ -50,7 +50,7 @@ class Processes:
 
 
 def processes(answer: Mapping[str, Any]) -> tuple[ProcessFact, ...]:
-    """The facts in an answer of the engine; the last column is the command, whatever it is called."""
+    """The facts in a response of the engine; the last column is the command, whatever its name."""
     titles, listed = answer.get("Titles"), answer.get("Processes") or []
     if not isinstance(titles, list) or "PID" not in titles or not all(isinstance(title, str) for title in titles):
         raise CannotTell("the Docker Engine listed processes without process ids")

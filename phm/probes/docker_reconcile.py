@@ -1,4 +1,4 @@
-"""What a container should look like after the received events, and what differs: pure functions."""
+"""The expected state of a container after the received events, and differences from the observed state. Pure functions."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from phm.facts import ContainerFact
 
 @dataclass(frozen=True, slots=True)
 class ExpectedState:
-    """A container as last seen, changed by the events since. None: an event made it unknown, so it cannot differ.
+    """A container as last observed, updated by the events since. None: an event made it unknown, so it cannot differ.
 
-    id:       empty when there is no container.
-    networks: pairs of name and network id.
+    id: empty if there is no container. networks: pairs of name and network id.
     """
 
     id: str | None = ""
@@ -48,7 +47,7 @@ def after(expected: ExpectedState, action: str, detail: str, subject: str) -> Ex
         # A container that ends immediately has a `die` event; its networks get new ids only by `connect`.
         return ExpectedState(subject, "running", None, None, None, expected.networks)
     if action == "die":
-        # It may be restarting already by its policy.
+        # Its restart policy may already be restarting it.
         return replace(_UNKNOWN, id=subject)
     if action == "pause":
         return replace(expected, status="paused")
@@ -62,7 +61,7 @@ def after(expected: ExpectedState, action: str, detail: str, subject: str) -> Ex
 
 
 def differences(expected: ExpectedState, now: ExpectedState) -> list[tuple[str, str, str]]:
-    """Events that explain the way from `expected` to `now`: (kind, action, detail or network name)."""
+    """Events that explain the change from `expected` to `now`: (kind, action, detail or network name)."""
     if expected.id is not None and expected.id != now.id:
         # Another container, or none: the rest cannot be compared.
         return [("container", "create" if now.id else "destroy", "")]

@@ -1,4 +1,4 @@
-"""What the engine's statistics of a container say, as a fact: for where the host's cgroups are not mounted into PHM."""
+"""Converts the engine's statistics of a container to a fact, if the host's cgroups are not mounted into PHM."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ _NO_LIMIT = 1 << 60
 
 
 def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float) -> PressureFact | None:
-    """The fact in an answer of `GET /containers/ID/stats`, got at monotonic second `at`; None when the container does not run."""
+    """The fact from a response of `GET /containers/ID/stats`, received at monotonic second `at`; None if the container
+    does not run."""
     cpu, memory, pids = _part(answer, "cpu_stats"), _part(answer, "memory_stats"), _part(answer, "pids_stats")
     used_ns = _number(_part(cpu, "cpu_usage").get("total_usage"))
     if not used_ns:
@@ -41,7 +42,8 @@ def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float
 
 
 def _reread(details: Mapping[str, Any], used: int | None, limit: int | None) -> int | None:
-    """As `phm.probes.cgroups` does. The statistics of version 1 have no refaults: far from the limit, faults are first loads."""
+    """As in `phm.probes.cgroups`. The statistics of version 1 have no refaults: far below the limit, faults are first
+    loads."""
     if used is None or limit is None or used < NEAR_LIMIT * limit:
         return None
     faults, refaults = _number(details.get("pgmajfault")), _number(details.get("workingset_refault"))
@@ -60,5 +62,5 @@ def _part(answer: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def _number(value: Any) -> int | None:
-    """A count; None for anything else, since statistics of an older engine or kernel lack some."""
+    """A count; None for other values, because statistics of an older engine or kernel lack some."""
     return value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else None

@@ -1,6 +1,6 @@
-"""Files inside containers: through a volume that PHM sees as well, where there is one, else through the engine.
+"""Reads files inside containers: through a volume that PHM can access too, otherwise through the engine.
 
-A volume is cheap and works while the engine hangs; the engine sees everything else.
+A volume is cheap and works while the engine hangs; the engine reaches all files.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from phm.transport.docker import DockerEngine, EngineMissing
 
 MAX_BYTES = 1 << 30
 DIGEST_S = 15.0
-"""For reading a whole file; the rest of a look has the engine's time-out."""
+"""Deadline for reading an entire file; the rest of a look has the engine's timeout."""
 _SUMS = 256
 _TOO_LARGE = "too large"
-"""Kept in the place of a sum: the file is not read again until it has changed."""
+"""Stored instead of a checksum: the file is not read again until it has changed."""
 _PIECE = 1 << 20
 _GO_DIRECTORY, _GO_LINK, _GO_OTHER = 1 << 31, 1 << 27, 1 << 26 | 1 << 25 | 1 << 24 | 1 << 21 | 1 << 19
 _GO_SPECIAL = ((1 << 23, stat.S_ISUID), (1 << 22, stat.S_ISGID), (1 << 20, stat.S_ISVTX))
@@ -36,7 +36,7 @@ _NOT_SEEN_BY_ENGINE: Final = ("/proc", "/sys", "/dev")
 class Files:
     """Implements `phm.facts.FileProbe`. Thread-safe.
 
-    changed: called when something may have changed in a volume on the way to a file that was looked for.
+    changed: called when something may have changed in a volume on the path to a file that was looked up.
     """
 
     def __init__(
@@ -51,14 +51,14 @@ class Files:
         self._docker, self._engine, self._clock = docker_probe, engine, clock
         self._changed = changed
         self._watch = notices.on(changed, content=True) if notices is not None else lambda directory, name: False
-        # Behind tcp:// the engine may be another machine's, whose paths mean nothing here.
+        # With tcp:// the engine may be on another machine, whose paths do not exist here.
         self._same_host = settings.socket.startswith("unix:")
         self._last: dict[str, tuple[ContainerFact, ContainerFact | None]] = {}
         self._sums: OrderedDict[Hashable, str] = OrderedDict()
         self._lock = threading.Lock()
 
     def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
-        """Raises CannotTell when the container does not exist, or the file is too large or too slow to read."""
+        """Raises CannotTell if the container does not exist, or the file is too large or too slow to read."""
         path = normal(path)
         try:
             fact, me = self._docker.container(container), self._docker.myself()
@@ -74,7 +74,7 @@ class Files:
             return self._through_engine(fact, path, digest)
 
     def _without_engine(self, container: str, path: str, digest: bool, error: CannotTell) -> FileFact | None:
-        """Through a volume, as the container was mounted when the engine last answered; else what `error` says."""
+        """Read through a volume, with the mounts of the engine's last response. Raises `error` if that is not possible."""
         last = self._last.get(container)
         if last is None:
             raise error
@@ -98,7 +98,7 @@ class Files:
         mounts = {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts}
         number = resolve(path, mounts, passing)
         if fresh:
-            self._changed()  # it may have changed between this look and the beginning of the watch
+            self._changed()  # it may have changed between the look and the start of the watch
         if number is None:
             return None
         try:
@@ -109,7 +109,7 @@ class Files:
         return _file_fact(path, info.st_mode, info.st_size, sha256, "volume")
 
     def _roots(self, fact: ContainerFact, me: ContainerFact | None) -> dict[str, str]:
-        """Where PHM sees the mounts of a container: destination in the container -> path here."""
+        """The paths at which PHM sees the mounts of a container: destination in the container -> path here."""
         mounts = [mount for mount in fact.mounts if mount.kind in ("bind", "volume") and mount.source]
         if me is not None:
             seen = {mount.destination: _my_view(mount, me.mounts) for mount in mounts}
@@ -118,7 +118,7 @@ class Files:
         return {destination: here for destination, here in seen.items() if here}
 
     def _sum_of_file(self, number: int, info: os.stat_result, path: str) -> str:
-        """SHA-256 of an open path. Raises Outside when PHM may not read it: the engine may."""
+        """SHA-256 of an open path. Raises Outside if PHM may not read it: the engine may."""
         key = (info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
         known = self._known(key)
         if info.st_size > MAX_BYTES or known == _TOO_LARGE:
@@ -128,7 +128,7 @@ class Files:
         until = self._clock.mono() + DIGEST_S
         total, size = hashlib.sha256(), 0
         try:
-            # The path was opened without rights to its content; /proc leads to the very same file.
+            # The path was opened without read permission; /proc leads to the same file.
             with open(f"/proc/self/fd/{number}", "rb", buffering=0) as content:
                 while piece := content.read(_PIECE):
                     total.update(piece)
@@ -160,7 +160,7 @@ class Files:
         return _file_fact(path, mode, size, sha256, "engine")
 
     def _follow(self, fact: ContainerFact, path: str, budget: TimeBudget) -> tuple[str, dict[str, Any]] | None:
-        """The path at the end of all links and what the engine says about it."""
+        """The path after all links, and the engine's information about it."""
         real = path
         for _ in range(MAX_LINKS):
             try:
@@ -177,7 +177,7 @@ class Files:
         return None
 
     def _must_be_visible(self, fact: ContainerFact, path: str) -> None:
-        """Raises CannotTell where the engine's `not found` proves nothing."""
+        """Raises CannotTell if the engine's `not found` is not conclusive."""
         hidden = [mount.destination for mount in fact.mounts if mount.kind == "tmpfs"]
         for root in (*hidden, *_NOT_SEEN_BY_ENGINE):
             if path == root or path.startswith(root.rstrip("/") + "/"):
@@ -224,7 +224,7 @@ def _too_large(path: str, size: int) -> CannotTell:
 
 
 def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> str:
-    """Path in PHM's own container of what `mount` shows to another one, or empty."""
+    """The path in PHM's own container of what `mount` shows to another one, or empty."""
     for own in mine:
         if mount.kind == "volume" == own.kind and mount.name and mount.name == own.name:
             return own.destination
@@ -236,7 +236,7 @@ def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> str:
 
 
 def _posix_mode(go_mode: int) -> int:
-    """Go's os.FileMode as st_mode."""
+    """Convert Go's os.FileMode to st_mode."""
     kind = stat.S_IFDIR if go_mode & _GO_DIRECTORY else 0 if go_mode & _GO_OTHER else stat.S_IFREG
     special = sum(bit for go_bit, bit in _GO_SPECIAL if go_mode & go_bit)
     return kind | special | (go_mode & 0o777)

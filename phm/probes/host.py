@@ -1,8 +1,8 @@
-"""Reads the companion computer: processor, memory, disks, temperature, throttling, clock.
+"""Reads the companion computer: CPU, memory, disks, temperature, throttling, clock.
 
-/proc and /sys are not namespaced by Docker, so PHM's container sees the host's figures; disks are those
-that its own mounts lie on. What can turn bad within a second (processor, memory, disks) costs a twentieth of a millisecond
-and is read each time; what is slow by nature and dear (sensors) every few seconds.
+Docker does not namespace /proc and /sys, so PHM's container sees the host's figures; disks are those of its own mounts.
+CPU, memory and disks can fail within a second and cost 0.05 ms, so each run reads them. Sensors are slow and expensive,
+so they are read every few seconds.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ SLOW_S = 2.0
 """How long a reading of the sensors is cached."""
 MOST_FANS = 4
 
-# Names by which drivers report the processor's sensor. Others do not count: a Jetson's PMIC-Die always says
-# 100 degrees, and acpitz is the mainboard.
+# Names by which drivers report the CPU sensor. Other sensors are not used: a Jetson's PMIC-Die always
+# reports 100 degrees, and acpitz is the mainboard.
 _PROCESSOR = re.compile(r"cpu|soc|x86_pkg|coretemp|k10temp|zenpower", re.IGNORECASE)
 
-# Bits of a Raspberry Pi's get_throttled, from its documentation; 16 above: the same, since boot.
+# Bits of a Raspberry Pi's get_throttled, from its documentation; from bit 16 on: the same, since boot.
 _THROTTLED = (
     (0, "under-voltage"),
     (1, "frequency capped"),
@@ -46,7 +46,7 @@ _STA_UNSYNC = 0x40
 
 
 class _Timex(ctypes.Structure):
-    """The head of `struct timex` of <sys/timex.h>, with room for what follows."""
+    """The beginning of `struct timex` of <sys/timex.h>, with space for the rest."""
 
     _fields_ = [
         ("modes", ctypes.c_int),
@@ -60,7 +60,7 @@ class _Timex(ctypes.Structure):
 
 
 def clock_synchronized() -> bool | None:
-    """Whether the kernel's clock is disciplined; None when unknown.
+    """Whether the kernel's clock is synchronized; None if unknown.
 
     Docker's default seccomp profile refuses adjtimex without CAP_SYS_TIME, hence the second source.
     """
@@ -76,7 +76,7 @@ def clock_synchronized() -> bool | None:
 
 @dataclass(frozen=True, slots=True)
 class _Slow:
-    """What is read every SLOW_S; fields as in `HostFact`."""
+    """Values read every SLOW_S; fields as in `HostFact`."""
 
     at: float
     temperature_c: float | None
@@ -87,7 +87,7 @@ class _Slow:
 
 
 class Host:
-    """A `phm.facts.HostProbe`. `sysfs` and `proc` are where the kernel's /sys and /proc are; tests bring their own."""
+    """A `phm.facts.HostProbe`. `sysfs` and `proc` are the paths of the kernel's /sys and /proc; tests use others."""
 
     def __init__(
         self, settings: HostSettings, clock: Clock, sysfs: Path = Path("/sys"), proc: Path = Path("/proc")
@@ -102,7 +102,7 @@ class Host:
         self._offset: float | None = None
 
     def read(self) -> HostFact:
-        """All figures at this moment; raises CannotTell when /proc cannot be read."""
+        """All figures at this moment. Raises CannotTell if /proc cannot be read."""
         with self._lock:
             try:
                 total, available = self._memory()
@@ -129,7 +129,7 @@ class Host:
             )
 
     def _memory(self) -> tuple[int, int]:
-        """Bytes in all, and bytes that can be had without swapping (MemAvailable)."""
+        """Total bytes, and bytes available without swapping (MemAvailable)."""
         found = {}
         for line in head(self._meminfo).splitlines():
             name, _, rest = line.partition(":")
@@ -152,7 +152,7 @@ class Host:
 
     @staticmethod
     def _disk(path: str, worker: BlockingCallWorker) -> DiskFact:
-        """One disk; one that cannot be read has its `problem`."""
+        """One disk; if it cannot be read, `problem` says why."""
         try:
             return worker.call(lambda: space(path), DISK_S)
         except CannotTell as reason:
@@ -161,7 +161,7 @@ class Host:
             return DiskFact(path, 0.0, 0, problem=f"{error.strerror or error}: is it mounted into PHM?")
 
     def _temperature(self) -> tuple[float | None, str]:
-        """The hottest sensor of the processor in degrees Celsius, with its name."""
+        """The hottest CPU sensor in degrees Celsius, with its name."""
         hottest: float | None = None
         sensor = ""
         for name, value in self._sensors():
@@ -170,7 +170,7 @@ class Host:
         return hottest, sensor
 
     def _sensors(self) -> Iterator[tuple[str, float]]:
-        """Readings of the processor's sensors; both trees have thousandths of a degree."""
+        """Readings of the CPU sensors; both trees have thousandths of a degree."""
         for tree, name_file, pattern in (
             ("class/thermal", "type", "temp"),
             ("class/hwmon", "name", "temp*_input"),
@@ -185,13 +185,13 @@ class Host:
                         yield name, int(text) / 1000
 
     def _fans(self) -> tuple[int, ...]:
-        """Revolutions a minute of each fan whose driver reports it, at most MOST_FANS."""
+        """Revolutions per minute of each fan whose driver reports it, at most MOST_FANS."""
         files = sorted((self._sysfs / "class/hwmon").glob("*/fan*_input"))[:MOST_FANS]
         texts = (_line(file) for file in files)
         return tuple(int(text) for text in texts if text is not None and re.fullmatch(r"\d{1,6}", text))
 
     def _throttled(self) -> tuple[str, ...] | None:
-        """A Raspberry Pi's reasons to run slower; None on other machines."""
+        """A Raspberry Pi's reasons for throttling; None on other machines."""
         for file in self._sysfs.glob("devices/platform/soc*/*firmware/get_throttled"):
             text = _line(file)
             if text is None or not re.fullmatch(r"(0x)?[0-9a-fA-F]+", text):
@@ -214,7 +214,7 @@ class Host:
 
 
 def _line(file: Path) -> str | None:
-    """The first line of a small file of /sys; None when it cannot be read (sensors that sleep say EAGAIN)."""
+    """The first line of a small file of /sys; None if it cannot be read (sleeping sensors return EAGAIN)."""
     try:
         with file.open(encoding="ascii", errors="replace") as stream:
             return stream.readline(200).strip()

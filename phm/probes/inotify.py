@@ -1,8 +1,8 @@
-"""Reports when an entry of a directory changes, with the kernel's inotify: no polling.
+"""Reports changes of directory entries with the kernel's inotify, without polling.
 
-It watches inodes, so what the host or another container does to a directory is seen through PHM's own, read-only mount
-of it. What it cannot tell (a network mount changed elsewhere, a write through a hard link in another directory, a
-directory that PHM may not read) is left to the checks' own period.
+It watches inodes, so PHM sees changes by the host or another container through its own, read-only mount of the
+directory. Changes that inotify does not report (on a network mount by another machine, through a hard link in another
+directory, in a directory that PHM may not read) are found by the checks' period.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ logger = logging.getLogger(__name__)
 
 Notify = Callable[[], None]
 Watch = Callable[[str, str], bool]
-"""Watch the entry of this name in this directory. True when it was not watched before: what was seen until now may be old."""
+"""Watch the entry of this name in this directory. True if it was not watched before: earlier observations may be old.
+"""
 
 MOST_DIRECTORIES = 128
 MOST_NAMES = 256
-"""Of one directory."""
+"""Events of one directory."""
 GATHER_S = 0.05
-"""After each event others are gathered for so long, so that a directory in which much is written costs little."""
+"""After each event further ones are collected for this long, so that a busy directory costs little."""
 PACE_S, PACE_MAX_S, CALM_S = 0.1, 5.0, 10.0
-"""Between two notifications of one listener at least PACE_S, twice as long each time up to PACE_MAX_S, until nothing changed
-for CALM_S: a file that is written all the time does not keep its check busy. The last change is always reported."""
+"""At least PACE_S between two notifications of one listener, doubled each time up to PACE_MAX_S, until nothing changed
+for CALM_S: a continuously written file does not keep its check busy. The last change is always reported."""
 
 _ATTRIB, _CLOSE_WRITE, _MOVED, _CREATE, _DELETE = 0x4, 0x8, 0x40 | 0x80, 0x100, 0x200
 _DELETE_SELF, _MOVE_SELF, _UNMOUNT, _OVERFLOW, _IGNORED = 0x400, 0x800, 0x2000, 0x4000, 0x8000
@@ -46,7 +47,7 @@ _READ_BYTES = 65536
 
 @dataclass(eq=False)
 class _Listener:
-    """What to call, and how soon the next time."""
+    """The function to call, and the earliest time of the next call."""
 
     notify: Notify
     mask: int
@@ -63,9 +64,9 @@ class _Directory:
 
 
 class FileWatcher:
-    """One inotify instance and one thread for all listeners; both are made when the first directory is watched.
+    """One inotify instance and one thread for all listeners, created with the first watched directory.
 
-    Invariant: `_directories` and `_numbers` name the same directories, and are read and written with `_lock` held.
+    Invariant: `_directories` and `_numbers` contain the same directories, and are read and written with `_lock` held.
     """
 
     def __init__(self, clock: Clock | None = None) -> None:
@@ -80,10 +81,10 @@ class FileWatcher:
         self._closed = False
 
     def on(self, notify: Notify, *, content: bool = False) -> Watch:
-        """Return a function that adds watches for one listener. `notify` is called from the thread of this object.
+        """Return a function that adds watches for one listener.
 
-        content: a file that was written and closed counts as changed, too. Do not use it for devices: opening and closing
-        a device does not change it.
+        `notify` is called from the thread of this object. content: closing a written file counts as a change too. Do
+        not use it for devices: opening and closing a device does not change it.
         """
         listener = _Listener(notify, _COMING_AND_GOING | (_CLOSE_WRITE if content else 0))
         self._listeners.append(listener)
@@ -102,7 +103,7 @@ class FileWatcher:
         try:
             seen = os.stat(directory)
         except OSError:
-            return False  # one that is above it is watched
+            return False  # a directory above it is watched
         with self._lock:
             number = self._number((seen.st_dev, seen.st_ino), directory, listener.mask)
             if number is None:
@@ -114,7 +115,7 @@ class FileWatcher:
             return True
 
     def _number(self, key: tuple[int, int], directory: str, mask: int) -> int | None:
-        """The kernel's number for watching the directory; None when it cannot be watched."""
+        """The kernel's number for watching the directory; None if it cannot be watched."""
         number = self._numbers.get(key)
         known = self._directories[number] if number is not None else _Directory(key)
         if number is not None and known.mask | mask == known.mask:
@@ -138,7 +139,7 @@ class FileWatcher:
         except (OSError, AttributeError):
             descriptor = -1
         if descriptor < 0:
-            return None  # no inotify here, or too many instances (fs.inotify.max_user_instances)
+            return None  # no inotify, or too many instances (fs.inotify.max_user_instances)
         self._libc, self._descriptor, self._wakeup = libc, descriptor, os.pipe()
         threads.start(threading.Thread(target=self._follow, name="phm-notices", daemon=True))
         return libc
@@ -158,7 +159,7 @@ class FileWatcher:
                 for listener in self._concerned():
                     self._happened(listener)
                 self._notify_due()
-            except Exception:  # a listener's defect must not end the watch
+            except Exception:  # a defect of a listener must not end the thread
                 logger.exception("a change of a directory could not be delivered")
             self._clock.wait(threading.Event(), GATHER_S)
         for number in (self._descriptor, *self._wakeup):

@@ -6,7 +6,7 @@ import os
 
 
 def head(path: str, most: int = 1024) -> str:
-    """The first `most` bytes, the last line whole or not. Raises OSError."""
+    """The first `most` bytes; the last line may be incomplete. Raises OSError."""
     number = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         return os.read(number, most).decode("ascii", "replace")

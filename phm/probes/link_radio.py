@@ -1,7 +1,7 @@
-"""A telemetry radio by its RADIO_STATUS. Pure; the caller brings time.
+"""A telemetry radio, from its RADIO_STATUS. Pure; callers pass the time.
 
-A SiK radio reports in answer to each HEARTBEAT that it is given to send, as its firmware has it, so that PHM's own
-heartbeats keep its reports coming, no more often than they leave; whether the other radio is there does not matter.
+The firmware of a SiK radio answers each HEARTBEAT from its own side with a report, whether or not the other radio is
+reachable. So PHM's own heartbeats cause reports, at most as often as they are sent.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from phm.facts.links import RadioFact
 UNKNOWN = 255
 KEPT = 9
 ENOUGH = 4
-"""So many pauses between reports say how often they come."""
+"""Number of pauses between reports that determine their period."""
 MEAN_OF = 5
 
 
 class RadioState:
-    """The radio that one endpoint leads to. Not thread-safe."""
+    """The radio behind one endpoint. Not thread-safe."""
 
     def __init__(self, link: str) -> None:
         self._link = link
@@ -34,7 +34,7 @@ class RadioState:
         self._asked_s = 0.0
 
     def hear(self, now: float, message: Any, asked_s: float) -> None:
-        """A RADIO_STATUS. asked_s: seconds between PHM's own heartbeats."""
+        """Process a RADIO_STATUS. asked_s: seconds between PHM's own heartbeats."""
         if asked_s != self._asked_s:
             self._times.clear()
             self._asked_s = asked_s
@@ -54,11 +54,11 @@ class RadioState:
 
     @property
     def heard_at(self) -> float:
-        """When it reported last, in monotonic seconds; asked once it has."""
+        """When it reported last, in monotonic seconds; call only after the first report."""
         return self._times[-1]
 
     def fact(self, now: float, not_counted_s: float = 0.0) -> RadioFact | None:
-        """None: never heard. not_counted_s: see `RadioFact`."""
+        """The fact; None if never received. not_counted_s: see `RadioFact`."""
         if self._newest is None:
             return None
         newest, rates, without = self._newest, self._rates(), _partnerless(self._newest)
@@ -84,7 +84,7 @@ class RadioState:
         return median(pauses) if len(pauses) >= ENOUGH else self._asked_s
 
     def _rates(self) -> tuple[float | None, float | None]:
-        """Of rxerrors and fixed. Counters that went back restarted with the radio."""
+        """Rates of rxerrors and fixed. Counters that went back mean that the radio restarted."""
         span_s = self._counts[-1][0] - self._counts[0][0]
         if span_s <= 0.0:
             return None, None
@@ -96,8 +96,11 @@ class RadioState:
 
 
 def _partnerless(message: Any) -> bool:
-    """A SiK radio forgets the values of the other one, and reports zeros, once it has received nothing from it for
-    3.2 to 3.7 s (`link_update` of its firmware: more than five looks of 0.52 s). A radio that never reports them counts, too."""
+    """Whether the other radio is lost.
+
+    A SiK radio reports zeros for the other one after it has received nothing from it for 3.2 to 3.7 s (`link_update` of
+    its firmware: more than five looks of 0.52 s). A radio that never reports these values counts too.
+    """
     return bool(message.remrssi == 0 and message.remnoise == 0)
 
 

@@ -1,4 +1,4 @@
-"""The traffic of one MAVLink endpoint over time: rates, silence, and loss by sender. Pure; the caller brings time."""
+"""The traffic of one MAVLink endpoint over time: rates, silence, and loss per sender. Pure; callers pass the time."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from phm.transport.mavlink_traffic import Traffic
 from phm.transport.serial_errors import SerialErrorCount
 
 SAMPLE_S = 0.4
-"""Endpoints ask to be looked at twice a second; there may be several."""
+"""Endpoints request an update twice a second, and there may be several."""
 RATE_S = 5.0
 STEP_S, LOSS_S = 5.0, 30.0
 SHORT_S = 5.0
-"""Checks that judge a silence here do so after less."""
+"""Checks that evaluate a silence here do so after less time."""
 MIN_FRAMES = 20
-"""With fewer frames the number of missing ones is not known."""
+"""With fewer frames the number of missing ones is unknown."""
 _Counts = dict[tuple[int, int], tuple[int, int]]
 
 
 class LinkStats:
-    """Not thread-safe. own: PHM's own system and component, whose frames a router may send back. late_s: for how long PHM did not
-    run, which is taken out of every silence."""
+    """Not thread-safe. own: PHM's own system and component, whose frames a router may send back. late_s: for how long
+    PHM did not run, which is excluded from every silence."""
 
     def __init__(self, own: tuple[int, int], late_s: Late = never_late) -> None:
         self._own, self._late_s = own, late_s
@@ -34,7 +34,7 @@ class LinkStats:
         self._heard_at: dict[tuple[int, int], float] = {}
 
     def sample(self, now: float, traffic: Traffic) -> None:
-        """What was counted until now; more often than every SAMPLE_S it is left out."""
+        """Record the counters; calls more frequent than SAMPLE_S are ignored."""
         if self._totals and now - self._totals[-1][0] < SAMPLE_S:
             return
         before = self._totals[-1][1] if self._totals else Traffic()
@@ -50,7 +50,7 @@ class LinkStats:
             self._steps.append((now, dict(traffic.senders)))
 
     def fact(self, now: float, base: LinkFact) -> LinkFact:
-        """`base` with what is known of the traffic."""
+        """`base` with the known traffic figures."""
         if not self._totals:
             return base
         (first, old), (last, new) = self._totals[0], self._totals[-1]

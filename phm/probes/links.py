@@ -1,4 +1,5 @@
-"""What arrives on the MAVLink endpoints: ground station, radios, our autopilot, the traffic, and other users of our identity."""
+"""Evaluates data received on the MAVLink endpoints: ground station, radios, autopilot, traffic, other users of PHM's
+identity."""
 
 from __future__ import annotations
 
@@ -25,14 +26,14 @@ from phm.transport.mavlink_endpoint import IDLE_S
 from phm.transport.priority import default_periods
 
 DOUBLES = 2
-"""So many heartbeats of another sender within DOUBLE_S make a duplicate: a late echo may come once."""
+"""So many heartbeats of another sender within DOUBLE_S are a duplicate: a late echo may come once."""
 DOUBLE_S = 30.0
 STALL_S = 1.2
 """PHM reads each open endpoint twice a second. After a longer break PHM was suspended, not the sender."""
 GONE, GONE_REFUSED = 4, 2
-"""After so many failed attempts to reopen an endpoint, or refusals, nothing will arrive by it soon: 1.5 s, 0.3 s."""
+"""After so many failed attempts to reopen an endpoint, or refusals, nothing will arrive on it soon: 1.5 s, 0.3 s."""
 USERS_S = 1.0
-"""Deadline of a look at who has a port open."""
+"""Deadline for determining which program uses a port."""
 STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
 BOOTED = (
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
@@ -40,14 +41,16 @@ BOOTED = (
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
     mavlink.MAVLINK_MSG_ID_TIMESYNC,
 )
-"""Messages of an autopilot that carry its time since boot."""
+"""Messages of an autopilot that contain its time since boot."""
 LONGEST_MS = 2**32
-"""A TIMESYNC with more than `time_boot_ms` could hold is of a clock that does not begin at boot."""
+"""A TIMESYNC above the range of `time_boot_ms` is of a clock that does not start at boot."""
 
 
 class Links:
-    """A `phm.facts.LinkProbe`. `on_wake` is called when something appears or is lost, when arming changes, when the autopilot
-    reboots, and when an endpoint opens or closes; from the endpoints' threads, so it must not wait.
+    """A `phm.facts.LinkProbe`.
+
+    `on_wake` is called when a sender appears or is lost, when arming changes, when the autopilot reboots, and when an
+    endpoint opens or closes; from the endpoints' threads, so it must not block.
     """
 
     def __init__(
@@ -59,7 +62,8 @@ class Links:
         self._any_gcs = GroundStations(self._settings.gcs_timeout)
         """Also stations that are not the pilot's: who relays to the ground depends on them."""
         self._unreached = False
-        """It was out of reach, and was not heard since: a radio at the edge of its range finds and loses the other one."""
+        """It was unreachable and has sent nothing since: a radio at the edge of its range repeatedly finds and loses
+        the other one."""
         self._pilot = AutopilotState(self._settings.autopilot_timeout, clock.late_s)
         self._pilot_links = frozenset(entry.key for entry in self._settings.endpoints if entry.to_autopilot)
         self._strays = UnexpectedSenders()
@@ -77,7 +81,7 @@ class Links:
         hub.watch(self._sample)
         self._shown = self._picture()
 
-    # ------------------------------------------------------------ what checks ask
+    # ------------------------------------------------------------ queries of checks
 
     def gcs_age_s(self) -> float | None:
         gcs = self._fact(self._any_gcs)
@@ -127,7 +131,7 @@ class Links:
         return self._worker.call(lambda: users(path), USERS_S)
 
     def problems(self) -> tuple[str, ...]:
-        """Sentences about identities on the links: our own, and our autopilot's."""
+        """Sentences about identities on the links: PHM's own, and the autopilot's."""
         now, found = self._clock.mono(), []
         doubles = tuple(self._doubles)
         if len(doubles) == DOUBLES and now - doubles[0] <= DOUBLE_S:
@@ -151,19 +155,19 @@ class Links:
         return tuple(found)
 
     def _not_counted_s(self, heard_at: float, link: str, limit_s: float) -> float:
-        """Since then, the time in which PHM did not run or had not read this link: what came meanwhile waits in it. At most
-        `limit_s` for a link that PHM no longer reads."""
+        """Time since then in which PHM did not run or had not read this link: frames may wait in it. At most `limit_s`
+        for a link that PHM no longer reads."""
         return max(min(self._unread_s(link), limit_s), self._clock.late_s(heard_at, limit_s))
 
     def _unread_s(self, link: str) -> float:
-        """For how long an open link should have been read, and was not."""
+        """How long an open link should have been read, and was not."""
         read_at = self._hub.read_at(link)
         return 0.0 if read_at is None else max(0.0, self._clock.mono() - read_at - IDLE_S)
 
     # ------------------------------------------------------------ from the endpoints' threads
 
     def look(self) -> None:
-        """Wake the checks when the picture has changed since the last time, be it by silence."""
+        """Wake the checks if the state has changed since the last call, also because of silence."""
         with self._lock:
             picture = self._picture()
             changed, self._shown = picture != self._shown, picture
@@ -188,7 +192,7 @@ class Links:
         self.look()
 
     def _picture(self) -> tuple[object, ...]:
-        """What a check would judge differently; ages only as far as they matter."""
+        """The state for checks; ages only as coarse as they matter."""
         pilot, limits, gcs = self.autopilot(), self._settings, self.gcs()
         flying = None
         if pilot is not None:
@@ -223,7 +227,7 @@ class Links:
             if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
                 self._hear_pilot(now, message, link, stalled=stalled)
         elif message.type == mavlink.MAV_TYPE_GCS and system != self._system:
-            # With our own system id it is a program on board that calls itself a ground station.
+            # With our own system id it is a program on board that acts as a ground station.
             self._hear_ground(now, message, link, stalled=stalled)
         self.look()
 
@@ -276,10 +280,10 @@ class Links:
 
 
 def _boot_ms(message: Any) -> int | None:
-    """How long the sender has been running; None: the message does not say it.
+    """How long the sender has been running, in seconds; None if the message does not contain it.
 
-    A TIMESYNC that asks carries its sender's clock in `ts1`, one that answers in `tc1`, in nanoseconds: of ArduPilot and PX4 that
-    since boot.
+    A TIMESYNC request has its sender's clock in `ts1`, a response in `tc1`, in nanoseconds; with ArduPilot and PX4 that
+    is the time since boot.
     """
     if message.get_msgId() != mavlink.MAVLINK_MSG_ID_TIMESYNC:
         return int(message.time_boot_ms)

@@ -1,8 +1,8 @@
-"""Whether an address answers from here, without privileges and within a second at most.
+"""Checks whether an address responds, without privileges and within a second.
 
-An ICMP echo through a datagram socket needs no capability where `net.ipv4.ping_group_range` allows it,
-as Docker does for containers by default. In parallel a TCP connection to an unused port: its
-refusal also proves that the address answers.
+An ICMP echo through a datagram socket needs no capability where `net.ipv4.ping_group_range` permits it, as Docker does
+for containers by default. In parallel PHM opens a TCP connection to an unused port: a refusal also proves that the
+address responds.
 """
 
 from __future__ import annotations
@@ -20,24 +20,25 @@ from pathlib import Path
 from phm.facts import CannotTell
 
 LIMIT_S = 1.0
-"""For an address of which little is known."""
+"""Timeout for an address with few known response times."""
 LEAST_S, TIMES = 0.25, 4
-"""One that has answered is given up after so many times the longest that it took of late, but not before LEAST_S: on a
-bridge of this machine the kernel answers within 0.1 ms. What takes longer is mostly PHM itself that waits for a core, and an
-answer that is there by then counts."""
+"""The timeout of an address that has responded: TIMES times its longest recent response time, at least LEAST_S. On a
+bridge of this machine the kernel responds within 0.1 ms. A longer time is usually PHM waiting for a core, and a
+response that has arrived by then counts."""
 LEARNED = 5
-"""So many answers are needed to know how long they take."""
+"""Number of responses needed to know their duration."""
 _FADES = 0.95
 MOST_REMEMBERED = 256
 _DISCARD_PORT = 9
-_COMPLETE = 0x2  # ATF_COM in /proc/net/arp: the address has answered with its hardware address
+_COMPLETE = 0x2  # ATF_COM in /proc/net/arp: the address has responded with its hardware address
 
 
 class Pinger:
-    """Remembers which addresses answered, and of which container run: one that answered and no longer does is silent, whatever ARP says.
+    """Remembers which addresses responded, and in which run of their container.
 
-    The kernel remembers a neighbour that is gone for up to a minute, so ARP speaks only for an address that has never
-    answered, behind a firewall. Thread-safe: each call writes one item at most.
+    An address that responded and no longer does is silent, regardless of ARP: the kernel remembers a departed neighbour
+    for up to a minute. So ARP counts only for an address that has never responded, behind a firewall. Thread-safe: each
+    call writes at most one entry.
     """
 
     def __init__(
@@ -47,17 +48,17 @@ class Pinger:
         self._answered: dict[str, str] = {}
         self._took: dict[str, tuple[int, float]] = {}
 
-    def answers(self, address: str, life: str = "") -> bool:
-        """`life`: of the container that has the address. Raises CannotTell as `answers` does."""
+    def answers(self, address: str, generation: str = "") -> bool:
+        """`generation`: the run of the container that has the address. Raises CannotTell like `answers`."""
         if self.ping(address):
             if len(self._answered) >= MOST_REMEMBERED:
                 self._answered.clear()
-            self._answered[address] = life
+            self._answered[address] = generation
             return True
-        return self._answered.get(address) != life and self._known(address)
+        return self._answered.get(address) != generation and self._known(address)
 
     def ping(self, address: str) -> bool:
-        """Whether it answers by itself, within what it is given. Raises CannotTell as `answers` does."""
+        """Whether it responds to a request, within its timeout. Raises CannotTell like `answers`."""
         began = time.monotonic()
         there = self._ping(address, self.limit_s(address))
         if there:
@@ -67,23 +68,23 @@ class Pinger:
             self._took[address] = (number + 1, max(time.monotonic() - began, longest_s * _FADES))
         return there
 
-    def heard(self, address: str, life: str) -> bool:
-        """Whether it has answered in this life of its container."""
-        return self._answered.get(address) == life
+    def has_responded(self, address: str, generation: str) -> bool:
+        """Whether it has responded in this run of its container."""
+        return self._answered.get(address) == generation
 
     def limit_s(self, address: str) -> float:
-        """How long the address is given to answer, in seconds."""
+        """The timeout of the address, in seconds."""
         number, longest_s = self._took.get(address, (0, 0.0))
         return min(LIMIT_S, max(LEAST_S, TIMES * longest_s)) if number >= LEARNED else LIMIT_S
 
 
 def answers(address: str) -> bool:
-    """Raises CannotTell when `address` is not an IP address or this machine cannot open sockets."""
+    """Raises CannotTell if `address` is not an IP address or this machine cannot open sockets."""
     return _ping(address) or _neighbour(address)
 
 
 def _ping(address: str, limit_s: float = LIMIT_S) -> bool:
-    """Whether it answers by itself, by either way."""
+    """Whether it responds to a request, by ICMP or TCP."""
     try:
         version = ipaddress.ip_address(address).version
     except ValueError as error:
@@ -102,7 +103,7 @@ def _ping(address: str, limit_s: float = LIMIT_S) -> bool:
 
 
 def _echo(family: socket.AddressFamily, address: str) -> socket.socket | None:
-    """A socket on which an echo request was sent; None where that is not allowed."""
+    """A socket on which an echo request was sent; None if that is not permitted."""
     protocol = socket.IPPROTO_ICMP if family == socket.AF_INET else socket.IPPROTO_ICMPV6
     request = 8 if family == socket.AF_INET else 128
     try:
@@ -111,7 +112,7 @@ def _echo(family: socket.AddressFamily, address: str) -> socket.socket | None:
         return None
     try:
         echo.connect((address, 0))
-        # The kernel fills in the identifier and the checksum.
+        # The kernel sets the identifier and the checksum.
         echo.send(struct.pack("!BBHHH", request, 0, 0, 0, 1) + b"phm")
     except OSError:
         echo.close()
@@ -120,7 +121,7 @@ def _echo(family: socket.AddressFamily, address: str) -> socket.socket | None:
 
 
 def _any_answers(tcp: socket.socket, echo: socket.socket | None, address: str, limit_s: float) -> bool:
-    """Whether either answers; False when both are refused or the time is over."""
+    """Whether either responds; False when both are refused or the time is over."""
     started = tcp.connect_ex((address, _DISCARD_PORT))
     if started in (0, errno.ECONNREFUSED):
         return True
@@ -135,7 +136,7 @@ def _any_answers(tcp: socket.socket, echo: socket.socket | None, address: str, l
     until = time.monotonic() + limit_s
     while open_ends:
         left = until - time.monotonic()
-        # Also after the time is over: on a busy machine PHM may run too late to see an answer in time.
+        # Also after the timeout: on a busy machine PHM may run too late to see a response in time.
         for number, _ in poll.poll(max(0.0, left * 1000)):
             end = open_ends.pop(number)
             poll.unregister(number)
@@ -156,9 +157,9 @@ def _proof(end: socket.socket, is_echo: bool) -> bool:
 
 
 def _neighbour(address: str) -> bool:
-    """Whether the address answered ARP of late: it is there, although a firewall drops what PHM sends.
+    """Whether the address responded to ARP recently: it exists, although a firewall drops PHM's packets.
 
-    The kernel asks a neighbour again up to 45 s after its last answer, and forgets it eight seconds later.
+    The kernel asks a neighbour again up to 45 s after its last response, and forgets it eight seconds later.
     """
     try:
         lines = Path(f"/proc/{os.getpid()}/net/arp").read_text(encoding="ascii", errors="replace").splitlines()[1:]

@@ -1,4 +1,4 @@
-"""The pressure probe: what each configured container is kept waiting for, from its cgroup or else from the engine."""
+"""The pressure probe: how long each configured container waits for resources, from its cgroup or else from the engine."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from phm.probes.top_consumers import TopConsumers
 from phm.transport.docker import DockerEngine, EngineMissing
 
 ENGINE_EVERY_S = 2.0
-"""Between two questions for the engine's statistics of one container, which cost it about 40 times as much as reading files."""
+"""Time between two requests for the engine's statistics of a container, which cost about 40 times as much as reading
+files."""
 
 
 @dataclass(slots=True)
 class _Entry:
-    """What is known of one container. Invariant: read and written with `lock` held."""
+    """State of one container. Invariant: read and written with `lock` held."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     id: str = ""
@@ -30,7 +31,7 @@ class _Entry:
 
 
 class Pressure:
-    """A `phm.facts.PressureProbe`. Thread-safe. The host's cgroups are looked for at `pressure.cgroups`."""
+    """A `phm.facts.PressureProbe`. Thread-safe. The host's cgroups are read at `pressure.cgroups`."""
 
     def __init__(
         self,
@@ -63,7 +64,7 @@ class Pressure:
         return {entry.id: key for key, entry in self._entries.items() if entry.id}
 
     def _by_files(self, entry: _Entry) -> PressureFact | None:
-        """As long as its cgroup is there the engine is not asked: it may be starved, too."""
+        """While its cgroup exists the engine is not asked: it may be starved too."""
         if entry.group is None:
             return None
         try:

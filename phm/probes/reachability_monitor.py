@@ -1,7 +1,7 @@
-"""Pings addresses that have answered, and reports immediately when one falls silent or answers again.
+"""Pings addresses that have responded, and reports immediately when one falls silent or responds again.
 
-Inspecting a network takes three requests to the engine; a ping takes two packets. So the check looks every few
-seconds, and this pings in between. It draws no conclusion: one lost ping only makes the check look.
+Inspecting a network takes three requests to the engine, a ping two packets. So the check runs every few seconds, and
+this monitor pings in between. It draws no conclusion: a lost ping only wakes the check.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ logger = logging.getLogger(__name__)
 
 PERIOD_S = 1.0
 GIVEN_UP_S = 30.0
-"""An address that is silent for longer is left to the check's own period: usually its container is gone."""
+"""An address silent for longer is left to the check's own period: usually its container has ended."""
 MOST = 32
 
 
 class ReachabilityMonitor:
-    """One thread. `turned` is called when an address has fallen silent, or answers again.
+    """One thread. `turned` is called when an address has fallen silent or responds again.
 
-    addresses: those that have answered. ping: whether one answers within its limit; may raise CannotTell.
+    addresses: those that have responded. ping: whether one responds within its timeout; may raise CannotTell.
     """
 
     def __init__(

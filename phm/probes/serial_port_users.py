@@ -1,4 +1,5 @@
-"""Who has a serial port open. Only processes of PHM's own PID namespace are seen, and of its own user unless it is root."""
+"""Which programs have a serial port open. Only processes in PHM's own PID namespace are visible, and only its own
+user's unless it is root."""
 
 from __future__ import annotations
 
@@ -11,10 +12,10 @@ MOST = 5
 
 
 def users(path: str, proc: Path = Path("/proc")) -> tuple[str, ...]:
-    """`name (pid)` of each program but this one that has `path` open, at most MOST."""
+    """`name (pid)` of each other program that has `path` open, at most MOST."""
     wanted, found = os.path.realpath(path), []
     for process in _processes(proc):
-        # The text of the link alone: following it would hang on a dead network mount that somebody has open.
+        # Only the text of the link: following it would hang on a dead network mount.
         if wanted in _open_files(process):
             name = "unknown"
             with contextlib.suppress(OSError):
@@ -33,7 +34,7 @@ def _processes(proc: Path) -> Iterator[Path]:
 
 def _open_files(process: Path) -> set[str]:
     found = set()
-    with contextlib.suppress(OSError):  # it has ended meanwhile, or PHM may not look
+    with contextlib.suppress(OSError):  # it has ended meanwhile, or PHM has no permission
         for number in os.listdir(process / "fd"):
             with contextlib.suppress(OSError):
                 found.add(os.readlink(process / "fd" / number))

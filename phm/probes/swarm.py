@@ -1,4 +1,4 @@
-"""The other agents, heard on the MAVLink links: heartbeats of their PHM and their views; what all agree on."""
+"""The other agents on the MAVLink links: heartbeats of their PHM, their views, and the consensus from all of these."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class SwarmMonitor:
         )
 
     def wake_if_changed(self) -> None:
-        """Look. The number of agents sets the links' budgets."""
+        """Compute the fact. The number of agents sets the links' budgets."""
         fact = self.look()
         self._hub.set_agent_count(self._agents, leads=fact.leader == self._own)
 
@@ -147,12 +147,12 @@ class SwarmMonitor:
             self._on_wake()
 
     def _heartbeat(self, agent: int, message: Any, link: str) -> bool | None:
-        """Whether it says something new; None for a heartbeat that is not PHM's."""
+        """Whether it changes the state; None for a heartbeat of another program."""
         if message.type != mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
             return None
         try:
             if message.custom_mode == 0 or status_word.decode(message.custom_mode) is None:
-                return None  # an all-zero word is every other program's
+                return None  # other programs send an all-zero word
         except ValueError:
             return None
         leaving = message.system_status == mavlink.MAV_STATE_POWEROFF
@@ -178,7 +178,7 @@ class SwarmMonitor:
         return age_s is not None and age_s <= self._gcs_timeout_s and not self._gcs_unreachable()
 
     def _period_s(self, agents: int) -> float:
-        """Of everybody's heartbeats in a swarm of so many."""
+        """Period of heartbeats in a swarm of this size, in seconds."""
         return self._heartbeat_s or default_periods(agents)[0]
 
     def _since_when(self, agent: int, state: str, now: float) -> tuple[str, float]:

@@ -1,4 +1,5 @@
-"""Who takes the CPUs: by container name, from the host's cgroups or else from the engine. Asked only when something is starved."""
+"""The top CPU consumers by container name, from the host's cgroups or else from the engine. Requested only during
+starvation."""
 
 from __future__ import annotations
 
@@ -16,23 +17,23 @@ from phm.probes.kernel_file import head
 from phm.transport.docker import DockerEngine
 
 LEAST_S = 0.5
-"""Who asks sooner gets the last answer again."""
+"""An earlier request returns the last answer."""
 ENGINE_LEAST_S = 5.0
-"""The same where the engine has to be asked for each container, which costs it about 16 ms of a core each."""
+"""The same if the engine must be asked for each container, which costs it about 16 ms of CPU time each."""
 MOST_S = 15.0
-"""An older reading is no longer compared with."""
+"""An older reading is not used for comparison."""
 MOST_ASKED = 16
-"""Containers whose statistics the engine is asked for at one time."""
+"""Number of containers whose statistics are requested at a time."""
 BUDGET_S = 2.0
-"""For all of these together: the engine of a starved machine is starved, too."""
+"""Deadline for all of these together: the engine of a starved machine is starved too."""
 LEAST_CPUS = 0.05
-"""Less is not listed."""
+"""Smaller consumers are not listed."""
 _MOST_NAMES = 1000
 _IDLE, _IOWAIT, _STEAL = 3, 4, 7
 
 
 class TopConsumers:
-    """Thread-safe. `known` gives the keys of configured containers by their full ids."""
+    """Thread-safe. `known` returns the keys of configured containers by their full ids."""
 
     def __init__(
         self,
@@ -71,7 +72,7 @@ class TopConsumers:
     ) -> tuple[ConsumerFact, ...]:
         span_s = now - before[0]
         spent = {each: used[each] - before[1][each] for each in used.keys() & before[1].keys()}
-        # A container that was started again counts from 0: what it used in between is not known, nor what is left for others.
+        # A restarted container counts from 0: its use in between is unknown, and so is the rest for other programs.
         cpus = {each: seconds / span_s for each, seconds in spent.items() if seconds >= 0}
         whole = used.keys() == before[1].keys() and len(cpus) == len(used)
         outside = (busy_s - before[2]) / span_s - sum(cpus.values()) if whole else 0.0
@@ -89,7 +90,7 @@ class TopConsumers:
         return key
 
     def _learn_names(self) -> None:
-        """Once for each container that is new: one that the engine does not name keeps its id."""
+        """Request the name once for each new container: one that the engine does not name keeps its id."""
         listed = self._list()
         if len(self._names) > _MOST_NAMES:
             self._names.clear()
@@ -99,7 +100,7 @@ class TopConsumers:
                 self._names[str(entry.get("Id"))] = str(names[0]).lstrip("/")
 
     def _list(self) -> Sequence[Mapping[str, Any]]:
-        """All containers; none when the engine cannot tell. A proxy that refuses is asked once."""
+        """All containers; none if the engine does not answer. A proxy that refuses is asked once."""
         if not self._may_list:
             return ()
         try:
@@ -111,7 +112,7 @@ class TopConsumers:
         return ()
 
     def _by_engine(self) -> dict[str, float]:
-        """CPU seconds by container: of the configured ones first, as many as the engine answers for within the budget."""
+        """CPU seconds by container: the configured ones first, as many as the engine answers for within the budget."""
         budget, used = TimeBudget(self._clock, BUDGET_S), {}
         running = [str(entry.get("Id")) for entry in self._list() if entry.get("State") == "running"]
         known = self._known()
@@ -130,7 +131,7 @@ class TopConsumers:
         return used
 
     def _busy_s(self) -> float:
-        """CPU seconds that were not idle since boot, of all CPUs together."""
+        """CPU seconds since boot that were not idle, of all CPUs together."""
         try:
             ticks = [int(word) for word in head(self._stat).split("\n", 1)[0].split()[1 : _STEAL + 2]]
         except (OSError, ValueError) as error:

@@ -1,6 +1,6 @@
 """Heartbeats with our autopilot's ids on links that do not lead to it: another vehicle's, or forged. Pure.
 
-A ground station's program may pass our own autopilot's frames on to us. Those have its time since boot, and are left out.
+A ground station may forward our own autopilot's frames. Those have its time since boot, and are ignored.
 """
 
 from __future__ import annotations
@@ -10,28 +10,28 @@ from collections import deque
 ENOUGH, WINDOW_S = 2, 30.0
 """So many heartbeats within this time are reported."""
 SAME_BOOT_S = 3.0
-"""Times since boot that differ by less are of one autopilot: frames are late on a radio."""
+"""Times since boot that differ by less belong to one autopilot: frames are delayed by radios."""
 
 
 class UnexpectedSenders:
-    """Not thread-safe. Of the link by which a heartbeat came last."""
+    """Not thread-safe. For the link on which a heartbeat arrived last."""
 
     def __init__(self) -> None:
         self._heartbeats: deque[float] = deque(maxlen=ENOUGH)
         self._link = ""
         self._booted: dict[str, float] = {}
-        """By link: when the sender was started, on our clock."""
+        """By link: when the sender started, on our clock."""
 
     def heartbeat(self, now: float, link: str) -> None:
         self._link = link
         self._heartbeats.append(now)
 
     def booted(self, now: float, boot_s: float, link: str) -> None:
-        """It says that it has been running for so long."""
+        """Record the time since boot that it reports."""
         self._booted[link] = now - boot_s
 
     def link(self, now: float, own_boot_s: float | None) -> str:
-        """By which another autopilot is received; empty: by none. own_boot_s: for how long ours has been running."""
+        """The link on which another autopilot is received; empty: none. own_boot_s: how long ours has been running."""
         if len(self._heartbeats) < ENOUGH or now - self._heartbeats[0] > WINDOW_S:
             return ""
         booted = self._booted.get(self._link)

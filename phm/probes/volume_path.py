@@ -1,8 +1,8 @@
 """Walks a path of a container through the mounts that PHM sees, and never leaves them.
 
-A program that writes into the volume may be broken or hostile: each component is opened relative to the one
-before and without following links, so a link that is swapped in meanwhile leads nowhere. Links are
-followed by hand, in the container's own path space.
+A program that writes into the volume may be broken or hostile. So each component is opened relative to the previous one
+without following links, and a link that is swapped in meanwhile leads nowhere. This module resolves links itself, in
+the container's own path space.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ import stat
 from collections import deque
 from collections.abc import Callable, Mapping
 
-MAX_LINKS = 40  # as the kernel does
+MAX_LINKS = 40  # the kernel's limit
 _OPEN = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
 _MISSING = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG)
 
 
 class OutsideVolumes(Exception):
-    """The path, or what it leads to, cannot be seen through a volume: ask the engine."""
+    """The path, or its target, is not visible through a volume: ask the engine."""
 
 
 def normal(path: str) -> str:
-    """Absolute and without empty components or dots; `..` stays, since it may follow a link."""
+    """Absolute, without empty components or dots; `..` stays, because it may follow a link."""
     return "/" + "/".join(part for part in path.split("/") if part not in ("", "."))
 
 
 def join(directory: str, path: str) -> str:
-    """`path` as seen from `directory`, normalised in text."""
+    """`path` relative to `directory`, normalised as text."""
     return os.path.normpath(os.path.join(directory, path))
 
 
@@ -37,10 +37,10 @@ Passing = Callable[[int, str], None]
 
 
 def resolve(path: str, roots: Mapping[str, str], passing: Passing | None = None) -> int | None:
-    """A descriptor (O_PATH, to be closed) of what `path` leads to, or None when it is not there.
+    """A descriptor (O_PATH, to be closed) of the target of `path`, or None if it does not exist.
 
-    roots: destination of every mount of the container -> where PHM sees it, empty where it does not.
-    Raises Outside when the way leads through anything but those.
+    roots: destination of every mount of the container -> where PHM sees it, empty if it does not. Raises Outside if the
+    path leads out of these.
     """
     with _Walk(roots, passing) as walk:
         try:
@@ -52,7 +52,7 @@ def resolve(path: str, roots: Mapping[str, str], passing: Passing | None = None)
 
 
 class _Walk:
-    """Invariant: `number` is the open descriptor of `done`, which holds no links; or None between mounts."""
+    """Invariant: `number` is the open descriptor of `done`, which contains no links; or None between mounts."""
 
     def __init__(self, roots: Mapping[str, str], passing: Passing | None = None) -> None:
         self._roots = roots
@@ -72,7 +72,7 @@ class _Walk:
         while pending:
             part = pending.popleft()
             if part == "..":
-                # What was walked is free of links, so its text may be shortened.
+                # The walked part is free of links, so its text may be shortened.
                 self._done = self._done[:-1]
                 self._move(None)
                 continue
@@ -101,7 +101,7 @@ class _Walk:
         self._move(os.open(part, _OPEN, dir_fd=self._number))
 
     def _enter(self, part: str) -> None:
-        """Go to `part`; `number` stays None on the way from the root of the image to a mount."""
+        """Go to `part`; `number` stays None between the root of the image and a mount."""
         self._done.append(part)
         here = "/" + "/".join(self._done)
         if here not in self._roots and self._number is not None:
@@ -119,13 +119,13 @@ class _Walk:
         try:
             self._move(os.open(self._roots[root], os.O_PATH | os.O_CLOEXEC))
         except OSError as error:
-            raise OutsideVolumes(f"{self._roots[root]}: {error}") from error  # not to be seen from here after all
+            raise OutsideVolumes(f"{self._roots[root]}: {error}") from error  # not visible from here after all
         for below in here[len(root) :].split("/"):
             if below:
                 self._step(below)
 
     def _link(self) -> str | None:
-        """Where an open symbolic link leads, None for anything else."""
+        """The target of an open symbolic link, None for anything else."""
         if self._number is None or not stat.S_ISLNK(os.fstat(self._number).st_mode):
             return None
         return os.readlink("", dir_fd=self._number)

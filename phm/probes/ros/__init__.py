@@ -1,1 +1,1 @@
-"""The ROS probe: a supervised child process that looks at the graph (`process` is the daemon's side)."""
+"""The ROS probe: a supervised child process that observes the graph (`supervisor` is the daemon's side)."""

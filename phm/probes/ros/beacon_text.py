@@ -1,4 +1,4 @@
-"""The text of a beacon (`phm.beacon`), read and checked: it comes from outside and may be anything."""
+"""Parses and validates the text of a beacon (`phm.beacon`), which comes from outside and may contain anything."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ _BEHIND_LEVEL = 13
 
 
 def log_texts(data: bytes) -> tuple[str, str]:
-    """`name` and `msg` of a serialized rcl_interfaces/msg/Log; a message object for each beat cost the child a tenth of its time.
+    """`name` and `msg` of a serialized rcl_interfaces/msg/Log; creating a message object per heartbeat took a tenth of
+    the child's CPU time.
 
-    CDR: 4 bytes of header, the stamp in 8, the level in 1; then each text from a multiple of 4 on, with its length and
-    a final zero. Raises ValueError or struct.error for anything else.
+    CDR: 4 bytes of header, the stamp in 8, the level in 1; then each text at a multiple of 4, with its length and a
+    final zero. Raises ValueError or struct.error for anything else.
     """
     if data[:2] not in _ENDIAN:
         raise ValueError("no plain CDR")

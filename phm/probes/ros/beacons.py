@@ -1,6 +1,6 @@
-"""Beacons in the child: what `phm.beacon` publishes is read and passed on, the newest of each node.
+"""Receives beacons (`phm.beacon`) in the child and passes on the newest of each node.
 
-What comes is from outside and is data: anyone may publish on this topic. `ledger` decides what is kept of it.
+Any participant may publish on this topic. `BeaconRegistry` decides what is kept.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from phm.probes.ros.protocol import Message, SelfReportUpdate
 from phm.probes.ros.raw_names import printable
 
 MAX_TAKES = 250
-"""Messages read in one look, of which there are four a second: 200 processes that beat five times a second."""
+"""Messages read per look, four looks a second: enough for 200 processes with five heartbeats a second."""
 MAX_BYTES = 2 * MAX_TEXT
 OWN_BYTES = 100_000
-"""Read in one look of one writer with which configured nodes beat."""
+"""Bytes read per look from each writer of configured nodes' beacons."""
 OTHERS_BYTES = 200_000
-"""Read in one look of all other writers together."""
+"""Bytes read per look from all other writers together."""
 SHORT_S = 1.0
 
 
 class BeaconListener:
-    """The reader, which is in no executor: its queue is emptied once a tick.
+    """The reader, which is not in an executor: its queue is emptied once per tick.
 
-    Writers that the configured nodes beat with come first, each with room of its own; all others share what is left.
+    Writers of configured nodes' beacons come first, each with its own limit; all others share the rest.
     """
 
     def __init__(self, node: Any, nodes: frozenset[str]) -> None:
@@ -54,14 +54,14 @@ class BeaconListener:
         self._taker = MessageTaker(self._reader)
 
     def look(self) -> list[Message]:
-        """Called once a tick."""
+        """Return the messages for the daemon; called once per tick."""
         now_s, wall_ns = time.monotonic(), time.time_ns()
         longest_s, self._looked_s = now_s - self._looked_s, now_s
         taken = self._take()
-        # After a long pause the newest that wait are enough; in a short one nothing may have been overwritten.
+        # After a long pause the newest messages are enough; after a short one none may have been overwritten.
         self._lost = len(taken) >= MAX_TAKES and longest_s <= SHORT_S
         for data, writer, received_ns in self._chosen(taken):
-            # The middleware's stamp is of a clock that may be set: it counts within what is possible.
+            # The middleware's time stamp is of a clock that may be set: it is used only if plausible.
             age_s = min(max((wall_ns - received_ns) / 1e9, 0.0), longest_s)
             try:
                 self._registry.add(*log_texts(data), now_s - age_s, writer)
@@ -73,7 +73,7 @@ class BeaconListener:
         return [*portions(replace(changes, lost=self._lost), self._nodes)]
 
     def _take(self) -> list[Taken]:
-        """What has come since the last look, oldest first. As bytes: what is too long is never decoded."""
+        """Messages since the last look, oldest first, as bytes: messages that are too long are never decoded."""
         found = []
         with self._reader.handle:
             for _ in range(MAX_TAKES):
@@ -84,14 +84,14 @@ class BeaconListener:
         return found
 
     def _chosen(self, taken: Sequence[Taken]) -> list[Taken]:
-        """What is read of it, within the budgets; the rest is counted as refused."""
+        """The messages within the limits; the rest is counted as refused."""
         chosen = choose(taken, self._registry.own_writers())
         self._registry.refused += len(taken) - len(chosen)
         self._lost = self._lost or len(chosen) < sum(len(data) <= MAX_BYTES for data, _, _ in taken)
         return chosen
 
     def _listed(self) -> Mapping[bytes, str] | None:
-        """The writers of beacons that discovery lists, with the names of their nodes; None where it does not know."""
+        """The writers of beacons that discovery lists, with the names of their nodes; None if unknown."""
         try:
             infos = self._node.get_publishers_info_by_topic(BEACON)
         except Exception:  # a name that is not UTF-8
@@ -103,8 +103,8 @@ class BeaconListener:
 
 
 def choose(taken: Sequence[Taken], own: Collection[bytes]) -> list[Taken]:
-    """Messages of the writers in `own` first, up to OWN_BYTES each; then one of each other writer in turn, the short ones
-    first, up to OTHERS_BYTES together. Those of one writer stay in their order."""
+    """Messages of the writers in `own` first, up to OWN_BYTES each; then one of each other writer in turn, short ones
+    first, up to OTHERS_BYTES together. Those of one writer keep their order."""
     spent: Counter[bytes | None] = Counter()
     turns: Counter[bytes | None] = Counter()
     first: list[Taken] = []

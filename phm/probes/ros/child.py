@@ -1,7 +1,7 @@
-"""The child process that looks at ROS, so that the middleware can crash or hang without harm to PHM.
+"""The child process that observes ROS, so that the middleware can crash or hang without harm to PHM.
 
-Started by `phm.probes.ros.supervisor`. The parts that it looks with (`watch`) alone import rclpy. There is one hidden
-node, no executor, and one thread that only waits for the graph to change. It ends when its parent does.
+Started by `phm.probes.ros.supervisor`. Only the modules that it observes with (`observer`) import rclpy. It has one
+hidden node, no executor, and one thread that only waits for the graph to change. It exits when its parent does.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ MISSED = "the ROS child looks with a new participant: the one before had missed 
 MAX_MISSED = 300
 _PR_SET_PDEATHSIG = 1
 OOM_MORE, OOM_MOST = 500, 1000
-"""Of /proc/PID/oom_score_adj: more than the daemon's, and the kernel's limit. Raising it needs no privilege."""
+"""Value for /proc/PID/oom_score_adj, higher than the daemon's. Raising it needs no privilege."""
 
 
 def main() -> int:
-    """Read what is wanted from standard input, then report until it is closed. Returns the exit code."""
+    """Read the configuration from standard input, then report until it is closed. Returns the exit code."""
     out = _claim_stdout()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the daemon, which then closes the pipe
     _die_with_parent()
@@ -77,15 +77,15 @@ def _look(wanted: Wanted, out: int) -> int:
 
 
 def _restrict() -> Sandbox:
-    """Before anything is imported that is not PHM's own or Python's."""
-    # `python -m` puts the working directory first: it may be writable for others, and must hold no modules of ours.
+    """Restrict the process before any foreign module is imported."""
+    # `python -m` puts the working directory first: others may write to it, so nothing is imported from there.
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     sys.path[:] = [folder for folder in sys.path if folder in named or folder not in ("", os.getcwd())]
     return Sandbox(sandbox.enter(os.environ.get(INSTALLS, "").split(os.pathsep)))
 
 
 def _report(watch: Observer, out: int, tick_s: float) -> Observer:
-    """Until the pipe is closed. Returns the watch of then, which need not be the one of the start."""
+    """Observe until the pipe is closed. Returns the last observer, which may differ from the first."""
     leak = _Leak(os.environ.get("PHM_DEBUG_ROS_LEAK_MB", ""))
     next_s = time.monotonic()
     second = SecondLook(watch.second, next_s)
@@ -109,7 +109,7 @@ def _report(watch: Observer, out: int, tick_s: float) -> Observer:
 
 
 def _wait(until_s: float, orders: LineSplitter, watch: Observer) -> bool | None:
-    """Sleep, and carry out what the daemon writes meanwhile. True: the graph may have changed. None: the pipe is closed."""
+    """Sleep, and execute orders of the daemon meanwhile. True: the graph may have changed. None: the pipe is closed."""
     ears = [0] if watch.events is None else [0, watch.events]
     while True:
         left_s = until_s - time.monotonic()
@@ -131,7 +131,7 @@ def _wait(until_s: float, orders: LineSplitter, watch: Observer) -> bool | None:
 
 
 def _first_line() -> bytes:
-    """One line from descriptor 0, unbuffered, so that `select` is right afterwards."""
+    """One line from descriptor 0, unbuffered, so that `select` stays correct afterwards."""
     line = b""
     while not line.endswith(b"\n"):
         piece = os.read(0, 65536)
@@ -142,14 +142,14 @@ def _first_line() -> bytes:
 
 
 def _claim_stdout() -> int:
-    """A private copy of standard output for messages; whatever libraries print goes to standard error."""
+    """A private copy of standard output for messages; output of libraries goes to standard error."""
     out = os.dup(1)
     os.dup2(2, 1)
     return out
 
 
 def _die_with_parent() -> None:
-    """Have the kernel end this process with its parent, should it then hang and not see the closed pipe."""
+    """Let the kernel kill this process with its parent, in case it hangs and does not notice the closed pipe."""
     import ctypes
 
     parent = os.getppid()
@@ -162,25 +162,26 @@ def _die_with_parent() -> None:
 
 
 def _go_first() -> None:
-    """Where PHM's memory is used up, have the kernel end this process and not the daemon, which replaces it."""
+    """When PHM's memory limit is reached, let the kernel kill this process, which the daemon replaces, and not the
+    daemon."""
     try:
         with open("/proc/self/oom_score_adj", "r+", encoding="ascii") as file:
             wanted = min(OOM_MOST, int(file.read()) + OOM_MORE)
             file.seek(0)
             file.write(str(wanted))
     except (OSError, ValueError):
-        return  # a kernel or sandbox without it: then the larger of the two ends
+        return  # a kernel or sandbox without it: then the kernel kills the larger of the two
 
 
 def _send(out: int, *messages: Message) -> None:
-    """In one piece: each one wakes the daemon."""
+    """Write all messages in one piece: each write wakes the daemon."""
     data = b"".join(map(encode, messages))
     while data:
         data = data[os.write(out, data) :]
 
 
 class _Leak:
-    """For tests of the memory limit: keeps so many megabytes more each tick. Off unless asked for."""
+    """For tests of the memory limit: allocates so many more megabytes per tick. Off by default."""
 
     def __init__(self, megabytes: str) -> None:
         self._size = int(megabytes or 0) * 1_000_000
@@ -194,5 +195,5 @@ class _Leak:
 if __name__ == "__main__":
     code = main()
     sys.stderr.flush()
-    # The middleware's threads may hang in their destructors at exit; nothing here needs them.
+    # The middleware's threads may hang in their destructors at exit; nothing needs them any more.
     os._exit(code)

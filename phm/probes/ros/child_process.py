@@ -1,4 +1,4 @@
-"""One life of the ROS child: start it, read its lines, weigh it, end it, say how it ended."""
+"""One run of the ROS child: start it, read its lines, measure its memory, end it, and report how it ended."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class ChildProcess:
-    """A started process. Owned by one thread, which must live as long as the process: the kernel's
-    parent-death signal goes by the thread that started it.
+    """A started process. Owned by one thread, which must live as long as the process: the kernel's parent-death signal
+    depends on the thread that started it.
 
-    Invariant: after `end` no process is left, save one that the kernel itself cannot end.
+    Invariant: after `end` the process is gone, except one that the kernel itself cannot end.
     """
 
     def __init__(self, command: Sequence[str], environ: Mapping[str, str], first_line: bytes) -> None:
-        """Start `command` and hand it `first_line`. Raises OSError when it cannot be started."""
+        """Start `command` and send it `first_line`. Raises OSError if it cannot be started."""
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -54,26 +54,26 @@ class ChildProcess:
 
     @property
     def over(self) -> bool:
-        """It exited and nothing is left to read, or it closed its output, which it does only by exiting."""
+        """It exited and all output is read, or it closed its output, which it does only by exiting."""
         return not any(key.data is self._out for key in self._selector.get_map().values())
 
     @property
     def writing(self) -> bool:
-        """Whether the line that was handed over last is not yet with the child."""
+        """Whether the last line has not been completely written to the child."""
         return bool(self._outgoing)
 
     @property
     def dropped(self) -> int:
-        """Lines of its output that were too long, so far."""
+        """Number of output lines that were too long."""
         return self._out.dropped
 
-    def hand(self, line: bytes) -> None:
-        """Give the child one more line; `read` writes it as the pipe has room. Not while `writing`."""
+    def send(self, line: bytes) -> None:
+        """Queue one more line for the child; `read` writes it as the pipe has space. Not while `writing`."""
         assert not self._outgoing
         self._outgoing = line
 
     def read(self, timeout_s: float, wake_fd: int) -> list[bytes]:
-        """Lines that arrive within `timeout_s`; returns early when `wake_fd` is readable. Writes what was handed over."""
+        """Lines that arrive within `timeout_s`; returns early when `wake_fd` is readable. Also writes queued lines."""
         assert self._process.stdin is not None
         if wake_fd not in self._selector.get_map():
             self._selector.register(wake_fd, selectors.EVENT_READ)
@@ -109,10 +109,10 @@ class ChildProcess:
         except BlockingIOError:
             return
         except OSError:
-            self._outgoing = b""  # it is gone: reading will find out
+            self._outgoing = b""  # it is gone: reading will detect that
 
     def rss_bytes(self) -> int:
-        """Resident memory, shared pages included; 0 when the process is gone."""
+        """Resident memory in bytes, shared pages included; 0 when the process is gone."""
         try:
             with open(f"/proc/{self.pid}/statm", encoding="ascii") as file:
                 return int(file.read().split()[1]) * _PAGE
@@ -120,7 +120,7 @@ class ChildProcess:
             return 0
 
     def end(self, grace_s: float) -> None:
-        """Close its input, so that it exits; after `grace_s` SIGKILL. Safe to call twice."""
+        """Close its input, so that it exits; SIGKILL after `grace_s`. Safe to call twice."""
         self._close(self._process.stdin)
         try:
             self._process.wait(grace_s)
@@ -131,7 +131,7 @@ class ChildProcess:
         self._close(self._process.stderr)
 
     def exit_reason(self) -> str:
-        """How it ended, in words, with its last line on standard error. Call after `end`."""
+        """How it ended, with its last line on standard error. Call after `end`."""
         code = self._process.poll()
         if code is None:
             return f"cannot be killed: process {self.pid} hangs in the kernel"
@@ -146,7 +146,9 @@ class ChildProcess:
 
     def _kill(self) -> None:
         self._process.kill()
-        with contextlib.suppress(subprocess.TimeoutExpired):  # in the kernel's hands (state D); `exit_reason` says so
+        with contextlib.suppress(
+            subprocess.TimeoutExpired
+        ):  # blocked in the kernel (state D); `exit_reason` reports it
             self._process.wait(_REAP_S)
 
     def _write(self, data: bytes) -> None:
@@ -162,7 +164,7 @@ class ChildProcess:
                 except BlockingIOError:
                     continue
                 except OSError:
-                    return  # it is gone: reading will find out
+                    return  # it is gone: reading will detect that
 
     @staticmethod
     def _close(pipe: IO[bytes] | None) -> None:

@@ -1,7 +1,7 @@
-"""ROS diagnostics in the child: what the application publishes is read, what PHM has to say is published.
+"""ROS diagnostics in the child: receives the application's statuses and publishes PHM's.
 
-Names and texts come from outside and are data: counted, cut and passed on, never believed to be of any length.
-`docs/reference/ros.md` states what is published as a contract.
+Names and texts come from outside: they are counted and cut. `docs/reference/ros.md` states what is published as a
+contract.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from phm.probes.ros.protocol import LogText, Message, Publish, SelfReportUpdate
 
 TOPIC = "/diagnostics"
 OWN = "phm/"
-"""Statuses of this prefix are PHM's, this agent's or another's."""
+"""Statuses with this prefix are PHM's, of this agent or another."""
 MAX_TAKES = 50
-"""Arrays read from one topic in one look; the reader's queue is as long, and what is older is overwritten."""
+"""Arrays read from one topic per look; the reader's queue has the same length, and older ones are overwritten."""
 MAX_BYTES = 200_000
-"""Longest array that is read: 500 statuses of a few hundred bytes. Python needs about 10 ms for one."""
+"""Longest array in bytes that is read: 500 statuses of a few hundred bytes. Python needs about 10 ms for one."""
 MAX_STATUSES = 500
 PORTION = 140_000
 """Characters in one message to the daemon."""
 _REST = 10
-"""Of a text, beside itself."""
+"""Overhead of a text in bytes."""
 MAX_REMARKS = 20
 MAX_TEXT = 255
 MAX_VALUES = 32
 _FRAME = b"phm"
-"""`header.frame_id` of PHM's own arrays, by which they are known before anything is decoded."""
+"""`header.frame_id` of PHM's own arrays, by which they are recognized before decoding."""
 _MISSING = (
     "diagnostic_msgs is not installed beside PHM: /diagnostics is neither read nor published; "
     "install it where rclpy comes from (ros-<distro>-diagnostic-msgs)"
@@ -36,9 +36,9 @@ _MISSING = (
 
 
 class DiagnosticsListener:
-    """Readers of the topics that are to be listened to, and the publisher, made when there is something to publish.
+    """Readers of the diagnostic topics, and the publisher, created when there is something to publish.
 
-    None of them is in an executor: the queue is emptied once a tick.
+    None of them is in an executor: the queues are emptied once per tick.
     """
 
     def __init__(self, node: Any, listen: Sequence[str], is_own: Callable[[str], bool] = lambda name: False) -> None:
@@ -50,7 +50,7 @@ class DiagnosticsListener:
         self._readers: dict[str, Any] = {}
         self._publisher: Any = None
         self._published: dict[str, tuple[DiagnosticFact, Any]] = {}
-        """The newest array, by name of the status: most are as they were, and a message costs more than a comparison."""
+        """The newest array, by status name: most are unchanged, and a message costs more than a comparison."""
         self._kinds: Any = None
         self._missing = False
         if listen and self._load():
@@ -69,7 +69,7 @@ class DiagnosticsListener:
         return [*messages, *portions(kept)]
 
     def publish(self, order: Publish) -> None:
-        """Publish PHM's own state, reliable and with a queue of one as diagnostic_updater does."""
+        """Publish PHM's own state, reliable and with a queue of one, as diagnostic_updater does."""
         if not self._load():
             return
         if self._publisher is None:
@@ -82,7 +82,7 @@ class DiagnosticsListener:
                 import diagnostic_msgs.msg as kinds
                 from rclpy.type_support import check_for_type_support
 
-                check_for_type_support(kinds.DiagnosticArray)  # loads what its parts need, std_msgs among them
+                check_for_type_support(kinds.DiagnosticArray)  # also loads the types of its fields, such as std_msgs
             except ImportError:
                 self._missing = True
                 self._say(_MISSING)
@@ -91,7 +91,7 @@ class DiagnosticsListener:
         return self._kinds is not None
 
     def _say(self, text: str) -> None:
-        """For the log, each text once, and not without end: some quote what came."""
+        """Report a text in the log once, up to a limit: some contain received data."""
         if text not in self._said and len(self._said) < MAX_REMARKS:
             self._said.add(text)
             self._log_texts.append(LogText(text))
@@ -109,9 +109,9 @@ class DiagnosticsListener:
         return self._node.create_subscription(self._kinds.DiagnosticArray, topic, _never_called, qos, raw=True)
 
     def _arrays(self, topic: str, reader: Any) -> Iterable[Any]:
-        """Those that wait in the queue, as far as MAX_BYTES go; the rest waits for the next look.
+        """The messages in the queue, up to MAX_BYTES; the rest waits for the next look.
 
-        Taken as bytes first: what is too long, and PHM's own, is never decoded.
+        Taken as bytes first: arrays that are too long, and PHM's own, are never decoded.
         """
         from rclpy.serialization import deserialize_message
 
@@ -128,7 +128,7 @@ class DiagnosticsListener:
                     left -= len(data)
                     try:
                         yield deserialize_message(data, reader.msg_type)
-                    except Exception as error:  # rclpy's own and pybind's kinds: what was sent is not an array
+                    except Exception as error:  # exceptions of rclpy and pybind: what was sent is not an array
                         self._say(f"a message on {topic} cannot be decoded: {error}")
 
     def _array(self, order: Publish) -> Any:
@@ -155,7 +155,7 @@ class DiagnosticsListener:
 
 
 def portions(statuses: Sequence[tuple[str, DiagnosticFact]]) -> list[Message]:
-    """The same in messages of which none is too long: a character takes six bytes there at most."""
+    """Split into messages of limited size: a character takes at most six bytes there."""
     messages: list[Message] = []
     part: dict[str, DiagnosticFact] = {}
     size = 0

@@ -1,8 +1,8 @@
-"""Facts as flat lists of JSON for the pipe between daemon and child, and back with every type checked.
+"""Encodes facts as flat JSON lists for the pipe between daemon and child, and decodes them with type checks.
 
-A fact is written as the list of its fields in order, so a new field in `phm.facts.ros` needs no line here. Both
-sides are the same PHM: the layout is not a public contract. What a type asks for is found out once and kept
-as functions: looked up for each value, it cost the child a third of its time in Python.
+A fact is the list of its fields in order, so a new field in `phm.facts.ros` needs no change here. Both sides are the
+same PHM: the layout is not a public contract. The decoder of a type is created once and cached: doing it for each value
+took a third of the child's Python time.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ def pack(fact: Any) -> Any:
 
 
 def value(hint: Any, data: Any) -> Any:
-    """`data`, which `pack` wrote, as the type that `hint` names. Raises TypeError or ValueError for anything else."""
+    """Decode `data`, written by `pack`, as the type `hint`. Raises TypeError or ValueError for anything else."""
     return _reader(hint)(data)
 
 
 @functools.cache
 def changer(kind: Callable[..., T], name: str) -> Callable[[T, Any], T]:
-    """A function that gives a fact of this kind with another value of one field: dataclasses.replace in half the time."""
+    """A function that copies a fact of this type with another value of one field: dataclasses.replace in half the time."""
     place = [field.name for field in fields(cast(Any, kind))].index(name)
 
     def change(fact: T, item: Any) -> T:
@@ -62,7 +62,7 @@ def _parts(kind: Any) -> Callable[[Any], tuple[Any, ...]]:
 
 @functools.cache
 def _reader(hint: Any) -> Read:
-    """The function that reads a value of this type."""
+    """The function that decodes a value of this type."""
     if is_dataclass(hint):
         return _fact(hint)
     origin, args = get_origin(hint), get_args(hint)
@@ -96,7 +96,7 @@ def _optional(read: Read) -> Read:
 
 
 def _mapping(read: Read) -> Read:
-    """JSON's keys are texts always."""
+    """JSON keys are always texts."""
     return lambda data: {key: read(item) for key, item in _of(dict, data).items()}
 
 

@@ -1,8 +1,7 @@
-"""What discovery knows: nodes by name, and the endpoints of the topics that are wanted.
+"""Reads the graph: nodes by name, and the endpoints of the wanted topics. Runs only in the child.
 
-Runs in the child alone. Names and counts cost microseconds and are read each tick; the endpoints, with
-node names and QoS, cost 50 us a topic and are read when the middleware reports a change, when names or counts
-changed, and once a second.
+Names and counts cost microseconds and are read each tick. The endpoints, with node names and QoS, cost 50 us per topic
+and are read when the middleware reports a change, when names or counts changed, and once a second.
 """
 
 from __future__ import annotations
@@ -19,26 +18,25 @@ from phm.probes.ros.name_limits import MAX_STRANGERS, Ends, kept_ends, kept_node
 from phm.probes.ros.raw_names import printable, raw_node_names, undecodable
 
 OWN = "_phm_"
-"""Hidden nodes of this prefix are PHM's own, those of a child that was just replaced included."""
+"""Hidden nodes with this prefix are PHM's own, including those of a child that was just replaced."""
 NOT_UTF8 = "a node or topic in the ROS domain has a name that is not UTF-8: {}"
 MAX_PROBLEMS, MAX_TEXT = 5, 300
 MAX_CULPRITS = 8
 _ENDLESS_NS = 2**63 - 1
-"""What the middleware says for `no deadline`; 0 is `not specified`, which has none either."""
+"""The middleware's value for `no deadline`; 0 is `not specified`, which has none either."""
 _HASH_SHOWN = 15
 """`RIHS01_` and 8 digits: enough to distinguish two definitions of a type."""
 _UNKNOWN = ("_NODE_NAME_UNKNOWN_", "_CREATED_BY_BARE_DDS_APP_")
 
 
 class GraphReader:
-    """The newest view. `nodes`: full name -> how often it is listed; `publishers`, `subscribers`: by topic.
+    """The newest graph. `nodes`: full name -> how often it is listed; `publishers`, `subscribers`: by topic.
 
-    names_known: whether the names of nodes could be read at all. problems: sentences about what could not be read, or was
-    left out.
+    names_known: whether node names could be read. problems: sentences about what could not be read, or was dropped.
     """
 
     def __init__(self, node: Any, topics: Sequence[str], full_s: float, configured: Collection[str] = ()) -> None:
-        """configured: full names of nodes, which are kept whatever else there is."""
+        """configured: full names of nodes that are always kept."""
         self._node = node
         self._topics = tuple(topics)
         self._full_s = full_s
@@ -58,7 +56,7 @@ class GraphReader:
         return tuple({**self._of_names, **self._of_ends})[:MAX_PROBLEMS]
 
     def look(self, now_s: float, *, notified: bool = False) -> bool:
-        """Read what may have changed; True when something did. notified: the middleware reports a change."""
+        """Read what may have changed. Returns whether anything did. notified: the middleware reports a change."""
         before = self.problems
         nodes = self._read_nodes()
         counts = self._read_counts()
@@ -74,7 +72,7 @@ class GraphReader:
         self._of_names = {}
         try:
             found = self._names()
-        except Exception as error:  # whatever rclpy and rcl raise, rates and beacons go on
+        except Exception as error:  # whatever rclpy and rcl raise, rates and beacons must continue
             self.names_known = False
             self._of_names[f"node names cannot be read: {error}"[:MAX_TEXT]] = None
             return {}
@@ -127,7 +125,9 @@ class GraphReader:
         for topic in self._topics:
             try:
                 found[topic] = endpoints(by_topic(topic))
-            except Exception as error:  # one bad name hides all ends of the topic; ask for the configured nodes instead
+            except (
+                Exception
+            ) as error:  # one invalid name hides all endpoints of the topic; ask for the configured nodes instead
                 culprit = undecodable(error) if isinstance(error, UnicodeDecodeError) else ""
                 words = (
                     NOT_UTF8.format(culprit) if culprit else f"endpoints of {topic} cannot be read: {error}"[:MAX_TEXT]
@@ -139,12 +139,12 @@ class GraphReader:
     def _by_node(
         self, topic: str, by_node: Callable[[str, str], Any], count: int, culprit: str
     ) -> tuple[EndpointFact, ...]:
-        """Ends of the configured nodes, without their quality; the others go by the name that is to blame."""
+        """Endpoints of the configured nodes, without QoS; the others have the name that causes the problem."""
         found = []
         for name in self.configured & self.nodes.keys():
             namespace, _, short = name.rpartition("/")
             types = None
-            with contextlib.suppress(Exception):  # the node has left, or one of its types has a bad name
+            with contextlib.suppress(Exception):  # the node has left, or one of its types has an invalid name
                 types = dict(by_node(short, namespace or "/")).get(topic)
             if types:
                 found.append(EndpointFact(name, printable(types[0])))
@@ -153,7 +153,7 @@ class GraphReader:
 
 
 def endpoints(infos: Iterable[Any]) -> tuple[EndpointFact, ...]:
-    """rclpy's TopicEndpointInfo as facts, PHM's own left out, in a stable order."""
+    """rclpy's TopicEndpointInfo as facts, without PHM's own, in a stable order."""
     facts = (_endpoint(info) for info in infos if not info.node_name.startswith(OWN))
     return tuple(sorted(facts, key=lambda fact: (fact.node, fact.type)))
 
@@ -180,9 +180,9 @@ def _endpoint(info: Any) -> EndpointFact:
 
 @functools.cache
 def quality_matters() -> bool:
-    """Whether this middleware refuses pairs by quality of service, as DDS does; Zenoh connects everything.
+    """Whether this middleware does not connect pairs with incompatible QoS, as DDS; Zenoh connects all.
 
-    Where it does not, endpoints are reported without it, so that no mismatch is found.
+    If it connects all, endpoints are reported without QoS, so that no mismatch is found.
     """
     from rclpy.qos import QoSCompatibility, QoSProfile, QoSReliabilityPolicy, qos_check_compatible
 

@@ -1,7 +1,8 @@
-"""Reports that the graph may have changed, as soon as the middleware knows, and costs nothing otherwise.
+"""Reports immediately that the graph may have changed, without polling.
 
-rclpy has no way to wait for the graph; rcl has one since Foxy, a guard condition of each node. It is put by its C function into
-a wait set that rclpy made. Where anything of this is missing there are no events, and the looks of each tick see all the same.
+rclpy has no way to wait for the graph; rcl has one since Foxy, a guard condition of each node. It is added by its C
+function to a wait set that rclpy created. If any of this is missing there are no events, and the look of each tick
+finds the changes.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ import threading
 from typing import Any
 
 BURST_S = 0.1
-"""Changes come in bursts when nodes start: one event at once, then one for all that comes in so long."""
+"""Changes come in bursts when nodes start: one event immediately, then one for all others within this time."""
 FAREWELL_S = 0.5
 
 
 class GraphEvents:
-    """`fd` becomes readable with a change; None where there are no events. `take` makes it unreadable again."""
+    """`fd` becomes readable after a change; None without events. `take` makes it unreadable again."""
 
     def __init__(self, node: Any, context: Any) -> None:
         self.fd: int | None = None
@@ -27,24 +28,24 @@ class GraphEvents:
             self._wait_set = _wait_set(context)
             self._stop = _guard(context)
             self._add = _adder(node, self._wait_set)
-        except Exception:  # another distribution or middleware: pybind and ctypes raise what they like
+        except Exception:  # another distribution or middleware: pybind and ctypes raise any type
             return
         self.fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._thread = threading.Thread(target=self._run, name="phm-graph", daemon=True)
         try:
             self._thread.start()
-        except RuntimeError:  # the limit of processes: the looks of each tick have to do
+        except RuntimeError:  # the limit of processes is reached: the look of each tick must suffice
             os.close(self.fd)
             self.fd = None
 
     def take(self) -> None:
-        """The event has been seen."""
+        """Mark the event as processed."""
         if self.fd is not None:
             with contextlib.suppress(BlockingIOError):
                 os.eventfd_read(self.fd)
 
     def close(self) -> None:
-        """Before the node is destroyed."""
+        """Call before the node is destroyed."""
         if self.fd is None:
             return
         self._stopping.set()
@@ -81,7 +82,7 @@ def _guard(context: Any) -> Any:
 
 
 def _adder(node: Any, wait_set: Any) -> Any:
-    """A function that puts the node's graph guard condition into the wait set. Raises where the library is not as known."""
+    """A function that adds the node's graph guard condition to the wait set. Raises if the library has another layout."""
     library = ctypes.CDLL("librcl.so")
     get, add = library.rcl_node_get_graph_guard_condition, library.rcl_wait_set_add_guard_condition
     get.restype, get.argtypes = ctypes.c_void_p, (ctypes.c_void_p,)

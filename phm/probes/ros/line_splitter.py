@@ -12,10 +12,10 @@ class LineSplitter:
         self._rest = b""
         self._dropping = False
         self.dropped = 0
-        """Lines that were longer than the limit."""
+        """Number of lines that were longer than the limit."""
 
     def add(self, piece: bytes) -> list[bytes]:
-        """The lines that `piece` completes, without their ends."""
+        """The lines completed by `piece`, without line ends."""
         *lines, rest = (self._rest + piece).split(b"\n")
         if lines and self._dropping:
             lines, self._dropping = lines[1:], False

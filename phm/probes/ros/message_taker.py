@@ -1,7 +1,7 @@
 """Takes messages of one subscription as bytes, each with the identity (gid) of its writer.
 
-rclpy gives that identity from Kilted on. Before, rmw knows it all the same, and it is read through rcl's C function. Where
-neither does, there is none. Runs in the child alone.
+rclpy provides the identity from Kilted on. In earlier versions it is read through rcl's C function. If neither works,
+there is none. Runs only in the child.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ GID_BYTES = 16
 _TAKE_FAILED = 401
 """RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message."""
 _KEPT_BYTES = 200_000
-"""A buffer that a longer message made grow is given back."""
+"""A buffer that a longer message has enlarged is released."""
 
 
 class _Info(ctypes.Structure):
-    """rmw_message_info_t as it has been since Galactic, with room for what may be added."""
+    """rmw_message_info_t since Galactic, with space for new fields."""
 
     _fields_ = (
         ("source_ns", ctypes.c_int64),
@@ -51,7 +51,7 @@ class _Message(ctypes.Structure):
 
 
 class MessageTaker:
-    """Of a raw subscription, which no executor spins."""
+    """For a raw subscription that no executor spins."""
 
     def __init__(self, subscription: Any) -> None:
         self._subscription = subscription
@@ -59,7 +59,7 @@ class MessageTaker:
         self._tried = False
 
     def take(self) -> Taken | None:
-        """The oldest message that waits; None: none does."""
+        """The oldest message in the queue; None if it is empty."""
         if self._by_rcl is not None:
             return self._by_rcl()
         taken = self._subscription.handle.take_message(self._subscription.msg_type, True)
@@ -76,7 +76,7 @@ class MessageTaker:
 
 
 def by_rcl(subscription: int) -> Callable[[], Taken | None] | None:
-    """The same through the C function, given rcl's pointer; None where the libraries are not as known."""
+    """The same through the C function, with rcl's pointer; None if the libraries have another layout."""
     try:
         rcl, rcutils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")
         ask, begin, end = (

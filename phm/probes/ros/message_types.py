@@ -1,7 +1,7 @@
-"""The class of a message type for a raw reader: installed beside PHM, made from its name alone, or from the application.
+"""The class of a message type for a raw reader: installed beside PHM, created from its name, or from the application.
 
-Runs in the child alone. In this order, since each next one trusts more that was not tested together: a class made from
-the name uses nothing of the application; what the application has mounted runs its code here.
+Runs only in the child. The order is by trust: a class created from the name uses nothing of the application; mounted
+packages of the application run their code here and were not tested together with PHM.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from phm.probes.ros.protocol import INSTALLS
 _NAME = re.compile(r"([a-z][a-z0-9_]{0,99})/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]{0,99})")
 _any_types = OpaqueTypes()
 _mounted: dict[str, Any] = {}
-"""What the application's folders gave, which has them searched once: a large topic is subscribed to every few seconds."""
+"""Types found in the application's folders, which are searched once: a large topic is subscribed every few seconds."""
 
 
 class UnknownType(Exception):
-    """There is no way to read messages of this type here; the text says each way and why not."""
+    """Messages of this type cannot be read; the text gives each method and why it failed."""
 
 
 def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
     """The class of `package/msg/Type`, for raw readers only. Raises UnknownType.
 
-    publishers: rclpy's TopicEndpointInfo of who publishes it; a class made from the name announces their type hash.
+    publishers: rclpy's TopicEndpointInfo of its publishers; a class created from the name announces their type hash.
     """
     match = _NAME.fullmatch(name)
     if match is None:
@@ -56,7 +56,7 @@ def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
 
 
 def _installed(package: str, kind: str, short: str, mounted: MountedPackages) -> Any:
-    """Names come from the network: nothing is imported that does not look like a package of messages."""
+    """Names come from the network: only names with the form of a message package are imported."""
     try:
         spec = importlib.util.find_spec(package)
         folders = (spec.submodule_search_locations if spec else None) or ()
@@ -68,7 +68,7 @@ def _installed(package: str, kind: str, short: str, mounted: MountedPackages) ->
 
 
 def _announced(name: str, publishers: Iterable[Any]) -> bytes:
-    """The type hash that a publisher of this type reports, or nothing: before Jazzy there is none."""
+    """The type hash that a publisher of this type reports, or empty: before Jazzy there is none."""
     for publisher in publishers:
         reported = getattr(publisher, "topic_type_hash", None)
         if reported is not None and reported.version == 1 and publisher.topic_type == name:

@@ -1,7 +1,7 @@
-"""Message packages out of the application's own `install/` folder, as colcon makes it, mounted where PHM sees it.
+"""Message packages from the application's own `install/` folder, as colcon creates it, mounted into PHM.
 
-Only what a type needs is loaded, and only when it is needed: were the folder put into PYTHONPATH and LD_LIBRARY_PATH,
-an application with another ROS distribution would replace PHM's own rclpy. Runs in the child alone.
+Only what a type needs is loaded, when it is needed: with the folder in PYTHONPATH and LD_LIBRARY_PATH, an application
+with another ROS distribution would replace PHM's own rclpy. Runs only in the child.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from phm.probes.ros.opaque_types import TypeUnavailable
 
 PYTHON = f"{sys.version_info[0]}.{sys.version_info[1]}"
 _LAYOUTS = ("lib/python{}/site-packages", "local/lib/python{}/dist-packages", "lib/python{}/dist-packages")
-"""Where ament puts modules: in general, on Debian's Python for system and others."""
+"""Where ament installs modules: in general, and with Debian's Python."""
 _VERSION = re.compile(r"/lib/python(3\.\d+)/")
 _MISSING = re.compile(r"^([^:/]+\.so[.\d]*): cannot open shared object file")
 _OF_MESSAGES = re.compile(r"lib[a-z0-9_]+__rosidl_[a-z_]+\.so")
@@ -31,7 +31,8 @@ class MountedPackages:
         self._installs = [Path(install) for install in installs if install]
 
     def holds(self, folder: str) -> bool:
-        """Whether a folder is in one of these; after `load` Python finds their packages, too, but not all that they need."""
+        """Whether one of these contains a folder. After `load` Python finds their packages too, but not all of their
+        libraries."""
         return any(Path(folder).is_relative_to(install) for install in self._installs)
 
     def load(self, package: str, kind: str, short: str) -> Any:
@@ -44,12 +45,12 @@ class MountedPackages:
             return self._loaded(package, kind, short)
         except TypeUnavailable:
             raise
-        except Exception as error:  # folders that cannot be read; modules that raise anything while they are imported
+        except Exception as error:  # folders that cannot be read; modules that raise exceptions while they are imported
             raise TypeUnavailable(f"ros.installs has it, but it cannot be loaded ({error})") from error
 
     def _loaded(self, package: str, kind: str, short: str) -> Any:
         self._demand_package(package)
-        # At the end: what is installed beside PHM always wins.
+        # At the end: what is installed beside PHM has priority.
         sys.path += [folder for folder in self._python_folders() if folder not in sys.path]
         importlib.invalidate_caches()
         self._load_libraries(package)
@@ -86,7 +87,7 @@ class MountedPackages:
         ]
 
     def _load_libraries(self, package: str) -> None:
-        """With what they need from other packages. What is loaded is found by its name when the modules ask for it."""
+        """Load the libraries with their dependencies in other packages. The modules then find them by name."""
         folders = [folder for prefix in self._prefixes() if (folder := prefix / "lib").is_dir()]
         for folder in folders:
             for path in sorted(folder.glob(f"lib{package}__rosidl_*.so")):
@@ -95,7 +96,7 @@ class MountedPackages:
 
 
 def _load(path: Path, folders: list[Path], depth: int = 0) -> None:
-    """Load one library, first those that it misses. Raises NotHere."""
+    """Load one library, after those that it depends on. Raises NotHere."""
     for _ in range(200):
         try:
             ctypes.CDLL(str(path))
@@ -114,7 +115,7 @@ def _load(path: Path, folders: list[Path], depth: int = 0) -> None:
 
 
 def _demand_same_generation(package: str, kind: str, short: str) -> None:
-    """From Iron on each type has a hash, and the middleware calls for it; a type without one would end this process."""
+    """From Iron on each type has a hash, and the middleware calls for it; a type without one would crash this process."""
     theirs = ctypes.CDLL(f"lib{package}__rosidl_generator_c.so")
     if not hasattr(theirs, f"{package}__{kind}__{short}__init"):
         raise TypeUnavailable(f"ros.installs has {package}, but without this type")

@@ -1,7 +1,7 @@
-"""What is kept of the graph when there is more of it than PHM can pass on. Pure.
+"""Limits the part of the graph that PHM passes on. Pure.
 
-Anyone in the ROS domain can announce nodes and endpoints without end. What is configured comes first, so that strangers cannot
-displace it; strangers share the rest.
+Any participant of the ROS domain can announce any number of nodes and endpoints. Configured ones come first, so that
+others cannot displace them; the others share the rest.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from itertools import islice
 from phm.facts.ros import EndpointFact
 
 MAX_STRANGERS = 300
-"""Nodes that are listed though they are not configured."""
+"""Maximum number of nodes that are not configured."""
 FEW_ENDS = 400
-"""So many endpoints fit into a message, however long their names are."""
+"""So many endpoints always fit into a message, regardless of the length of their names."""
 ENDS_BYTES = 500_000
 """Bytes for all endpoints of one graph message, which may have 1 MB."""
 _REST_BYTES = 160
-"""Of an endpoint, beside the name of its node and its type."""
+"""Bytes of an endpoint besides the name of its node and its type."""
 
 Ends = Mapping[str, tuple[EndpointFact, ...]]
 
 
 def kept_nodes(listed: Mapping[str, int], configured: Collection[str]) -> tuple[dict[str, int], bool]:
-    """By name, and whether some were left out."""
+    """Nodes by name, and whether some were dropped."""
     own = {name: count for name, count in listed.items() if name in configured}
     strangers = {name: count for name, count in listed.items() if name not in configured}
     kept = dict(islice(sorted(strangers.items()), MAX_STRANGERS))
@@ -33,7 +33,8 @@ def kept_nodes(listed: Mapping[str, int], configured: Collection[str]) -> tuple[
 
 
 def kept_ends(sides: tuple[Ends, Ends], configured: Collection[str]) -> tuple[tuple[Ends, Ends], bool]:
-    """Publishers and subscribers by topic, and whether some were left out: strangers first, then those listed several times."""
+    """Publishers and subscribers by topic, and whether some were dropped: unconfigured ones first, then those listed
+    several times."""
     if sum(len(ends) for side in sides for ends in side.values()) <= FEW_ENDS:
         return sides, False
     ranked = sorted(

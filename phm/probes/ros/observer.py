@@ -1,6 +1,6 @@
-"""What the child looks with: one participant, the graph that it sees, and a gauge for each topic with a rate.
+"""The child's participant, the graph that it sees, and a monitor for each topic with a rate.
 
-Importing this module raises ImportError where there is no rclpy.
+Importing this module raises ImportError without rclpy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from phm.probes.ros.unconfigured_topics import UnconfiguredTopics
 
 
 class Observer:
-    """One look a tick; nothing in it waits."""
+    """One look per tick; nothing in it blocks."""
 
     def __init__(self, wanted: Wanted, number: int = 0) -> None:
         """`number`: that of the last graph message of an earlier observer."""
@@ -53,7 +53,7 @@ class Observer:
 
     @property
     def events(self) -> int | None:
-        """A descriptor that is readable when the graph may have changed; None where there is none."""
+        """A descriptor that is readable when the graph may have changed; None without events."""
         return self._events.fd
 
     def look(self, *, notified: bool = False, late_s: float = 0.0) -> list[Message]:
@@ -152,7 +152,7 @@ def _participant(wanted: Wanted, name: str) -> tuple[Any, Any]:
 
 
 def _known(graph: GraphReader) -> Known:
-    """Of strangers only what they have to do with a configured topic: others must not keep PHM busy."""
+    """Of unconfigured nodes only the relation to a configured topic: others must not keep PHM busy."""
     nodes = {(name,) for name in graph.nodes if name in graph.configured}
     sides = {"publisher": graph.publishers, "subscriber": graph.subscribers}
     return frozenset(nodes) | {

@@ -1,11 +1,11 @@
-"""A message class for any type by its name alone, for a reader that never looks into a message.
+"""Creates a message class for any type from its name alone, for a reader that never decodes a message.
 
-A reader that is not to decode needs of a type only its name: by it the middleware matches readers and writers. So a
-class is made here whose type support is that of a type that rclpy always has, with the two names changed. What is
-copied is C memory of the middleware; nothing of it is used before it was compared with what is known of it.
+A reader that does not decode needs only the name of the type, by which the middleware matches readers and writers. So
+this module copies the type support of a type that rclpy always has, and changes the two names. The copy is C memory of
+the middleware; nothing of it is used before it was compared with the expected values.
 
-Layouts: rosidl_runtime_c/message_type_support_struct.h, rosidl_typesupport_fastrtps_cpp/message_type_support.h.
-Runs in the child alone.
+Layouts: rosidl_runtime_c/message_type_support_struct.h, rosidl_typesupport_fastrtps_cpp/message_type_support.h. Runs
+only in the child.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from typing import Any
 
 MIDDLEWARE = "rmw_fastrtps_cpp"
 KNOWN: dict[tuple[str, str], tuple[str, bool]] = {
-    # Fast DDS 2 builds a description of the type from it, and refuses to go on without; it is never sent.
+    # Fast DDS 2 builds a description of the type from it, and fails without; it is never sent.
     ("fastrtps", "2.14"): ("jazzy", True),
-    # Fast DDS 3 sends that description, and a writer of another one is then no match. Without it the name alone counts.
+    # Fast DDS 3 sends that description, and a writer of another one then does not match. Without it only the name counts.
     ("fastdds", "3.2"): ("kilted", False),
 }
-"""Library and version of Fast DDS -> distribution, and whether it must be given the introspection of the copied type."""
+"""Library and version of Fast DDS -> distribution, and whether it needs the introspection of the copied type."""
 MAX_TYPES = 500
-"""Names come from outside, and what was made stays: the middleware may keep pointers to it after a reader is closed."""
+"""Names come from outside, and classes are never freed: the middleware may keep pointers after a reader is closed."""
 
 _LIBRARY = re.compile(r"/lib(fastrtps|fastdds)\.so\.(\d+\.\d+)[^/]*$")
 _BASE = ("rcl_interfaces", "msg", "SetParametersResult")
@@ -50,11 +50,11 @@ _new_capsule = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.c_cha
 
 
 class TypeUnavailable(Exception):
-    """A class for any type cannot be made here, and why."""
+    """A class for any type cannot be created here; the text says why."""
 
 
 class OpaqueTypes:
-    """Makes classes by name. `make` raises NotHere where the middleware is none of those that are known."""
+    """Creates classes by name. `make` raises NotHere if the middleware is not supported."""
 
     def __init__(self) -> None:
         self._base: _Base | None = None
@@ -92,7 +92,7 @@ class OpaqueTypes:
 
 @dataclass(frozen=True, slots=True)
 class _Base:
-    """What is copied. handle, callbacks: the C structures. introspection: address of that handle, None: not to be given."""
+    """The copied parts. handle, callbacks: the C structures. introspection: address of that handle; None: not used."""
 
     handle: tuple[int, ...]
     callbacks: tuple[int, ...]
@@ -100,7 +100,7 @@ class _Base:
 
     @classmethod
     def found(cls) -> _Base:
-        """Raises NotHere when anything is not as it is known."""
+        """Raises NotHere if anything differs from the expected values."""
         needs_introspection = _known_middleware()
         _demand(
             sys.byteorder == "little" and ctypes.sizeof(ctypes.c_void_p) == 8,
@@ -134,7 +134,7 @@ class _Base:
 
 
 def _known_middleware() -> bool:
-    """Whether introspection must be given. Raises NotHere."""
+    """Whether introspection is needed. Raises NotHere."""
     from rclpy.utilities import get_rmw_implementation_identifier
 
     used = get_rmw_implementation_identifier()
@@ -162,7 +162,7 @@ def _base_pointer() -> int:
 
 
 def _message_class(handle: int) -> Any:
-    """A class as rclpy wants it. Nothing of it but the type support may be used, so the rest is not a capsule."""
+    """A class with the attributes that rclpy requires. Only its type support may be used, so the rest is not a capsule."""
     functions = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
     members = {**dict.fromkeys(functions, "raw readers only"), "_TYPE_SUPPORT": _new_capsule(handle, None, None)}
     return type("AnyTypeMeta", (type,), members)("AnyType", (), {})
@@ -187,7 +187,7 @@ def _demand(holds: bool, otherwise: str) -> None:
 
 
 def _peek(address: int, size: int) -> bytes:
-    """Own memory. Raises NotHere, where reading through a pointer would end the process."""
+    """Memory of this process. Raises NotHere where a direct read would crash the process."""
     try:
         with open("/proc/self/mem", "rb", buffering=0) as memory:
             data = os.pread(memory.fileno(), size, address)
@@ -198,7 +198,7 @@ def _peek(address: int, size: int) -> bytes:
 
 
 def _text(address: int) -> bytes:
-    """The text at an address; at most 99 bytes are looked at, and fewer at the end of a page."""
+    """The text at an address; reads at most 99 bytes, and not beyond the end of a page."""
     room = min(99, 4096 - address % 4096)
     return _peek(address, room).partition(b"\0")[0]
 
@@ -209,7 +209,7 @@ def _maps() -> list[str]:
 
 
 def _code() -> list[tuple[int, int]]:
-    """Start and end of what of this process's memory is code."""
+    """Start and end of the code segments of this process."""
     ranges = []
     for line in _maps():
         span, mode = line.split(maxsplit=2)[:2]

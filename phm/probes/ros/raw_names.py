@@ -1,6 +1,6 @@
-"""Names of nodes as bytes, for those that rclpy refuses to hand over: one name that is not UTF-8 hides all others from it.
+"""Node names as bytes, for names that rclpy cannot return: one name that is not UTF-8 makes it raise for all.
 
-They are read through rcl's C functions and escaped. Runs in the child alone.
+They are read through rcl's C functions and escaped. Runs only in the child.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import functools
 from typing import Any
 
 LONGEST = 255
-"""Characters kept of a name: as long as a name may be in ROS."""
+"""Characters kept of a name: the maximum length in ROS."""
 
 
 class _Allocator(ctypes.Structure):
@@ -30,7 +30,7 @@ class _Strings(ctypes.Structure):
 
 
 def raw_node_names(node: Any) -> list[tuple[str, str]]:
-    """As `get_node_names_and_namespaces`. Raises OSError or AttributeError where the libraries are not as known."""
+    """Like `get_node_names_and_namespaces`. Raises OSError or AttributeError if the libraries have another layout."""
     ask, free, allocator = _functions()
     names, namespaces = _Strings(), _Strings()
     if ask(node.handle.pointer, allocator, ctypes.byref(names), ctypes.byref(namespaces)):
@@ -43,7 +43,7 @@ def raw_node_names(node: Any) -> list[tuple[str, str]]:
 
 
 def printable(name: str) -> str:
-    """A name from outside as ASCII without control characters, of LONGEST characters at most."""
+    """A name from outside as ASCII without control characters, at most LONGEST characters."""
     name = name[:LONGEST]
     if name.isascii() and name.isprintable():
         return name

@@ -12,11 +12,11 @@ from phm.probes.ros.rates.publisher_stats import Sample
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How to subscribe. depth: samples kept, and taken at one look.
+    """How to subscribe. depth: samples kept in the queue, and taken per look.
 
-    Without `latched` it is best effort and volatile, which by the rules of DDS fits whatever publishers offer, has
-    nothing sent twice and no publisher wait for PHM. `latched` is reliable and transient local, without which a sample
-    that was published before is not sent; it fits only publishers that are both.
+    Without `latched` it is best effort and volatile, which by the rules of DDS is compatible with every publisher,
+    causes no retransmissions and blocks no publisher. `latched` is reliable and transient local, which is needed to
+    receive earlier samples and compatible only with publishers that are both.
     """
 
     depth: int = 1
@@ -24,7 +24,7 @@ class Quality:
 
 
 class Reader:
-    """Opened on a type, closed by `close`; never raises for a strange type but UnknownType."""
+    """Opened for a type, closed by `close`. Raises only UnknownType for an unexpected type."""
 
     def __init__(self, node: Any, topic: str, type_name: str, quality: Quality) -> None:
         """Raises UnknownType."""
@@ -32,18 +32,18 @@ class Reader:
         self._node = node
         try:
             publishers = node.get_publishers_info_by_topic(topic)
-        except UnicodeDecodeError:  # the name of a stranger
+        except UnicodeDecodeError:  # a name from an unknown participant
             publishers = ()
         message = load_type(type_name, publishers)
         try:
             self._subscription = node.create_subscription(message, topic, _never_called, _profile(quality), raw=True)
-        except Exception as error:  # rclpy raises its own and pybind's kinds for broken type support
+        except Exception as error:  # rclpy raises its own and pybind's exceptions for broken type support
             raise UnknownType(f"type unknown: {type_name} cannot be subscribed to ({error})") from error
         # Not in Humble.
         self._count = getattr(self._subscription, "get_publisher_count", None)
 
     def take(self, now_s: float) -> list[Sample]:
-        """What arrived since the last look, oldest first."""
+        """Samples since the last look, oldest first."""
         samples = []
         handle = self._subscription.handle
         with handle:
@@ -56,7 +56,7 @@ class Reader:
 
     @property
     def matched(self) -> int | None:
-        """How many publishers the middleware has connected; None where it is not known."""
+        """Number of publishers that the middleware has connected; None if unknown."""
         return None if self._count is None else self._count()
 
     def close(self) -> None:

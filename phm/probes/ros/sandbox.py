@@ -1,8 +1,9 @@
-"""Restricts the ROS child before it loads foreign code: rclpy, the application's message packages, samples from the domain.
+"""Restricts the ROS child before it loads foreign code: rclpy, the application's message packages, samples from the
+domain.
 
-Landlock limits the files that the process can open; a seccomp filter limits sockets and what it can do to other processes.
-Both need no privilege, last until the process ends, and cannot be undone by it. What the kernel does not offer is
-reported, not assumed: the child works without it, and `phm status` says so. Runs in the child alone.
+Landlock limits the files that the process can open; a seccomp filter limits sockets and access to other processes. Both
+need no privilege, last until the process ends, and cannot be undone by it. Restrictions that the kernel does not
+support are reported: the child works without them, and `phm status` shows that. Runs only in the child.
 """
 
 from __future__ import annotations
@@ -21,21 +22,23 @@ _SYSTEM = (
     "/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/proc/stat", "/proc/sys/kernel/random", "/proc/sys/net",
     "/sys/devices/system/cpu", "/sys/class/net", "/dev/urandom", "/dev/random",
 )  # fmt: skip
-"""What the interpreter, the C library and the middleware read. Not /etc as a whole: PHM's configuration and keys are there."""
+"""Files read by the interpreter, the C library and the middleware. Not all of /etc, which contains PHM's configuration
+and keys."""
 _DEVICES = ("/dev/null", "/dev/zero")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _FILE_VARIABLES = (
     *PROFILE_VARIABLES, "FASTDDS_ENVIRONMENT_FILE", "CYCLONEDDS_URI",
     "ZENOH_SESSION_CONFIG_URI", "ROS_SECURITY_KEYSTORE", "RCL_LOGGING_CONFIG_FILE",
 )  # fmt: skip
-"""Variables that name a file or folder which the middleware reads."""
+"""Environment variables that name a file or folder read by the middleware."""
 OWN_PROFILE = "PHM_ROS_PROFILE"
 """Names the child's own profile (`phm.probes.ros.fastdds_profile`), which uses UDP alone."""
 _PATH_VARIABLES = ("AMENT_PREFIX_PATH", "LD_LIBRARY_PATH")
 _SHARED_MEMORY = "/dev/shm"  # noqa: S108 (Fast DDS puts its segments there when a user turns shared memory on)
 
 _FAMILIES = (socket.AF_INET, socket.AF_INET6, socket.AF_NETLINK)
-"""Networks, and the kernel's list of interfaces. Not AF_UNIX: the engine's socket and PHM's control socket are such."""
+"""Networks, and the kernel's list of interfaces. Not AF_UNIX, the type of the engine's socket and PHM's control socket.
+"""
 _LAST_FAMILY = 63
 _TYPE_MASK = 0xF
 """The type of a socket without its flags."""
@@ -50,15 +53,16 @@ _FORBIDDEN = (
     "userfaultfd", "keyctl", "add_key", "request_key", "mount", "umount2", "move_mount", "fsopen", "open_tree", "pivot_root",
     "chroot", "setns", "unshare", "open_by_handle_at", "kexec_load", "init_module", "finit_module",
 )  # fmt: skip
-"""io_uring would open sockets past the filter; the rest reaches other processes, starts programs, or needs privileges."""
+"""io_uring would open sockets past the filter; the others access other processes, start programs, or need privileges.
+"""
 _SIGNALS = ("kill", "tgkill", "rt_sigqueueinfo", "rt_tgsigqueueinfo")
-"""Allowed for the process itself, by its number."""
+"""Allowed for the process itself, by its id."""
 _SETTINGS = ("sched_setaffinity", "sched_setscheduler", "sched_setparam", "sched_setattr", "prlimit64")
-"""Allowed for the process itself, as number 0."""
+"""Allowed for the process itself, as id 0."""
 
 
 def enter(installs: Iterable[str] = (), environ: Callable[[str], str | None] = os.environ.get) -> str:
-    """Restrict this process; what is missing, in words, or COMPLETE. Call it while there is one thread.
+    """Restrict this process. Returns the missing restrictions as text, or COMPLETE. Call it while there is one thread.
 
     installs: folders of the application's packages (`ros.installs`), readable.
     """
@@ -77,7 +81,7 @@ def enter(installs: Iterable[str] = (), environ: Callable[[str], str | None] = o
 def _attempt(limit: Callable[[], None]) -> str:
     try:
         limit()
-    except Exception as error:  # a kernel, a container's own filter or a library that does not offer it
+    except Exception as error:  # a kernel, container filter or library that does not support it
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
         return str(reason) or type(error).__name__
     return ""
@@ -92,7 +96,7 @@ def _readable(installs: Iterable[str], environ: Callable[[str], str | None]) -> 
     yield from sys.path
     yield from installs
     for name in _FILE_VARIABLES:
-        # Cyclone DDS takes several, separated by commas.
+        # Cyclone DDS accepts several, separated by commas.
         yield from (part.removeprefix("file://") for part in (environ(name) or "").split(","))
     for name in _PATH_VARIABLES:
         yield from (environ(name) or "").split(os.pathsep)
@@ -131,7 +135,8 @@ def _allow(ruleset: object, path: str, of_folder: object, of_file: object) -> No
 
 
 def _needs_streams(environ: Callable[[str], str | None]) -> bool:
-    """Whether the middleware may use TCP. Fast DDS over UDP and Cyclone do not, and a TCP engine must be out of reach."""
+    """Whether the middleware may use TCP. Fast DDS over UDP and Cyclone do not, and an engine on TCP must be
+    unreachable."""
     profiles = [environ(name) or "" for name in PROFILE_VARIABLES]
     if any(path not in ("", environ(OWN_PROFILE)) for path in profiles) or environ("CYCLONEDDS_URI"):
         return True
@@ -147,13 +152,13 @@ def _limit_calls(*, streams: bool) -> None:
     rules = seccomp.SyscallFilter(defaction=seccomp.ALLOW)
 
     def refuse(name: str, *arguments: object) -> None:
-        if seccomp.resolve_syscall(seccomp.Arch.NATIVE, name) >= 0:  # else a call that this architecture does not have
+        if seccomp.resolve_syscall(seccomp.Arch.NATIVE, name) >= 0:  # otherwise a call that this architecture does not have
             rules.add_rule(refused, name, *arguments)
 
     for name in _FORBIDDEN:
         refuse(name)
     for family in set(range(_LAST_FAMILY + 1)) - set(map(int, _FAMILIES)):
-        # The kernel takes 32 bits of the argument and seccomp sees 64: without the mask the upper half would evade the rule.
+        # The kernel uses 32 bits of the argument and seccomp sees 64: without the mask the upper half would evade the rule.
         refuse("socket", seccomp.Arg(0, seccomp.MASKED_EQ, 0xFFFFFFFF, family))
     if not streams:
         for network in (socket.AF_INET, socket.AF_INET6):

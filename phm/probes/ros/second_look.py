@@ -1,8 +1,10 @@
-"""Whether the child's participant has missed something for good, which a second one sees. Pure; the caller brings time.
+"""Detects with a second participant that the child's own participant misses something permanently. Pure; callers pass
+the time.
 
-When the lease of a node runs out for PHM alone while the two exchange their endpoints, as on a companion that is overloaded at its
-start, Fast DDS forgets what it had and asks for it again, and the node treats as received what was acknowledged: it sends
-nothing. PHM then misses the node, or some of its ends, for as long as the node lives (measured with Jazzy and Kilted).
+When the lease of a node ends only for PHM while the two exchange their endpoints, as on a computer that is overloaded
+at its start, Fast DDS drops the node's data and requests them again. The node considers acknowledged data as received
+and sends nothing. PHM then misses the node, or some of its endpoints, until the node restarts (measured with Jazzy and
+Kilted).
 """
 
 from __future__ import annotations
@@ -11,18 +13,21 @@ from collections.abc import Callable, Collection
 from typing import Protocol
 
 CALM_S = 5.0
-"""From a start, or a loss, to the look: what is only late has come by then."""
+"""Time from a start, or a loss, to the look: data that are only late have arrived by then."""
 CONFIRM_S = 2.0
-"""For so long must the second participant know what the first does not."""
+"""How long the second participant must have known what the first one does not."""
 OPEN_S = 10.0
-"""How long the second one exists: on an overloaded machine it takes seconds to find what there is."""
+"""Lifetime of the second participant: on an overloaded machine discovery takes seconds."""
 REST_S, REST_MOST_S = 15.0, 900.0
-"""Between two looks. Doubled while something is found each time, is still missing all the same, or leaves again and again and
-nothing was missed: a short node, as of a health check. After a calm time as long as it, or when something wanted is newly missing,
-it is short again."""
+"""Time between two looks.
+
+Doubled while each look finds something without helping, or while endpoints leave repeatedly without any being missed (a
+short-lived node, e.g. of a health check). Reset after an equally long time without changes, or when something
+configured is newly missing.
+"""
 
 Known = frozenset[tuple[str, ...]]
-"""What a participant knows: nodes as (name,), and ends of topics as (topic, side, name of the node)."""
+"""The knowledge of a participant: nodes as (name,), and endpoints of topics as (topic, side, name of the node)."""
 
 
 class Scout(Protocol):
@@ -36,7 +41,7 @@ class Scout(Protocol):
 class SecondLook:
     """Decides when a second participant looks, and what the first one has missed.
 
-    There is a look after the start, after something left, and, more and more rarely, while something that is wanted is missing.
+    It looks after the start, after something left, and at increasing intervals while something configured is missing.
     """
 
     def __init__(self, open_scout: Callable[[], Scout], now_s: float) -> None:
@@ -52,9 +57,9 @@ class SecondLook:
         self._lacking = self._left = self._looks_for_left = self._found = False
 
     def look(self, now_s: float, known: Known, *, lacking: bool) -> Collection[str]:
-        """Called once a tick: names of nodes and topics that the first participant has missed, mostly none.
+        """Names of nodes and topics that the first participant has missed, usually none. Called once per tick.
 
-        known: what the first one knows. lacking: whether it lacks something that is configured.
+        known: what the first participant knows. lacking: whether it lacks something configured.
         """
         left, self._known = self._known - known, known
         self._left = self._left or bool(left)
@@ -78,7 +83,7 @@ class SecondLook:
         return sorted(found)
 
     def renewed(self, now_s: float) -> None:
-        """The first participant is another one from now on."""
+        """The first participant was replaced."""
         self._known, self._due_s = frozenset(), now_s + CALM_S
 
     def close(self) -> None:
@@ -94,11 +99,11 @@ class SecondLook:
         self._looks_for_left, self._left = self._left, False
         try:
             self._scout = self._open()
-        except Exception:  # rclpy's own kinds, at a limit of threads or participants: the first one has to do
+        except Exception:  # rclpy's own exceptions, at a limit of threads or participants: the first one must suffice
             self._end(now_s, again=True)
 
     def _hurry(self) -> None:
-        """Rest no longer than after the first look."""
+        """Limit the interval to that after the first look."""
         self._rest_s = REST_S
         self._rested_s = min(self._rested_s, self._ended_s + REST_S)
 

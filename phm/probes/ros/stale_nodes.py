@@ -1,8 +1,8 @@
-"""Nodes that PHM's own graph alone still lists. Pure; the caller brings time.
+"""Nodes that only PHM's own graph still lists. Pure; callers pass the time.
 
-A participant learns of a node's end only when nothing of it is on its way any more. Where a network was cut under a node, its last
-announcement may come after its end was noted: this one participant then lists it permanently (seen once, with
-Jazzy's rmw_fastrtps, for four minutes). A new participant does not know it.
+If a network was disconnected under a node, its last announcement may arrive after its end was processed. This
+participant then lists it permanently (seen once, with Jazzy's rmw_fastrtps, for four minutes). A new participant does
+not.
 """
 
 from __future__ import annotations
@@ -10,17 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 DOUBT_S = 22.0
-"""Listed twice for longer than any lease (Fast DDS: 20 s by default): either two nodes of one name are alive, or one is stale."""
+"""Listed twice for longer than any lease (Fast DDS: 20 s by default): either two nodes of one name are alive, or one is
+stale."""
 
 
 class StaleNodes:
-    """Says for which nodes a look with new eyes is due: for each once, until it was listed once for as long."""
+    """Returns the nodes for which a new participant is needed: each once, until it was listed once for as long."""
 
     def __init__(self, doubt_s: float = DOUBT_S) -> None:
         self._doubt_s = doubt_s
         self._twice_at: dict[str, float] = {}
         self._looked: dict[str, float] = {}
-        """Nodes for which that was done, with when they were listed more than once last."""
+        """Nodes for which that was done, with the time when they were last listed more than once."""
 
     def look(self, nodes: Mapping[str, int], now: float) -> tuple[str, ...]:
         """nodes: how often each is listed. now: monotonic seconds."""

@@ -273,40 +273,40 @@ class RosSupervisor:
             self._why = "the ROS child is starting" if self._restarts == 0 else f"{self._why}; a new one is starting"
             self._renew = ""
         try:
-            life = ChildProcess(self._command, self._environ, self._first_line)
+            child = ChildProcess(self._command, self._environ, self._first_line)
         except OSError as error:
             return self._report(f"the ROS child cannot be started: {error}"), None
-        self._pid = life.pid
+        self._pid = child.pid
         missing: list[Missing] = []
         try:
-            reason = self._attend(life, missing)
+            reason = self._attend(child, missing)
         finally:
             orderly = self._closing or bool(self._renew)
-            life.end(self._limits.farewell_s if orderly or life.over else 0.0)
+            child.end(self._limits.farewell_s if orderly or child.over else 0.0)
             self._pid = 0
         if self._closing:
             return "the ROS probe is closed", 0.0
         if self._renew:
             return self._report(f"the ROS child is restarted: {self._renew}"), 0.0
-        if life.exit_code == EXIT_MISSING and missing:
+        if child.exit_code == EXIT_MISSING and missing:
             return self._report(_missing_sentence(missing[-1])), self._limits.missing_s
-        return self._report(f"the ROS child {reason or life.exit_reason()}"), None
+        return self._report(f"the ROS child {reason or child.exit_reason()}"), None
 
-    def _attend(self, life: ChildProcess, missing: list[Missing]) -> str:
+    def _attend(self, child: ChildProcess, missing: list[Missing]) -> str:
         """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
         heard_s = weighed_s = looked_s = self._clock.mono()
-        progress, held_s = ProcessStallMeter(life.pid), 0.0
+        progress, held_s = ProcessStallMeter(child.pid), 0.0
         limit_s = self._limits.start_s
         dropped = 0
-        while not life.over and not self._closing and not self._renew:
-            self._hand_post(life)
-            lines = life.read(min(0.5, limit_s / 2), self._wake)
+        while not child.over and not self._closing and not self._renew:
+            self._send_post(child)
+            lines = child.read(min(0.5, limit_s / 2), self._wake)
             self._drain()
             before_s, now_s = looked_s, self._clock.mono()
             looked_s = now_s
             held_s = 0.0 if lines else held_s + max(progress.turn(now_s), self._clock.late_s(before_s))
-            if life.dropped > dropped:
-                dropped = life.dropped
+            if child.dropped > dropped:
+                dropped = child.dropped
                 self._lose_sight(now_s)
             for line in lines:
                 try:
@@ -327,10 +327,10 @@ class RosSupervisor:
             if now_s - weighed_s >= self._limits.weigh_s:
                 weighed_s = now_s
                 self._doubt(now_s)
-                if (rss := life.rss_bytes()) > self._max_memory:
+                if (rss := child.rss_bytes()) > self._max_memory:
                     return f"used {rss / 1e6:.0f} MB, allowed are {self._max_memory / 1e6:.0f} MB, and was killed"
         if self._closing:
-            self._say_goodbye(life)
+            self._finish(child)
         return ""
 
     def _note_sandbox(self, message: Sandbox) -> None:
@@ -356,18 +356,18 @@ class RosSupervisor:
                 f"{names} is in use, but the graph has not listed all its nodes for {self._limits.unnamed_s:g} s"
             )
 
-    def _say_goodbye(self, life: ChildProcess) -> None:
+    def _finish(self, child: ChildProcess) -> None:
         """What waits to be published may be the last word of PHM: the child reads it before the end of its input."""
-        self._hand_post(life)
+        self._send_post(child)
         until_s = self._clock.mono() + self._limits.goodbye_s
-        while life.writing and not life.over and self._clock.mono() < until_s:
-            life.read(0.02, self._wake)
+        while child.writing and not child.over and self._clock.mono() < until_s:
+            child.read(0.02, self._wake)
             self._drain()
 
-    def _hand_post(self, life: ChildProcess) -> None:
+    def _send_post(self, child: ChildProcess) -> None:
         with self._lock:
-            if self._post and not life.writing:
-                life.hand(self._post)
+            if self._post and not child.writing:
+                child.send(self._post)
                 self._post = b""
 
     def _take(self, message: Message, now_s: float) -> None:

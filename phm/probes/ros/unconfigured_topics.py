@@ -1,6 +1,6 @@
-"""The topics that the configuration does not name, with the nodes that use them: there a misspelt name shows.
+"""Topics that are not in the configuration, with the nodes that use them, to find misspelt names.
 
-Runs in the child alone. Names cost microseconds; endpoints cost 50 us a topic and are read when their count changed.
+Runs only in the child. Names cost microseconds; endpoints cost 50 us per topic and are read when their count changed.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from phm.probes.ros.raw_names import undecodable
 LOOK_S = 2.0
 MAX_TOPICS = 200
 MAX_NAMES_BYTES = 200_000
-"""For the names of topics and of their nodes together; the longest are left out."""
+"""Limit in characters for the names of topics and of their nodes together; the longest are dropped."""
 MAX_NODES = 8
-"""Of one side of one topic: who is many is not misspelt."""
+"""Limit for one side of one topic: a name used by many nodes is not misspelt."""
 MAX_COUNTED = 2000
-"""Topics whose ends are counted: that takes some 20 ms."""
+"""Topics whose endpoints are counted: that takes about 20 ms."""
 MAX_READS = 50
-"""Topics whose endpoints are read in one look; the rest has its turn in the next."""
+"""Topics whose endpoints are read per look; the others follow in the next one."""
 _UNREAD = (-1, -1)
 _EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello")
 
 
 class UnconfiguredTopics:
-    """The newest view; `look` says whether it is another than before."""
+    """The newest names; `look` returns whether they changed."""
 
     def __init__(self, node: Any, configured: Collection[str]) -> None:
         self._node = node
@@ -37,10 +37,10 @@ class UnconfiguredTopics:
         self._facts: dict[str, NameFact] = {}
         self.names: dict[str, NameFact] = {}
         self.problem = ""
-        """What could not be read at the last look, in words."""
+        """What could not be read at the last look, as a sentence."""
 
     def look(self, now_s: float) -> bool:
-        """Every LOOK_S at most: read what has changed."""
+        """Read what has changed; at most every LOOK_S."""
         if now_s < self._next_s:
             return False
         self._next_s = now_s + LOOK_S
@@ -51,14 +51,14 @@ class UnconfiguredTopics:
             return False
         self.problem = ""
         changed = [name for name, count in counts.items() if count != self._counts.get(name)]
-        changed.sort(key=lambda name: name in self._facts)  # those of which nothing is known yet come first
+        changed.sort(key=lambda name: name in self._facts)  # new topics first
         for name in changed[MAX_READS:]:
             counts[name] = self._counts.get(name, _UNREAD)
         self._facts = {name: fact for name, fact in self._facts.items() if name in counts}
         for name in changed[:MAX_READS]:
             fact = self._read(name)
             if "" in (*fact.publishers, *fact.subscribers):
-                counts[name] = _UNREAD  # the node's name comes a moment after its endpoint: look again
+                counts[name] = _UNREAD  # the node's name arrives a moment after its endpoint: look again
             self._facts[name] = NameFact(_named(fact.publishers), _named(fact.subscribers))
         self._counts = counts
         before, self.names = (
@@ -71,7 +71,7 @@ class UnconfiguredTopics:
         node = self._node
         names = sorted(name for name, _ in node.get_topic_names_and_types() if self._is_other(name))[:MAX_COUNTED]
         counts = {name: (node.count_publishers(name), node.count_subscribers(name)) for name in names}
-        # Used from one side only, subscribers first: of very many topics these are the ones to keep.
+        # Topics used on one side only come first, those with subscribers before others: keep these if there are too many.
         kept = sorted(names, key=lambda name: (counts[name][0] > 0, counts[name][1] > 0, name))[:MAX_TOPICS]
         return {name: counts[name] for name in kept}
 

@@ -1,9 +1,9 @@
-"""Topics of which PHM's participant has lost what others still know. Pure; the caller brings time.
+"""Topics and nodes whose names PHM's participant has lost although others still know them. Pure; callers pass the time.
 
-When the lease of a node runs out for PHM alone, as on an overloaded machine, Fast DDS forgets the node. At its next announcement
-the endpoints come back. The names do not: they are data of a topic (`ros_discovery_info`) whose writer still has PHM's
-reader as served and sends nothing again (measured with Jazzy and Kilted, for as long as it was waited for). A new participant
-gets all of it.
+When the lease of a node ends only for PHM, as on an overloaded machine, Fast DDS drops the node. With its next
+announcement the endpoints return. The names do not: they are data of a topic (`ros_discovery_info`) whose writer
+considers PHM's reader as served and sends nothing again (measured with Jazzy and Kilted). A new participant receives
+all names.
 """
 
 from __future__ import annotations
@@ -13,26 +13,27 @@ from collections.abc import Collection, Mapping
 from phm.facts.ros import TopicFact
 
 UNNAMED_S = 5.0
-"""An endpoint is listed some milliseconds before the name of its node. On an overloaded machine it takes seconds."""
+"""An endpoint is listed some milliseconds before the name of its node; on an overloaded machine seconds."""
 FLOWS_S = 1.0
 REST_S, REST_MOST_S = 60.0, 900.0
-"""Between two looks with a new participant. Doubled while they do not help: anyone can make endpoints without a name."""
+"""Time between two new participants. Doubled while they do not help: any participant can create endpoints without a
+name."""
 
 
 class UnnamedParticipants:
-    """Decides for which topics and nodes a new participant is due."""
+    """Decides for which topics and nodes a new participant is needed."""
 
     def __init__(self, unnamed_s: float = UNNAMED_S) -> None:
         self._unnamed_s = unnamed_s
         self._named: set[str] = set()
-        """Topics whose ends all had names when they were looked at last, or before they lost them."""
+        """Topics whose endpoints all had names at the last look, or before they lost them."""
         self._since: dict[str, float] = {}
         self._looked_at: float | None = None
         self._rest_s = REST_S
 
     def look(self, topics: Mapping[str, TopicFact], now: float, unlisted: Collection[str] = ()) -> tuple[str, ...]:
-        """Names of topics and nodes. topics: of the newest graph. now: monotonic seconds. unlisted: nodes that send beacons and are
-        not listed."""
+        """Names of topics and nodes. topics: of the newest graph. now: monotonic seconds. unlisted: nodes that send
+        beacons and are not listed."""
         for name in [name for name in self._since if name not in topics and name not in unlisted]:
             del self._since[name]
         for name in unlisted:
@@ -56,7 +57,7 @@ class UnnamedParticipants:
 
 
 def _complete(topic: TopicFact) -> bool:
-    """Whether all that uses the topic is listed by name."""
+    """Whether all nodes that use the topic are listed by name."""
     if any(not end.node for end in (*topic.publishers, *topic.subscribers)):
         return False
     return bool(topic.publishers) or not _flows(topic)

@@ -59,7 +59,10 @@ def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
         "windows": [list(window) for window in recovery.windows[-MAX_DONE:]],
         "lowered": [asdict(entry) for entry in recovery.lowered[:MAX_TARGETS]],
         "holds": [_hold(kept) for kept in recovery.holds[:MAX_HOLDS]],
-        "generations": {target: _life(life, now) for target, life in list(recovery.generations.items())[:MAX_TARGETS]},
+        "generations": {
+            target: _generation_data(generation, now)
+            for target, generation in list(recovery.generations.items())[:MAX_TARGETS]
+        },
         "armed": None if recovery.armed is None else _last_known(recovery.armed, now),
         "unfinished": dict(list(recovery.unfinished.items())[:MAX_TARGETS]),
         "clock": [list(period) for period in state.clock[-MAX_STEPS:]],
@@ -98,7 +101,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
                 return None
             return LastArmedState(body["armed"] is True, carried(_read_stamp(body["since"]), FAULT_AGE_S).mono)
 
-        def life(body: Any) -> Generation:
+        def generation(body: Any) -> Generation:
             name, started, by = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "by"))
             return Generation(name, started, moment(body["since"]), moment(body["made"]), by)
 
@@ -119,7 +122,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
                 str(target): UnfinishedAction(str(action["fault"]), attempt(action["attempt"]))
                 for target, action in list(document["under_way"].items())[:MAX_TARGETS]
             },
-            {str(target): life(body) for target, body in list(document["generations"].items())[:MAX_TARGETS]},
+            {str(target): generation(body) for target, body in list(document["generations"].items())[:MAX_TARGETS]},
             last_known(document.get("armed")),
             {
                 str(key)[:MAX_TEXT]: str(who)[:MAX_TEXT]
@@ -161,13 +164,13 @@ def _moment(mono: float, now: Stamp) -> dict[str, float]:
     return {"utc": round(now.utc - (now.mono - mono), 2), "mono": mono}
 
 
-def _life(life: Generation, now: Stamp) -> dict[str, Any]:
+def _generation_data(generation: Generation, now: Stamp) -> dict[str, Any]:
     return {
-        "id": life.id[:MAX_TEXT],
-        "started": life.started[:MAX_TEXT],
-        "since": None if life.since is None else _moment(life.since, now),
-        "made": None if life.made is None else _moment(life.made, now),
-        "by": life.by[:MAX_TEXT],
+        "id": generation.id[:MAX_TEXT],
+        "started": generation.started[:MAX_TEXT],
+        "since": None if generation.since is None else _moment(generation.since, now),
+        "made": None if generation.made is None else _moment(generation.made, now),
+        "by": generation.by[:MAX_TEXT],
     }
 
 
