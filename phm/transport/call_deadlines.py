@@ -30,14 +30,14 @@ def shut_down(sock: socket.socket) -> None:
 class PendingCall:
     """One call to the outside and the sockets that it uses.
 
-    Invariant: a socket is shut down only between `attach` and `finish`, so one that a later call uses is safe.
+    Invariant: a socket is shut down only between `attach` and `finish`, so sockets of later calls are safe.
     """
 
     def __init__(self, began: float, limit_s: float) -> None:
         self.began, self.limit_s = began, limit_s
         self.expired = False
         self.failure: OSError | None = None
-        """Why a connection could not be opened: the libraries above wrap it beyond recognition."""
+        """Why a connection could not be opened: the libraries above wrap the error and lose it."""
         self._done = False
         self._sockets: list[socket.socket] = []
         self._lock = threading.Lock()
@@ -61,7 +61,7 @@ class PendingCall:
                 shut_down(sock)
 
     def finish(self) -> tuple[socket.socket, ...]:
-        """End the deadline; the sockets, which the caller may go on using."""
+        """End the deadline. Returns the sockets, which the caller may continue to use."""
         with self._lock:
             self._done = True
             sockets, self._sockets = tuple(self._sockets), []
@@ -132,7 +132,7 @@ class CallDeadlines:
             self._clock.wait(self._wake, wait_s)
 
     def _collect(self, now: float) -> tuple[list[PendingCall], float | None]:
-        """The calls that are due, taken off the heap, and the seconds until the next one."""
+        """The overdue calls, removed from the heap, and the seconds until the next deadline."""
         overdue = []
         while self._heap and (self._heap[0][2].done or self._heap[0][0] <= now):
             due, _, call = heapq.heappop(self._heap)

@@ -16,9 +16,9 @@ from typing import Any
 
 MAX_PEERS = 16
 PER_ADDRESS = 8
-"""Peers of one address that do not sign; half, so that one host leaves room for others."""
+"""Maximum number of unsigned peers of one address: half, so that one host leaves places for others."""
 RESERVED = 4
-"""Places for peers that sign, where signing is on."""
+"""Places reserved for peers that sign, with signing on."""
 IDLE_S = 3.0
 """After this silence a peer may be replaced. Ground stations and autopilots send a HEARTBEAT each second."""
 PROVE_S = 5.0
@@ -36,12 +36,12 @@ class _Peer:
 class ClientAdmission:
     """The peers of one endpoint, by any key. Not thread-safe.
 
-    Invariant: at most MAX_PEERS, of which at most PER_ADDRESS of one address do not sign.
+    Invariant: at most MAX_PEERS, of which at most PER_ADDRESS unsigned ones have the same address.
     """
 
     def __init__(self, *, signs: bool, on_trial: bool = False) -> None:
-        """signs: signing is on. on_trial: a peer is admitted before it can sign (a connection), so it may use a reserved
-        place for PROVE_S; else what it has sent counts (a datagram)."""
+        """signs: signing is on. on_trial: a peer is admitted before it can sign (a connection), so it may use a
+        reserved place for PROVE_S; otherwise its first frame decides (a datagram)."""
         self._open = MAX_PEERS - RESERVED if signs else MAX_PEERS
         self._on_trial = on_trial
         self._peers: dict[Any, _Peer] = {}
@@ -65,7 +65,7 @@ class ClientAdmission:
         return going
 
     def heard(self, key: Any, now: float, *, signed: bool) -> None:
-        """A peer sent something. signed: with a valid signature."""
+        """A peer sent data. signed: with a valid signature."""
         peer = self._peers[key]
         peer.heard, peer.signed = now, peer.signed or signed
 
@@ -94,15 +94,15 @@ class ClientAdmission:
         return self._oldest(unsigned, now, IDLE_S) or self._of_a_crowd(unsigned, len(neighbours))
 
     def _unsigned(self) -> list[Any]:
-        """In the order in which they came."""
+        """The peers in the order of their admission."""
         return [key for key, peer in self._peers.items() if not peer.signed]
 
     def _trial(self) -> list[Any]:
-        """Those in reserved places that have not signed so far, oldest first."""
+        """Peers in reserved places that have not signed so far, oldest first."""
         return self._unsigned()[self._open :]
 
     def _of_a_crowd(self, keys: list[Any], fewer: int) -> list[Any] | None:
-        """The newest of the address that has most of these, if that has more than the new peer's address will have."""
+        """The newest of the address that has most of these, if that has more than the new peer's address would have."""
         counts = Counter(self._peers[key].address for key in keys)
         address, most = max(counts.items(), key=itemgetter(1), default=("", 0))
         if most < fewer + 2:
@@ -110,13 +110,13 @@ class ClientAdmission:
         return [next(key for key in reversed(keys) if self._peers[key].address == address)]
 
     def _oldest(self, keys: Iterable[Any], now: float, silent_s: float) -> list[Any] | None:
-        """The one of these that was silent for longest, if that is so long."""
+        """The one of these that has been silent longest, if for at least the minimum time."""
         key = min(keys, key=lambda each: self._peers[each].heard, default=None)
         return None if key is None or now - self._peers[key].heard < silent_s else [key]
 
 
 def _address(host: str) -> str:
-    """What one host has one of: an IPv4 address, or a network of IPv6, in which it may take any."""
+    """The identity of a host: an IPv4 address, or an IPv6 network, in which it may use any address."""
     address = ipaddress.ip_address(host.partition("%")[0])
     if isinstance(address, ipaddress.IPv6Address) and address.ipv4_mapped is None:
         return str(ipaddress.ip_network((address, 64), strict=False))

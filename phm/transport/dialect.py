@@ -19,11 +19,11 @@ if float(mavlink.WIRE_PROTOCOL_VERSION) != 2.0:
     )
 
 RADIO = 166
-"""RADIO_STATUS as radios with firmware from before 2014 number it; the fields are the same (dialect ardupilotmega)."""
+"""Number of RADIO_STATUS in radios with firmware from before 2014; the fields are the same (dialect ardupilotmega)."""
 
 
 class _Radio(mavlink.MAVLink_radio_status_message):  # type: ignore[misc]  # pymavlink has no types
-    """A RADIO, which passes for the RADIO_STATUS that it is."""
+    """A RADIO message, treated as RADIO_STATUS."""
 
     id, msgname, crc_extra = RADIO, "RADIO", 21
 

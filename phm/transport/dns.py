@@ -1,6 +1,6 @@
-"""Names to addresses without waiting: the C library's resolver has no deadline, so it gets a thread.
+"""Resolves host names in a thread, because the C library's resolver has no deadline.
 
-A Docker name may appear minutes after PHM; a dead name server may hang a look-up for half a minute.
+A Docker name may appear minutes after PHM; a dead name server may block a look-up for half a minute.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any
 from phm.core import threads
 
 Address = tuple[int, Any]
-"""Address family and what `socket.connect` takes."""
+"""Address family and the argument of `socket.connect`."""
 
 
 class Resolver:
-    """Looks up one host and port. Invariant: at most one look-up is under way, however often one asks."""
+    """Resolves one host and port. Invariant: at most one look-up is in progress."""
 
     def __init__(self, host: str, port: int, kind: socket.SocketKind, *, passive: bool = False) -> None:
         self._host, self._port, self._kind, self._passive = host.strip("[]"), port, kind, passive
@@ -28,7 +28,7 @@ class Resolver:
 
     @property
     def literal(self) -> bool:
-        """The host is an address already, and never changes."""
+        """The host is an IP address and never changes."""
         try:
             socket.getaddrinfo(self._host, None, flags=socket.AI_NUMERICHOST)
         except OSError:
@@ -36,7 +36,7 @@ class Resolver:
         return True
 
     def ask(self) -> threading.Event:
-        """Begin a look-up unless one is under way; the event is set when `answer` has something to say."""
+        """Begin a look-up unless one is in progress. The event is set when `answer` has a result."""
         with self._lock:
             if not self._running:
                 self._done = threading.Event()
@@ -48,7 +48,7 @@ class Resolver:
             return self._done
 
     def answer(self) -> Address:
-        """The newest address. Raises OSError with a sentence when the name was never found."""
+        """The newest address. Raises OSError with a sentence if the name was never resolved."""
         with self._lock:
             if self._found is None:
                 raise OSError(
@@ -57,7 +57,7 @@ class Resolver:
             return self._found
 
     def newest(self) -> Address | None:
-        """What the last successful look-up found."""
+        """The result of the last successful look-up."""
         with self._lock:
             return self._found
 
@@ -70,6 +70,6 @@ class Resolver:
         except (OSError, UnicodeError, IndexError) as error:
             problem = f"the name {self._host} is not known: {getattr(error, 'strerror', None) or error}"
         with self._lock:
-            # A name server that is lost in flight takes no address away that was good before.
+            # A failing name server does not invalidate an earlier address.
             self._found, self._problem, self._running = found or self._found, problem, False
             self._done.set()

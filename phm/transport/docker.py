@@ -51,11 +51,11 @@ __all__ = [
 ]
 
 ACT_MARGIN_S = 10.0
-"""Allowed to calls that change something, beyond the time-out: the engine waits this long for a kill to take."""
+"""Additional seconds for changing calls: the engine waits this long for a kill to take effect."""
 NOT_MODIFIED = 304
-"""The engine's answer when a container is as it is asked to be."""
+"""The engine's status code if a container is already in the requested state."""
 EVENT_SILENCE_S = 60.0
-"""An event stream that is silent for longer is given up, so that a half-open TCP connection ends."""
+"""An event stream silent for longer is closed, so that a half-open TCP connection ends."""
 
 
 class DockerEngine(DockerSession):
@@ -69,7 +69,7 @@ class DockerEngine(DockerSession):
     # ------------------------------------------------------------ asking
 
     def ping(self) -> None:
-        """Returns when the engine answers."""
+        """Return when the engine responds."""
         self.call(lambda client: client.ping(), what="ping")
 
     def version(self) -> Answer:
@@ -77,7 +77,7 @@ class DockerEngine(DockerSession):
         return self._ask(lambda client: client.version(api_version=False), None, "read its version")
 
     def list(self, *, label: str = "", deadline_s: float | None = None) -> Sequence[Answer]:
-        """Summaries of all containers, stopped ones included; with `label` those that carry it."""
+        """Summaries of all containers, including stopped ones; with `label` only those that have it."""
         filters = {"label": [label]} if label else None
 
         def ask(client: APIClient) -> Sequence[Answer]:
@@ -86,35 +86,35 @@ class DockerEngine(DockerSession):
         return self.call(ask, deadline_s=deadline_s, what="list containers")
 
     def inspect(self, ref: str, *, deadline_s: float | None = None) -> Answer:
-        """All about one container."""
+        """All data of one container."""
         return self._ask(lambda client: client.inspect_container(ref), deadline_s, f"inspect {ref}")
 
     def inspect_network(self, ref: str, *, deadline_s: float | None = None) -> Answer:
-        """All about one network."""
+        """All data of one network."""
         return self._ask(lambda client: client.inspect_network(ref), deadline_s, f"inspect network {ref}")
 
     def top(self, container: str, ps_args: str = "-ef", *, deadline_s: float | None = None) -> Answer:
-        """The processes of a running container: Titles and Processes, as the host's `ps` prints them."""
+        """The processes of a running container: Titles and Processes, in the format of the host's `ps`."""
         what = f"list processes of {container}"
         return self._ask(lambda client: client.top(container, ps_args=ps_args), deadline_s, what)
 
     def stats(self, container: str, *, deadline_s: float | None = None) -> Answer:
-        """What a container has used since its start, of CPU, memory and processes, once.
+        """A single reading of a container's use of CPU, memory and processes since its start.
 
-        Engines of today answer immediately; 20.10 only at the next tick of its collector, after up to 1 s.
+        Current engines respond immediately; 20.10 only at the next tick of its collector, after up to 1 s.
         """
         what = f"read the statistics of {container}"
         return self._ask(lambda client: client.stats(container, stream=False, one_shot=True), deadline_s, what)
 
     def _ask(self, fn: Callable[[APIClient], Any], deadline_s: float | None, what: str) -> Answer:
-        """One JSON object; anything else is an answer that makes no sense, EngineBroken."""
+        """One JSON object; anything else is invalid, EngineBroken."""
         return self.call(lambda client: mapping(fn(client)), deadline_s=deadline_s, what=what)
 
     def stat_path(self, container: str, path: str, *, deadline_s: float | None = None) -> Answer:
         """`name`, `size`, `mode` (Go's FileMode), `mtime` and `linkTarget` of a path in a container.
 
-        A symbolic link is not followed; `linkTarget` is where it leads in the end. EngineMissing when the
-        path or the container is not there.
+        A symbolic link is not followed; `linkTarget` is its final target. EngineMissing if the path or the container
+        does not exist.
         """
 
         def ask(client: APIClient) -> Answer:
@@ -133,14 +133,14 @@ class DockerEngine(DockerSession):
     def copy_file(
         self, container: str, path: str, sink: Callable[[bytes], object], *, limit: int, deadline_s: float | None = None
     ) -> int:
-        """Hand the content of a regular file to `sink` piece by piece; its size in bytes.
+        """Pass the content of a regular file to `sink` in pieces. Returns its size in bytes.
 
-        Raises CannotTell when the path is not a regular file (a link is not followed) or exceeds `limit`.
+        Raises CannotTell if the path is not a regular file (a link is not followed) or exceeds `limit`.
         """
         return self._fetch(container, path, sink, limit, deadline_s).size
 
     def fetch_file(self, container: str, path: str, limit: int) -> FileCopy:
-        """The file with its mode and owner; as `copy_file`, with the time that an action has."""
+        """The file with its mode and owner; like `copy_file`, with the deadline of an action."""
         content = bytearray()
         member = self._fetch(container, path, content.extend, limit, self.timeout_s + ACT_MARGIN_S)
         return FileCopy(bytes(content), member.mode & 0o7777, member.uid, member.gid)
@@ -163,9 +163,9 @@ class DockerEngine(DockerSession):
     def events(self, since: str = "", filters: Mapping[str, Sequence[str]] | None = None) -> EventStream:
         """Open the stream of events; iterate over it in this thread, `close` it from any.
 
-        `since`: seconds of the engine's clock, with nanoseconds after the point; empty for now. The
-        iteration ends when the engine ends the stream or after `close`, and raises EngineError when it
-        breaks or nothing came for EVENT_SILENCE_S; the caller reconnects.
+        `since`: seconds of the engine's clock, with nanoseconds after the point; empty for now. The iteration ends when
+        the engine ends the stream or after `close`. It raises EngineError when the stream breaks or is silent for
+        EVENT_SILENCE_S; the caller reconnects.
         """
         params = {"filters": docker_bodies.filters(filters or {})}
         if since:
@@ -181,7 +181,7 @@ class DockerEngine(DockerSession):
     # ------------------------------------------------------------ acting
 
     def start(self, ref: str) -> bool:
-        """Start a container; one that runs is left alone. Whether this call has started it."""
+        """Start a container; a running one is left unchanged. Returns whether this call has started it."""
 
         def ask(client: APIClient) -> bool:
             url = f"{client.base_url}/v{client.api_version}/containers/{quote(ref, safe='')}/start"
@@ -192,7 +192,7 @@ class DockerEngine(DockerSession):
         return bool(self._act(ask, f"start {ref}"))
 
     def restart(self, ref: str, stop_timeout_s: float = 5.0) -> None:
-        """SIGTERM, SIGKILL after `stop_timeout_s` (rounded up to whole seconds), start again."""
+        """SIGTERM, SIGKILL after `stop_timeout_s` (rounded up to whole seconds), then start."""
         grace = _whole(stop_timeout_s)
         self._act(lambda client: client.restart(ref, timeout=grace), f"restart {ref}", grace)
 
@@ -215,19 +215,19 @@ class DockerEngine(DockerSession):
         self._act(lambda client: _post(client, path, body), f"set the CPU weight of {container}")
 
     def disconnect(self, network: str, container: str, force: bool = False) -> None:
-        """Take a container off a network; `force` also when the container is gone or half connected."""
+        """Disconnect a container from a network; `force` also if the container is gone or half connected."""
         path, body = f"/networks/{quote(network, safe='')}/disconnect", docker_bodies.disconnect(container, force=force)
         self._act(lambda client: _post(client, path, body), f"disconnect {container} from {network}")
 
     def connect(self, network: str, container: str, aliases: Sequence[str] = (), address: str = "") -> None:
-        """Put a container on a network, with `aliases` and, when given, a fixed `address` (IPv4 or IPv6)."""
+        """Connect a container to a network, with `aliases` and, if given, a fixed `address` (IPv4 or IPv6)."""
         path, body = f"/networks/{quote(network, safe='')}/connect", docker_bodies.connect(container, aliases, address)
         self._act(lambda client: _post(client, path, body), f"connect {container} to {network}")
 
     def exec_detached(self, container: str, argv: Sequence[str], user: str = "") -> None:
         """Start a program in a running container, with its environment and as its user unless another is given.
 
-        No shell is involved. Returns when the program has been started; how it ends is not known here.
+        No shell is involved. Returns when the program has been started; its outcome is unknown here.
         """
 
         def ask(client: APIClient) -> None:
@@ -239,9 +239,9 @@ class DockerEngine(DockerSession):
     def put_file(
         self, container: str, path: str, data: bytes, mode: int, uid: int = 0, gid: int = 0, *, base: str = ""
     ) -> None:
-        """Put a regular file at `path`, replacing one that is there; a folder is never replaced.
+        """Write a regular file at `path`, replacing an existing one; a folder is never replaced.
 
-        base: a folder above it that exists (default: the one it is in); folders below that are made.
+        base: an existing folder above it (default: its own folder); folders below that are created.
         """
         folder = base or posixpath.dirname(path)
         made = pack(posixpath.relpath(path, folder), FileCopy(data, mode, uid, gid), self._clock.utc())
@@ -253,7 +253,7 @@ class DockerEngine(DockerSession):
         self._act(ask, f"put {path} into {container}")
 
     def create_from_image(self, image: str, labels: Mapping[str, str], name: str = "") -> str:
-        """Make a container that is not to be started, without network, to look into an image; its id."""
+        """Create a container without network that is never started, to read files of an image. Returns its id."""
 
         def ask(client: APIClient) -> str:
             alone = client.create_host_config(network_mode="none")
@@ -265,7 +265,7 @@ class DockerEngine(DockerSession):
         return self.call(ask, deadline_s=self.timeout_s + ACT_MARGIN_S, what=f"make a container of {image}")
 
     def remove(self, ref: str) -> None:
-        """Remove a container that does not run, with its nameless volumes."""
+        """Remove a stopped container, with its anonymous volumes."""
         self._act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
 
     def _act(self, fn: Callable[[APIClient], Any], what: str, grace_s: float = 0.0) -> Any:

@@ -12,11 +12,11 @@ from typing import Any
 from requests.models import PreparedRequest
 
 START_EXEC = json.dumps({"Detach": True, "Tty": False})
-"""Start a program that was made by `exec`, without a connection to its streams."""
+"""Start a program created by `exec`, without a connection to its streams."""
 
 
 def exec_(argv: Sequence[str], user: str = "") -> str:
-    """Make a program that is to run in a container, as its user unless another is given."""
+    """Create a program to run in a container, as its user unless another is given."""
     return json.dumps({"Cmd": list(argv), "User": user})
 
 
@@ -26,12 +26,12 @@ def cpu_shares(shares: int) -> str:
 
 
 def disconnect(container: str, *, force: bool) -> str:
-    """Take a container off a network."""
+    """Disconnect a container from a network."""
     return json.dumps({"Container": container, "Force": force})
 
 
 def connect(container: str, aliases: Sequence[str] = (), address: str = "") -> str:
-    """Put a container on a network, with aliases and, when given, a fixed address (IPv4 or IPv6)."""
+    """Connect a container to a network, with aliases and, if given, a fixed address (IPv4 or IPv6)."""
     endpoint: dict[str, Any] = {"Aliases": list(aliases)} if aliases else {}
     if address:
         endpoint["IPAMConfig"] = {"IPv6Address" if ":" in address else "IPv4Address": address}
@@ -44,7 +44,7 @@ def filters(wanted: Mapping[str, Sequence[str]]) -> str:
 
 
 def upload(folder: str) -> dict[str, str]:
-    """Parameters of an upload into `folder`, in which no folder is replaced."""
+    """Parameters of an upload into `folder` that replaces no folder."""
     return {"path": folder, "noOverwriteDirNonDir": "true"}
 
 

@@ -18,11 +18,11 @@ _BROKE = (requests.ConnectionError, requests.exceptions.ChunkedEncodingError, Pr
 
 
 class EngineError(CannotTell):
-    """Base of all: the engine gave no usable answer."""
+    """Base class: the engine gave no usable response."""
 
 
 class EngineTimeout(EngineError):
-    """No complete answer within the deadline."""
+    """No complete response within the deadline."""
 
 
 class EngineUnreachable(EngineError):
@@ -34,7 +34,7 @@ class EngineNotConnected(EngineUnreachable):
 
 
 class EngineRefused(EngineError, NotPermitted):
-    """HTTP 403, as socket proxies answer."""
+    """HTTP 403, the response of socket proxies."""
 
 
 class EngineConflict(EngineError):
@@ -58,7 +58,7 @@ _BY_STATUS: dict[int, type[EngineError]] = {
 
 
 def translate(error: BaseException, call: PendingCall, url: str, limit_s: float, what: str) -> EngineError:
-    """`error`, raised while `what` was asked of the engine at `url`, as one of this family."""
+    """`error`, raised by the call `what` to the engine at `url`, converted to one of these classes."""
     if isinstance(error, EngineError):
         return error
     if call.expired:
@@ -67,7 +67,7 @@ def translate(error: BaseException, call: PendingCall, url: str, limit_s: float,
         return _no_connection(call.failure, url, limit_s, what)
     if isinstance(error, APIError):
         return _by_status(error, what)
-    # A socket's own timeout can strike just before the watchdog does.
+    # A socket's own timeout can occur just before the watchdog's.
     if isinstance(error, (requests.Timeout, TimeoutError)) or "timed out" in str(error).lower():
         return _late(url, limit_s, what)
     if isinstance(error, _BROKE):

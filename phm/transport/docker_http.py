@@ -1,7 +1,7 @@
-"""docker-py's client on connections that belong to a call with a deadline, with answers of bounded size.
+"""docker-py's client on connections that belong to a call with a deadline, with responses of limited size.
 
-Each call opens a connection of its own and closes it: a kept one may have died meanwhile, and opening
-a unix socket costs 0.1 ms.
+Each call opens and closes its own connection: a kept one may have died meanwhile, and opening a unix socket costs 0.1
+ms.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from phm.transport.dns import Resolver
 from phm.transport.docker_errors import EngineBroken, EngineError
 
 MAX_ANSWER_BYTES = 16 << 20
-"""An answer that is held in memory; a list of 1000 containers is about 2 MB."""
+"""Maximum size of a response held in memory; a list of 1000 containers is about 2 MB."""
 MAX_LINE_BYTES = 1 << 20
 _CHUNK = 64 << 10
 _current = threading.local()
@@ -45,7 +45,7 @@ def using(call: PendingCall) -> Iterator[None]:
 
 
 def _open(sock: socket.socket, address: Any) -> socket.socket:
-    """Connect `sock` as part of the current call, which also learns why that failed."""
+    """Connect `sock` as part of the current call, which also records why that failed."""
     call: PendingCall | None = getattr(_current, "call", None)
     if call is not None:
         call.attach(sock)
@@ -60,13 +60,13 @@ def _open(sock: socket.socket, address: Any) -> socket.socket:
 
 
 class _Socket(socket.socket):
-    """A socket that shows whether its reader waits for more."""
+    """A socket that shows whether its reader waits for more data."""
 
     waiting = False
-    """Nothing that was received before is still being handled: it was read, and its reader has come back for more."""
+    """Whether all data received before has been processed: it was read, and its reader waits for more."""
 
     def recv_into(self, buffer: Any, nbytes: int = 0, flags: int = 0) -> int:
-        """Look first and read then: what has been received is unread on the socket until `waiting` is False."""
+        """Look before reading: received data stay unread on the socket until `waiting` is False."""
         self.waiting = True
         try:
             self.recv(1, socket.MSG_PEEK)
@@ -75,7 +75,7 @@ class _Socket(socket.socket):
         return super().recv_into(buffer, nbytes, flags)
 
     def unread(self) -> bool:
-        """Whether received data has not been read yet, or the other end has closed."""
+        """Whether received data have not been read yet, or the other end has closed."""
         poll = select.poll()
         try:
             poll.register(self, select.POLLIN)
@@ -116,21 +116,21 @@ def _seconds(timeout: Any) -> float | None:
 
 
 class _Pool(urllib3.connectionpool.HTTPConnectionPool):
-    """Makes connections of one kind; `more` are attributes that all of them get."""
+    """Creates connections of one kind; `more` are attributes that all of them get."""
 
     def __init__(self, kind: type[urllib3.connection.HTTPConnection], **more: Any) -> None:
         super().__init__("localhost", maxsize=1)
         self.ConnectionCls = type(kind.__name__, (kind,), more)
 
     def _put_conn(self, conn: Any) -> None:
-        """Keep no connection: an answer without `Connection: close` would leave it to the next call, closed or not."""
+        """Keep no connection: a response without `Connection: close` would leave it to the next call, closed or not."""
         if conn is not None:
             conn.close()
         super()._put_conn(None)
 
 
 class _Bounded(requests.adapters.HTTPAdapter):
-    """Reads an answer that is not streamed up to MAX_ANSWER_BYTES, and refuses a longer one."""
+    """Reads a response that is not streamed up to MAX_ANSWER_BYTES, and rejects a longer one."""
 
     def send(self, request: PreparedRequest, stream: bool = False, *args: Any, **kwargs: Any) -> Response:
         request.headers["Connection"] = "close"
@@ -144,14 +144,14 @@ class _Bounded(requests.adapters.HTTPAdapter):
                         raise EngineBroken(f"the Docker Engine's answer is longer than {MAX_ANSWER_BYTES >> 20} MiB")
             finally:
                 response.close()
-            # requests has no public way to hand over a body that was read already.
+            # requests has no public way to pass a body that was read already.
             response._content = bytes(body)
             response._content_consumed = True  # type: ignore[attr-defined]
         return response
 
 
 class _Adapter(_Bounded):
-    """All requests go through one pool, whatever their URL says."""
+    """All requests use one pool, regardless of their URL."""
 
     def __init__(self, pool: _Pool) -> None:
         self._pool = pool
@@ -172,13 +172,13 @@ class _Adapter(_Bounded):
 
 
 def resolver_for(url: str) -> Resolver | None:
-    """What finds the engine's host, to be shared by all clients; None for a unix socket."""
+    """The resolver for the engine's host, shared by all clients; None for a unix socket."""
     parts = urlsplit(url)
     return Resolver(parts.hostname or "", parts.port or 2375, socket.SOCK_STREAM) if parts.scheme == "tcp" else None
 
 
 def client_for(url: str, version: str, resolver: Resolver | None) -> APIClient:
-    """A docker-py client for the use of one thread; `version` is the API's, so nothing is asked here."""
+    """A docker-py client for the use of one thread; `version` is the API's, so nothing is requested here."""
     client = APIClient(base_url=url, version=version)
     client.trust_env = False  # no HTTP_PROXY and no .netrc between PHM and its own engine
     if resolver is None:
@@ -191,8 +191,8 @@ def client_for(url: str, version: str, resolver: Resolver | None) -> APIClient:
 class EventStream:
     """The engine's events as dictionaries, until the stream ends, breaks, or `close` is called.
 
-    Iterate once, in one thread; `close` may be called from any other and ends the iteration at once.
-    `failures` is what reading may raise, `translate` makes an EngineError of it.
+    Iterate once, in one thread. `close` may be called from any other and ends the iteration immediately. `failures` are
+    the exceptions that reading may raise; `translate` converts them to EngineError.
     """
 
     def __init__(
@@ -212,9 +212,9 @@ class EventStream:
             shut_down(sock)
 
     def caught_up(self) -> bool:
-        """Whether each event that had been received when this was asked has been handled; asked from any thread.
+        """Whether each event received before this call has been processed; callable from any thread.
 
-        The order of the two questions matters: what is received after the first may be handled at any time.
+        The order of the two checks matters: an event received after the first may be processed at any time.
         """
         sockets = [sock for sock in self._sockets if isinstance(sock, _Socket) and sock.fileno() >= 0]
         return self.closed or not any(sock.unread() or not sock.waiting for sock in sockets)

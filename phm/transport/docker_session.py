@@ -1,7 +1,7 @@
 """Calls to the Docker Engine through docker-py: a client for each thread, the API's version, deadlines and errors.
 
-Calls run in the calling thread. An overdue call is interrupted (`phm.transport.call_deadlines`), even when the engine sends a
-byte from time to time, which docker-py's own timeout does not notice.
+Calls run in the calling thread. An overdue call is interrupted (`phm.transport.call_deadlines`), even if the engine
+sends a byte from time to time, which docker-py's own timeout does not detect.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ T = TypeVar("T")
 Answer = dict[str, Any]
 
 API_WANTED = (1, 44)
-"""The newest API that this module uses; an older engine is called with its own."""
+"""The newest API version that this module uses; an older engine is called with its own."""
 API_FALLBACK = "1.41"
-"""Where a socket proxy hides /version: Docker 20.10 and later understand this."""
+"""Used if a socket proxy hides /version: Docker 20.10 and later support it."""
 FAILURES = (
     requests.RequestException,
     HTTPError,
@@ -49,9 +49,9 @@ FAILURES = (
 
 
 class DockerSession:
-    """The connection to one engine; `phm.transport.docker.DockerEngine` has the calls. Thread-safe; nothing is opened here.
+    """The connection to one engine; `phm.transport.docker.DockerEngine` has the calls. Thread-safe; opens nothing.
 
-    url: ``unix:///path`` or ``tcp://host:port``. timeout_s: the deadline of a call that names none.
+    url: ``unix:///path`` or ``tcp://host:port``. timeout_s: the default deadline of a call.
     """
 
     def __init__(self, url: str, timeout_s: float = 5.0, clock: Clock | None = None) -> None:
@@ -62,10 +62,11 @@ class DockerSession:
         self._resolver = resolver_for(url)
         self._api = ""
         self.on_change: Callable[[], None] = lambda: None
-        """Called after each call that may have changed something, also after a failed one: earlier readings are outdated."""
+        """Called after each call that may have changed something, also after a failed one: earlier readings are
+        outdated."""
 
     def call(self, fn: Callable[[APIClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
-        """Run `fn` on this thread's docker-py client, to be over after `deadline_s` (default: the time-out)."""
+        """Run `fn` on this thread's docker-py client with a deadline of `deadline_s` (default: the timeout)."""
         with self.calling(what, deadline_s) as (client, _):
             return fn(client)
 
@@ -75,7 +76,7 @@ class DockerSession:
 
     @contextlib.contextmanager
     def calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[APIClient, PendingCall]]:
-        """This thread's client for one call, under a deadline in seconds. Whatever goes wrong inside leaves it as EngineError."""
+        """This thread's client for one call, with a deadline in seconds. Any failure inside is raised as EngineError."""
         limit_s = self.timeout_s if deadline_s is None else deadline_s
         with self._deadlines.watch(limit_s) as call, using(call):
             try:
@@ -88,9 +89,9 @@ class DockerSession:
             except FAILURES as error:
                 translated = translate(error, call, self.url, limit_s, what)
                 if isinstance(translated, EngineUnreachable):
-                    self._api = ""  # what comes back may be another version
+                    self._api = ""  # after a reconnect the engine may have another version
                 raise translated from error
-            # An interrupted answer without a length looks complete.
+            # An interrupted response without a length looks complete.
             if call.expired:
                 raise translate(TimeoutError(), call, self.url, limit_s, what)
 
@@ -123,7 +124,7 @@ def _numbers(version: str) -> tuple[int, int]:
 
 
 def mapping(answer: Any) -> Answer:
-    """The answer, which must be a JSON object. Raises TypeError, one of FAILURES."""
+    """The response, which must be a JSON object. Raises TypeError, one of FAILURES."""
     if not isinstance(answer, dict):
         raise TypeError(f"expected an object, got {str(answer)[:80]!r}")
     return answer

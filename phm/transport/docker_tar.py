@@ -1,4 +1,5 @@
-"""One file as the engine's archive calls carry it: a tar with a single member, read as it comes or made in memory."""
+"""One file in the format of the engine's archive calls: a tar with a single member, read as a stream or created in
+memory."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ class FileCopy:
 
 
 class _Reader:
-    """`read(n)` over the pieces of a response, as tarfile's stream mode wants it."""
+    """`read(n)` over the pieces of a response, for tarfile's stream mode."""
 
     def __init__(self, response: Response) -> None:
         self._pieces = response.iter_content(_PIECE)
@@ -44,7 +45,8 @@ class _Reader:
 
 
 def unpack(response: Response, sink: Callable[[bytes], object], what: str, limit: int) -> tarfile.TarInfo:
-    """Hand the only file of the tar to `sink`; its header. Raises CannotTell for anything but a file within `limit`."""
+    """Pass the only file of the tar to `sink`. Returns its header. Raises CannotTell unless it is a file within
+    `limit`."""
     with tarfile.open(fileobj=_Reader(response), mode="r|") as archive:  # type: ignore[call-overload]
         member: tarfile.TarInfo | None = archive.next()
         content = archive.extractfile(member) if member is not None and member.isreg() else None
@@ -62,7 +64,7 @@ def unpack(response: Response, sink: Callable[[bytes], object], what: str, limit
 
 
 def pack(path: str, copy: FileCopy, now: float) -> bytes:
-    """A tar that puts `copy` at the relative `path`, last changed at `now` (UTC seconds)."""
+    """A tar that contains `copy` at the relative `path`, last changed at `now` (UTC seconds)."""
     member = tarfile.TarInfo(posixpath.normpath(path))
     member.size, member.mode, member.mtime = len(copy.data), copy.mode & 0o7777, int(now)
     member.uid, member.gid = copy.uid, copy.gid

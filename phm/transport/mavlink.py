@@ -24,7 +24,7 @@ from phm.transport.send_queue import HEARTBEAT
 logger = logging.getLogger(__name__)
 
 Listener = Callable[[Any, str], None]
-"""Gets a decoded pymavlink message and the endpoint's name, in the endpoint's thread. Must not wait."""
+"""Receives a decoded pymavlink message and the endpoint's name, in the endpoint's thread. Must not block."""
 CLOSE_LIMIT_S = 1.0
 
 
@@ -39,8 +39,8 @@ class MavlinkHub:
         state_dir: str | None = None,
         synchronized: Callable[[], bool | None] = lambda: None,
     ) -> None:
-        """state_dir: where the time of signing is kept; None: nowhere. synchronized: whether the machine's clock is; None: it is not
-        known. Raises InvalidKey."""
+        """state_dir: directory for the time of signing; None: not stored. synchronized: whether the machine's clock is
+        synchronized; None if unknown. Raises InvalidKey."""
         self._synchronized, self._command_age_s = synchronized, settings.signing.command_age
         self.system_id, self.component_id = system_id, settings.component_id
         key = settings.signing.key if settings.endpoints else None
@@ -62,19 +62,21 @@ class MavlinkHub:
 
     @property
     def signs(self) -> bool:
-        """Signing is on."""
+        """Whether signing is on."""
         return self._signing is not None
 
     def remember(self) -> None:
-        """Save the newest signing times, so that a signed frame is not accepted again after a restart of PHM. Waits for the disk.
-        Raises OSError with a sentence when they cannot be saved."""
+        """Save the newest signing times, so that a signed frame is not accepted again after a restart of PHM. Waits for
+        the disk. Raises OSError with a sentence if they cannot be saved."""
         if self._signing is not None and (problem := self._signing.save()):
             raise OSError(problem)
 
     def clock_problem(self) -> str:
-        """Why the age of signed frames is unknown, else empty. A clock that is behind the newest signature is either wrong, and
-        then recorded frames look new; or it is right, and the sender's is ahead. Only a clock that is known to be
-        synchronized distinguishes the two."""
+        """Why the age of signed frames is unknown, else empty.
+
+        If the clock is behind the newest signature, either the clock is wrong, and then recorded frames look new, or it
+        is right, and the sender's is ahead. Only a clock known to be synchronized distinguishes the two.
+        """
         ahead_s = self._signing.ahead_s() if self._signing is not None else 0.0
         if ahead_s <= self._command_age_s or self._synchronized():
             return ""
@@ -84,7 +86,7 @@ class MavlinkHub:
         )
 
     def problem(self) -> str:
-        """A sentence when something is wrong with signing, else empty."""
+        """A sentence if there is a problem with signing, else empty."""
         return self._signing.problem() if self._signing is not None else ""
 
     def start(self) -> None:
@@ -232,7 +234,7 @@ class MavlinkHub:
     def _guarded(self, call: Callable[[], None]) -> None:
         try:
             call()
-        except Exception:  # a listener's defect must not close the link
+        except Exception:  # a defect of a listener must not close the link
             self._errors += 1
             if self._errors in (1, 10, 100) or self._errors % 1000 == 0:
                 logger.exception("a MAVLink listener failed (%d times)", self._errors)

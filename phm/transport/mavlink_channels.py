@@ -26,30 +26,30 @@ _POLL_LOST = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class Channel(ABC):
-    """One open connection. `proven` False: being open says nothing about the other side (sending by UDP)."""
+    """One open connection. `proven` False: being open proves nothing about the other side (UDP)."""
 
     proven = True
 
     @abstractmethod
     def polls(self) -> list[tuple[int, int]]:
-        """Descriptors with the poll events waited for."""
+        """Descriptors with the poll events to wait for."""
 
     @abstractmethod
     def serve(self, fd: int, events: int) -> list[Any]:
-        """Do what a descriptor is ready for; the messages that came in."""
+        """Process a ready descriptor. Returns the received messages."""
 
     @property
     @abstractmethod
     def ready(self) -> bool:
-        """Whether another frame is taken now. Without a listener, frames are taken and discarded: a ground station
-        that connects later gets the full state."""
+        """Whether another frame is accepted now. Without a listener, frames are accepted and discarded: a ground
+        station that connects later gets the full state."""
 
     @abstractmethod
     def write(self, frame: bytes) -> int:
-        """Send a frame while `ready`; to how many peers."""
+        """Send a frame while `ready`. Returns the number of peers."""
 
     def line(self) -> SerialErrorCount | None:
-        """Errors of the serial line; None where the driver does not count them."""
+        """Errors of the serial line; None if the driver does not count them."""
         return None
 
     @abstractmethod
@@ -68,7 +68,7 @@ class Stream:
         return select.POLLIN | (select.POLLOUT if self.pending else 0)
 
     def serve(self, events: int) -> list[Any]:
-        """Raises OSError when the other side is gone. What came before the end is still read."""
+        """Raises OSError when the other side is gone. Data received before the end are still read."""
         if events & select.POLLOUT:
             self.flush()
         if events & (select.POLLIN | _POLL_LOST):
@@ -119,8 +119,11 @@ class StreamChannel(Channel):
 
 
 class TcpServer(Channel):
-    """Listens; every client hears everything. A client that does not read loses frames and affects no other. Who is a client where
-    more come than there is room for is `ClientAdmission`'s."""
+    """Listens; every client receives everything.
+
+    A client that does not read loses frames and affects no other. `ClientAdmission` decides which clients are accepted
+    if there are too many.
+    """
 
     def __init__(self, listener: socket.socket, codec: Codec, clock: Clock) -> None:
         self._listener, self._codec, self._clock = listener, codec, clock
@@ -190,9 +193,9 @@ class TcpServer(Channel):
 
 
 def tune(sock: socket.socket) -> None:
-    """Non-blocking, small frames at once, and a silent other end is given up after 10 s instead of 15 min.
+    """Non-blocking, without delay for small frames; a silent peer is disconnected after 10 s instead of 15 min.
 
-    The kernel keeps little: megabytes of old lines behind a slow radio would be minutes of delay.
+    The kernel buffers little: megabytes of old lines behind a slow radio would be minutes of delay.
     """
     sock.setblocking(False)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)

@@ -1,8 +1,8 @@
 """MAVLink messages to bytes and back: one codec per endpoint, one parser per stream.
 
-The parser looks for frames itself and gives pymavlink whole frames only. pymavlink's own buffer grows
-for as long as a stream never ends on a frame's end, and loses up to 280 good bytes behind each false
-start; here a frame that does not check costs one byte.
+The parser finds frames itself and passes only complete frames to pymavlink. pymavlink's own buffer grows as long as a
+stream never ends at the end of a frame, and it loses up to 280 valid bytes after each false start; here an invalid
+frame costs one byte.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Wanted = Callable[[int], bool]
 
 @dataclass(slots=True)
 class LinkCounters:
-    """Of one endpoint since its start. `bad` counts false starts: bytes or frames that did not check."""
+    """Counters of one endpoint since its start. `bad` counts false starts: bytes or frames that are invalid."""
 
     sent: int = 0
     received: int = 0
@@ -40,14 +40,14 @@ class LinkCounters:
 
 
 class Codec:
-    """Packs with a sequence of its own, so that receivers can count this endpoint's losses."""
+    """Packs with its own sequence, so that receivers can count this endpoint's losses."""
 
     def __init__(self, system_id: int, component_id: int, wanted: Wanted, signer: Signer | None = None) -> None:
-        """signer: signs what is packed and checks what is parsed; None: signing is off."""
+        """signer: signs packed messages and verifies parsed ones; None: signing is off."""
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
-        # For weighing: packing with it changes no sequence and signs nothing.
+        # For sizes: packing with it changes no sequence and signs nothing.
         self._scale = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
-        # Also for decoding: without a key, pymavlink does not judge signatures (`phm.transport.mavlink_signing` does).
+        # Also for decoding: without a key, pymavlink does not verify signatures (`phm.transport.mavlink_signing` does).
         self._signer = signer
         if signer is not None:
             signer.prepare(self._mav)
@@ -59,11 +59,11 @@ class Codec:
 
     @property
     def signs(self) -> bool:
-        """Signing is on."""
+        """Whether signing is on."""
         return self._signer is not None
 
     def pack(self, message: Any) -> bytes:
-        """The frame of a message. Packing writes into the message, and other endpoints pack it too: use a copy."""
+        """The frame of a message. Packing writes into the message, and other endpoints pack it too: pass a copy."""
         if self._signer is not None:
             self._mav.signing.timestamp = self._signer.signing.stamp()
         frame: bytes = copy.copy(message).pack(self._mav)
@@ -73,7 +73,7 @@ class Codec:
         return frame
 
     def size(self, message: Any) -> int:
-        """Bytes that the message's frame will have."""
+        """Size of the message's frame in bytes."""
         return len(copy.copy(message).pack(self._scale)) + (SIGNATURE_BYTES if self._signer is not None else 0)
 
     def sent(self, frame: bytes) -> bool:
@@ -85,7 +85,7 @@ class Codec:
         return Parser(self._scale, self._wanted, self.counters, self.senders, self._signer)
 
     def refused(self) -> dict[str, int]:
-        """Frames that were not passed on because of their signature, by why; empty when signing is off."""
+        """Number of frames rejected because of their signature, by reason; empty if signing is off."""
         return dict(self._signer.refused) if self._signer is not None else {}
 
 
@@ -99,10 +99,10 @@ class Parser:
         self._signer = signer
         self._buffer = bytearray()
         self.verified = 0
-        """Frames whose checksum was computed and is right."""
+        """Frames whose checksum was computed and is correct."""
 
     def datagram(self, data: bytes, *, verify: bool = False) -> list[Any]:
-        """As `feed`; a frame never goes on in the next datagram."""
+        """Like `feed`; a frame never continues in the next datagram."""
         messages = self.feed(data, verify=verify)
         if self._buffer:
             self._counters.bad += 1
@@ -110,7 +110,7 @@ class Parser:
         return messages
 
     def feed(self, data: bytes, *, verify: bool = False) -> list[Any]:
-        """Messages that a listener wants. Others are skipped by their length, unless `verify` asks for their checksum."""
+        """Messages that a listener wants. Others are skipped by their length, unless `verify` requests their checksum."""
         self._buffer += data
         self._counters.bytes_in += len(data)
         messages, at, garbage = [], 0, False
@@ -138,7 +138,7 @@ class Parser:
         return self._buffer[first], self._buffer[first + 1], self._buffer[first + 2]
 
     def _length(self, at: int) -> int:
-        """Bytes of the frame that starts here; 0 when none does; -1 when more bytes are needed to know."""
+        """Length of the frame that starts here; 0 if none does; -1 if more bytes are needed."""
         marker = self._buffer[at]
         if marker not in _MARKERS:
             return 0
@@ -148,21 +148,21 @@ class Parser:
             return self._buffer[at + 1] + 8
         flags = self._buffer[at + 2]
         if flags & ~_SIGNED:
-            return 0  # the standard says to drop frames with flags that one does not know
+            return 0  # the standard requires dropping frames with unknown flags
         return self._buffer[at + 1] + 12 + (SIGNATURE_BYTES if flags & _SIGNED else 0)
 
     def _judge(self, at: int, length: int, verify: bool) -> tuple[bool, Any]:
-        """Whether these bytes are a frame, and its message when a listener wants it."""
+        """Whether these bytes are a frame, and its message if a listener wants it."""
         frame = self._buffer[at : at + length]
         number = frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
         known, wanted = number in mavlink.mavlink_map, self._wanted(SAME.get(number, number))
         if not known or not (verify or wanted):
-            # No checksum without the message's definition; a frame is accepted when another one follows it.
+            # No checksum without the message's definition; a frame is accepted if another one follows it.
             end = at + length
             return end == len(self._buffer) or self._buffer[end] in _MARKERS, None
         try:
             message = self._mav.decode(frame)
-        except Exception:  # pymavlink's decoders raise many kinds on hostile bytes
+        except Exception:  # pymavlink's decoders raise many exception types on hostile bytes
             return False, None
         self.verified += 1
         passes = wanted and (self._signer is None or self._signer.passes(message, frame, number))

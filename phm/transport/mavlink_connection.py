@@ -1,4 +1,4 @@
-"""Opening MAVLink channels by pymavlink's connection strings, with a deadline on every step."""
+"""Opens MAVLink channels from pymavlink's connection strings, with a deadline on every step."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class ChannelOpener:
             self._resolver = Resolver(host, int(port), kind, passive=self._scheme.endswith("in"))
 
     def moved(self) -> bool:
-        """Whether the peer's name now has another address (its container was restarted), or the route there begins at another
+        """Whether the peer's name now has another address (its container was restarted), or the route begins at another
         address of this machine (another interface is in use).
 
-        Looks the name up in the background; what it says is what earlier look-ups found. For `udpout` only:
-        TCP notices by itself.
+        It resolves the name in the background and returns the result of earlier look-ups. For `udpout` only: TCP
+        detects this by itself.
         """
         if self._scheme != "udpout" or self._resolver is None:
             return False
@@ -136,20 +136,21 @@ class ChannelOpener:
             return UdpBroadcast(sock, target, self._codec)
 
     def _rerouted(self) -> bool:
-        """Whether the way to the peer now begins at another address of this machine: a connected socket keeps its first one."""
+        """Whether the route to the peer now begins at another address of this machine: a connected socket keeps its
+        first one."""
         assert self._target is not None
         family, target = self._target
         with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
-            probe.connect(target)  # of UDP: nothing is sent
+            probe.connect(target)  # UDP: nothing is sent
             return bool(probe.getsockname()[0] != self._source)
         return False
 
     def _serial(self) -> Channel:
-        # Imported here: an agent without serial endpoints does not pay for pyserial.
+        # Imported here: an agent without serial endpoints needs no pyserial.
         import serial
 
         try:
-            # exclusive: two readers of one port steal each other's bytes, and both look broken.
+            # exclusive: two readers of one port take each other's bytes, and both seem broken.
             port = serial.Serial(self._settings.url, self._settings.baud, timeout=0, write_timeout=0, exclusive=True)
         except ValueError as error:  # a baud rate that the driver refuses
             raise OSError(f"{self._settings.url}: {error}") from error
@@ -167,7 +168,7 @@ def _closed_on_failure(sock: socket.socket) -> Iterator[None]:
 
 
 class SerialChannel(StreamChannel):
-    """A serial port. What was not sent is thrown away at the end: a stuck port keeps `close` waiting for it."""
+    """A serial port. Unsent data are discarded at the end: a stuck port would block `close`."""
 
     def line(self) -> SerialErrorCount | None:
         return read_counts(self._owner.fileno())

@@ -29,17 +29,19 @@ RADIO_STATUS = 109
 BACKOFF_S = 0.1
 BACKOFF_MAX_S = 5.0
 STEADY_S = 5.0
-"""An endpoint that was open for this long starts its back-off again."""
+"""An endpoint that was open for this long resets its back-off."""
 SILENT_S = 10.0
-"""A named peer that was not heard for so long is looked up again."""
+"""The name of a peer is resolved again after this silence."""
 IDLE_S = 0.5
 FAREWELL_S = 0.3
 REOPEN_POLL_S = 0.05
 
 
 class Endpoint:
-    """See the module. `deliver` gets every message that somebody wants; `changed` is called when the endpoint
-    opens or closes, and about every IDLE_S meanwhile (every back-off while it is closed); both in the endpoint's thread.
+    """See the module.
+
+    `deliver` gets every message that a listener wants. `changed` is called when the endpoint opens or closes, and about
+    every IDLE_S meanwhile (every back-off while it is closed). Both are called in the endpoint's thread.
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class Endpoint:
         threads.start(self._thread)
 
     def send(self, message: Any, kind: MessagePriority, key: str, urgency: int) -> None:
-        """Queue; never blocks."""
+        """Queue a message; never blocks."""
         self._queue.put(message, self.codec.size(message), kind, key, urgency)
         self._ring()
 
@@ -81,15 +83,15 @@ class Endpoint:
         self._queue.set_agent_count(agents, leads=leads)
 
     def budget(self) -> tuple[dict[MessagePriority, MessageCount], float]:
-        """What left, was replaced or dropped, by class; and by how much the radio slows it down now."""
+        """Messages sent, replaced or dropped, by priority; and the current slow-down by the radio."""
         return self._queue.counts, self._queue.slowed()
 
     def fact(self) -> LinkFact | None:
-        """None until the first attempt to open has ended: nothing is known yet."""
+        """Whether it is open; None until the first attempt to open has ended."""
         return self._fact
 
     def read_at(self) -> float | None:
-        """When the thread last found that it had read what came; None: not open."""
+        """When the thread last had read all received data; None: not open."""
         return self._read_at
 
     def traffic(self) -> Traffic:
@@ -99,7 +101,7 @@ class Endpoint:
         )
 
     def reopen(self, timeout_s: float) -> bool:
-        """Have the thread close and reopen the channel; whether it was open again within `timeout_s`."""
+        """Let the thread close and reopen the channel. Returns whether it was open again within `timeout_s`."""
         before, end = self._opened, self._clock.mono() + timeout_s
         self._again.set()
         self._ring()
@@ -108,12 +110,13 @@ class Endpoint:
         return self._opened != before
 
     def retry_now(self) -> None:
-        """The container at the other end started: try immediately, and soon again. Does nothing while the endpoint is open."""
+        """The container at the other end started: try immediately, and again soon. No effect while the endpoint is
+        open."""
         if self._fact is None or not self._fact.open:
             self._soon.set()
 
     def stop(self) -> None:
-        """Ask the thread to send what is queued, at most FAREWELL_S long, and to end."""
+        """Ask the thread to send what is queued, for at most FAREWELL_S, and to end."""
         self._stopping.set()
         self._soon.set()
         self._ring()
@@ -133,7 +136,7 @@ class Endpoint:
                 self._live(channel)
             except OSError as error:
                 self._set_state(is_open=False, error=error.strerror or str(error), code=error.errno or 0)
-            except Exception as error:  # a defect must not end this link forever
+            except Exception as error:  # a defect must not end this link permanently
                 logger.exception("MAVLink endpoint %s failed unexpectedly", self.name)
                 self._set_state(is_open=False, error=f"{type(error).__name__}: {error}")
             if was_open and self._clock.mono() - opened >= STEADY_S:
@@ -143,7 +146,7 @@ class Endpoint:
                 backoff.reset()
 
     def _live(self, channel: Channel) -> None:
-        """Serve an open channel until PHM stops or wants it reopened. Raises OSError when it is lost."""
+        """Serve an open channel until PHM stops or requests reopening. Raises OSError when it is lost."""
         try:
             if channel.proven or self._fact is None:
                 self._set_state(is_open=True)

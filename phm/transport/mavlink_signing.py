@@ -1,12 +1,12 @@
-"""MAVLink 2 signing: one key for all endpoints, a time that never goes back, and the newest time of each sender.
+"""MAVLink 2 signing: one key for all endpoints, a time that never decreases, and the newest time of each sender.
 
-pymavlink signs outgoing frames. Incoming frames are checked here, because pymavlink takes over the time of a frame before it
-compares the hash: one forged frame from the year 2100 would lock out the real sender. Here the hash is compared first, and a
-frame that does not match changes nothing.
+pymavlink signs outgoing frames. Incoming frames are verified here, because pymavlink adopts the time of a frame before
+it compares the hash: one forged frame from the year 2100 would lock out the real sender. Here the hash is compared
+first, and an invalid frame changes nothing.
 
 A frame whose time is ahead of ours is accepted, as the standard requires, and our time follows: a companion without a
-battery-backed clock starts in the past, and would otherwise refuse its operator. Such a frame is signed with the key, but it may
-have been recorded long ago; so commands that change something wait until the clock is set (`MavlinkHub.clock_problem`).
+battery-backed clock starts in the past, and would otherwise reject its operator. Such a frame is signed with the key,
+but may have been recorded long ago. So changing commands wait until the clock is set (`MavlinkHub.clock_problem`).
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from phm.core.clock import Clock
 SIGNATURE_BYTES = 13
 KEY_BYTES = 32
 EPOCH_S = 1_420_070_400
-"""2015-01-01, from which the standard counts."""
+"""2015-01-01, the epoch of the standard."""
 TICKS = 100_000
-"""A second: the unit is 10 microseconds."""
+"""One second: the unit is 10 microseconds."""
 LATE_S = 60.0
-"""A new sender may be this far behind us."""
+"""A new sender may be this far behind our time."""
 LAST = 2**48 - 10 * 365 * 86400 * TICKS
-"""Times beyond, about the year 2094, are refused: our own, which follows, must never come to the end of its 48 bits."""
+"""Later times, from about the year 2094, are rejected: our own time follows and must never exceed its 48 bits."""
 MAX_STREAMS = 1024
 KEPT_STREAMS = 256
 SAVE_S = 30.0
@@ -49,12 +49,12 @@ class InvalidKey(Exception):
 
 
 class SignatureResult(Enum):
-    """Result of checking the signature of a frame."""
+    """Result of verifying the signature of a frame."""
 
     NONE = "none"
     GOOD = "good"
     OLD = "old"
-    """Valid, but not newer than the last frame: a copy, or replayed."""
+    """Valid, but not newer than the last frame: a copy or a replay."""
     FORGED = "forged"
 
 
@@ -85,12 +85,12 @@ def read_key(path: str) -> bytes:
 class Signing:
     """Shared by all endpoints, so that a frame accepted by one is not accepted again by another. Thread-safe.
 
-    Invariant: a time given out is never given out again, also not after PHM was killed, unless the clock was set back meanwhile:
-    what is saved is at most SAVE_S behind, and where the clock has not gone on, a new start begins so much later.
+    Invariant: a time is never used twice, even after PHM was killed, unless the clock was set back meanwhile: the saved
+    time is at most SAVE_S old, and if the clock has not advanced, a new start begins so much later.
     """
 
     def __init__(self, key: bytes, clock: Clock, directory: str | None = None) -> None:
-        """directory: where the time is kept over a restart; None: nowhere."""
+        """directory: where the time is stored over a restart; None: not stored."""
         self.key = key
         self._clock = clock
         self._path = None if directory is None else Path(directory) / NAME
@@ -109,7 +109,7 @@ class Signing:
         threads.start(self._thread)
 
     def close(self) -> None:
-        """A last save."""
+        """Save a last time."""
         self._stop.set()
         self.save()
 
@@ -120,7 +120,7 @@ class Signing:
             return self._time
 
     def check(self, frame: bytes | bytearray) -> SignatureResult:
-        """Of a whole frame whose checksum is right. Only a GOOD one is remembered."""
+        """Verify a complete frame with a correct checksum. Only a GOOD one is recorded."""
         if frame[0] != 0xFD or not frame[2] & 0x01:
             return SignatureResult.NONE
         expected = hashlib.sha256(self.key + bytes(frame[:-6])).digest()[:6]
@@ -136,22 +136,22 @@ class Signing:
             self._streams[stream] = time
             self._time = max(self._time, time)
             if len(self._streams) > MAX_STREAMS:
-                # The oldest: its frames would mostly be too old for a new sender, too.
+                # The oldest: its frames would usually be too old for a new sender too.
                 del self._streams[min(self._streams, key=self._streams.__getitem__)]
         return SignatureResult.GOOD
 
     def age_s(self, frame: bytes | bytearray) -> float:
-        """How long ago a frame that is GOOD was signed, by the newest time that is known here."""
+        """How long ago a GOOD frame was signed, by the newest known time."""
         with self._lock:
             return (max(self._now(), self._time) - _time_of(frame)) / TICKS
 
     def ahead_s(self) -> float:
-        """By how much the newest time heard or kept is ahead of this computer's clock; 0: it is not."""
+        """How far the newest received or stored time is ahead of this computer's clock; 0: it is not."""
         with self._lock:
             return max(0, self._time - self._now()) / TICKS
 
     def problem(self) -> str:
-        """A sentence when something is wrong now, else empty."""
+        """A sentence if there is a problem now, else empty."""
         if self._clock.mono() - self._forged_at <= FORGED_SHOWN_S:
             return "MAVLink frames with a wrong signature are heard: somebody has another key, or tries to forge"
         return self._problem
@@ -159,7 +159,7 @@ class Signing:
     # ------------------------------------------------------------ over a restart
 
     def save(self) -> str:
-        """Keep the time and who was heard, now; a sentence when that failed, which `problem` says as well. Waits for the disk."""
+        """Store the time and the senders now. Returns a sentence if that failed, as does `problem`. Waits for the disk."""
         if self._path is None:
             return ""
         with self._lock:
@@ -205,7 +205,7 @@ class Signing:
         except (ValueError, KeyError, TypeError, RecursionError):
             self._problem = f"{self._path} is damaged: the time of signing begins with the clock"
             return
-        # A clock that has gone on since says what may have been given out after the save; one that has not does not.
+        # If the clock has advanced since, it bounds the times used after the save; otherwise it does not.
         gone_on = self._now() > time
         self._time, self._streams = min(time if gone_on else time + round(SAVE_S * TICKS), LAST), streams
 
@@ -214,19 +214,19 @@ class Signing:
 
 
 class Signer:
-    """One endpoint's way to sign and to check. `refused` counts what is not passed on."""
+    """Signing and verification for one endpoint. `refused` counts rejected frames."""
 
     def __init__(self, signing: Signing, link_id: int, unsigned: Callable[[int], bool]) -> None:
-        """unsigned: whether messages of a number are believed without a signature."""
+        """unsigned: whether messages of a number are accepted without a signature."""
         self.signing, self.link_id, self._unsigned = signing, link_id, unsigned
         self.refused = {"forged": 0, "old": 0, "unsigned": 0}
 
     def prepare(self, mav: Any) -> None:
-        """Have a pymavlink codec sign what it packs."""
+        """Let a pymavlink codec sign its packed messages."""
         mav.signing.secret_key, mav.signing.link_id, mav.signing.sign_outgoing = self.signing.key, self.link_id, True
 
     def passes(self, message: Any, frame: bytes | bytearray, number: int) -> bool:
-        """Whether a decoded message is passed on; says in it whether it is signed, and then how long ago, `_age_s`."""
+        """Whether a decoded message is accepted. Marks it as signed or not, and how long ago, `_age_s`."""
         seal = self.signing.check(frame)
         if seal is SignatureResult.GOOD:
             message._signed, message._link_id, message._age_s = True, frame[-13], self.signing.age_s(frame)
@@ -235,7 +235,7 @@ class Signer:
             self.refused["forged"] += 1
             return False
         if number in COMMANDS and seal is SignatureResult.NONE:
-            return True  # refused later, with an answer; a copy gets none, the first has had it
+            return True  # refused later, with an answer; a copy gets none, the first was answered
         if self._unsigned(number):
             return True  # the sender of a replay could also send it unsigned
         self.refused["old" if seal is SignatureResult.OLD else "unsigned"] += 1
@@ -243,14 +243,14 @@ class Signer:
 
 
 COMMANDS = frozenset((75, 76))
-"""COMMAND_INT and COMMAND_LONG: never believed without a signature."""
+"""COMMAND_INT and COMMAND_LONG: never accepted without a signature."""
 TUNNEL = 385
 RADIO_STATUS = frozenset((109, 166))
-"""Made by the radio itself, which has no key."""
+"""Created by the radio itself, which has no key."""
 
 
 def unsigned_of(mode: str) -> Callable[[int], bool]:
-    """What `mavlink.signing.unsigned` lets pass."""
+    """What `mavlink.signing.unsigned` permits."""
     if mode == "none":
         return RADIO_STATUS.__contains__
     refused = COMMANDS if mode == "all" else COMMANDS | {TUNNEL}
@@ -275,7 +275,7 @@ def _byte(value: object) -> int:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """All of it or nothing, also when power is lost."""
+    """Write completely or not at all, also if power is lost."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".new")
     with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as stream:

@@ -1,4 +1,4 @@
-"""What goes over one MAVLink endpoint, counted: bytes, frames, and for each sender the gaps in its sequence numbers."""
+"""Counts the traffic of one MAVLink endpoint: bytes, frames, and for each sender the gaps in its sequence numbers."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class SenderStats:
 
 
 class SenderTable:
-    """By system and component. The endpoint's thread writes; `now` may be asked by any."""
+    """Counters by system and component. The endpoint's thread writes; `now` may be called from any."""
 
     def __init__(self) -> None:
         self._of: dict[tuple[int, int], SenderStats] = {}
 
     def heard(self, system: int, component: int, sequence: int) -> None:
-        """A frame came."""
+        """Record a frame."""
         key = (system, component)
         sender = self._of.get(key)
         if sender is None:
@@ -53,7 +53,7 @@ class SenderTable:
 
     def now(self) -> dict[tuple[int, int], tuple[int, int]]:
         """Frames and lost frames of each."""
-        # A copy of a dict with such keys is made in one step of the interpreter.
+        # The interpreter copies a dict with such keys in one step.
         return {key: (sender.frames, sender.lost) for key, sender in dict(self._of).items()}
 
 

@@ -20,7 +20,7 @@ _BUSY = frozenset((errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS))
 
 
 class _Udp(Channel):
-    """What all kinds of UDP share: reading a bounded number of datagrams at a time."""
+    """Common parts of all kinds of UDP: reads a limited number of datagrams at a time."""
 
     def __init__(self, sock: socket.socket, codec: Codec) -> None:
         self._socket, self._codec = sock, codec
@@ -37,7 +37,7 @@ class _Udp(Channel):
             except BlockingIOError:
                 break
             except OSError:
-                continue  # an ICMP error about an earlier datagram, which anybody on the way can cause; reading it clears it
+                continue  # an ICMP error about an earlier datagram, which any host on the path can cause; reading clears it
             messages += self._take(data, sender)
         return messages
 
@@ -53,7 +53,7 @@ class _Udp(Channel):
 
 
 class _Sending(_Udp):
-    """Sends to one address whether or not anybody was heard."""
+    """Sends to one address, whether or not anything was received."""
 
     proven = False
 
@@ -71,7 +71,7 @@ class _Sending(_Udp):
                 # The kernel reports an ICMP error about an earlier datagram instead of sending this one.
                 self._send(frame)
         except ConnectionError:
-            return 1  # nothing listens there yet, which says nothing about this channel
+            return 1  # nothing listens there yet, which does not affect this channel
         except OSError as error:
             if error.errno in _BUSY:
                 self._codec.counters.dropped += 1
@@ -81,7 +81,7 @@ class _Sending(_Udp):
 
 
 class UdpOut(_Sending):
-    """One peer, by a connected socket: the kernel drops what others send."""
+    """One peer, by a connected socket: the kernel drops datagrams of other senders."""
 
     def __init__(self, sock: socket.socket, codec: Codec) -> None:
         """sock: connected."""
@@ -89,7 +89,7 @@ class UdpOut(_Sending):
         self._peer = sock.getpeername()[:2]
 
     def _take(self, data: bytes, sender: Any) -> list[Any]:
-        # What came between the socket's bind and its connect, both within `connect`, may be a stranger's.
+        # Data received between bind and connect of the socket, both within `connect`, may be from another sender.
         return self._parser.datagram(data) if sender[:2] == self._peer else []
 
     def _send(self, frame: bytes) -> None:
@@ -97,7 +97,8 @@ class UdpOut(_Sending):
 
 
 class UdpBroadcast(_Sending):
-    """All of a network. Those that listen on the port answer from it; what comes from another port or network is dropped."""
+    """All hosts of a network. They answer from the port on which they listen; datagrams from other ports or networks
+    are dropped."""
 
     def __init__(self, sock: socket.socket, target: Any, codec: Codec) -> None:
         super().__init__(sock, codec)
@@ -113,15 +114,17 @@ class UdpBroadcast(_Sending):
 
 
 def network_of(broadcast: str) -> ipaddress.IPv4Network:
-    """The largest network that has this broadcast address. Its interface may not be up yet, so the mask is not asked for."""
+    """The largest network with this broadcast address. Its interface may not be up yet, so the mask is not requested."""
     number = int(ipaddress.IPv4Address(broadcast))
     host_bits = (~number & (number + 1)).bit_length() - 1
     return ipaddress.IPv4Network((number >> host_bits << host_bits, 32 - host_bits))
 
 
 class UdpIn(_Udp):
-    """Waits for peers and answers to each that sent a frame whose checksum is right. Who is one where more come than there is
-    room for is `ClientAdmission`'s; the frames of the others are read all the same."""
+    """Waits for peers and answers each that sent a frame with a correct checksum.
+
+    `ClientAdmission` decides which peers are accepted if there are too many; frames of the others are read anyway.
+    """
 
     def __init__(self, sock: socket.socket, codec: Codec, clock: Clock) -> None:
         super().__init__(sock, codec)
@@ -147,6 +150,6 @@ class UdpIn(_Udp):
             try:
                 self._socket.sendto(frame, peer)
                 sent += 1
-            except OSError:  # one peer's network is gone; it expires unless it comes back
+            except OSError:  # one peer's network is gone; it expires unless it returns
                 self._codec.counters.dropped += 1
         return sent

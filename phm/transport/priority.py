@@ -1,8 +1,8 @@
-"""How much of a link PHM may use, and which message is sent first. Pure; the caller brings time.
+"""How much of a link PHM may use, and which message is sent first. Pure; callers pass the time.
 
-A 64 kbit/s SiK or RFD900 radio guarantees 3170 bytes a second each way, and PHM may use 5 % of it for the entire swarm. Each
-agent gets an equal part, saves up for a burst, and slows down when RADIO_STATUS reports that the radio's buffer fills. A fault
-must not wait for a refresh, so messages have priorities.
+A 64 kbit/s SiK or RFD900 radio guarantees 3170 bytes per second in each direction, and PHM may use 5 % of it for the
+entire swarm. Each agent gets an equal share, saves up for a burst, and slows down when RADIO_STATUS reports that the
+radio's buffer fills. A fault must not wait for a refresh, so messages have priorities.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SHARE = 0.05
 SWARM_BYTES_S = RADIO_BYTES_S * SHARE
 BURST_S = 20.0
 BURST_MIN = 400.0
-"""Bytes that an agent may always save up: the full state for a ground station that appears, of any swarm."""
+"""Bytes that an agent may always save up: the full state for a ground station that appears, in a swarm of any size."""
 REST, LEADER = 0.2, 0.2
 TXBUF_STALE_S = 5.0
 SLOWEST = 10.0
@@ -52,13 +52,13 @@ class QueuedMessage:
     size: int
     message: Any
     urgency: int = 0
-    """Within a class the lowest leaves first: MAV_SEVERITY. Of equals the oldest does."""
+    """Within a priority the lowest is sent first: MAV_SEVERITY. Of equals the oldest."""
     put_at: float = 0.0
 
 
 @dataclass(slots=True)
 class MessageCount:
-    """Of one class: `coalesced` were replaced by newer ones while they waited, `dropped` never left."""
+    """Counters of one priority: `coalesced` were replaced by newer ones while they waited, `dropped` were never sent."""
 
     sent: int = 0
     coalesced: int = 0
@@ -81,7 +81,8 @@ class FlowControl:
         self._factor, self._heard = 1.0, float("-inf")
 
     def txbuf(self, percent: int, now: float) -> None:
-        """A RADIO_STATUS came. The steps are those of ArduPilot's own streams: hard below 20, some below 50."""
+        """A RADIO_STATUS arrived. The steps are those of ArduPilot's own streams: a large one below 20, a small one
+        below 50."""
         if now - self._heard > TXBUF_STALE_S:
             self._factor = 1.0
         self._heard = now
@@ -96,7 +97,7 @@ class FlowControl:
         self._factor = min(max(self._factor, 1.0), SLOWEST)
 
     def factor(self, now: float) -> float:
-        """1 to 10: by how much to slow down; 1 without a recent RADIO_STATUS."""
+        """1 to 10: the factor by which to slow down; 1 without a recent RADIO_STATUS."""
         return self._factor if now - self._heard <= TXBUF_STALE_S else 1.0
 
 
@@ -113,15 +114,15 @@ class LinkBudget:
     now: float
     agents: int = 1
     leads: bool = False
-    """This agent is the leader of the swarm, and has a fifth of the swarm's share for that."""
+    """Whether this agent is the leader of the swarm, and has a fifth of the swarm's share for that."""
     flow: FlowControl = field(default_factory=FlowControl)
     counts: dict[MessagePriority, MessageCount] = field(
         default_factory=lambda: {kind: MessageCount() for kind in MessagePriority}
     )
     _beat: tuple[float, float] = (float("-inf"), 0.0)
-    """When the last heartbeat left, and bytes a second of heartbeats."""
+    """When the last heartbeat was sent, and bytes per second of heartbeats."""
     _credit: TokenBucket = field(init=False)
-    """Bytes."""
+    """Saved bytes."""
     _waiting: OrderedDict[str, QueuedMessage] = field(default_factory=OrderedDict)
 
     def __post_init__(self) -> None:
@@ -129,11 +130,11 @@ class LinkBudget:
 
     @property
     def rate(self) -> float:
-        """Bytes a second of this agent besides its heartbeats, before the radio slows it down."""
+        """Bytes per second of this agent besides its heartbeats, before the radio slows it down."""
         if self.bytes_s is None:
             return float("inf")
         part = self.bytes_s / max(1, self.agents)
-        # What the leader may use is not there for the others, so that all together stay within the share.
+        # The leader's part is not available to others, so that all together stay within the share.
         own = part * (1.0 - LEADER) if self.agents > 1 else part
         return max(own - self._beat[1], part * REST) + (self.bytes_s * LEADER if self.leads else 0.0)
 
@@ -142,7 +143,7 @@ class LinkBudget:
         return max(BURST_MIN, self.rate * BURST_S)
 
     def heartbeat(self, size: int, now: float) -> None:
-        """A heartbeat of so many bytes left."""
+        """A heartbeat of so many bytes was sent."""
         last = self._beat[0]
         self._beat = (now, size / (now - last) if now > last else self._beat[1])
 

@@ -152,13 +152,15 @@ def _limit_calls(*, streams: bool) -> None:
     rules = seccomp.SyscallFilter(defaction=seccomp.ALLOW)
 
     def refuse(name: str, *arguments: object) -> None:
-        if seccomp.resolve_syscall(seccomp.Arch.NATIVE, name) >= 0:  # otherwise a call that this architecture does not have
+        if (
+            seccomp.resolve_syscall(seccomp.Arch.NATIVE, name) >= 0
+        ):  # otherwise a call that this architecture does not have
             rules.add_rule(refused, name, *arguments)
 
     for name in _FORBIDDEN:
         refuse(name)
     for family in set(range(_LAST_FAMILY + 1)) - set(map(int, _FAMILIES)):
-        # The kernel uses 32 bits of the argument and seccomp sees 64: without the mask the upper half would evade the rule.
+        # The kernel uses 32 bits of the argument, seccomp sees 64: without the mask the upper half evades the rule.
         refuse("socket", seccomp.Arg(0, seccomp.MASKED_EQ, 0xFFFFFFFF, family))
     if not streams:
         for network in (socket.AF_INET, socket.AF_INET6):

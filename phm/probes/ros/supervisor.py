@@ -1,7 +1,7 @@
-"""The daemon's side of the ROS probe: keeps a child process that looks at ROS, and answers from its reports.
+"""The daemon's side of the ROS probe: supervises the child process that observes ROS, and answers from its reports.
 
-Whatever happens to the child, `look` returns immediately: its newest snapshot, or `CannotTell` with a
-sentence. A child that exits, falls silent or grows too large is replaced, at longer and longer intervals.
+Whatever happens to the child, `look` returns immediately: its newest snapshot, or `CannotTell` with a sentence. A child
+that exits, falls silent or grows too large is replaced, at increasing intervals.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ MAX_LOG_TEXTS = 20
 _ENVIRONMENT = {
     # Two arenas instead of one for each of the middleware's threads: 10 MB less.
     "MALLOC_ARENA_MAX": "2",
-    # numpy comes with rclpy's messages and would start a thread for each core.
+    # numpy is part of rclpy's messages and would start a thread for each core.
     "OPENBLAS_NUM_THREADS": "1",
-    # The sidecar shares no /dev/shm with the application: over shared memory topics are listed and no data comes.
+    # The sidecar shares no /dev/shm with the application: over shared memory topics are listed but no data arrive.
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
 }
 
@@ -88,7 +88,7 @@ _PREFIXES = (
     "PHM_ROS_",
     "PHM_DEBUG_ROS_",
 )
-"""What the interpreter, ROS and the middleware read; nothing else of the daemon's environment reaches the child."""
+"""Environment variables of the interpreter, ROS and the middleware; the child receives no others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,30 +98,30 @@ class SupervisorLimits:
     start_s: float = 20.0
     """From start to the first graph message: importing rclpy takes seconds on a small board with an SD card."""
     silent_s: float = 3.0
-    """Longest time between two messages in which the child could run; it sends four a second."""
+    """Maximum time between two messages in which the child could run; it sends four a second."""
     starved_s: float = 30.0
-    """The same in any case. A child that waits for a core gains nothing from being replaced: its start takes more of it."""
+    """The maximum in any case. Replacing a child that waits for a core does not help: a start needs more CPU time."""
     weigh_s: float = 1.0
     doubt_s: float = DOUBT_S
     unnamed_s: float = UNNAMED_S
     backoff_s: float = 0.5
     backoff_max_s: float = 30.0
     steady_s: float = 60.0
-    """A child that lived this long resets the back-off."""
+    """A child that ran this long resets the back-off."""
     missing_s: float = 60.0
-    """Between attempts where there is no rclpy."""
+    """Time between attempts without rclpy."""
     goodbye_s: float = 0.2
-    """For the last array to be written to a child that is about to be asked to go."""
+    """Time to write the last array to a child before it is asked to exit."""
     farewell_s: float = 1.0
-    """For a child that is asked to go, before SIGKILL."""
+    """Time for a child to exit before SIGKILL."""
 
 
 class RosSupervisor:
     """Implements `phm.facts.RosProbe`.
 
-    `on_change` is called when the set of nodes or of endpoints, or a topic's silence changed, and when the
-    view is lost; `on_note` with a sentence for the log. Both are called from the probe's own thread and
-    must be quick. Everything shared with that thread is guarded by one lock, held for moments only.
+    `on_change` is called when the set of nodes or of endpoints, or a topic's silence changed, and when the snapshot is
+    lost; `on_note` with a sentence for the log. Both are called from the probe's own thread and must be quick. One
+    lock, held only for moments, guards everything shared with that thread.
     """
 
     def __init__(
@@ -170,23 +170,23 @@ class RosSupervisor:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin to look. Returns at once."""
+        """Start the thread. Returns immediately."""
         self._thread = threading.Thread(target=self._run, name="phm-ros", daemon=True)
         threads.start(self._thread)
 
     @property
     def restarts(self) -> int:
-        """How often the child was replaced because of a fault of its own; not counted: `renew`, no rclpy."""
+        """How often the child was replaced because of its own fault; not counted: `renew`, no rclpy."""
         return self._restarts
 
     @property
     def pid(self) -> int:
-        """Of the child now; 0 when there is none."""
+        """Process id of the current child; 0 if there is none."""
         return self._pid
 
     @property
     def sandbox(self) -> str | None:
-        """What the kernel did not offer to restrict the child with; empty: nothing is missing. None: not known yet."""
+        """Restrictions that the kernel does not support; empty: none is missing. None: not known yet."""
         return self._sandbox
 
     def look(self) -> RosFact:
@@ -201,11 +201,11 @@ class RosSupervisor:
         return fact
 
     def _late_s(self, since: float, most_s: float | None = None) -> float:
-        """Of the child, as `Clock.late_s` is of the daemon."""
+        """For the child, like `Clock.late_s` for the daemon."""
         return self._late.late_s(since, self._clock.mono(), most_s)
 
     def problems(self) -> tuple[str, ...]:
-        """What keeps PHM from seeing all of the graph, in sentences."""
+        """Sentences about parts of the graph that PHM cannot see."""
         with self._lock:
             view, times = self._view, {OVERLONG: self._dropped_s, CROWDED: self._view.self_reports.lost_at}
         found = view.graph.problems if view.graph is not None else ()
@@ -213,9 +213,9 @@ class RosSupervisor:
         return (*found, *(words for words, at in times.items() if at is not None and now_s - at < REPORTED_S))
 
     def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
-        """Have the child publish these on /diagnostics, by name; never blocks. Nothing while there is no child that answers.
+        """Let the child publish these on /diagnostics, by name. Never blocks. Ignored while no child responds.
 
-        Returns how many in a row it has not taken: what waits is replaced by what is newer.
+        Returns how many in a row the child has not taken: a waiting array is replaced by a newer one.
         """
         line = encode_order(Publish(self._clock.utc(), statuses))
         with self._lock:
@@ -227,7 +227,7 @@ class RosSupervisor:
             return self._unsent
 
     def renew(self, reason: str) -> None:
-        """Replace the child on purpose: the network changed under it. Returns at once."""
+        """Replace the child intentionally: its network changed. Returns immediately."""
         with self._lock:
             if self._closing:
                 return
@@ -255,7 +255,7 @@ class RosSupervisor:
             began_s = self._clock.mono()
             try:
                 sentence, wait_s = self._one_life()
-            except Exception as error:  # a mistake of ours must not end the supervision
+            except Exception as error:  # a defect must not end the supervision
                 sentence, wait_s = f"the ROS probe failed: {error!r}", None
             if self._clock.mono() - began_s >= self._limits.steady_s:
                 backoff.reset()
@@ -268,7 +268,7 @@ class RosSupervisor:
         self._lose("the ROS probe is closed")
 
     def _one_life(self) -> tuple[str, float | None]:
-        """Start a child and follow it to its end: why it ended, and how long to wait (None: back off)."""
+        """Start a child and supervise it until it ends. Returns why it ended, and how long to wait (None: back off)."""
         with self._lock:
             self._why = "the ROS child is starting" if self._restarts == 0 else f"{self._why}; a new one is starting"
             self._renew = ""
@@ -293,7 +293,7 @@ class RosSupervisor:
         return self._report(f"the ROS child {reason or child.exit_reason()}"), None
 
     def _attend(self, child: ChildProcess, missing: list[Missing]) -> str:
-        """Read until it must be replaced; returns why, or nothing when it ended by itself or on request."""
+        """Read until it must be replaced; returns why, or nothing if it ended by itself or on request."""
         heard_s = weighed_s = looked_s = self._clock.mono()
         progress, held_s = ProcessStallMeter(child.pid), 0.0
         limit_s = self._limits.start_s
@@ -312,7 +312,7 @@ class RosSupervisor:
                 try:
                     message = decode(line)
                 except ProtocolError:
-                    continue  # garbage is not a sign of life either
+                    continue  # invalid lines do not show that it works
                 heard_s = now_s
                 if isinstance(message, Missing):
                     missing.append(message)
@@ -339,11 +339,11 @@ class RosSupervisor:
         self._sandbox = message.missing
 
     def _doubt(self, now_s: float) -> None:
-        """What is listed twice, or without a name, for too long may be a mistake of this participant: another one shows."""
+        """A node that is listed twice, or without a name, for too long may be a defect of this participant: replace it."""
         graph = self._view.graph
         if graph is None:
             return
-        # Strangers cannot have the child replaced.
+        # Unconfigured nodes must not cause a replacement.
         stale = self._stale_nodes.look({name: graph.nodes.get(name, 0) for name in self._nodes}, now_s)
         fact = self._view.fact(graph, now_s, self._late_s)
         beating = {name for name in self._nodes if name in fact.beacons and fact.beacons[name].missed < SILENT_MISSES}
@@ -357,7 +357,7 @@ class RosSupervisor:
             )
 
     def _finish(self, child: ChildProcess) -> None:
-        """What waits to be published may be the last word of PHM: the child reads it before the end of its input."""
+        """The waiting array may be PHM's last one: the child reads it before the end of its input."""
         self._send_post(child)
         until_s = self._clock.mono() + self._limits.goodbye_s
         while child.writing and not child.over and self._clock.mono() < until_s:
@@ -404,7 +404,7 @@ class RosSupervisor:
             self._on_change()
 
     def _pause(self, wait_s: float) -> None:
-        """Wait, unless there is something to do: closing, or a wish to renew."""
+        """Wait until there is something to do: closing, or a renewal."""
         until_s = self._clock.mono() + wait_s
         while not self._closing and not self._renew and (left_s := until_s - self._clock.mono()) > 0:
             if select.select([self._wake], [], [], left_s)[0]:
@@ -427,7 +427,7 @@ class RosSupervisor:
 
 
 def wanted(ros: RosSettings, agent: str) -> Wanted:
-    """What the child is asked for: full names of topics, and which of them have a rate to be measured."""
+    """The configuration of the child: full names of topics, and which of their rates it measures."""
     topics = tuple(
         WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence if topic.silence is None else topic.silence)
         for topic in ros.topics
@@ -445,12 +445,13 @@ def wanted(ros: RosSettings, agent: str) -> Wanted:
 
 
 def child_environ(ros: RosSettings, environ: Mapping[str, str]) -> dict[str, str]:
-    """What the child needs of the daemon's environment, which may hold secrets; variables that are set already win."""
+    """The variables that the child needs of the daemon's environment, which may contain secrets. Variables that are set
+    have priority."""
     merged = {**_ENVIRONMENT, **{name: value for name, value in environ.items() if _needed(name)}}
     if ros.domain is not None:
         merged["ROS_DOMAIN_ID"] = str(ros.domain)
     merged[INSTALLS] = os.pathsep.join(ros.installs)
-    # The child must run this very PHM, wherever the daemon found it.
+    # The child must run the same PHM, wherever the daemon found it.
     home = str(Path(phm.__file__).resolve().parent.parent)
     merged["PYTHONPATH"] = os.pathsep.join(part for part in (merged.get("PYTHONPATH", ""), home) if part)
     return merged

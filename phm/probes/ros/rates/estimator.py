@@ -1,10 +1,10 @@
-"""Topic rates without reading the messages, from the sequence numbers that the publisher itself counts.
+"""Topic rates without reading the messages, from the publisher's own sequence numbers.
 
-A reader with a queue of one, never put in an executor, lets the middleware overwrite sample after sample in C++; Python
-takes one of them each tick. Its sequence number says how many were published since the last one taken, its source
-timestamp how much time passed between those two publications. So the rate is exact however few samples are taken, and
-the cost in Python does not grow with the rate. The stamps are the middleware's own, of the publisher's system clock:
-`use_sim_time` does not affect them.
+A reader with a queue of one, never put in an executor, lets the middleware overwrite samples in C++; Python takes one
+of them each tick. Its sequence number shows how many were published since the last one taken, its source timestamp how
+much time passed between the two publications. So the rate is exact however few samples are taken, and the cost in
+Python does not grow with the rate. The timestamps are the middleware's, of the publisher's system clock: `use_sim_time`
+does not affect them.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from phm.probes.ros.rates.publishers import PublisherDemux, PublisherRestarts, g
 from phm.probes.ros.rates.silence import SilenceTimeout
 
 WINDOW_S, PERIODS = 3.0, 3
-"""A rate is measured over this time, or so many expected periods where that is longer."""
+"""Window of a rate in seconds, or so many expected periods if longer."""
 WIDE_S, WIDE_PERIODS, WIDE_MOST_S = 10.0, 10, 60.0
-"""The same for an uneven publisher, but not over more than WIDE_MOST_S because of the periods."""
+"""The same for a publisher with jitter, but at most WIDE_MOST_S because of the periods."""
 UNEVEN = 0.1
-"""Share of the expected rate by which a rate must stray for that."""
+"""Jitter as a share of the expected rate from which the wide window is used."""
 COUNTED = 20
-"""Samples of several publishers that a rate is counted from, at least: they come in no even beat."""
+"""Minimum number of samples to count a rate of several publishers: they do not arrive evenly."""
 LATE_S, STALL_S = 0.5, 1.0
-"""Looks further apart than LATE_S, two ticks, mean that PHM itself did not run: of that time half counts as silence of the
-publisher, so that a starved PHM still finds it, and of the longest pause nothing that is beyond STALL_S."""
+"""Looks further apart than LATE_S, two ticks, mean that PHM itself did not run. Half of that time counts as silence of
+the publisher, so that a starved PHM still detects it; of the longest pause nothing beyond STALL_S counts."""
 _SHARE = 0.2
 FADE_S, FADE_WINDOWS = 60.0, 20
-"""What was seen counts for about so long, or so many windows where that is longer."""
+"""Observations count for about this long, or so many windows if longer."""
 _ALIKE = 0.7
-"""Windows are compared when one is at least this share of the other."""
+"""Windows are compared if one is at least this share of the other."""
 
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """Under which circumstances samples were looked for.
+    """The circumstances of a look.
 
     publishers: listed by discovery. several: whether samples may be of more than one. on: whether there was a
     subscription since the last look. complete: whether the samples are all that were published since. closed_s: how
-    long there may be no subscription. problem: why there can be no rate.
+    long there may be no subscription. problem: why the rate cannot be measured.
     """
 
     publishers: int = 1
@@ -61,8 +61,8 @@ ALONE = Listening()
 class RateUncertainty:
     """Compares each rate with the one before its window began: both are of the same publisher, and share no sample.
 
-    So jitter, bursts and stalls are seen as what they do to the rate. A rate that really changes is one difference
-    among many, and hardly matters.
+    So jitter, bursts and stalls count by their effect on the rate. A rate that really changes is one difference among
+    many and has little effect.
     """
 
     def __init__(self, window_s: float) -> None:
@@ -70,10 +70,10 @@ class RateUncertainty:
         self._past: deque[tuple[float, float, float]] = deque(maxlen=1000)
         self._seen_s = 0.0
         self._square = 0.0
-        """Mean of half the squared difference, times the window: for one twice as long the square is half."""
+        """Mean of half the squared difference, times the window: for a window twice as long the square is half."""
 
     def add(self, now_s: float, hz: float, window_s: float) -> None:
-        """A look: the rate as measured over the last `window_s`."""
+        """Record the rate measured over the last `window_s`."""
         past = self._past
         since_s = now_s - past[-1][0] if past else 0.0
         while len(past) > 1 and now_s - past[1][0] >= window_s:
@@ -85,7 +85,7 @@ class RateUncertainty:
         past.append((now_s, hz, window_s))
 
     def forget(self) -> None:
-        """What comes does not continue what was."""
+        """The next sample does not continue the previous ones."""
         self._past.clear()
 
     def error_hz(self, window_s: float) -> float | None:
@@ -94,11 +94,11 @@ class RateUncertainty:
 
 
 class RateEstimator:
-    """Turns the samples of one topic into a `RateFact`.
+    """Converts the samples of one topic to a `RateFact`.
 
-    expected_hz and silence_s only set for how long samples are kept and from when on the topic
-    counts as silent, max(3 periods, silence_s) at most (see `SilenceTimeout`); then the rate is 0.0. expected_hz 0 is a
-    latched topic, which never counts as silent.
+    expected_hz and silence_s determine only how long samples are kept and from when on the topic counts as silent, at
+    most max(3 periods, silence_s) (see `SilenceTimeout`); then the rate is 0.0. expected_hz 0 is a latched topic, which
+    is never silent.
     """
 
     def __init__(self, expected_hz: float, silence_s: float) -> None:
@@ -122,7 +122,7 @@ class RateEstimator:
         self.sample_bytes: float | None = None
 
     def look(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
-        """Called once a tick, with what arrived since the last one, oldest first."""
+        """Process the samples since the last look, oldest first. Called once per tick."""
         self._listen(now_s, samples, listening)
         if samples:
             self._take(now_s, samples, listening)
@@ -135,15 +135,15 @@ class RateEstimator:
 
     @property
     def span_s(self) -> float:
-        """Publication time that is measured over."""
+        """Publication time covered by the window, in seconds."""
         return max((track.span_s for track in self._tracks.values()), default=0.0)
 
     def mixed(self, now_s: float) -> bool:
-        """Whether the numbers of what seems one publisher can only be those of several."""
+        """Whether the sequence numbers of an apparent single publisher must be those of several."""
         return any(track.mixed(now_s) for track in self._tracks.values())
 
     def hold(self) -> None:
-        """What comes next does not continue what was seen so far, for no fault of the publisher: keep the rate."""
+        """The next sample does not continue the previous ones, without a fault of the publisher: keep the rate."""
         hz = self._sum()
         held = self._held if hz is None else (hz, self.span_s)
         self.forget()
@@ -159,12 +159,12 @@ class RateEstimator:
     # ---- input
 
     def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
-        """Count the time in which there was no sample though one would have been heard."""
+        """Count the time without a sample in which one would have been received."""
         passed_s = now_s - self._last_look_s if self._last_look_s is not None else 0.0
         self._last_look_s = now_s
         if not samples and listening.on:
             longest_s = max(self._paused_s, passed_s)
-            # Of the pauses until now only the longest one is cut short.
+            # Only the longest of the pauses until now is shortened.
             self._quiet_s += _listened_s(passed_s) - _cut_s(longest_s) + _cut_s(self._paused_s)
             self._paused_s = longest_s
 
@@ -186,13 +186,13 @@ class RateEstimator:
         self._quiet_s = self._paused_s = 0.0
 
     def _hand_over(self) -> None:
-        """To the sorter, what was one publisher so far: it may be the one that another takes the place of."""
+        """Pass the former single publisher to the sorter: another one may replace it."""
         assert self._sorter is not None
         if (alone := self._tracks.pop(None, None)) is not None and alone.last is not None:
             self._tracks[self._sorter.adopt(alone.last, alone.hz)] = alone
 
     def _take_back(self) -> None:
-        """One publisher is left: it is the one that was heard last."""
+        """One publisher remains: the one received last."""
         newest = max(self._tracks.values(), key=lambda track: track.at_s, default=None)
         self._sorter = None
         self._tracks.clear()
@@ -200,7 +200,7 @@ class RateEstimator:
             self._tracks[None] = newest
 
     def _add(self, sample: Sample) -> bool:
-        """False when it does not continue what was seen of its publisher."""
+        """Process one sample. False if it does not continue the samples of its publisher."""
         track = self._tracks.get(sample.writer)
         new = track is None
         if track is None:
@@ -214,13 +214,13 @@ class RateEstimator:
         self._restarts.hear(sample, last)
         continues = track.add(sample)
         if track.turned:
-            self._spread.forget()  # that it was another rate before is not unevenness
+            self._spread.forget()  # a change of the rate is not jitter
         if track.fell and last is not None:
             self._restarts.fell(last, hz)
         return continues and not new
 
     def _drop_gone(self, now_s: float, listening: Listening) -> None:
-        """Forget publishers that fell silent while another goes on; one that came since took the place of one."""
+        """Forget publishers that fell silent while another continues; one that began since has replaced one."""
         if len(self._tracks) < 2 or self._last_s is None:
             return
         sure = self._sorter is None or not self._sorter.puzzled(listening.publishers, now_s)
@@ -269,7 +269,7 @@ class RateEstimator:
         return self._spread.error_hz(window_s)
 
     def _sum(self) -> float | None:
-        """Of all publishers together, or None while one of them is not known."""
+        """Rate of all publishers together, or None while one of them is unknown."""
         rates = [track.hz for track in self._tracks.values()]
         known = [hz for hz in rates if hz is not None]
         return sum(known) if known and len(known) == len(rates) else None

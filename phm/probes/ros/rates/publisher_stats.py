@@ -9,42 +9,44 @@ from dataclasses import dataclass, replace
 from phm.probes.ros.rates.silence import WindowedMax
 
 SHORTEST_S = 1.0
-"""Below this span of publication time the jitter of two stamps is too large a share of it."""
+"""Over a shorter span of publication time the jitter of two timestamps is too large a share."""
 JUMP_S = 1.0
-"""Stamps that disagree with the time between two looks by more than this mean that a clock was set."""
+"""If timestamps and the time between two looks differ by more than this, a clock was set."""
 FALLS, FALLS_S = 3, 10.0
-"""A number that falls is a restarted publisher; this many falls within this time are two publishers."""
+"""A decreasing sequence number is a restarted publisher; this many within this time are two publishers."""
 QUICKEST_S = 60.0
-"""For how long the quickest delivery counts, at least: clocks of two hosts drift apart by 3 ms meanwhile."""
+"""Minimum time for which the fastest delivery counts: clocks of two hosts drift apart by 3 ms meanwhile."""
 LOOKS, CHANGE_SPAN_S = 4, 1.0
-"""So many looks in a row, over so much publication time, must each show it. A stall is one long look, however long."""
+"""Number of looks in a row, and their publication time, that must each show the change. A stall is a single long look.
+"""
 OFF = 0.15
-"""Each by more than this share of what the rate was, and by JITTERS standard deviations of how even the publisher was."""
+"""Each look must differ by more than this share of the former rate, and by JITTERS standard deviations of the
+publisher."""
 JITTERS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One look. sequence: None where the middleware has none. source_ns: publisher's clock. at_s: ours, monotonic."""
+    """One look. sequence: None if the middleware has none. source_ns: publisher's clock. at_s: ours, monotonic."""
 
     sequence: int | None
     source_ns: int
     at_s: float
     writer: bytes | None = None
-    """Identity of the publisher, where the middleware reports it (from Kilted on)."""
+    """Identity of the publisher, if the middleware reports it (from Kilted on)."""
     size: int = 0
     """Bytes of the serialized message."""
     delay_s: float = 0.0
-    """From publication to reception, each by the clock of its own host: beside a constant, how late it came."""
+    """Time from publication to reception, each by the clock of its own host: apart from a constant, its delay."""
     waited_s: float = 0.0
-    """From reception to the look that took it."""
+    """Time from reception to the look that took it."""
 
 
 class PublisherStats:
     """One publisher.
 
-    Invariant: of what is kept, sequence numbers rise and source times do not fall; whatever breaks that
-    (restart, a clock that was set) restarts the window.
+    Invariant: in the window, sequence numbers rise and source times do not fall; anything else (a restart, a clock that
+    was set) begins a new window.
     """
 
     def __init__(self, window_s: float) -> None:
@@ -55,26 +57,26 @@ class PublisherStats:
         self._jitter = Jitter()
         self._rate_change = RateChange()
         self._usual: tuple[float | None, float | None] = (None, None)
-        """Rate and jitter as of the last look that was as usual."""
+        """Rate and jitter at the last look without a deviation."""
         self._odd_from: Sample | None = None
         self._changed_from: Sample | None = None
-        """The newest sample before the looks that show another rate; the same where they were enough."""
+        """The newest sample before the looks that show another rate, also after they were enough."""
         self._quickest = WindowedMax(QUICKEST_S)
         self.last: Sample | None = None
         self.fell = False
-        """Whether the number of the newest sample fell below that of the one before."""
+        """Whether the sequence number of the newest sample was lower than that of the previous one."""
         self.turned = False
-        """Whether the newest sample showed that its rate has become another one."""
+        """Whether the newest sample showed that its rate has changed."""
         self.began_s = 0.0
         self._first: int | None = None
         self.replaced = False
-        """Whether it has been found to be the new life of another one."""
+        """Whether it is known to be the restarted form of another publisher."""
 
     def add(self, sample: Sample) -> bool:
-        """Take the next sample; False when it does not continue what was before."""
+        """Take the next sample; False if it does not continue the previous ones."""
         numbered = sample.sequence is not None
         if not numbered:
-            # No sequence numbers: the deep queue hands over every sample, so counting gives them.
+            # Without sequence numbers: the deep queue provides every sample, so they are counted.
             self._counted += 1
             sample = replace(sample, sequence=self._counted)
         if self.last is None:
@@ -101,18 +103,18 @@ class PublisherStats:
             self.fell = True
             return False
         published_s = (sample.source_ns - last.source_ns) / 1e9
-        # Samples that are only counted may be of several publishers, and come in any order.
+        # Counted samples may be of several publishers, in any order.
         if (numbered and published_s < 0) or abs(published_s - (sample.at_s - last.at_s)) > JUMP_S:
             self._quickest.clear()
             return False
-        if self._kept:  # else this is the first sample after a silence
+        if self._kept:  # otherwise this is the first sample after a silence
             if numbered and self._rate_change.add(count, published_s, *self._usual):
                 self._change()
             self._jitter.add(count, published_s)
         return True
 
     def _change(self) -> None:
-        """What was before is of another rate."""
+        """Earlier samples belong to another rate."""
         self._changed_from, self.turned = self._odd_from, True
         assert self._changed_from is not None
         while self._kept[0].at_s < self._changed_from.at_s:
@@ -120,13 +122,13 @@ class PublisherStats:
         self._jitter = Jitter()
 
     def forget(self) -> None:
-        """Restart: what comes after a silence must not be averaged with it."""
+        """Begin a new window: samples after a silence must not be averaged with earlier ones."""
         self._kept.clear()
         self._rate_change.forget()
         self._changed_from = None
 
     def mixed(self, now_s: float) -> bool:
-        """Whether these numbers can only be those of several publishers."""
+        """Whether these sequence numbers must be those of several publishers."""
         return len(self._falls) == FALLS and now_s - self._falls[0] <= FALLS_S
 
     @property
@@ -136,7 +138,7 @@ class PublisherStats:
 
     @property
     def hz(self) -> float | None:
-        """None until the window is long enough."""
+        """The rate; None until the window is long enough."""
         if self.span_s < SHORTEST_S:
             return None
         first, last = self._kept[0].sequence, self._kept[-1].sequence
@@ -145,7 +147,7 @@ class PublisherStats:
 
     @property
     def changed_s(self) -> float | None:
-        """For how long it has had another rate than before, at each look; None: not that began within the window."""
+        """How long it has had another rate than before, at each look; None if that did not begin within the window."""
         return self.span_s if self._kept and self._kept[0] is self._changed_from else None
 
     @property
@@ -155,23 +157,24 @@ class PublisherStats:
 
     @property
     def at_s(self) -> float:
-        """When its newest sample was looked at; -inf before the first."""
+        """When its newest sample was taken; -inf before the first."""
         return -math.inf if self.last is None else self.last.at_s
 
     def takes_place(self, of: PublisherStats, most: float) -> bool:
-        """Whether it is the new life of another one: began after its end, with a number of `most`, and for no third one."""
+        """Whether it is the restarted form of another publisher: it began after the other's end, with a sequence number
+        of at most `most`, and replaces no third one."""
         assert self._first is not None
         return self._first <= most and self.began_s > of.at_s and not self.replaced
 
     def age_s(self, now_s: float) -> float | None:
-        """Seconds since the newest sample was published, against the quickest delivery of late."""
+        """Seconds since the newest sample was published, relative to the fastest recent delivery."""
         last, quickest = self.last, self._quickest.most
         if last is None or quickest is None:
             return None
         return now_s - last.at_s + last.waited_s + last.delay_s + quickest
 
     def clock_age_s(self, now_s: float) -> float | None:
-        """The same by the clocks of both hosts as they are; None when that cannot be true."""
+        """The same by the clocks of both hosts; None if that is impossible."""
         if self.last is None:
             return None
         age_s = now_s - self.last.at_s + self.last.waited_s + self.last.delay_s
@@ -179,16 +182,16 @@ class PublisherStats:
 
 
 class Jitter:
-    """How evenly a publisher publishes, from what one look in a while can see of it.
+    """How evenly a publisher publishes, from occasional looks.
 
-    Between two looks `count` samples are published in `seconds`. `jitter_s` is the standard deviation of
-    `seconds - count * period`. Where each period is seen by itself (topics slower than the looks, 4 Hz) that is the
-    standard deviation of the period. Of faster ones it is that of publication times against an even beat, which is
-    the same for a timer; where each period is independent it is larger by the square root of `count`.
+    Between two looks `count` samples are published in `seconds`. `jitter_s` is the standard deviation of `seconds -
+    count * period`. If each period is observed separately (topics slower than the looks, 4 Hz) that is the standard
+    deviation of the period. For faster topics it is that of publication times against an even period, which is the same
+    for a timer; for independent periods it is larger by the square root of `count`.
     """
 
     FADE = 0.98
-    """The weight of a look after the next one: half of all weight lies on the last 34."""
+    """The weight of a look relative to the next one: half of the total weight is on the last 34."""
     LEAST = 5.0
 
     def __init__(self) -> None:
@@ -205,7 +208,7 @@ class Jitter:
 
     @property
     def jitter_s(self) -> float | None:
-        """None until at least LEAST looks have been made."""
+        """The jitter; None until at least LEAST looks."""
         if self._weight < self.LEAST - 0.5:
             return None
         period_s = self._seconds / self._count
@@ -214,7 +217,7 @@ class Jitter:
 
 
 class RateChange:
-    """Watches one publisher, look by look. Costs a few operations a look, and nothing grows."""
+    """Detects a change of rate of one publisher, look by look, with a few operations and constant memory."""
 
     def __init__(self) -> None:
         self._looks = 0
@@ -228,9 +231,10 @@ class RateChange:
         return not self._looks
 
     def add(self, count: int, seconds: float, usual_hz: float | None, jitter_s: float | None) -> bool:
-        """A look: `count` publications took `seconds`. usual_hz, jitter_s: of what was before the run of odd looks.
+        """Record a look: `count` publications took `seconds`.
 
-        True when the run is long enough to be another rate; then a new run begins.
+        usual_hz, jitter_s: of the time before the deviating looks. True when these are enough for another rate; then a
+        new series begins.
         """
         if usual_hz is None or jitter_s is None:
             self.forget()

@@ -1,4 +1,4 @@
-"""Several publishers of one topic: whose samples are whose, and how often a publisher was restarted."""
+"""Several publishers of one topic: assigns samples to publishers, and counts restarts."""
 
 from __future__ import annotations
 
@@ -10,33 +10,36 @@ from dataclasses import dataclass, replace
 from phm.probes.ros.rates.publisher_stats import PublisherStats, Sample
 
 MOST = 8
-"""Most publishers that are distinguished; with more, a queue of acceptable length holds too few samples of each."""
+"""Maximum number of publishers that are distinguished; with more, a queue of acceptable length has too few samples of
+each."""
 PER_PUBLISHER, DEPTH_MOST = 16, 64
-"""Samples in the queue for each of them: three make a line, and while it is not full they can be counted."""
+"""Samples in the queue for each of them: three make a line, and while the queue is not full they can be counted."""
 _STEADY = 3
-"""So many numbers make a slope."""
+"""So many sequence numbers determine a slope."""
 _ROOM, _ROOM_FULL = 3.0, 64.0
-"""How many numbers a sample may be off its line, or as many as are expected where that is more; and the same while there
-are as many lines at work as publishers, since then it must belong to one of them."""
+"""How many numbers a sample may be off its line, or as many as are expected if more. The same applies while there are
+as many active lines as publishers, because then the sample must belong to one of them."""
 _AT_WORK_NS = 2e9
 _BASE_S = 2.0
-"""A slope is measured over this much publication time."""
+"""Publication time over which a slope is measured."""
 _AGAIN_S = 20.0
 _BIRTHS_S = 10.0
-"""In so long one new line is a publisher that was restarted; more mean that samples were mistaken for others'."""
+"""Within this time one new line is a restarted publisher; more mean that samples were assigned wrongly."""
 GONE_S = 1.0
-"""A publisher is gone when another was heard this much later, or GONE_PERIODS of its own where that is longer."""
+"""A publisher is gone when another was received this much later, or GONE_PERIODS of its own if longer."""
 GONE_PERIODS = 6
 NEW_S = 5.0
-"""A publisher whose first sample has a number of no more seconds than this has just begun: it is discovered by then."""
+"""A publisher whose first sequence number covers at most this many seconds has just begun: discovery finds it by then.
+"""
 _STRAY = 0.5
-"""A number may be off where its publisher is expected to be by one, and by this share of those that are expected."""
+"""A sequence number may differ from its expected value by one, and by this share of the expected numbers."""
 _ENDS, _NAMES = 4, 16
 
 
 @dataclass(slots=True)
 class _Line:
-    """The numbers of one publisher. `base`: the (number, ns) that the slope is measured from, then the next one."""
+    """The sequence numbers of one publisher. `base`: the (number, ns) from which the slope is measured, then the next
+    one."""
 
     name: bytes
     number: int
@@ -46,7 +49,7 @@ class _Line:
     period_ns: float | None = None
 
     def off(self, number: int, at_ns: int) -> float | None:
-        """How far off the line this is, in numbers; None when it cannot be a later sample of it."""
+        """How far the sample is off the line, in numbers; None if it cannot be a later sample of it."""
         count, passed_ns = number - self.number, at_ns - self.at_ns
         if count <= 0 or passed_ns < 0:
             return None
@@ -66,7 +69,7 @@ class _Line:
 
 
 class PublisherDemux:
-    """Gives each sample the name of its line as writer, and counts them all together."""
+    """Assigns each sample to its line, as its writer, and counts all of them together."""
 
     def __init__(self, counted_over_s: float) -> None:
         self._lines: list[_Line] = []
@@ -76,7 +79,7 @@ class PublisherDemux:
         self._began_s: float | None = None
 
     def sort(self, samples: Sequence[Sample], publishers: int, *, complete: bool) -> list[Sample]:
-        """publishers: how many there are by discovery. complete: nothing was published that is not among `samples`."""
+        """publishers: their number according to discovery. complete: nothing was published that is not among `samples`."""
         sorted_samples = []
         self._try_again(publishers, samples[0].at_s)
         for sample in samples:
@@ -88,7 +91,7 @@ class PublisherDemux:
         return sorted_samples
 
     def adopt(self, last: Sample, hz: float | None) -> bytes:
-        """Go on with a publisher that was alone until now: its newest sample and rate. The name of its line."""
+        """Continue with a publisher that was alone until now: its newest sample and rate. Returns the name of its line."""
         line = self._new(last)
         self._births.clear()
         line.period_ns = 1e9 / hz if hz else None
@@ -96,18 +99,18 @@ class PublisherDemux:
 
     @property
     def counted_hz(self) -> float | None:
-        """All publishers together, by counting; None while some samples of the window were not seen."""
+        """Rate of all publishers together, by counting; None while some samples of the window were missed."""
         return self._all.hz
 
     def puzzled(self, publishers: int, now_s: float) -> bool:
-        """Whether the lines cannot be trusted. publishers: how many there are by discovery."""
+        """Whether the lines are unreliable. publishers: their number according to discovery."""
         born = sum(now_s - born_s <= _BIRTHS_S for born_s in self._births)
         young = self._began_s is None or now_s - self._began_s <= _BIRTHS_S
         at_work = self._at_work(max((line.at_ns for line in self._lines), default=0))
         return publishers > MOST or at_work > publishers or born > 1 + (publishers if young else 0)
 
     def _try_again(self, publishers: int, now_s: float) -> None:
-        """Mistaken samples stay so: restart after a while."""
+        """Wrongly assigned samples stay so: restart after a while."""
         if self._began_s is not None and now_s - self._began_s > _AGAIN_S and self.puzzled(publishers, now_s):
             self._began_s = None
             self._lines.clear()
@@ -117,7 +120,7 @@ class PublisherDemux:
         assert sample.sequence is not None
         number, at_ns = sample.sequence, sample.source_ns
         offs = [
-            # What follows by one is next, however late or early. Of equals, the one that has waited longest.
+            # A sample that follows by one is the next, however late or early. Of equals, the line that waited longest.
             (0.0 if number == line.number + 1 else off, line.at_ns, line)
             for line in self._lines
             if (off := line.off(number, at_ns)) is not None
@@ -147,20 +150,20 @@ class PublisherDemux:
 
 
 def gone_after_s(hz: float) -> float:
-    """How long a publisher of this rate may be silent beside one that is not."""
+    """How long a publisher of this rate may be silent while another one is not."""
     return max(GONE_S, GONE_PERIODS / hz if hz else 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    """The newest sample of a sequence that another one seems to have taken the place of."""
+    """The newest sample of a sequence that another one seems to have replaced."""
 
     last: Sample
     hz: float
 
 
 class PublisherRestarts:
-    """`count` may fall again: a publisher that was taken for gone came back. expected_hz: of the topic."""
+    """`count` may fall again: a publisher that seemed gone returned. expected_hz: of the topic."""
 
     def __init__(self, expected_hz: float) -> None:
         self._expected_hz = expected_hz
@@ -169,18 +172,19 @@ class PublisherRestarts:
         self.count = 0
 
     def fell(self, last: Sample, hz: float | None) -> None:
-        """A smaller number came after `last`, of a publisher of this rate: another life of it, or another one."""
+        """A lower number followed `last`, of a publisher of this rate: a restart, or another publisher."""
         self._ends.append(_End(last, min(hz or self._expected_hz, self._expected_hz)))
 
     def hear(self, sample: Sample, last: Sample | None) -> None:
-        """A sample, and the one before it of what is taken for its publisher: does a sequence that ended go on?"""
+        """A sample, and the previous one of its apparent publisher: does a sequence that ended continue?"""
         for end in list(self._ends):
             off = _off(end.last, sample, end.hz)
             if off < math.inf and off <= _off(last, sample, end.hz):
                 self._ends.remove(end)
 
     def settle(self, now_s: float, closed_s: float, *, mixed: bool) -> None:
-        """Called once a look. closed_s: how long there is no subscription. mixed: the numbers are those of several publishers."""
+        """Called once per look. closed_s: how long there is no subscription. mixed: the numbers are those of several
+        publishers."""
         if mixed:
             self._ends.clear()
         for end in list(self._ends):
@@ -189,7 +193,7 @@ class PublisherRestarts:
                 self.count += 1
 
     def gone(self, writer: bytes | None, track: PublisherStats, others: list[PublisherStats]) -> None:
-        """A distinguishable publisher fell silent: did one of them take its place?"""
+        """A distinguishable publisher fell silent: did one of them replace it?"""
         most = 1 + NEW_S * max(track.hz or 0.0, self._expected_hz)
         heir = next((other for other in others if other.takes_place(track, most)), None)
         if heir is None:
@@ -201,14 +205,15 @@ class PublisherRestarts:
             self._replaced.popitem(last=False)
 
     def back(self, writer: bytes | None) -> None:
-        """A publisher that is not known is heard: one that was gone has not been replaced after all."""
+        """An unknown publisher sends: one that seemed gone has not been replaced after all."""
         if writer in self._replaced:
             del self._replaced[writer]
             self.count -= 1
 
 
 def _off(last: Sample | None, sample: Sample, hz: float) -> float:
-    """How many numbers `sample` is off what follows `last` at this rate; infinite when it cannot be of the same publisher."""
+    """How many numbers `sample` is off the successor of `last` at this rate; infinite if it cannot be of the same
+    publisher."""
     if last is None or last.sequence is None or sample.sequence is None or sample.sequence <= last.sequence:
         return math.inf
     expected = max(1.0, hz * (sample.source_ns - last.source_ns) / 1e9)

@@ -1,22 +1,22 @@
-"""From when on a topic counts as silent: as early as its pauses so far allow."""
+"""The time from which a topic counts as silent: as short as its pauses so far permit."""
 
 from __future__ import annotations
 
 from collections import deque
 
 FLOOR_S = 1.0
-"""Nothing is silent before: a process that waits for its processor is not."""
+"""Minimum limit: a process that waits for a CPU is not silent."""
 MARGIN_S = 0.5
-"""Two looks: a sample that came just after one is seen at the next."""
+"""Two looks: a sample that arrived just after one is seen at the next."""
 PERIODS = 1.5
-"""Nor is anything before so many of its expected periods, nor before one and MARGIN_S: a publisher that ends just before
-it would have published is called silent half a second later at the earliest, which `settle_s` of the check relies on."""
+"""Minimum limit in expected periods, and one period plus MARGIN_S: a publisher that ends just before its next
+publication is reported as silent at least half a second later, on which `settle_s` of the check relies."""
 SPREADS = 2.0
-"""The longest pause seen may be passed by so many times what it was longer than usual."""
+"""The longest pause may be exceeded by so many times its difference from the usual one."""
 LEAST, LEAST_S = 20, 15.0
-"""As many pauses, over as long, must have been seen before the limit comes down from the configured one."""
+"""So many pauses, over this time, must have been observed before the limit falls below the configured one."""
 HORIZON_S = 600.0
-"""For how long a pause is remembered, or HORIZON periods where that is longer."""
+"""How long a pause is remembered, or HORIZON periods if longer."""
 HORIZON = 60
 _SHARE = 0.05
 BUCKETS = 10
@@ -45,18 +45,17 @@ class WindowedMax:
 
     @property
     def most(self) -> float | None:
-        """None when nothing was added, or nothing since `clear`."""
+        """The maximum; None if nothing was added since the start or `clear`."""
         return max(number for _, number in self._buckets) if self._buckets else None
 
 
 class SilenceTimeout:
-    """The silence limit of one topic.
+    """The silence limit of one topic. `most_s` is the configured limit, and never exceeded.
 
-    `most_s` is the configured limit, and never exceeded. Below it the limit follows the pauses that ended by
-    themselves: longest + max(0.5 s, 2 * (longest - usual)), at least 1 s and 1.5 expected periods (or, below a period of
-    a second, one and half a second). So a topic that
-    never paused for much longer than its period is called silent soon, and one that pauses at will is given its time.
-    A pause is what the looks saw of it: the time without a new sample at the last look before one came.
+    Below it the limit follows the pauses that ended by themselves: longest + max(0.5 s, 2 * (longest - usual)), at
+    least 1 s and 1.5 expected periods (or, below a period of a second, one period and half a second). So a topic that
+    never paused for much longer than its period is reported soon, and an irregular one gets more time. A pause is
+    measured by the looks: the time without a new sample at the last look before one arrived.
     """
 
     def __init__(self, expected_hz: float, most_s: float) -> None:
@@ -74,7 +73,8 @@ class SilenceTimeout:
         return self._limit_s
 
     def ended(self, pause_s: float, now_s: float) -> None:
-        """A pause, perhaps of no length, ended by itself. One above `most_s` was a silence and teaches nothing."""
+        """Record a pause, perhaps of zero length, that ended by itself. One above `most_s` was a silence and is not
+        used."""
         if pause_s > self.most_s:
             return
         if self._began_s is None:

@@ -1,4 +1,4 @@
-"""The rate of one topic: a reader that follows its publishers, and the estimator that takes its samples."""
+"""The rate of one topic: a reader that follows its publishers, and the estimator that processes its samples."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from phm.probes.ros.rates.publishers import DEPTH_MOST, PER_PUBLISHER
 from phm.probes.ros.reader import Quality, Reader
 
 LARGE_BPS = 1e6
-"""Bytes per second from which on a topic is listened to in windows only: the middleware copies all of them to PHM."""
+"""A topic with more bytes per second is subscribed only in windows: the middleware copies all samples to PHM."""
 SMALL_BPS = 0.8e6
 PAUSE_S = 2.0
-"""Between two windows. A window ends with the first look that finds a sample."""
+"""Time between two windows. A window ends with the first look that finds a sample."""
 MATCH_S = 3.0
-"""A subscription that is not connected to a listed publisher for this long never will be; it takes 0.1 s."""
+"""A subscription not connected to a listed publisher for this long never will be; normally it takes 0.1 s."""
 STALE_S = 25.0
-"""Two publishers of one node are one that was restarted, until the lease of the older (20 s by default) is over."""
+"""Two publishers of one node are one that was restarted, until the lease of the older one (20 s by default) ends."""
 MIXED_S = 60.0
-"""How long numbers that were found mixed are sorted, whatever discovery says; then it is tried again."""
+"""How long mixed sequence numbers are sorted, regardless of discovery; then the normal method is tried again."""
 COUNTED_LOOKS = 4
-"""Without sequence numbers, a queue for as many looks as this at the expected rate, so for up to this times the rate."""
+"""Without sequence numbers, the queue has space for this many looks at the expected rate, so for up to this multiple of
+the rate."""
 TYPES = 3
-"""So many are named."""
+"""Maximum number that is named."""
 COUNTED, COUNTED_MOST = 10, 1000
 
 
 class TopicMonitor:
-    """Follows the publishers of one topic; it never raises for what they are."""
+    """Follows the publishers of one topic; their properties never cause an exception."""
 
     def __init__(self, node: Any, topic: WantedTopic, tick_s: float = 0.25) -> None:
         assert topic.rate_hz is not None
@@ -55,7 +56,7 @@ class TopicMonitor:
         self._mixed_at_s = -math.inf
 
     def look(self, now_s: float, publishers: tuple[EndpointFact, ...]) -> RateFact:
-        """Called once a tick, with what discovery says now."""
+        """Called once per tick, with the publishers that discovery lists now."""
         several = self._several(now_s, publishers)
         listened = self._reader is not None
         self._follow(now_s, publishers, several)
@@ -81,7 +82,7 @@ class TopicMonitor:
             return []
         samples = self._reader.take(now_s)
         if samples and samples[0].sequence is None and not self._counted:
-            # This middleware does not number its samples: count them all instead.
+            # This middleware provides no sequence numbers: count all samples instead.
             self._counted = True
             self._close()
             return []
@@ -89,7 +90,7 @@ class TopicMonitor:
         return samples
 
     def _several(self, now_s: float, publishers: Sequence[EndpointFact]) -> bool:
-        """Whether samples may be of more than one publisher. One node restarted is listed twice for a while."""
+        """Whether samples may be of more than one publisher. A restarted node is listed twice for a while."""
         if len(publishers) < 2:
             self._twins_since_s = None
         elif self._twins_since_s is None:
@@ -98,11 +99,11 @@ class TopicMonitor:
             self._mixed_at_s = now_s
         twins = self._twins_since_s is not None and now_s - self._twins_since_s > STALE_S
         mixed = now_s - self._mixed_at_s < MIXED_S
-        # An endpoint is listed a moment before its node's name: no name is not another name.
+        # An endpoint is listed a moment before its node's name: an empty name is not another name.
         return twins or mixed or len({publisher.node for publisher in publishers if publisher.node}) > 1
 
     def _follow(self, now_s: float, publishers: Sequence[EndpointFact], several: bool) -> None:
-        """Have a reader that fits, unless this is the time between two windows."""
+        """Open a suitable reader, unless it is the time between two windows."""
         types = sorted({publisher.type for publisher in publishers if publisher.type})
         if types and self._type not in types:
             self._close()
@@ -119,7 +120,7 @@ class TopicMonitor:
             looks = COUNTED_LOOKS * self._tick_s * self._expected_hz * max(1, len(publishers))
             depth = min(COUNTED_MOST, max(COUNTED, math.ceil(looks)))
         elif several or len(publishers) > 1:
-            # Also of a node that was restarted: whether the older one is gone shows by all that comes, not by the newest.
+            # Also for a restarted node: whether the older one is gone shows in all samples, not in the newest.
             depth = min(DEPTH_MOST, PER_PUBLISHER * max(2, len(publishers)))
         latched = not self._expected_hz and all(
             (end.durability, end.reliability) == ("transient_local", "reliable") for end in publishers
@@ -141,7 +142,7 @@ class TopicMonitor:
         self._complete = False
 
     def _shut_window(self, now_s: float, samples: Sequence[Sample], fact: RateFact) -> None:
-        """A large topic was seen: nothing more is wanted of it for a while."""
+        """After a sample of a large topic: close the reader for a while."""
         hz = fact.hz or self._expected_hz
         self._large = (self._estimator.sample_bytes or 0.0) * hz > (SMALL_BPS if self._large else LARGE_BPS)
         if not self._large or (self._counted and self._estimator.span_s < SHORTEST_S):
@@ -150,7 +151,7 @@ class TopicMonitor:
         self._open_at_s = now_s + PAUSE_S
 
     def _problem(self, now_s: float, publishers: Sequence[EndpointFact], matched: int | None) -> str:
-        """Why there can be no rate, whatever the samples say."""
+        """Why the rate cannot be measured, regardless of the samples; empty if it can."""
         types = sorted({publisher.type for publisher in publishers if publisher.type})
         if len(types) > 1:
             more = f" and {len(types) - TYPES} more" if len(types) > TYPES else ""
