@@ -47,7 +47,15 @@ class Cpu:
     def judge(self, fact: api.HostFact, now: float, world: api.World) -> api.Result:
         """Evaluate one reading, see `_judge`; the result's readings also contain the mean."""
         mean = self._mean_of(fact, now)
-        return replace(self._judge(fact, mean, now, world), readings=api.HostReadings(cpu_percent=mean))
+        result = self._judge(fact, mean, now, world)
+        if not result.level.bad:
+            result = result.with_evidence(api.Evidence(rising=self._above(fact)))
+        return replace(result, readings=api.HostReadings(cpu_percent=mean))
+
+    def _above(self, fact: api.HostFact) -> bool:
+        """Whether this reading alone would be a fault of the quick detection."""
+        waits = fact.waiting_percent is not None and fact.waiting_percent >= WAITING_PERCENT
+        return waits and fact.cpu_percent >= self._limits.cpu.warn
 
     def _judge(self, fact: api.HostFact, mean: float, now: float, world: api.World) -> api.Result:
         """Evaluate the mean of the readings in the window; report high use once the window is full, or by the quick detection."""

@@ -88,9 +88,20 @@ class Pressure(PerContainer):
         ]
         values = _values(fact, over)
         if not findings:
-            return api.ok(f"{self.key} has enough CPU, memory and I/O ({fact.source}{_not_seen(fact)})", **values)
+            result = api.ok(f"{self.key} has enough CPU, memory and I/O ({fact.source}{_not_seen(fact)})", **values)
+            return result.with_evidence(api.Evidence(rising=self._above(newest)))
         first = api.worst(findings)
         return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
+
+    def _above(self, newest: PressureDelta) -> bool:
+        """Whether the newest second alone is above a limit."""
+        limits = self._limits
+        shares = (
+            (newest.throttled, limits.throttled),
+            (newest.waiting, limits.waiting),
+            (newest.memory, limits.memory),
+        )
+        return any(share is not None and share >= limit.warn for share, limit in shares)
 
     def _judge_limit(self, fact: api.PressureFact, over: PressureDelta, newest: PressureDelta) -> api.Result | None:
         level = self._throttled.level(over.throttled, newest.throttled)

@@ -25,6 +25,8 @@ STAY = 0.9
 MEASURED_S = 1.0
 """A silence is detected at most this much after its limit: the sampler and the check run once a second."""
 _BLOCKS = "a firewall, or shared memory without a shared /dev/shm: set FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
+RAN_S = 2.0
+"""A publisher whose executor ran this long after a message was due, and did not send it, is not just waiting for a CPU."""
 LATE_S = 0.1
 """An executor with a larger delay is waiting for the CPU."""
 DOUBTS = 2.5
@@ -135,7 +137,8 @@ class Rates(api.Check):
         limit_s = seen.rate.limit_s
         limit = "" if limit_s is None else f" and no gap over {span(limit_s)}"
         known = (seen.rate.sample_bytes or 0.0) * case.rate <= LARGE_BPS
-        turns = known and _all_turned(seen, fact, max(silent_s, seen.rate.age_s or 0.0) - 1 / case.rate)
+        due_s = max(silent_s, seen.rate.age_s or 0.0) - 1 / case.rate
+        turns = known and _all_turned(seen, fact, due_s)
         why = (
             "its data source stopped, the node itself is running"
             if turns
@@ -148,6 +151,7 @@ class Rates(api.Check):
             f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}; check that node's log",
             case,
         )
+        result = result.with_evidence(api.Evidence(conclusive=turns and _all_turned(seen, fact, due_s - RAN_S)))
         settle_s = GAP_PERIODS / case.rate - (limit_s or 0.0)
         return replace(result, settle_s=min(SETTLE_S, max(0.0, settle_s))) if turns else result
 

@@ -35,6 +35,7 @@ VERBS = {
     "note": "Write a line into the running daemon's log.",
     "proxy-rules": "Print Docker proxy rules that allow only the calls PHM makes.",
     "gcs": "Show the status of all agents, as received by a ground station.",
+    "demo": "Show three simulated agents and two faults on this machine.",
 }
 EX_SOFTWARE = 70
 """As in sysexits.h; `os` has it on POSIX alone."""

@@ -93,6 +93,7 @@ class Evidence:
     listed:       how many times the ROS graph still lists the name of the missing node; None: unknown.
     file:         path of the faulty file inside the container.
     broken_hop:   name of the first broken hop on the command path.
+    rising:       the newest measurement is above the limit, but not for long enough to report it yet.
     """
 
     generation: str = ""
@@ -102,6 +103,7 @@ class Evidence:
     listed: int | None = None
     file: str = ""
     broken_hop: str = ""
+    rising: bool = False
 
 
 @dataclass(frozen=True, slots=True)

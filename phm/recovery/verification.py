@@ -18,6 +18,8 @@ from phm.tracker.starvation import explanation
 POLL_S = 0.05
 RERUN_S = 0.5
 """While a verification waits, the checks run again this often."""
+STARVED_S = 60.0
+"""Dependents that starvation can explain get this much more time while it lasts: nodes need up to 50 s to start at four busy threads per core."""
 STILL_BAD_S = 2.0
 """A run that began this long after the action (beyond the unit's grace) and is still ERROR ends the wait."""
 
@@ -112,6 +114,8 @@ class Verification:
         if longest_s is None:
             longest_s = max(self.grace_s(name) for name in self.waiting) + STILL_BAD_S + self.verify_after_s
         starved = self.starved and self._may_be_starvation(checks)
+        if starved and checks.active_pressure(self.unit):
+            more_s = max(more_s, STARVED_S)
         if now - self.done <= longest_s + (more_s if starved else 0.0):
             return None
         missing = self.waiting[0]

@@ -144,6 +144,11 @@ class Daemon:
             self._watchdog.revive()
         return self._stalled * SUPERVISE_S < STALLED_END_S
 
+    @property
+    def alive(self) -> bool:
+        """Whether the last call of `supervise` found that PHM works."""
+        return self._stalled == 0
+
     def wake(self) -> None:
         """PHM was stopped (SIGSTOP) and continues: run the main loop now."""
         self.components.loop.wake()

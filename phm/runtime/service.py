@@ -11,6 +11,7 @@ from phm.core.clock import SystemClock
 from phm.core.instance_lock import InstanceLock
 from phm.core.process_priority import apply
 from phm.core.signals import Signals
+from phm.core.systemd import SystemdNotifier
 from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.configuration import Configuration
 from phm.runtime.daemon import STALLED_END_S, SUPERVISE_S, Daemon
@@ -33,13 +34,16 @@ def run(configuration: Configuration, read: ReadAgain) -> int:
     priority = apply(settings.process)
     clock = SystemClock()
     clock.measure()
+    systemd = SystemdNotifier(clock)
     reloader = Reloader(read)
     problems = (threads.problem, lambda: lock.problem, lambda: priority.problem)
     daemon = Daemon(settings, clock, watchdog, plan=configuration.plan, problems=problems, reload=reloader.request)
     with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:
         daemon.start()
         watchdog.start()
-        daemon = _serve(daemon, signals, reloader)
+        systemd.ready()
+        daemon = _serve(daemon, signals, reloader, systemd)
+        systemd.stopping()
         hung = daemon.stop()
         lock.release()
         if hung:
@@ -47,17 +51,21 @@ def run(configuration: Configuration, read: ReadAgain) -> int:
     return os.EX_OK
 
 
-def _serve(daemon: Daemon, signals: Signals, reloader: Reloader) -> Daemon:
+def _serve(daemon: Daemon, signals: Signals, reloader: Reloader, systemd: SystemdNotifier) -> Daemon:
     """Supervise until a signal ends it; returns the daemon that runs then."""
     while True:
         if not daemon.supervise():
             logger.critical("PHM has stalled for %.0f s and exits so that it is restarted", STALLED_END_S)
             logging.shutdown()
             os._exit(os.EX_SOFTWARE)  # an orderly stop would wait for what hangs
+        if daemon.alive:
+            systemd.watchdog()
         for number in signals.wait(SUPERVISE_S):
             if number in ENDING:
                 return daemon
             if number == signal.SIGCONT:
                 daemon.wake()
             if number == signal.SIGHUP:
+                systemd.reloading()
                 daemon = reloader.run(daemon)
+                systemd.ready()

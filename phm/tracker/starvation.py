@@ -20,7 +20,7 @@ UNKNOWN_PRESSURE_S = 10.0
 BEFORE_PRESSURE_S = 5.0
 """A symptom may be published this long before the statistics show its starvation. Older faults stay open."""
 WARN_WAIT_S = 3.0
-"""While a pressure unit is WARN, symptoms that it may soon explain wait this long. WARN itself explains nothing."""
+"""While a pressure unit is WARN or rises, symptoms that it may soon explain wait this long. WARN itself explains nothing."""
 RECOVERY_S = 5.0
 """After starvation symptoms have this long to disappear, or the `grace_s` of their unit if longer."""
 
@@ -52,7 +52,7 @@ _VIEWS = Explanation("the neighbours' beacons are late, or read late")
 
 EXPLAINED: Mapping[str, Explanation] = {
     "rate_low": _SLOW,
-    "silent": _SLOW,
+    "silent": Explanation(f"{_SLOW.evidence}; not where its executor ran 2 s after a message was due"),
     "not_received": Explanation("a publisher that is starved from its start has not sent yet"),
     "transport_blocked": Explanation("publishers that are starved from their start are found, and have not sent yet"),
     "topic_missing": _LEASE,
@@ -127,8 +127,9 @@ def undecided(record: UnitRecord) -> bool:
 
 
 def may_become_explained(record: UnitRecord, view: TrackerView) -> bool:
-    """Whether a pressure unit is WARN and may become ERROR soon."""
-    return any(other.latest is not None and other.latest.level is Level.WARN for other in pressure_units(record, view))
+    """Whether a pressure unit may become ERROR soon: it is WARN, or its newest measurement is above the limit."""
+    latest = (other.latest for other in pressure_units(record, view))
+    return any(result is not None and (result.level is Level.WARN or result.evidence.rising) for result in latest)
 
 
 def predates(record: UnitRecord, pressure_unit: UnitRecord) -> bool:

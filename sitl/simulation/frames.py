@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from sitl.simulation.link import mavlink
+from phm.simulation.mavlink_port import mavlink
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 RADIO_STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS

@@ -18,8 +18,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from phm.core.model import Level, Slot
+from phm.simulation.mavlink_port import Port, mavlink
 from phm.wire import status_word
-from sitl.simulation.link import Port, mavlink
 
 SYSTEM, COMPONENT = 255, 190
 HEARTBEAT_S = 1.0

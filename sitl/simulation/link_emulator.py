@@ -21,9 +21,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from sitl.simulation.autopilot_model import AutopilotModel
+from phm.simulation.autopilot_model import AutopilotModel
+from phm.simulation.mavlink_port import Port
 from sitl.simulation.frames import Frame
-from sitl.simulation.link import Port
 from sitl.simulation.mesh import Mesh
 from sitl.simulation.ports import INSIDE, Ports
 from sitl.simulation.vehicle import Place, Vehicle

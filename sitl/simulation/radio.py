@@ -19,7 +19,7 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from sitl.simulation.link import Port, mavlink
+from phm.simulation.mavlink_port import Port, mavlink
 
 SYSTEM, COMPONENT = ord("3"), ord("D")
 FILLS = 10
@@ -64,7 +64,7 @@ class _End:
 
 class Radio:
     """Runs in one thread: `run` until `stop`. near, far: where the two radios are connected, as in
-    `sitl.simulation.link.Port`. `air` and `near.off`, `far.off` (no power) may be set from outside. Raises OSError when
+    `phm.simulation.mavlink_port.Port`. `air` and `near.off`, `far.off` (no power) may be set from outside. Raises OSError when
     a port is in use.
     """
 

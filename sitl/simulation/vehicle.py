@@ -16,10 +16,10 @@ from collections import Counter
 from dataclasses import asdict
 from typing import Any, Literal
 
-from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, AutopilotModel
+from phm.simulation.autopilot_model import AUTOPILOT, BOOT_S, AutopilotModel
+from phm.simulation.mavlink_port import mavlink
 from sitl.simulation.channel_model import Conditions, Pipe
 from sitl.simulation.frames import HEARTBEAT, RADIO_STATUS, Frame
-from sitl.simulation.link import mavlink
 
 Place = Literal["phm", "pilot", "ground"]
 PLACES: tuple[Place, ...] = ("phm", "pilot", "ground")

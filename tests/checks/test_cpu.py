@@ -61,6 +61,14 @@ def test_a_full_cpu_with_waiting_tasks_is_reported_fast() -> None:
     assert "waited for a core in 90 %" in results[-1].summary and "`top`" in results[-1].summary
 
 
+def test_use_that_does_not_last_yet_is_reported_to_the_tracker_as_rising() -> None:
+    """Symptoms that it may explain wait for it."""
+    bench = Bench()
+    assert not bench.look(**CALM).evidence.rising
+    assert [result.evidence.rising for result in bench.looks(1.5, **BUSY)] == [True] * 3
+    assert not bench.look(cpu_percent=100.0, waiting_percent=WAITING_PERCENT - 1).evidence.rising
+
+
 @pytest.mark.parametrize(
     "fields",
     [

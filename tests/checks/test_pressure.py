@@ -130,6 +130,15 @@ def test_one_second_of_throttling_is_not_a_fault() -> None:
         assert "ERROR" not in names([bench.look(0.4, **STARVED), *bench.looks(3)])
 
 
+def test_a_second_above_a_limit_is_reported_to_the_tracker_as_rising() -> None:
+    """Symptoms that it may explain wait for it."""
+    bench = Bench()
+    bench.calm()
+    rising = bench.look(0.4, **STARVED)
+    assert (rising.level, rising.evidence.rising) == (api.Level.OK, True)
+    assert [result.evidence.rising for result in bench.looks(3)][1:] == [False, False]
+
+
 def test_the_throttled_share_is_correct_for_any_number_of_cpus() -> None:
     """Throttled time is summed over the CPUs: four threads with 1.5 CPUs are throttled 62 % of the time, not 250 %."""
     bench = Bench(replace(FACT, cpu_limit=1.5))

@@ -161,6 +161,20 @@ def test_the_sampler_decides_what_is_silent() -> None:
     assert "Silent for 1.8 s, expected 1 Hz and no gap over 1.5 s" in result.summary
 
 
+@pytest.mark.parametrize(("silent_s", "late_s", "conclusive"), [(5.0, 0.0, True), (3.5, 0.0, False), (5.0, 2.0, False)])
+def test_silence_of_a_running_executor_is_not_explained_by_starvation(
+    silent_s: float, late_s: float, conclusive: bool
+) -> None:
+    """The node's executor ran 2 s after a message was due: it had the CPU, and did not publish."""
+    beacon = api.BeaconFact(0.1, 1.0, late_s, turns=20)
+    result = Bench().judge(0.0, silent_s, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
+    assert (result.condition, result.evidence.conclusive) == ("silent", conclusive)
+
+
+def test_silence_without_evidence_of_the_node_may_follow_from_starvation() -> None:
+    assert not Bench().judge(0.0, 60.0).evidence.conclusive
+
+
 def test_a_delay_of_phm_itself_is_not_silence() -> None:
     """The child is late, so its last snapshot grows old; it reported no silence."""
     assert Bench().evaluate(hz=1.0, silent_s=2.9, age_s=2.8).level is api.Level.OK

@@ -25,7 +25,8 @@ from phm.config.yaml_tree import parse
 from phm.core.settings import Settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-SHIPPED = sorted([CONFIG / "phm.yaml", *(CONFIG / "examples").glob("*.yaml")])
+DEMO = CONFIG.parent / "phm" / "simulation" / "demo.yaml"
+SHIPPED = sorted([CONFIG / "phm.yaml", DEMO, *(CONFIG / "examples").glob("*.yaml")])
 KEY = re.compile(r"^(?P<indent> *)#?(?P<dash>(?:- )?)#?(?P<key>[a-z_0-9]+):(?: |$)")
 PROSE = re.compile(r"^ *# (?P<text>.*)$")
 QUOTED = re.compile(r"`([^`]*)`")

@@ -34,6 +34,7 @@ FOREIGN = frozenset(
         "groups",
         "id",
         "ip",
+        "journalctl",
         "jq",
         "kill",
         "ls",

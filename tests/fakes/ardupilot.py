@@ -12,7 +12,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from sitl.simulation.link import Port, mavlink, parser
+from phm.simulation.mavlink_port import Port, mavlink, parser
 
 STEP_S = 0.02
 

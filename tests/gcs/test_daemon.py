@@ -21,11 +21,11 @@ from phm.gcs.recorder import Recorder
 from phm.gcs.station import COMPONENT, GroundStation
 from phm.gcs.subscriber_queue import SubscriberQueue
 from phm.runtime.daemon import Daemon
+from phm.simulation.autopilot import SimulatedAutopilot
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.wire import json_log
 from phm.wire.gcs_marker import MONITOR
-from sitl.simulation.autopilot import Autopilot
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text
 from tests.fakes.until import until
 from tests.gcs.bench import Wire
@@ -303,7 +303,7 @@ def test_a_flood_does_not_affect_other_senders(wired: Callable[..., tuple[Ground
 def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
     """By ArduPilot's rule, which the simulated one follows. When its port closes, the hop is the ground's own link."""
     companion, ground = free_port(), free_port()
-    vehicle = Autopilot(7, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{ground}", armed=True)
+    vehicle = SimulatedAutopilot(7, f"tcpin:127.0.0.1:{companion}", f"tcpin:127.0.0.1:{ground}", armed=True)
     thread = threading.Thread(target=vehicle.run, daemon=True)
     thread.start()
     station = GroundStation(endpoints(f"tcp:127.0.0.1:{ground}"), 254, SystemClock(), silent=silent)

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from phm.core.model import Level, Slot
+from phm.simulation.mavlink_port import mavlink
 from sitl.simulation.ground import Ground
-from sitl.simulation.link import mavlink
 from tests.fakes.mavlink import Sender, free_port, text
 from tests.fakes.until import until
 from tests.interop.programs import Mavproxy, Program

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from phm.core.model import worst_by_slot
 from phm.runtime.daemon import Daemon
+from phm.simulation.autopilot import SimulatedAutopilot
 from phm.testing import settings
 from phm.wire import status_word
-from sitl.simulation.autopilot import Autopilot
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.mavlink import free_port
 
@@ -39,7 +39,7 @@ class Vehicle:
 
     def __init__(self, folder: Path, passphrase: str = "") -> None:
         self.port, self.direct, self.companion = free_port(), free_port(), free_port()
-        self.pilot = Autopilot(SYSTEM, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self.port}")
+        self.pilot = SimulatedAutopilot(SYSTEM, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self.port}")
         self._thread = threading.Thread(target=self.pilot.run, name="autopilot", daemon=True)
         self._thread.start()
         self.engine = FakeEngine(folder / "engine.sock")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -10,6 +11,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import yaml
+
+from phm import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = sorted((ROOT / "scripts" / "locks").glob("*.lock"))
@@ -78,3 +82,28 @@ def test_scripts_are_executable_and_strict(script: Path) -> None:
     assert os.access(script, os.X_OK)
     assert 'source "$(dirname -- "${BASH_SOURCE[0]}")/lib.sh"' in script.read_text("utf-8")
     subprocess.run(["bash", "-n", str(script)], check=True, timeout=10)
+
+
+def test_the_bake_file_builds_stages_and_arguments_of_the_dockerfile() -> None:
+    """Each target names a stage of docker/Dockerfile, for both platforms, and sets only arguments that it declares."""
+    dockerfile = (ROOT / "docker" / "Dockerfile").read_text("utf-8")
+    stages = set(re.findall(r"^FROM \S+ AS (\S+)$", dockerfile, re.MULTILINE))
+    arguments = set(re.findall(r"^ARG (\w+)", dockerfile, re.MULTILINE))
+    bake = json.loads((ROOT / "docker" / "docker-bake.json").read_text("utf-8"))
+    common = bake["target"]["_published"]
+    assert common["platforms"] == ["linux/amd64", "linux/arm64"]
+    for name in bake["group"]["default"]["targets"]:
+        target = bake["target"][name]
+        assert target["inherits"] == ["_published"]
+        assert target["target"] in stages
+        assert {*common["args"], *target.get("args", {})} <= arguments
+    used = set(re.findall(r"\$\{(\w+)\}", json.dumps(bake["target"])))
+    assert used == set(bake["variable"])
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    """CITATION.cff and the newest section of the CHANGELOG name the version of the package."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    sections = re.findall(r"^## \[?([^\]\s]+)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert citation["version"] == __version__
+    assert next(name for name in sections if name != "Unreleased") == __version__

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from phm.api import Result, error
-from phm.recovery.verification import Verification, VerificationResult
+from phm.recovery.verification import STARVED_S, Verification, VerificationResult
 
 GRACE_S = 3.0
 
@@ -98,12 +98,12 @@ class Starved(Silent):
 @pytest.mark.parametrize("until", [1.0, 100.0])
 @pytest.mark.parametrize("unit_ok", [True, False])
 def test_a_starved_container_gets_more_time_and_the_attempt_is_not_counted(unit_ok: bool, until: float) -> None:
-    """`recovery.verify` once more, also when the starvation has ended meanwhile; then the attempt has failed, but is
-    not counted.
+    """`recovery.verify` once more, also when the starvation has ended meanwhile, and for dependents STARVED_S while it
+    lasts; then the attempt has failed, but is not counted.
     """
     starved = Starved(1000.0 if unit_ok else 36.0, unit_ok=unit_ok, until=until)
     proving = Verification("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
-    ends = GRACE_S + 4.0 + 30.0 if unit_ok else GRACE_S + 2.0 + 30.0
+    ends = GRACE_S + 4.0 + (STARVED_S if until > 1.0 else 30.0) if unit_ok else GRACE_S + 2.0 + 30.0
     for now in (0.5, 10.0, 34.0):
         starved.started = now
         assert starved.say(proving, now) is None

@@ -286,3 +286,34 @@ def test_a_finished_step_is_not_waited_for() -> None:
     closing = ShutdownSequence(SystemClock(), 3600.0)
     closing.step("quick", lambda: None, 3600.0)
     assert closing.hung == []
+
+
+# ---------------------------------------------------------------- systemd
+
+
+def test_systemd_is_notified_from_start_to_stop(
+    start: Callable[..., Running], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """READY after the start, WATCHDOG while PHM works, RELOADING and READY around a reload, STOPPING at the end."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(LIMIT_S)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        running = start()
+        assert systemd.recv(4096) == b"READY=1"
+        assert systemd.recv(4096) == b"WATCHDOG=1"
+        running.process.send_signal(signal.SIGHUP)
+        assert _next(systemd).startswith(b"RELOADING=1\nMONOTONIC_USEC=")
+        assert _next(systemd) == b"READY=1"
+        running.process.terminate()
+        assert _next(systemd) == b"STOPPING=1"
+        running.process.communicate(timeout=LIMIT_S)
+    assert running.process.returncode == 0
+
+
+def _next(systemd: socket.socket) -> bytes:
+    """The next notification that is not the watchdog's."""
+    while True:
+        received = systemd.recv(4096)
+        if received != b"WATCHDOG=1":
+            return received

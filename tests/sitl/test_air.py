@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from sitl.simulation.autopilot_model import AutopilotModel
+from phm.simulation.autopilot_model import AutopilotModel
+from phm.simulation.mavlink_port import Port, mavlink, messages, parser
 from sitl.simulation.channel_model import BUFFER_BYTES, Conditions, Losses, Pipe
 from sitl.simulation.frames import HEARTBEAT, RADIO_STATUS, Frame
 from sitl.simulation.ground import Ground
-from sitl.simulation.link import Port, mavlink, messages, parser
 from sitl.simulation.link_emulator import LinkEmulator
 from sitl.simulation.mesh import Mesh
 from sitl.simulation.ports import Ports

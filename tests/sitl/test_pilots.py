@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import yaml
 
+from phm.simulation.mavlink_port import Port, mavlink
 from sitl.simulation.ground import Ground
-from sitl.simulation.link import Port, mavlink
 from sitl.simulation.link_emulator import LinkEmulator
 from sitl.simulation.ports import Ports
 from sitl.swarm import config, external_autopilots

@@ -10,12 +10,12 @@ import pytest
 from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
 from phm.probes.links import Links
+from phm.simulation.autopilot import SimulatedAutopilot
+from phm.simulation.mavlink_port import Port, mavlink
 from phm.testing import settings
 from phm.transport.mavlink import MavlinkHub
 from phm.wire import status_word
-from sitl.simulation.autopilot import Autopilot
 from sitl.simulation.ground import Ground, TextLine, WordChange, as_text
-from sitl.simulation.link import Port, mavlink
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text
 from tests.fakes.until import until
 
@@ -34,8 +34,8 @@ class Flight:
         self.hub.send(text("PHM is here"))  # the autopilot forwards nothing to a silent port
         self.ground.start()
 
-    def _pilot(self) -> Autopilot:
-        pilot = Autopilot(7, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self.ground_port}")
+    def _pilot(self) -> SimulatedAutopilot:
+        pilot = SimulatedAutopilot(7, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self.ground_port}")
         self._thread = threading.Thread(target=pilot.run, daemon=True)
         self._thread.start()
         return pilot

@@ -16,8 +16,8 @@ import pytest
 from phm.core.settings import Settings
 from phm.facts.swarm import SwarmFact
 from phm.runtime.daemon import Daemon
+from phm.simulation.mavlink_port import Pty
 from phm.testing import settings
-from sitl.simulation.link import Pty
 from tests.fakes.until import until
 
 PACKET_BYTES = 72

@@ -128,6 +128,34 @@ def test_a_warning_of_pressure_explains_nothing_but_is_waited_for() -> None:
     assert made.opened == ["rates/x"]
 
 
+def test_a_measurement_above_the_limit_delays_a_symptom_before_there_is_a_warning() -> None:
+    """An overload shows in rates before it has lasted long enough to be reported: one alarm, at the cause."""
+    made = bench()
+    rising = OK.with_evidence(Evidence(rising=True))
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", "pressure/app")
+    made.see("host/cpu", rising)
+    assert made.opened == []
+    made.later(1.0)
+    made.see("host/cpu", OVERLOADED)
+    made.see("pressure/app", OK)
+    assert made.opened == ["host/cpu"]
+    assert made.blocked_by("rates/x") == "host/cpu"
+
+
+def test_a_measurement_above_the_limit_delays_no_longer_than_a_warning() -> None:
+    made = bench()
+    rising = OK.with_evidence(Evidence(rising=True))
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    answered(made, "container/app", "nodes/n", "pressure/app", result=OK)
+    made.see("host/cpu", rising)
+    made.later(WARN_WAIT_S)
+    made.see("host/cpu", rising)
+    assert made.opened == ["rates/x"]
+
+
 @pytest.mark.parametrize(
     "result",
     [

@@ -10,8 +10,8 @@ import pytest
 
 from phm.core.model import ActionEvent, Event, FaultClosed, FaultOpened, Level, Phase
 from phm.runtime.daemon import Daemon
+from phm.simulation.autopilot import SimulatedAutopilot
 from phm.testing import settings
-from sitl.simulation.autopilot import Autopilot
 from sitl.simulation.ground import Ground
 from sitl.simulation.radio import Radio
 from tests.fakes.mavlink import free_port
@@ -27,7 +27,7 @@ class Flight:
         self.port, self.far, self.companion = str(folder / "ttyRADIO"), free_port(), free_port()
         self._spare = free_port()
         self.radio, self._radio_thread = self._switch_on()
-        self.pilot = Autopilot(7, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self._spare}")
+        self.pilot = SimulatedAutopilot(7, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self._spare}")
         self._pilot_thread = threading.Thread(target=self.pilot.run, daemon=True)
         self._pilot_thread.start()
         self.ground = self.new_ground()

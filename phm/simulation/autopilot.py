@@ -1,8 +1,8 @@
 """A simulated autopilot between companion computer and ground, as seen by PHM.
 
-``python -m sitl.simulation.autopilot --id 1 --companion udpin:0.0.0.0:14550 --ground tcpin:0.0.0.0:5760 [--armed]``
+``python -m phm.simulation.autopilot --id 1 --companion udpin:0.0.0.0:14550 --ground tcpin:0.0.0.0:5760 [--armed]``
 
-`sitl.simulation.autopilot_model` defines what it sends and which commands it executes. It forwards frames between its
+`phm.simulation.autopilot_model` defines what it sends and which commands it executes. It forwards frames between its
 links unchanged, by ArduPilot's rules, as measured on a real one: a link gets forwarded frames only after it has sent a
 packet; frames that claim to be from the autopilot are dropped; messages to the autopilot and a radio's RADIO_STATUS are
 not forwarded.
@@ -19,11 +19,11 @@ import time
 from collections.abc import Hashable
 from typing import Any
 
-from sitl.simulation.autopilot_model import AUTOPILOT, BOOT_S, AutopilotModel
-from sitl.simulation.link import Port
+from phm.simulation.autopilot_model import AUTOPILOT, BOOT_S, AutopilotModel
+from phm.simulation.mavlink_port import Port
 
 
-class Autopilot:
+class SimulatedAutopilot:
     """Runs in one thread: `run` until `stop`. `armed` and `hung` may be set from outside; while it is hung its ports
     stay open, and nothing is sent or forwarded. Raises OSError when a port is in use.
     """
@@ -109,16 +109,16 @@ class Autopilot:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    words = argparse.ArgumentParser(prog="python -m sitl.simulation.autopilot", description=__doc__.partition("\n")[0])
+    words = argparse.ArgumentParser(prog="python -m phm.simulation.autopilot", description=__doc__.partition("\n")[0])
     words.add_argument("--id", type=int, default=1, help="MAVLink system id (1)")
     words.add_argument("--companion", default="udpin:0.0.0.0:14550", metavar="URL", help="where PHM connects")
     words.add_argument("--ground", default="tcpin:0.0.0.0:5760", metavar="URL", help="where ground stations connect")
     words.add_argument("--armed", action="store_true", help="begin armed")
     chosen = words.parse_args(arguments)
     try:
-        pilot = Autopilot(chosen.id, chosen.companion, chosen.ground, armed=chosen.armed)
+        pilot = SimulatedAutopilot(chosen.id, chosen.companion, chosen.ground, armed=chosen.armed)
     except OSError as error:
-        print(f"sitl.simulation.autopilot: {error}", file=sys.stderr)
+        print(f"phm.simulation.autopilot: {error}", file=sys.stderr)
         return 1
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: pilot.stop())

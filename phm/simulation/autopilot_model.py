@@ -1,4 +1,4 @@
-"""A simulated autopilot without sockets. Used by `sitl.simulation.autopilot` and by the swarm's link emulator.
+"""A simulated autopilot without sockets. Used by `phm.simulation.autopilot` and by the swarm's link emulator.
 
 It sends the messages of an ArduPilot copter (HEARTBEAT, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT) and executes
 MAV_CMD_COMPONENT_ARM_DISARM and MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN. Armed, it flies a circle.
@@ -10,7 +10,7 @@ import math
 import time
 from typing import Any
 
-from sitl.simulation.link import mavlink
+from phm.simulation.mavlink_port import mavlink
 
 AUTOPILOT = 1
 HEARTBEAT_S = 1.0

@@ -18,7 +18,7 @@ os.environ["MAVLINK20"] = "1"  # pymavlink reads it when it is imported
 
 from pymavlink.dialects.v20 import common as mavlink
 
-__all__ = ["Peer", "Port", "mavlink"]
+__all__ = ["Port", "RemoteSystem", "mavlink"]
 
 CONNECT_LIMIT_S = 2.0
 _READ_BYTES = 65535
@@ -71,7 +71,7 @@ class Pty:
 
 
 @dataclass
-class Peer:
+class RemoteSystem:
     """The other end of a connection. `spoken`: a frame was received from there."""
 
     sock: Any
@@ -101,12 +101,12 @@ class Port:
 
     def __init__(self, url: str) -> None:
         self.scheme, _, rest = url.partition(":")
-        self.peers: dict[Hashable, Peer] = {}
+        self.peers: dict[Hashable, RemoteSystem] = {}
         self.lost = False
         self._main: Any
         if self.scheme == "pty":
             self._main = Pty(rest)
-            self.peers[self._main] = Peer(self._main)
+            self.peers[self._main] = RemoteSystem(self._main)
             return
         host, _, port = rest.rpartition(":")
         address = (host.strip("[]"), int(port))
@@ -115,13 +115,13 @@ class Port:
             if self.scheme == "udpin":
                 self._main.bind(address)
             else:
-                self.peers[address] = Peer(self._main, address, spoken=True)
+                self.peers[address] = RemoteSystem(self._main, address, spoken=True)
         elif self.scheme == "tcpin":
             self._main = socket.create_server(address)
         elif self.scheme == "tcp":
             self._main = socket.create_connection(address, CONNECT_LIMIT_S)
             self._main.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self.peers[self._main] = Peer(self._main)
+            self.peers[self._main] = RemoteSystem(self._main)
         else:
             raise OSError(f"{url!r}: use udpin:, udpout:, tcpin: or tcp: with a host and a port, or pty:PATH")
         self._main.setblocking(False)
@@ -145,7 +145,7 @@ class Port:
                 client, _ = sock.accept()
                 client.setblocking(False)
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self.peers[client] = Peer(client)
+                self.peers[client] = RemoteSystem(client)
             return []
         peer = self.peers.get(sock)
         if peer is None:
@@ -181,13 +181,13 @@ class Port:
             if self.scheme == "udpout":
                 peer = next(iter(self.peers.values()))
             else:
-                peer = self.peers[sender] = Peer(self._main, sender)
+                peer = self.peers[sender] = RemoteSystem(self._main, sender)
                 while len(self.peers) > 16:
                     self.peers.pop(next(iter(self.peers)))
         return self._heard(sender, peer, data)
 
     @staticmethod
-    def _heard(key: Hashable, peer: Peer, data: bytes) -> list[tuple[Hashable, Any]]:
+    def _heard(key: Hashable, peer: RemoteSystem, data: bytes) -> list[tuple[Hashable, Any]]:
         found = messages(peer.decoder, data)
         peer.spoken = peer.spoken or bool(found)
         return [(key, message) for message in found]

@@ -1,0 +1,75 @@
+"""`phm demo`: three agents and two faults on this machine, without Docker, ROS and a vehicle."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+if TYPE_CHECKING:
+    from phm.simulation.demo import Demo
+
+STEP_S = 0.2
+
+
+@click.command(epilog="Example: phm demo --for 60")
+@click.option("--for", "seconds", type=click.IntRange(min=1), default=60, show_default=True, help="Seconds to run.")
+@click.option(
+    "--ground-port", type=click.IntRange(1024, 65535), default=14551, show_default=True, help="UDP port of `phm gcs`."
+)
+@click.option(
+    "--first-port",
+    type=click.IntRange(1024, 65000),
+    default=14600,
+    show_default=True,
+    help="First of 21 ports for autopilots.",
+)
+@click.pass_context
+def command(ctx: click.Context, seconds: int, ground_port: int, first_port: int) -> None:
+    """Show three simulated agents and two faults on this machine.
+
+    Needs neither Docker nor ROS.
+
+    Starts three real PHM daemons with simulated autopilots, and shows them in `phm gcs`. After 18 s the autopilot of agent 2
+    is killed (it is back after 40 s), after 28 s the PHM of agent 3. All of it ends with the command, and nothing is kept.
+    Only loopback is used.
+    """
+    if sys.platform != "linux":
+        raise click.UsageError("phm demo runs the daemon, which needs Linux: on this system use phm gcs alone.")
+    from phm.simulation.demo import FAULTS, Demo, DemoPorts
+
+    for at_s, text in FAULTS:
+        click.echo(f"after {at_s:.0f} s {text}", err=True)
+    signal.signal(signal.SIGTERM, _end)
+    with tempfile.TemporaryDirectory(prefix="phm-demo-") as folder:
+        demo = Demo(Path(folder), DemoPorts(first_port, ground_port))
+        try:
+            demo.start()
+            code = _watch(demo, seconds, ground_port)
+        finally:
+            demo.close()
+    ctx.exit(code)
+
+
+def _watch(demo: Demo, seconds: int, port: int) -> int:
+    words = [sys.executable, "-m", "phm.cli", "gcs", "--for", str(seconds), f"udpin:127.0.0.1:{port}"]
+    started = time.monotonic()
+    with subprocess.Popen(words) as gcs:
+        try:
+            while gcs.poll() is None:
+                demo.step(time.monotonic() - started)
+                time.sleep(STEP_S)
+        except BaseException:
+            gcs.terminate()
+            raise
+    return gcs.returncode
+
+
+def _end(number: int, frame: object) -> NoReturn:
+    raise KeyboardInterrupt
