@@ -32,7 +32,8 @@ class Clock(Protocol):
         """Both at one moment."""
 
     def latest(self, utc: float) -> float:
-        """The latest monotonic moment at which this machine's clock can have stamped something `utc`: see `ClockSteps.latest`."""
+        """The latest monotonic moment at which this machine's clock can have created the time stamp `utc`: see
+        `ClockSteps.latest`."""
 
     @property
     def steps(self) -> ClockSteps:
@@ -54,7 +55,7 @@ class _Period:
     end: float
 
     def holds(self, utc: float) -> bool:
-        """Whether something can have been stamped `utc` in it."""
+        """Whether a time stamp `utc` can be from this period."""
         return self.begin - STEP_S <= utc - self.offset <= self.end + STEP_S
 
 
@@ -89,25 +90,23 @@ class ClockSteps:
             return self._periods[0].begin
 
     def latest(self, utc: float) -> float:
-        """The latest moment (monotonic seconds) at which something that is stamped `utc` can have been stamped.
+        """The latest moment (monotonic seconds) at which the time stamp `utc` can have been created.
 
-        So an age is never made longer by a step of the clock, and what was stamped before the clock was watched counts as
-        only as old as that. `note` must have been called after the stamp was read.
+        So a clock step never makes an age longer, and a time stamp from before the observation is at most as old as the
+        observation. Call `note` after reading the time stamp.
         """
         with self._lock:
             possible = [utc - period.offset for period in self._periods if period.holds(utc)]
             return max(possible, default=self._periods[0].begin)
 
     def kept(self) -> tuple[tuple[float, float], ...]:
-        """For a PHM that is started later: offset and beginning of each period."""
+        """For a later PHM: offset and beginning of each period."""
         with self._lock:
             return tuple((period.offset, period.begin) for period in self._periods)
 
     def resume(self, kept: Iterable[tuple[float, float]]) -> None:
-        """Go on from what an earlier PHM has `kept` since this start of the machine.
-
-        It counts only if UTC has not moved since: else it was set while no PHM was watching.
-        """
+        """Continue from the periods that an earlier PHM has `kept` since the machine booted. They count only if UTC has
+        not moved since: otherwise it was set while no PHM ran."""
         with self._lock:
             first, before = self._periods[0], sorted(kept, key=lambda each: each[1])
             if not (
@@ -125,7 +124,7 @@ class ClockSteps:
 class SystemClock:
     """The machine's clocks. CLOCK_MONOTONIC, as `time.monotonic` uses on Linux. Thread-safe.
 
-    lateness: of this process, as far as a `phm.core.scheduling_delay.DelayMonitor` measures it.
+    lateness: of this process, measured by a `phm.core.scheduling_delay.DelayMonitor`.
     """
 
     def __init__(self) -> None:
@@ -134,7 +133,7 @@ class SystemClock:
         self.stamp()
 
     def measure(self) -> None:
-        """Begin to measure how late PHM is, once for a process: until its end."""
+        """Start measuring how late PHM is, once per process, until it ends."""
         threads.start(DelayMonitor(self.lateness).thread)
 
     def mono(self) -> float:
@@ -144,7 +143,7 @@ class SystemClock:
         return time.time()
 
     def stamp(self) -> Stamp:
-        with self._lock:  # stamps that overtake each other would look like a clock that was set
+        with self._lock:  # time stamps out of order would look like a clock that was set
             stamp = Stamp(utc=time.time(), mono=time.monotonic())
             self.steps.note(stamp)
         return stamp

@@ -1,4 +1,4 @@
-"""Recognizes what was seen a short time ago, with a limit on memory. Pure; the caller brings monotonic time in seconds."""
+"""Recognizes recent duplicates, with limited memory. Pure; callers pass monotonic time in seconds."""
 
 from __future__ import annotations
 

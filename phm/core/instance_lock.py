@@ -24,7 +24,7 @@ class InstanceLock:
         self._directories = tuple(dict.fromkeys(os.path.realpath(directory) for directory in directories))
         self._held: list[int] = []
         self.problem = ""
-        """A sentence when a directory could not be locked, e.g. a read-only one: no reason not to run."""
+        """A sentence if a directory could not be locked, e.g. a read-only one: PHM runs anyway."""
 
     def acquire(self) -> None:
         """Lock every directory, or none. Raises AlreadyRunning."""
@@ -53,7 +53,7 @@ class InstanceLock:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if _is_there(lock, path):
                     break
-                os.close(lock)  # removed in between: another one is the lock now
+                os.close(lock)  # deleted in between: another file is the lock now
             except BlockingIOError:
                 holder = _text(lock)
                 os.close(lock)
@@ -65,7 +65,7 @@ class InstanceLock:
                 os.close(lock)
                 raise
         self._held.append(lock)
-        with contextlib.suppress(OSError):  # a full disk: the lock holds without the words
+        with contextlib.suppress(OSError):  # a full disk: the lock works without its text
             os.ftruncate(lock, 0)
             os.pwrite(lock, f"process {os.getpid()} on {platform.node()}\n".encode(), 0)
 
@@ -80,7 +80,7 @@ def _is_there(lock: int, path: str) -> bool:
 
 
 def _text(lock: int) -> str:
-    """What the holder wrote; only what is printable, since it is shown to the operator."""
+    """The text of the holder, only printable characters, because it is shown to the operator."""
     try:
         found = os.pread(lock, 200, 0).decode("utf-8", "replace").strip()
     except OSError:

@@ -11,7 +11,7 @@ LABEL = "phm.maintenance"
 FORM = "write [DAYS or DATE] HH:MM-HH:MM in UTC, e.g. 02:00-04:00, sun 02:00-04:00, mon-fri 12:00-12:30, 2026-11-22 22:00-01:00"
 LONGEST_S = 24 * 3600.0
 CLOCK_SET_FROM = datetime(2024, 1, 1, tzinfo=timezone.utc).timestamp()
-"""A clock that shows an earlier time was never set: no window is open by it."""
+"""A clock that shows an earlier time was never set: no window is open then."""
 
 _DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 _TEXT = re.compile(r"(?:(?P<when>\S+) )?(?P<begin>[0-9]{2}:[0-9]{2})-(?P<end>[0-9]{2}:[0-9]{2})")
@@ -19,7 +19,7 @@ _TEXT = re.compile(r"(?:(?P<when>\S+) )?(?P<begin>[0-9]{2}:[0-9]{2})-(?P<end>[0-
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """days: 0 is Monday; empty: every day. on: the only day, else None. The day is that of the beginning."""
+    """days: 0 is Monday; empty: every day. on: a single day, else None. The day is that of the beginning."""
 
     begin_s: float
     length_s: float
@@ -27,7 +27,8 @@ class Window:
     on: date | None = None
 
     def open_at(self, utc: float) -> tuple[str, float] | None:
-        """The occurrence that is open at `utc` (seconds since the epoch): its beginning as text, and seconds left."""
+        """The occurrence that is open at `utc` (seconds since the epoch): its beginning as text, and the remaining
+        seconds."""
         if not CLOCK_SET_FROM <= utc < 1e11:
             return None
         midnight = datetime.fromtimestamp(utc, timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)

@@ -1,7 +1,8 @@
-"""The scheduling priority of PHM's own processes, as far as the kernel permits it to change them.
+"""The scheduling priority of PHM's own processes, as far as the kernel permits changing it.
 
-In a container the CPU weight decides (`cpu_shares` in docker/compose.yaml), since the kernel first divides the processor among
-containers, and nice only counts within one. For a PHM that runs beside others in one control group nice is what there is.
+In a container the CPU weight decides (`cpu_shares` in docker/compose.yaml), because the kernel divides the CPU among
+containers first, and nice applies only within one. For a PHM in the same control group as other programs, nice is the
+only means.
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ from phm.core.settings import ProcessSettings
 
 @dataclass(frozen=True, slots=True)
 class Priority:
-    """What holds. problem: a sentence when it is not what was asked for, else empty."""
+    """The current value. problem: a sentence if it is not the configured one, else empty."""
 
     nice: int
     problem: str = ""
 
 
 def apply(wanted: ProcessSettings) -> Priority:
-    """Set it for the calling thread and all that it starts after; to be called before there are others. Never raises."""
+    """Set it for the calling thread and all threads that it starts later; call it before there are others. Never
+    raises."""
     problem, nice = "", os.getpriority(os.PRIO_PROCESS, 0)
     if wanted.nice is not None and wanted.nice != nice:
         try:
@@ -36,7 +38,7 @@ def apply(wanted: ProcessSettings) -> Priority:
 
 
 def oom_score_adj() -> int | None:
-    """How readily the kernel ends this process when memory runs out, -1000 to 1000; None: it does not say."""
+    """The kernel's preference to kill this process when memory runs out, -1000 to 1000; None: unknown."""
     try:
         with open("/proc/self/oom_score_adj", encoding="ascii") as stream:
             return int(stream.read())

@@ -1,4 +1,4 @@
-"""Token buckets: one, and one for each of many keys. Pure; the caller brings monotonic time in seconds."""
+"""Token buckets: one, and one for each of many keys. Pure; callers pass monotonic time in seconds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class TokenBucket:
-    """`tokens` may be taken now; it was filled at `at`. Not thread-safe."""
+    """`tokens` are available; the bucket was last filled at `at`. Not thread-safe."""
 
     tokens: float
     at: float
@@ -20,7 +20,7 @@ class TokenBucket:
         self.tokens, self.at = min(burst, self.tokens + earned), now
 
     def take(self, tokens: float = 1.0) -> bool:
-        """Take them if there are so many."""
+        """Take tokens if enough are available. Returns whether they were."""
         if tokens > self.tokens:
             return False
         self.tokens -= tokens
@@ -28,9 +28,9 @@ class TokenBucket:
 
 
 class RateLimiter:
-    """`rate` events a second for each key, and `burst` at once. Not thread-safe.
+    """`rate` events per second for each key, and `burst` at once. Not thread-safe.
 
-    At most `max_keys` are remembered; the one that was used longest ago is forgotten first, and starts with a full bucket.
+    At most `max_keys` are remembered; the least recently used one is forgotten first, and starts with a full bucket.
     """
 
     def __init__(self, rate: float, burst: float, max_keys: int = 1) -> None:

@@ -15,7 +15,7 @@ PERIOD_S = 0.25
 NOISE_S = 0.02
 """Smaller delays are ignored: timers, garbage collection, a time slice of another process."""
 KEPT = 2048
-"""Spans that are remembered: at least eight minutes, were each period late."""
+"""Number of spans that are remembered: at least eight minutes if each period is late."""
 WINDOW_S = 60.0
 """The window for the share that `phm status` shows."""
 
@@ -23,7 +23,7 @@ HELD = ("R", "D")
 """States of a process that would run if it could: ready, or waiting for a disk."""
 
 Late = Callable[[float, float | None], float]
-"""As `SchedulingDelay.late_s`, at the moment of the call: since when, and how much of it counts at most beside the longest span."""
+"""Like `SchedulingDelay.late_s` at the moment of the call: since when, and the maximum beside the longest span."""
 
 
 def never_late(since: float, most_s: float | None = None) -> float:
@@ -71,7 +71,7 @@ class SchedulingDelay:
         return total_s if most_s is None else longest_s + min(total_s - longest_s, most_s)
 
     def add(self, begin: float, end: float) -> None:
-        """A span that another process reports of itself."""
+        """Record a span that another process reports about itself."""
         with self._lock:
             self._spans.append((max(begin, self._spans[-1][1] if self._spans else begin), end))
 
@@ -79,24 +79,25 @@ class SchedulingDelay:
         """With the lock held."""
         if self._due is not None and now - self._due >= NOISE_S:
             self._spans.append((self._due, now))
-            self._due = now  # what is late from here on is another span
+            self._due = now  # later delays are another span
 
 
 class ProcessStallMeter:
-    """Whether the first thread of another process could run, by what the kernel counts of it in /proc/PID."""
+    """Whether the first thread of another process could run, according to the kernel's counters in /proc/PID."""
 
     def __init__(self, pid: int, proc: str = "/proc") -> None:
         self._folder = f"{proc}/{pid}"
         self._last: tuple[float, float, float] | None = None
 
     def turn(self, now: float) -> float:
-        """Seconds since the last turn in which it was kept from running: it waited for a core, or is doing so, or for a disk.
-        A process that sleeps or computes was not. 0 in the first turn, and where the kernel does not count."""
+        """Seconds since the last call in which it was kept from running: it waited for a core, or still does, or for a
+        disk. Sleeping or computing does not count. 0 in the first call, and if the kernel does not count."""
         before, self._last = self._last, self._read(now)
         if before is None or self._last is None:
             return 0.0
         passed_s, ran_s, waited_s = (new - old for new, old in zip(self._last, before, strict=True))
-        # A wait is counted when it ends: who is ready or waits for the disk, and has not run since, is waiting now.
+        # The kernel counts a wait when it ends: a process that is ready or waits for the disk, and has not run since,
+        # is waiting now.
         held_s = passed_s - ran_s if self._state() in HELD else 0.0
         return min(passed_s, max(0.0, waited_s, held_s))
 

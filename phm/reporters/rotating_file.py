@@ -27,7 +27,7 @@ HANGS_S = 5.0
 """A write that takes longer is reported: a failing SD card blocks its writer instead of returning an error."""
 
 LostLine = Callable[[int, str, bytes], bytes]
-"""Makes the line that says how many lines were lost, why, and which the last of them was."""
+"""Returns the line that states how many lines were lost, why, and the last of them."""
 
 
 class RotatingFile:
@@ -61,7 +61,7 @@ class RotatingFile:
         self.retry(sync=sync)
 
     def retry(self, *, sync: bool = False, now: bool = False) -> None:
-        """Write what waits, if anything does and the back-off has passed (or `now`)."""
+        """Write waiting lines, if the back-off has passed (or `now`)."""
         if not self._ring or (self._reason and not now and self._clock.mono() < self._retry_at):
             return
         self._asked_at = self._clock.mono()
@@ -108,14 +108,14 @@ class RotatingFile:
         try:
             self._put(data)
         except OSError as error:
-            # A limit on the size of a file (RLIMIT_FSIZE, FAT) below ours: go on in a new one.
+            # A limit on the size of a file (RLIMIT_FSIZE, FAT) below ours: continue in a new one.
             if error.errno != errno.EFBIG or not self._size:
                 raise
             self._rotate()
             self._put(line + b"\n")
 
     def _put(self, data: bytes) -> None:
-        """One write. A short one (the disk became full in the middle) is taken back as far as possible."""
+        """One write. A partial one (the disk became full) is undone as far as possible."""
         written = os.write(self._fd, data)
         if written == len(data):
             self._size += written
@@ -148,7 +148,7 @@ class RotatingFile:
         self._size = 0
         if self._regular():
             self._size = os.fstat(self._fd).st_size
-            # The torn piece stays as it is, on a line of its own: it may hold the last words before the cut.
+            # The torn piece stays on a line of its own: it may contain the last data before the power cut.
             self._torn = self._size > 0 and os.pread(self._fd, 1, self._size - 1) != b"\n"
             self._prune(directory)
 
@@ -167,10 +167,10 @@ class RotatingFile:
         return stat.S_ISREG(os.fstat(self._fd).st_mode)
 
     def _rotate(self) -> None:
-        """Shift ``.1`` to ``.2`` and so on; the oldest is replaced. Renames only: at no moment is content without a file.
+        """Shift ``.1`` to ``.2`` and so on; the oldest is replaced. Only renames, so no content is lost at any moment.
 
-        A directory or link that somebody else gave such a name is left alone and its number passed over. Without any
-        number left, the file is begun again: a log of the last lines is better than none.
+        A directory or link with such a name, created by another program, is left alone and its number skipped. Without
+        a free number the file is restarted: a log of the last lines is better than none.
         """
         names = [name for number in range(1, self._files + 1) if _ours(name := f"{self.path}.{number}")]
         if not names:
@@ -185,7 +185,7 @@ class RotatingFile:
         self._open()
 
     def _prune(self, directory: str) -> None:
-        """Remove rotated files beyond the number that is kept now; an earlier configuration may have kept more."""
+        """Delete rotated files beyond the configured number; an earlier configuration may have kept more."""
         base = os.path.basename(self.path)
         extra = [name for name in os.listdir(directory) if (rotated_number(base, name) or 0) > self._files]
         for path in (os.path.join(directory, name) for name in extra):
@@ -201,7 +201,7 @@ class RotatingFile:
     def _close(self) -> None:
         if self._fd >= 0:
             fd, self._fd = self._fd, -1
-            # The descriptor is gone either way; a write error was reported by the write.
+            # The descriptor is closed in any case; the write reported a write error.
             with contextlib.suppress(OSError):
                 os.close(fd)
 

@@ -92,7 +92,7 @@ EXPLAINED: Mapping[str, Explanation] = {
         "all containers wait for the same disk", frozenset({"io_pressure"}), settle_s=WARN_WAIT_S
     ),
 }
-"""What starvation explains, by condition. docs/reference/recovery.md has it as a table; a test compares them."""
+"""What starvation explains, by condition. docs/development/architecture.md has it as a table; a test compares them."""
 
 
 def explanation(result: Result) -> Explanation | None:

@@ -1,7 +1,7 @@
-"""The status file: what the running daemon says about itself, and when to believe it.
+"""The status file: the state that the running daemon publishes about itself, and when it is valid.
 
-Standard library only: `phm status --healthy` runs every few seconds on small computers and must start fast. The image's HEALTHCHECK
-runs this file itself, without site-packages, which says the same in a fifth of the processor time.
+Standard library only: `phm status --healthy` runs every few seconds on small computers and must start fast. The image's
+HEALTHCHECK runs this file itself, without site-packages, with the same result in a fifth of the CPU time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_AGE_S = 5.0
 
 
 class NoStatus(Exception):
-    """There is no status to read; the message is one sentence that says why and what to do."""
+    """There is no status; the message is one sentence with the reason and the remedy."""
 
 
 def read(run_dir: str) -> dict[str, Any]:
@@ -32,7 +32,7 @@ def read(run_dir: str) -> dict[str, Any]:
             data = stream.read()
         document = json.loads(data, parse_constant=_not_json)
         if b"\\ud" in data.lower():
-            # Half a character, which no output takes: of a file name that is not UTF-8, or of damage.
+            # An unpaired surrogate, which cannot be printed: from a file name that is not UTF-8, or from damage.
             document = json.loads(json.dumps(document, ensure_ascii=False).encode("utf-8", "replace"))
     except FileNotFoundError:
         raise NoStatus(
@@ -52,15 +52,15 @@ def _not_json(constant: str) -> object:
 
 
 def place() -> dict[str, str]:
-    """Where this process runs: the machine's boot and the PID namespace, each empty when it cannot be known."""
+    """The machine's boot and the PID namespace of this process, each empty if unknown."""
     return {"machine_boot": _machine_boot(), "pid_namespace": _pid_namespace()}
 
 
 def unhealthy(document: dict[str, Any], *, now_mono: float | None = None) -> str:
-    """Why the daemon that wrote `document` is not well, as one sentence; empty when it is well.
+    """Why the daemon that wrote `document` is not healthy, as one sentence; empty if it is.
 
-    Healthy means: written within 5 s on the monotonic clock of this boot of the machine, `alive` true, and
-    the process exists (looked at only where its number means the same process, in the same PID namespace).
+    Healthy means: written within 5 s on the monotonic clock of this boot of the machine, `alive` true, and the process
+    exists (checked only in the same PID namespace, where its number means the same process).
     """
     here = place()
     boot = document.get("machine_boot")
@@ -99,7 +99,7 @@ def _pid_namespace() -> str:
 
 
 def _exists(pid: int) -> bool:
-    """Whether the process lives; a zombie (killed, not yet collected by its parent) does not."""
+    """Whether the process exists; a zombie (killed, not yet collected by its parent) does not."""
     if not 0 < pid < 2**31:
         return False
     try:
@@ -107,7 +107,7 @@ def _exists(pid: int) -> bool:
             return stream.read().rpartition(b")")[2].split()[0] not in (b"Z", b"X")
     except (OSError, IndexError):
         pass
-    # A /proc that hides other users' processes (hidepid) looks as if they were gone; the kernel tells them apart.
+    # With a /proc that hides other users' processes (hidepid) they seem gone; the kernel distinguishes both.
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

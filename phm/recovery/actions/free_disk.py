@@ -1,4 +1,4 @@
-"""Remove old files from a disk that is full, where the configuration says that they may go."""
+"""Delete old files from a full disk, in the folders that the configuration lists."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ from phm.recovery.safety.flight_critical import Impact
 from phm.recovery.target import Target, TargetKind
 
 ENOUGH = 0.9
-"""Files go until the disk is at this share of `host.disk.warn`: at the limit itself it would be full again at once."""
+"""Files are deleted until the disk is at this share of `host.disk.warn`: at the limit itself it would soon be full
+again."""
 MOST = 10_000
-"""Files that are held in memory, the oldest; a folder with more is not emptied in one go."""
+"""Maximum number of files held in memory, the oldest; a folder with more is emptied in several runs."""
 MOST_SEEN = 1_000_000
-"""Names that are looked at, one by one: about 10 s on an SD card."""
+"""Maximum number of names examined: about 10 s on an SD card."""
 DEPTH = 8
 MOST_REFUSED = 3
-"""So many files of a folder that cannot be removed say that none can."""
+"""After so many files of a folder that cannot be deleted, the others are not tried."""
 
 
 @dataclass(frozen=True, order=True)
 class OldFile:
-    """A file that may be removed, at `path` below the folder of the configuration.
+    """A file that may be deleted, at `path` below the configured folder.
 
-    changed: the latest monotonic moment at which it can have been changed last. It orders what was stamped while PHM watched
-        the clock; what is older has one moment in common, and is ordered by its stamp.
+    changed: the latest monotonic moment of its last change. It orders files changed while PHM observed the clock; older
+    files have the same value, and are ordered by their time stamp.
     """
 
     changed: float
@@ -46,9 +47,9 @@ class OldFile:
 
 
 class FreeDisk(Action):
-    """Remove files that `host.free_disk` names, the oldest first, until the disk has room again.
+    """Delete files that `host.free_disk` lists, oldest first, until the disk has enough space.
 
-    Applications write there, too, and may put a link in the place of a folder: nothing is followed, neither links nor mounts.
+    Applications write there too, and may replace a folder by a link: neither links nor mounts are followed.
     """
 
     name = "free_disk"
@@ -86,7 +87,7 @@ class FreeDisk(Action):
 
 
 def used_percent(path: str) -> float:
-    """Share of the disk in use, or of its inodes when that is more. Raises ActionFailed."""
+    """Share of the disk in use, or of its inodes if that is larger. Raises ActionFailed."""
     try:
         fact = space(path)
     except OSError as error:
@@ -97,7 +98,8 @@ def used_percent(path: str) -> float:
 def _clear(
     place: FreeDiskSettings, disk: str, goal: float, problems: list[str], context: ActionContext
 ) -> Iterator[OldFile]:
-    """Remove files of one folder until the goal is reached; those that are gone. Sentences about others go to `problems`."""
+    """Delete files of one folder until the goal is reached. Returns the deleted ones; sentences about others go to
+    `problems`."""
     refused = 0
     if used_percent(disk) < goal:
         return
@@ -125,13 +127,13 @@ def _clear(
 
 
 def _old_files(folder: int, place: FreeDiskSettings, context: ActionContext) -> Iterator[OldFile]:
-    """What may be removed. A file that is still written, or was a moment ago, is not; nor one that only a step of the clock
-    has made old, whether PHM has seen that step or not."""
+    """Whether a file may be deleted: not if it is being written or was recently, nor if only a clock step made it old,
+    whether or not PHM has observed that step."""
     home = os.fstat(folder).st_dev
     for path, entry in islice(_entries(folder, home), MOST_SEEN):
         if not _named(path, place.files):
             continue
-        with contextlib.suppress(OSError):  # removed meanwhile
+        with contextlib.suppress(OSError):  # deleted meanwhile
             if entry.is_file(follow_symlinks=False):
                 seen = entry.stat(follow_symlinks=False)
                 changed = context.clock.latest(seen.st_mtime)
@@ -144,7 +146,7 @@ def _named(path: str, patterns: list[str]) -> bool:
 
 
 def _entries(folder: int, home: int, path: str = "", depth: int = DEPTH) -> Iterator[tuple[str, os.DirEntry[str]]]:
-    """All names below an open folder with their paths from there, one by one: an application may make millions of them.
+    """All names below an open folder with their relative paths, as a generator: an application may create millions.
 
     Links and mounts (folders that are not on the device `home`) are not entered.
     """
@@ -152,7 +154,7 @@ def _entries(folder: int, home: int, path: str = "", depth: int = DEPTH) -> Iter
         for entry in entries:
             below = os.path.join(path, entry.name)
             yield below, entry
-            with contextlib.suppress(OSError):  # removed meanwhile, or not PHM's to read
+            with contextlib.suppress(OSError):  # deleted meanwhile, or PHM may not read it
                 if depth and entry.is_dir(follow_symlinks=False):
                     inner = os.open(entry.name, FOLDER, dir_fd=folder)
                     try:
@@ -163,7 +165,7 @@ def _entries(folder: int, home: int, path: str = "", depth: int = DEPTH) -> Iter
 
 
 def _unlink(folder: int, path: str) -> None:
-    """Remove one file below an open folder, following no link on the way. A file that does not exist is ignored."""
+    """Delete one file below an open folder, following no link. A file that does not exist is ignored."""
     *parents, name = PurePosixPath(path).parts
     handle = os.dup(folder)
     try:

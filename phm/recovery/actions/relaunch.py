@@ -1,4 +1,4 @@
-"""Start one ROS node again inside its container, with the command that the user gave for it."""
+"""Start one ROS node again inside its container, with the configured command."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from phm.recovery.target import Target
 class Relaunch(Action):
     """Run `nodes[].relaunch` through the engine's exec: word by word, detached, as the container's own user.
 
-    It never makes a second copy of a node: one that is still listed, or whose command still runs, is left
-    to the next step of the ladder, which restarts the container and so ends the hung copy too.
+    It never starts a duplicate of a node. A node that is still listed, or whose command still runs, is left to the next
+    step of the ladder, which restarts the container and so ends the hung process too.
     """
 
     name = "relaunch"
     starts = False
     impact = Impact.NOTHING
-    # A node that cannot start computes for a moment, too, while the name of the dead one is still listed.
+    # A node that fails to start also uses the CPU for a moment, while the name of the dead one is still listed.
     verify_after_s = 2.0
 
     @classmethod
@@ -45,7 +45,7 @@ class Relaunch(Action):
 
     @staticmethod
     def _listed(name: str, fault: Fault, context: ActionContext) -> bool:
-        """Without a graph, a node that was reported missing counts as missing, and any other as present.
+        """Without a graph, a node reported as missing counts as missing, and any other as present.
 
         A node can be reported missing while it is listed: its name stays until its lease ends.
         """
@@ -58,7 +58,7 @@ class Relaunch(Action):
 
 
 def _node(target: Target, fault: Fault, settings: Settings) -> NodeSettings | None:
-    """The node to start for this fault: of a topic the first publisher; None when it has no command."""
+    """The node to start for this fault, for a topic its first publisher; None if it has no command."""
     check, _, subject = fault.unit.partition("/")
     name = subject if check == "nodes" else ""
     if check in ("topics", "rates"):
@@ -71,7 +71,7 @@ def _node(target: Target, fault: Fault, settings: Settings) -> NodeSettings | No
 
 
 def _runs(command: str, container: str, context: ActionContext) -> bool:
-    """Whether some process of the container has this command line; an interpreter may precede it."""
+    """Whether a process of the container has this command line; an interpreter may precede it."""
     rows = context.engine.top(container).get("Processes") or []
     if not isinstance(rows, list):
         raise CannotTell("the Docker Engine answered without a process list")

@@ -10,12 +10,12 @@ from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
 from phm.recovery.target import Target, TargetKind
 
 OPEN_S = 8.0
-"""A connection is given up after 5 s."""
+"""Timeout of a connection attempt: 5 s."""
 FLOWS_S = 1.0
-"""Where something came within this time, the endpoint is not silent."""
+"""If data arrived within this time, the endpoint is not silent."""
 PROMPT_S = 2.0
-"""A live peer sends within this time of the connection being open: an autopilot a heartbeat a second. What comes later has
-come back by itself."""
+"""A live peer sends within this time after the connection is open: an autopilot sends one heartbeat a second. If data
+come later, the peer recovered by itself."""
 RADIO_S = 11.0
 BOOT_S = 3.0
 """An autopilot reports its time since boot within this time, if it does."""
@@ -25,8 +25,9 @@ POLL_S = 0.05
 
 
 class Reopen(Action):
-    """Close a MAVLink endpoint of PHM's own that is open and silent, and open it again: a port whose driver is stuck, a
-    connection that only one side believes in. A serial port keeps its DTR up meanwhile, so nothing behind it is reset."""
+    """Close PHM's own end of a MAVLink endpoint that is open and silent, and open it again: a port with a stuck driver,
+    or a connection that only one side considers open. A serial port keeps its DTR up meanwhile, so the hardware behind
+    it is not reset."""
 
     name = "reopen"
     starts = False
@@ -36,9 +37,9 @@ class Reopen(Action):
     def __init__(self) -> None:
         self._began = 0.0
         self._prompt = False
-        """Something came by the new connection soon."""
+        """Data arrived soon on the new connection."""
         self._pilot: AutopilotFact | None = None
-        """As it was known before."""
+        """Uptime of the autopilot as known before."""
 
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         if target.kind is not TargetKind.LINK:
@@ -55,7 +56,7 @@ class Reopen(Action):
         return f"reopened the MAVLink endpoint {link}"
 
     def other_cause(self, target: Target, fault: Fault, context: ActionContext) -> str:
-        """A reboot, or a stall, of the autopilot explains its silence, and so does an answer that came late."""
+        """Whether a reboot or a stall of the autopilot, or a late answer, explains the recovery."""
         if not self._prompt:
             return "no data arrived soon after it was opened, so the other side has recovered by itself"
         before = self._pilot
@@ -72,7 +73,7 @@ class Reopen(Action):
         return False
 
     def _behind(self, before: AutopilotFact, boot_s: float, context: ActionContext) -> str:
-        """Compares how long the autopilot has run with how long it should have, once it has reported that."""
+        """Compares the autopilot's time since boot with its expected value, once it has reported it."""
         end = context.clock.mono() + BOOT_S
         while context.clock.mono() < end:
             now, elapsed_s = context.autopilot(), context.clock.mono() - self._began
@@ -86,7 +87,7 @@ class Reopen(Action):
 
 
 def _prompt_s(fault: Fault, context: ActionContext) -> float:
-    """A radio reports once for each heartbeat that it is given to send."""
+    """A radio sends one report for each heartbeat from its own side."""
     if fault.result.condition != "radio_silent":
         return PROMPT_S
     return max(PROMPT_S, min((context.settings.mavlink.heartbeat or 0.0) + 1.0, RADIO_S))

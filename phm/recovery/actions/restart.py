@@ -15,20 +15,20 @@ from phm.recovery.safety.flight_critical import FlightCriticalError
 from phm.recovery.target import Target
 
 MOST_STOP_S = 120.0
-"""A container that is configured with a longer stop time-out gets this much when PHM restarts it: it has failed already."""
+"""PHM waits at most this long even if the container has a longer stop timeout: the container has failed already."""
 FOLLOW_S = 30.0
-"""A dependent is held for its stop time-out and this much longer, in case the thread that restarts it dies."""
+"""A dependent is held for its stop timeout and this much longer, in case the thread that restarts it dies."""
 
 
 class Restart(Action):
-    """Stop gracefully (SIGTERM, stop time-out), start, then restart its dependents.
+    """Stop gracefully (SIGTERM, stop timeout), start, then restart its dependents.
 
-    Not while a configured network of the container is missing: a restart does not create it, and may leave the container
-    stopped.
+    Not while a configured network of the container is missing: a restart does not create it, and may leave the
+    container stopped.
     """
 
     name = "restart"
-    # An application that cannot start runs for a moment, too: seen 0.1 to 0.4 s.
+    # An application that fails to start also runs for a moment: measured 0.1 to 0.4 s.
     verify_after_s = 2.0
     deadline_s = 240.0
 
@@ -48,10 +48,10 @@ class Restart(Action):
 
 
 def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
-    """The container's stop signal (SIGTERM unless configured), its stop time-out, SIGKILL, start.
+    """The container's stop signal (SIGTERM unless configured), its stop timeout, SIGKILL, start.
 
-    SIGTERM first matters to ROS: a node that exits by itself removes its DDS participant, a killed one stays in the graph
-    until its lease ends.
+    SIGTERM first matters for ROS: a node that exits by itself removes its DDS participant, a killed one stays in the
+    graph until its lease ends.
     """
     if fact.status == "paused":
         context.engine.unpause(fact.id)  # a frozen process cannot act on SIGTERM
@@ -59,17 +59,18 @@ def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
 
 
 def stop_timeout_s(fact: ContainerFact, context: ActionContext) -> float:
-    """`recovery.stop_timeout`, or longer where the container is configured so, up to MOST_STOP_S."""
+    """`recovery.stop_timeout`, or the container's own if longer, up to MOST_STOP_S."""
     asked_s = fact.stop_timeout_s or 0.0
     own_s = MOST_STOP_S if asked_s < 0 else min(asked_s, MOST_STOP_S)
     return max(context.settings.recovery.stop_timeout, own_s)
 
 
 def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> str:
-    """Restart the containers that depend on the target, once that runs again; what was done, for the log (may be empty).
+    """Restart the containers that depend on the target, once it runs again. Returns what was done, for the log (may be
+    empty).
 
-    A problem here is reported and is not a failure of the action: the target itself has been restarted, and a dependent that
-    stays broken is a separate fault.
+    A problem here is reported and is not a failure of the action: the target itself has been restarted, and a dependent
+    that does not recover is a separate fault.
     """
     facts = _facts(context)
     order = dependents(target.key, facts, context.settings.containers)
@@ -80,7 +81,7 @@ def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> 
         return f"; {', '.join(order)} not restarted, because {target.key} does not run"
     said, moved = [], False
     for key in order:
-        # What depends on a restarted dependent must be restarted after it, however new it is.
+        # Dependents of a restarted dependent must be restarted after it, however new they are.
         words, done = _follow(key, fault, facts, context, always=moved)
         moved = moved or done
         said.append(f"; {words}")
@@ -107,11 +108,11 @@ def _follow(
 
 
 def _restart_dependent(entry: ContainerSettings, before: str, context: ActionContext) -> str:
-    """Everything is checked again: another recovery may have had it locked until now.
+    """Restart one dependent, after checking everything again: another recovery may have locked it until now.
 
-    before: its generation (`ContainerFact.generation`) as observed after the target's start: one that runs as another generation
-    now was started later than the target, whatever the engine's clock says, and is not restarted. Empty: restart it in
-    any case. Returns why it was not restarted; empty: it was.
+    before: its generation (`ContainerFact.generation`) as observed after the target's start. A dependent with another
+    generation was started later than the target, regardless of the engine's clock, and is not restarted. Empty: restart
+    it in any case. Returns why it was not restarted; empty: it was.
     """
     key, fact = entry.key, context.container(entry.key)
     if fact is None:

@@ -1,4 +1,4 @@
-"""Put a file back into a container, from the container's own image or from a golden copy."""
+"""Restore a file in a container, from the container's own image or from a golden copy."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from phm.recovery.target import Target
 from phm.transport.docker import DockerEngine, EngineMissing, FileCopy
 
 LIMIT = 16 << 20
-"""Bytes of the largest file that is put back: it is held in memory, beside the archive that carries it."""
+"""Size of the largest file that is restored: it is held in memory, beside the archive that contains it."""
 LABEL = "phm.restore"
-"""Carried, with the value 1, by the container that is made for a moment to read a file of an image."""
+"""Label, with the value 1, of the container created temporarily to read a file of an image."""
 _GO_DIRECTORY, _GO_LINK = 1 << 31, 1 << 27
 _GO_NOT_REGULAR = _GO_DIRECTORY | _GO_LINK | 1 << 26 | 1 << 25 | 1 << 24 | 1 << 21 | 1 << 19
 """Bits of Go's FileMode: folder, link, device, pipe, socket, character device, anything else."""
 
 
 class RestoreFile(Action):
-    """Put back every file of the container that has a `restore` and is missing, not executable or altered.
+    """Restore every file of the container that has a `restore` and is missing, not executable or altered.
 
-    A copy whose SHA-256 is not the configured one is refused: a bad file is not replaced by another.
+    A copy with another SHA-256 than the configured one is refused: a bad file is not replaced by another.
     """
 
     name = "restore_file"
@@ -41,7 +41,7 @@ class RestoreFile(Action):
 
     @classmethod
     def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
-        """The file at fault can be put back; any file can when the check does not say which it is."""
+        """Whether the file at fault can be restored; if the check does not name it, whether any file can."""
         path = fault.result.evidence.file
         container = target.container
         if container is None:
@@ -67,7 +67,7 @@ class RestoreFile(Action):
 
 
 def put_back(file: FileSettings, fact: ContainerFact, engine: DockerEngine) -> bool:
-    """Restore one file; False when it is as it must be. Raises ActionFailed and the engine's errors."""
+    """Restore one file; False if it is as expected. Raises ActionFailed and the engine's errors."""
     place = _place(engine, fact.id, file.path)
     if _as_configured(engine, fact.id, place, file):
         return False
@@ -82,7 +82,7 @@ def put_back(file: FileSettings, fact: ContainerFact, engine: DockerEngine) -> b
 
 
 def _place(engine: DockerEngine, container: str, path: str) -> str:
-    """Where a path leads in the container: the end of a symbolic link, else the path itself."""
+    """The target of a path in the container: the end of a symbolic link, otherwise the path itself."""
     path = posixpath.normpath(path)
     try:
         seen = engine.stat_path(container, path)
@@ -92,7 +92,7 @@ def _place(engine: DockerEngine, container: str, path: str) -> str:
 
 
 def _as_configured(engine: DockerEngine, container: str, path: str, file: FileSettings) -> bool:
-    """Whether nothing needs to be done. Raises ActionFailed when it is not a regular file."""
+    """Whether nothing needs to be done. Raises ActionFailed if it is not a regular file."""
     try:
         seen = engine.stat_path(container, path)
     except EngineMissing:
@@ -111,7 +111,7 @@ def _as_configured(engine: DockerEngine, container: str, path: str, file: FileSe
 
 
 def _base(engine: DockerEngine, container: str, path: str) -> str:
-    """The nearest folder above `path` that is there: what is missing below it is made."""
+    """The nearest existing folder above `path`: missing ones below it are created."""
     folder = posixpath.dirname(path)
     while folder != "/":
         try:
@@ -124,11 +124,11 @@ def _base(engine: DockerEngine, container: str, path: str) -> str:
 
 
 def _from_image(engine: DockerEngine, fact: ContainerFact, path: str) -> FileCopy:
-    """The file as the image has it, read from a container that is made for this and never started."""
+    """The file of the image, read from a container that is created for this and never started."""
     image = str(engine.inspect(fact.id).get("Image", ""))
     name = f"phm-restore-{fact.id[:12]}"
     with contextlib.suppress(EngineMissing):
-        engine.remove(name)  # left by a PHM that was killed meanwhile; only one PHM heals a container
+        engine.remove(name)  # left by a PHM that was killed meanwhile; only one PHM recovers a container
     made = engine.create_from_image(image, {LABEL: "1"}, name)
     try:
         return engine.fetch_file(made, _place(engine, made, path), LIMIT)
@@ -140,9 +140,10 @@ def _from_image(engine: DockerEngine, fact: ContainerFact, path: str) -> FileCop
 
 
 def _golden(path: str) -> FileCopy:
-    """The copy that PHM sees at `path`. Raises ActionFailed when it is not there, behind a link, no regular file or too big."""
+    """The copy that PHM sees at `path`. Raises ActionFailed if it does not exist, is behind a link, not a regular file
+    or too large."""
     try:
-        # Without rights to the content at first: to open a device may do something.
+        # Without read permission at first: opening a device may have side effects.
         place = open_plain(path, os.O_PATH)
         try:
             seen = os.fstat(place)

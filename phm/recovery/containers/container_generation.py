@@ -25,13 +25,12 @@ from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact
 
 FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recreated", "counted"
-"""Who started a generation: not known, it ran at the first observation; the restart policy; others; others, with a new
+"""Who started a generation: unknown, it ran at the first observation; the restart policy; others; others, with a new
 container; and others, after the attempts were reset for it. PHM is `phm:` and the container for which it acted."""
 UNFINISHED_S = 600.0
-"""A call without an answer may take effect for so long; older attempts do not count
-(`phm.recovery.history.CLEAN_S`)."""
+"""How long a call without a response may take effect; older attempts do not count (`phm.recovery.history.CLEAN_S`)."""
 SETTLED_S = 0.5
-"""A change seen up to this long after an action of PHM belongs to it: the answer of the probe may be 0.2 s old."""
+"""A change observed up to this long after an action of PHM belongs to it: the probe's data may be 0.2 s old."""
 
 
 def by_phm(whose: str) -> str:
@@ -41,11 +40,10 @@ def by_phm(whose: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Generation:
-    """From one start of a container to the next; `id` and `started` are the engine's and identify it.
+    """The time from one start of a container to the next; `id` and `started` are the engine's and identify it.
 
-    since: when it was first observed in place of another (monotonic seconds); None: at the first observation.
-    made:  the same for the container, which may have several generations.
-    by:    who started it, one of the words above.
+    since: when it was first observed instead of another (monotonic seconds); None: at the first observation. made: the
+    same for the container, which may have several generations. by: who started it, one of the words above.
     """
 
     id: str
@@ -85,7 +83,7 @@ def next_generation(
 
 
 def resets_attempts(generation: Generation, fact: ContainerFact, now: float, lasting_s: float) -> bool:
-    """Whether attempts before this generation say nothing about it."""
+    """Whether attempts before this generation do not apply to it."""
     if generation.since is None or generation.by == RECREATED:
         return generation.by == RECREATED
     return generation.by == OTHERS and fact.running and now - generation.since >= lasting_s
@@ -112,8 +110,8 @@ class _Actor:
 class GenerationTracker:
     """The newest known generation of each container. Thread-safe. lasting_s: `recovery.verify`.
 
-    Invariant: a container's entries are changed with its own lock held, from the request to the engine until the answer, so
-    that an old answer never follows a newer one. The engine's client limits how long that takes.
+    Invariant: a container's entries are changed with its own lock held, from the request to the engine until the
+    response, so that an old response never replaces a newer one. The engine's client limits how long that takes.
     """
 
     def __init__(self, observe: Callable[[str], ContainerFact | None], clock: Clock, lasting_s: float) -> None:
@@ -123,14 +121,14 @@ class GenerationTracker:
         self._locks: dict[str, threading.Lock] = {}
 
     def restore(self, known: Mapping[str, Generation]) -> None:
-        """What an earlier run of PHM knew; before the first observation."""
+        """Restore the state of an earlier run of PHM; call before the first observation."""
         self._generations.update(known)
 
     def snapshot(self) -> dict[str, Generation]:
         return dict(self._generations)
 
     def current(self, key: str) -> Generation | None:
-        """The current generation; the last known one when the engine does not answer."""
+        """The current generation; the last known one if the engine does not respond."""
         with self._lock(key):
             self._update(key)
             return self._generations.get(key)
@@ -155,9 +153,8 @@ class GenerationTracker:
 
     @contextlib.contextmanager
     def acting(self, key: str, who: str, unanswered: Callable[[], int] = lambda: 0) -> Iterator[None]:
-        """While it is entered, and until the outcome was observed, a new generation of `key` is attributed to PHM, acting for `who`.
-
-        unanswered: how many calls that start `key` got no answer meanwhile; asked once, at the end.
+        """Inside this context, and until the outcome was observed, a new generation of `key` is attributed to PHM,
+        acting for `who`. unanswered: returns how many calls that start `key` got no response; called once, at the end.
         """
         actor = _Actor(who)
         with self._lock(key):
@@ -175,12 +172,14 @@ class GenerationTracker:
             actor.ended = self._clock.mono()
 
     def add_unfinished(self, key: str, who: str) -> None:
-        """An action on `key` to recover `who` was interrupted when PHM stopped; the engine may complete it. Before any observation."""
+        """An action on `key` to recover `who` was interrupted when PHM stopped; the engine may complete it. Call before
+        any observation."""
         now = self._clock.mono()
         self._actors[key] = _Actor(who, now, 1, now + UNFINISHED_S)
 
     def unfinished(self) -> dict[str, str]:
-        """The containers on which PHM is acting, or a call got no answer, each with the container to recover: for the next PHM."""
+        """The containers on which PHM is acting, or for which a call got no response, each with the container to
+        recover: for the next PHM."""
         actors, now = dict(self._actors), self._clock.mono()
         return {
             key: actor.who

@@ -15,11 +15,12 @@ def dependents(
     *,
     network_only: bool = False,
 ) -> list[str]:
-    """Keys of the configured containers to be restarted after the container `target`, in order, those of dependants included.
+    """Keys of the configured containers to be restarted after the container `target`, in order, including dependents of
+    dependents.
 
-    A container depends on another when it lives in its network namespace, which is a new one after each start, or in its PID
-    namespace, whose processes end with the first one, or names it in `after`. One that depends on several comes after the
-    last of them. network_only: only by the network namespace.
+    A container depends on another if it uses its network namespace, which is new after each start, or its PID
+    namespace, whose processes end with the first one, or names it in `after`. One that depends on several comes after
+    the last of them. network_only: only by the network namespace.
     """
     needs = {
         entry.key: {other for other in facts if _shares(facts.get(entry.key), facts[other], network_only=network_only)}
@@ -41,13 +42,13 @@ def dependents(
 
 
 def _shares(fact: ContainerFact | None, owner: ContainerFact, *, network_only: bool) -> bool:
-    """Whether `fact` lives in a namespace of `owner`."""
+    """Whether `fact` uses a namespace of `owner`."""
     if fact is None:
         return False
     return _names(fact.network_mode, owner) or (not network_only and _names(fact.pid_mode, owner))
 
 
 def _names(mode: str, owner: ContainerFact) -> bool:
-    """Whether `container:REF` means `owner`; the engine keeps what the user wrote, id or name."""
+    """Whether `container:REF` means `owner`; the engine keeps the user's text, id or name."""
     kind, _, ref = mode.partition(":")
     return kind == "container" and bool(ref) and (ref == owner.name or owner.id.startswith(ref))

@@ -1,5 +1,5 @@
-"""What happens to one target apart from its own attempts, and changes what these mean: the container is started by others,
-something that it needs recovers, or another recovery restarts it as a dependent."""
+"""Changes of one target that are not caused by its own attempts, and their effect on these: the container is started by
+others, a dependency recovers, or another recovery restarts it as a dependent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from phm.recovery.safety.target_locks import TargetLocks
 
 
 class ExternalChanges:
-    """Used by the target's worker thread, but for `dependency_recovered`, which any thread may call.
+    """Used by the target's worker thread, except `dependency_recovered`, which any thread may call.
 
     grace_s: of a unit, seconds.
     """
@@ -41,12 +41,13 @@ class ExternalChanges:
         self._lock = threading.Lock()
 
     def dependency_recovered(self, units: Collection[str], down_from: float) -> None:
-        """Something that these units of the target need has recovered, after it was down from then on."""
+        """A dependency of these units of the target has recovered; it was down from this time on."""
         with self._lock:
             self._recovered.append((units, down_from))
 
     def update(self, cases: Iterable[FaultCase]) -> bool:
-        """Apply what has happened to the history and the cases; whether attempts count, so that further changes matter."""
+        """Apply the changes to the history and the cases. Returns whether any attempt counts, so that further changes
+        matter."""
         given_up = [fault.unit for fault in self._pipeline.given_up() if fault.result.target == self._target]
         with self._lock:
             recovered, self._recovered = self._recovered, []
@@ -69,8 +70,8 @@ class ExternalChanges:
     ) -> None:
         """An attempt on the target, for the case `mine`, has ended: the current generation is expected.
 
-        What was found until now says nothing about what to do next, for that case and for the others. The others get the
-        grace of their units when the container is no longer in the generation `before`.
+        Earlier results do not decide what to do next, for that case and for the others. The others get the grace of
+        their units if the container is no longer in the generation `before`.
         """
         now, self._generation = self._clock.mono(), self._generations.current(self._target)
         restarted = self._generation is not None and not self._generation.same(before)
@@ -81,9 +82,10 @@ class ExternalChanges:
             case.recheck_from = max(recheck_from, case.recheck_from or recheck_from)
 
     def generation_changed(self, case: FaultCase) -> bool:
-        """Whether the container is no longer in the generation in which the fault was found: it has already been restarted.
+        """Whether the container is no longer in the generation in which the fault was found: it has already been
+        restarted.
 
-        A run that begins after the grace of that restart must then find the unit in ERROR before anything is done.
+        A run that begins after the grace of that restart must then find the unit in ERROR before any action.
         """
         generation = self._generations.current(self._target)
         if generation is None or case.generation in ("", generation.name):
@@ -113,7 +115,7 @@ class ExternalChanges:
         ]
 
     def unconfirmed_since(self, case: FaultCase) -> float | None:
-        """A run that begins after this must find the unit in ERROR before anything is done; None: one has."""
+        """A run that begins after this must find the unit in ERROR before any action; None: one has."""
         recheck_from = self._recheck_from(case)
         confirmed = recheck_from is None or self._pipeline.bad_since(case.fault.unit, recheck_from)
         return None if confirmed else recheck_from
@@ -130,8 +132,8 @@ class ExternalChanges:
             case.generation = self._generation.name
 
     def _follow_generation(self, cases: Iterable[FaultCase]) -> None:
-        """The container was started apart from an attempt: its parts get their grace. If others started it, the action hold of
-        an interrupted action ends. If PHM did, the engine has completed late what an attempt had requested."""
+        """The container was started without an attempt: its parts get their grace. If others started it, the action
+        hold of an interrupted action ends. If PHM did, the engine has completed the request of an attempt late."""
         before, self._generation = self._generation, self._generations.current(self._target)
         if self._generation is None or before is None or self._generation.same(before):
             return

@@ -1,6 +1,6 @@
 """Holds in the running daemon: requested by an operator, or begun by a manual stop or a maintenance window.
 
-Each change is published. The tracker shows what is bad there as STALE, and recovery does not act.
+Each change is published. During a hold the tracker publishes bad results as STALE, and recovery does not act.
 """
 
 from __future__ import annotations
@@ -51,12 +51,13 @@ class HoldRefused(Exception):
 
 @dataclass(frozen=True)
 class HoldInputs:
-    """What holds depend on.
+    """Dependencies of the hold service.
 
     armed:     the vehicle's armed state; unknown counts as in the air.
-    container: the engine's view of a configured container now, for its label. Raises CannotTell.
-    stream:    the engine's event stream now.
-    own:       whether what the engine does to a container may be PHM's doing: an action at work, or a call without an answer.
+    container: the engine's current view of a configured container, for its label. Raises CannotTell.
+    stream:    the engine's event stream.
+    own:       whether the engine's changes of a container may be PHM's doing: an action in progress, or a call without
+               a response.
     """
 
     armed: Callable[[], ArmedStatus]
@@ -88,7 +89,7 @@ class HoldService:
         self._windows_at = self._labels_at = float("-inf")
         self._labels: dict[str, str] = {}
         self._facts: dict[str, ContainerFact] = {}
-        """The newest of each container, also of one that was removed: containers in its namespaces depend on it."""
+        """The newest data of each container, also of a removed one: containers in its namespaces depend on it."""
         self._flight = FlightRules(containers, world.armed, self._facts)
         self._seen: set[str] = set()
         self._lock = threading.RLock()
@@ -109,7 +110,8 @@ class HoldService:
     # ------------------------------------------------------------ the operator
 
     def hold(self, container: str, for_s: float | None, reason: str, by: str) -> tuple[str, dict[str, Any]]:
-        """Begin or replace an operator's hold; container ALL: all. What was done, in words and as data. Raises HoldRefused."""
+        """Begin or replace an operator's hold; container ALL: all. Returns what was done, as text and as data. Raises
+        HoldRefused."""
         self._known(container)
         length_s = self._rules.hold if for_s is None else for_s
         if not 1.0 <= length_s <= self._rules.hold_max:
@@ -162,7 +164,7 @@ class HoldService:
         self._wake.set()
 
     def tick(self) -> float | None:
-        """Apply what is due; seconds until the next call, None: until an event."""
+        """Apply due changes. Returns the seconds until the next call; None: until an event."""
         self._check_labels()
         now = self._clock.mono()
         replaced = self._not_stopped(now)
@@ -234,7 +236,7 @@ class HoldService:
                 self._pipeline.end_hold(key)
 
     def _runs(self, key: str) -> None:
-        """It was started, perhaps while PHM was not running: a manual stop is over."""
+        """It was started, perhaps while PHM was not running: the hold of a manual stop ends."""
         self._holds.mark_stopped(key, False)
         self._end([hold for hold in self._of_source(STOP) if hold.target == key], "it was started again")
 
@@ -244,9 +246,10 @@ class HoldService:
         self._apply([key])
 
     def _not_stopped(self, now: float) -> frozenset[str]:
-        """Containers that are about to be judged as stopped, but run: started, or replaced by another one.
+        """Containers that are about to count as stopped, but run: started, or replaced by another one.
 
-        Events are lost, and a container may be removed after a copy has taken its place. Without the lock, as `_check_labels`.
+        Events may be lost, and a container may be removed after a copy has replaced it. Called without the lock, like
+        `_check_labels`.
         """
         with self._lock:
             ripe = self._stops.nearly_due(now)
@@ -272,7 +275,8 @@ class HoldService:
         self._pipeline.note("HOLD", f"{key} was {done} manually; {what} (recovery.on_manual_stop)")
 
     def _end_on_arming(self) -> None:
-        """End what was put on hold on the ground when the vehicle is armed, but for an operator's hold of what is not flight-critical."""
+        """End holds begun on the ground when the vehicle is armed, except an operator's hold of a container that is not
+        flight-critical."""
         armed = self._flight.armed
         if self._was_armed is None:
             self._was_armed = self._holds.armed_before
@@ -284,12 +288,12 @@ class HoldService:
         self._was_armed = armed
 
     def _check_labels(self) -> None:
-        """Without the lock: an engine that hangs must not block others."""
+        """Called without the lock: a hung engine must not block others."""
         now = self._clock.mono()
         if now - self._labels_at < LABELS_S:
             return
         self._labels_at = now
-        # The event of a start may have been lost. Only what was stopped before the engine was asked: the answer may be older.
+        # The event of a start may have been lost. Only containers stopped before the request: its response may be old.
         stopped = {hold.target for hold in self._of_source(STOP)} | set(self._holds.stops())
         for key in self._keys:
             try:
@@ -305,7 +309,7 @@ class HoldService:
             self._seen.add(key)
 
     def _check_windows(self, now: Stamp) -> bool:
-        """Begin and end the holds of maintenance windows; whether there may be any windows."""
+        """Begin and end the holds of maintenance windows. Returns whether there may be any windows."""
         if now.mono - self._windows_at >= WINDOWS_S and not self._was_armed:
             self._windows_at = now.mono
             removed = self._windows.removed()

@@ -23,17 +23,17 @@ MAX_FAULTS = 256
 MAX_TARGETS = 64
 MAX_TEXT = 2000
 MAX_SHARES = 262144
-"""The largest CPU weight that the kernel knows."""
+"""The largest CPU weight of the kernel."""
 FAULT_AGE_S = 7 * 86400.0
-"""A fault is never taken to be older than this: a greater age is explained by a clock that was set."""
+"""The maximum age of a fault: a greater age is due to a clock that was set."""
 
 
 class InvalidState(Exception):
-    """The state file is not what PHM writes; the message says in what way."""
+    """The state file has an unexpected content; the message says what is wrong."""
 
 
 def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
-    """The document; everything in it is capped. `boot` is the machine's boot id."""
+    """The document; everything in it is limited. `boot` is the machine's boot id."""
     recovery = state.recovery
     newest = sorted(recovery.attempts.items(), key=lambda item: item[1][-1].at if item[1] else 0.0)[-MAX_TARGETS:]
     return {

@@ -14,11 +14,11 @@ from phm.core.clock import Clock
 from phm.facts.links import AutopilotFact
 
 REBOOT_S = 30.0
-"""An autopilot that rebooted while armed reports disarmed at first, also in the air: ignored for so long."""
+"""An autopilot that rebooted while armed reports disarmed at first, also in the air: ignored for this long."""
 
 
 class ArmedState(str, Enum):
-    """ARMED also when the last that is known is armed; UNKNOWN: neither armed nor reliably disarmed."""
+    """ARMED also if the last known state is armed; UNKNOWN: neither armed nor reliably disarmed."""
 
     DISARMED = "disarmed"
     ARMED = "armed"
@@ -27,27 +27,27 @@ class ArmedState(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class ArmedStatus:
-    """The assessed state, and the evidence in words, e.g. ``the autopilot has been silent for 5 s``."""
+    """The assessed state, and the evidence as text, e.g. ``the autopilot has been silent for 5 s``."""
 
     state: ArmedState
     why: str
 
     @property
     def restricts(self) -> bool:
-        """Whether nothing flight-critical may be disturbed."""
+        """Whether flight-critical containers must not be disturbed."""
         return self.state is not ArmedState.DISARMED
 
 
 @dataclass(frozen=True, slots=True)
 class LastArmedState:
-    """What survives a restart of PHM; `since`: when it was first found to be so (monotonic seconds)."""
+    """The part that survives a restart of PHM; `since`: when it was first observed (monotonic seconds)."""
 
     armed: bool
     since: float
 
 
 def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | None = None) -> ArmedStatus:
-    """timeout_s: a heartbeat older than this proves nothing (`mavlink.autopilot_timeout`). Pure."""
+    """timeout_s: maximum age of a heartbeat that counts (`mavlink.autopilot_timeout`). Pure."""
     if fact is None:
         return _never_received(last)
     if _within(fact.armed_s, timeout_s):
@@ -89,7 +89,7 @@ def _landed(fact: AutopilotFact, timeout_s: float) -> bool:
 
 
 def _steadily_disarmed(fact: AutopilotFact, timeout_s: float) -> bool:
-    """Whether it is disarmed for so long that a reboot which PHM may have missed does not explain it."""
+    """Whether it has been disarmed so long that a reboot missed by PHM does not explain it."""
     if fact.boot_s is not None and _within(fact.boot_age_s, timeout_s):
         return fact.boot_s >= REBOOT_S
     return fact.disarmed_for_s is not None and fact.disarmed_for_s >= REBOOT_S
@@ -107,7 +107,7 @@ class ArmedMonitor:
         self._last: LastArmedState | None = None
 
     def restore(self, last: LastArmedState | None) -> None:
-        """What an earlier run of PHM knew last."""
+        """The last state known to an earlier run of PHM."""
         self._last = last
 
     def now(self) -> ArmedStatus:

@@ -62,10 +62,8 @@ class TargetLocks:
             self.release(target, owner)
 
     def dependent_restart_at(self, target: str) -> float:
-        """When the target was last restarted as a dependent (monotonic seconds); infinite while it is, -inf: never.
-
-        What checks found before says nothing about its state now.
-        """
+        """When the target was last restarted as a dependent (monotonic seconds); infinite while it is being restarted,
+        -inf: never. Earlier results do not describe its current state."""
         return self._dependent_restart_at.get(target, float("-inf"))
 
     def _wait_for(self, target: str, owner: object, at_most_s: float) -> None:
@@ -100,7 +98,7 @@ class TargetLocks:
     def start_hold(
         self, target: str, owner: object, unit: str, action: str, at_most_s: float, *, proving: bool = False
     ) -> None:
-        """From now on, what fails in the target follows from the recovery of `unit`: see `Tracker.begin_action`."""
+        """From now on, failures in the target follow from the recovery of `unit`: see `Tracker.begin_action`."""
         with self._lock:
             self._hold_owners[target] = owner
             self._pipeline.begin_action(target, unit, action, at_most_s, proving=proving)
