@@ -89,8 +89,8 @@ def level_of(topic: api.TopicSettings, seen: api.TopicFact, pairs: Sequence[Pair
 def unfit(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
     """Text for one policy of one pair and what to change: at the endpoint that matches no other, if there is one."""
     out, into = pair
-    at_publisher = f"at the publisher {mismatch.raise_offer}"
-    at_subscriber = f"at the subscriber {mismatch.lower_ask}"
+    at_publisher = f"{mismatch.raise_offer} at the publisher"
+    at_subscriber = f"{mismatch.lower_ask} at the subscriber"
     if any(serves(out, other) for other in seen.subscribers):
         change = at_subscriber
     elif any(serves(other, into) for other in seen.publishers):
@@ -98,7 +98,7 @@ def unfit(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
     else:
         change = f"{at_publisher}, or {at_subscriber}"
     return (
-        f"{mismatch.policy}: publisher {who(out)} offers {mismatch.offered}, subscriber {who(into)} asks for "
+        f"{mismatch.policy}: publisher {who(out)} offers {mismatch.offered}, subscriber {who(into)} requests "
         f"{mismatch.asked}; set {change}"
     )
 

@@ -162,10 +162,10 @@ ASKS = {"reliability": "reliable", "durability": "transient_local", "liveliness"
         *(({policy: OFFERS[policy]}, {policy: ASKS[policy]}, f"{policy}: publisher") for policy in OFFERS),
         ({"reliability": "BEST-EFFORT"}, {"reliability": "RELIABLE"}, "reliability: publisher"),
         ({"liveliness": "automatic"}, {"liveliness": "manual_by_node"}, "liveliness: publisher"),
-        ({"deadline_s": None}, {"deadline_s": 0.5}, "deadline: publisher {} offers none, subscriber {} asks for 0.5 s"),
-        ({"deadline_s": 2.0}, {"deadline_s": 0.5}, "deadline: publisher {} offers 2 s, subscriber {} asks for 0.5 s"),
-        ({"lease_s": None}, {"lease_s": 1.0}, "liveliness lease: publisher {} offers none, subscriber {} asks for 1 s"),
-        ({"lease_s": 3.0}, {"lease_s": 1.0}, "liveliness lease: publisher {} offers 3 s, subscriber {} asks for 1 s"),
+        ({"deadline_s": None}, {"deadline_s": 0.5}, "deadline: publisher {} offers none, subscriber {} requests 0.5 s"),
+        ({"deadline_s": 2.0}, {"deadline_s": 0.5}, "deadline: publisher {} offers 2 s, subscriber {} requests 0.5 s"),
+        ({"lease_s": None}, {"lease_s": 1.0}, "liveliness lease: publisher {} offers none, subscriber {} requests 1 s"),
+        ({"lease_s": 3.0}, {"lease_s": 1.0}, "liveliness lease: publisher {} offers 3 s, subscriber {} requests 1 s"),
         *(({policy: ASKS[policy]}, {policy: OFFERS[policy]}, "") for policy in OFFERS),
         *(({policy: kind}, {policy: kind}, "") for policy, kind in ASKS.items()),
         ({}, ASKS, ""),
@@ -212,9 +212,9 @@ def test_a_named_subscriber_with_another_publisher_is_a_warning() -> None:
 @pytest.mark.parametrize(
     ("out", "into", "change"),
     [
-        ([LAX], [STRICT], "set at the publisher reliable, or at the subscriber best_effort"),
-        ([LAX, STRICT], [STRICT], "set at the publisher reliable"),
-        ([LAX], [STRICT, LAX], "set at the subscriber best_effort"),
+        ([LAX], [STRICT], "set reliable at the publisher, or best_effort at the subscriber"),
+        ([LAX, STRICT], [STRICT], "set reliable at the publisher"),
+        ([LAX], [STRICT, LAX], "set best_effort at the subscriber"),
     ],
 )
 def test_the_advice_addresses_the_endpoint_that_differs(out: list[Any], into: list[Any], change: str) -> None:
