@@ -74,6 +74,7 @@ from phm.facts import (
     StallFact,
     SwarmFact,
     TopicFact,
+    TreeFact,
     World,
 )
 
@@ -127,6 +128,7 @@ __all__ = [
     "SwarmFact",
     "TopicFact",
     "TopicSettings",
+    "TreeFact",
     "Unit",
     "Value",
     "WatchedDiagnosticSettings",
@@ -218,7 +220,7 @@ def ok(summary: str, **values: Value) -> Result:
 
 
 def bypass(summary: str, **values: Value) -> Result:
-    """Nothing to check: counts as OK, logged as BYPASS."""
+    """Nothing to evaluate: shown as n/a, logged as BYPASS. Alone it leaves its slot unused."""
     return Result(Level.OK, summary, values=values, bypass=True)
 
 

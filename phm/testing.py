@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phm.core.clock import Clock, ClockSteps
@@ -51,6 +51,7 @@ from phm.facts import (
     SelfProbe,
     SwarmFact,
     SwarmProbe,
+    TreeFact,
     World,
 )
 
@@ -272,7 +273,8 @@ class FakeFiles(_Fake):
         super().__init__()
         self.files: dict[tuple[str, str], FileFact] = {}
         self.problems: dict[tuple[str, str], Exception] = {}
-        """Exceptions raised by questions about one file."""
+        """Exceptions raised by questions about one file or folder."""
+        self.trees: dict[tuple[str, str], TreeFact] = {}
 
     def put(self, container: str, path: str, **fields: Any) -> None:
         """Let a file be there: 100 bytes, mode 0644, no digest, seen through a volume, unless `fields` say else."""
@@ -285,6 +287,13 @@ class FakeFiles(_Fake):
             raise self.problems[container, path]
         fact = self.files.get((container, path))
         return fact if fact is None or digest else dataclasses.replace(fact, sha256="")
+
+    def tree(self, container: str, path: str, *, manifest: str, ignore: Sequence[str]) -> TreeFact | None:
+        """What `trees` holds for the container and the path."""
+        self._asked()
+        if (container, path) in self.problems:
+            raise self.problems[container, path]
+        return self.trees.get((container, path))
 
 
 class FakeDevices(_Fake):

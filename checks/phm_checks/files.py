@@ -55,6 +55,8 @@ class Files(PerContainer):
 
     def _judge(self, world: api.World, wanted: api.FileSettings) -> api.Result:
         where = f"{wanted.path} in {self.key}"
+        if wanted.manifest is not None:
+            return self._folder(world, wanted, wanted.manifest, where)
         try:
             fact = world.files.look(self.key, wanted.path, digest=wanted.sha256 is not None)
             if fact is None and wanted.present and world.docker.container(self.key) is None:
@@ -70,6 +72,32 @@ class Files(PerContainer):
             words = f"{where} is not executable (mode {fact.mode & 0o7777:04o}), expected an execute bit: `chmod +x` it"
             return self._bad(wanted, words, "not executable", "file_not_executable")
         return self._content(wanted, fact, where)
+
+    def _folder(self, world: api.World, wanted: api.FileSettings, manifest: str, where: str) -> api.Result:
+        try:
+            tree = world.files.tree(self.key, wanted.path, manifest=manifest, ignore=wanted.ignore)
+        except api.CannotTell as reason:
+            return api.stale(f"{where} cannot be checked: {clean(str(reason))}")
+        if tree is None:
+            return self._absent(wanted, where)
+        if tree.differing:
+            kinds = (("changed", tree.changed), ("missing", tree.missing), ("new", tree.new))
+            found = "; ".join(f"{kind}: {listed(paths, 8)}" for kind, paths in kinds if paths)
+            count = "1 file differs" if tree.differing == 1 else f"{tree.differing} files differ"
+            words = (
+                f"{where} is not as its manifest {last(manifest)}: {count}: {found}. Restore them, or update the manifest "
+                "with `phm learn`"
+            )
+            kind, name = next((kind, paths[0]) for kind, paths in kinds if paths)
+            more = f" +{tree.differing - 1}" if tree.differing > 1 else ""
+            return self._bad(wanted, words, f"{kind}{more}", "tree_altered", subject=name)
+        if tree.pending:
+            return api.stale(
+                f"{where} is being read: {tree.files - tree.pending} of {tree.files} files so far are as expected"
+            )
+        if tree.unreadable:
+            return api.stale(f"{where} cannot be checked completely: PHM cannot read {listed(tree.unreadable)}")
+        return api.ok(f"{where} has all {tree.files} files of its manifest, unaltered")
 
     def _absent(self, wanted: api.FileSettings, where: str) -> api.Result:
         if not wanted.present:
@@ -94,6 +122,8 @@ class Files(PerContainer):
             return self._bad(wanted, words, "altered", "file_altered")
         return api.ok(f"{where} exists and is unaltered")
 
-    def _bad(self, wanted: api.FileSettings, words: str, short: str, condition: str) -> api.Result:
-        found = api.error(words, brief=brief(last(wanted.path), short), condition=condition, target=self.key)
+    def _bad(
+        self, wanted: api.FileSettings, words: str, short: str, condition: str, *, subject: str = ""
+    ) -> api.Result:
+        found = api.error(words, brief=brief(last(subject or wanted.path), short), condition=condition, target=self.key)
         return found.with_evidence(api.Evidence(file=wanted.path))

@@ -25,6 +25,7 @@ VERBS = {
     "run": "Run the daemon until SIGTERM.",
     "once": "Run every check once and print the results.",
     "validate": "Validate a configuration file and list every problem.",
+    "learn": "Watch a healthy agent and write a configuration for it.",
     "checks": "List the installed checks.",
     "status": "Show daemon and agent status.",
     "faults": "List open and recent faults, or show one with its timeline.",

@@ -90,6 +90,7 @@ def loads(
     problems += bad_interval
     if tree.broken:
         raise ConfigError(problems)
+    _locate_manifests(tree.data, os.path.dirname(os.path.abspath(file)))
     settings, wrong = _validate(tree, file)
     problems += wrong
     root = ConfigNode(tree, file, problems, value=tree.data)
@@ -124,6 +125,17 @@ def _validate(tree: Tree, file: str) -> tuple[Settings | None, list[Problem]]:
             continue  # its cause is already reported
         problems.append(Problem(file, tree.line(path), dotted(path), sentence(entry)))
     return None, problems
+
+
+def _locate_manifests(data: Any, folder: str) -> None:
+    """Make relative paths of manifests absolute: `phm learn` writes them beside the configuration, which may be mounted anywhere."""
+    containers = data.get("containers") if isinstance(data, dict) else None
+    for container in containers if isinstance(containers, list) else ():
+        files = container.get("files") if isinstance(container, dict) else None
+        for file in files if isinstance(files, list) else ():
+            manifest = file.get("manifest") if isinstance(file, dict) else None
+            if isinstance(manifest, str) and manifest.strip():
+                file["manifest"] = os.path.join(folder, manifest.strip())
 
 
 def _interval(environ: Mapping[str, str]) -> tuple[float | None, list[Problem]]:

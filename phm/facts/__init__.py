@@ -28,6 +28,7 @@ from phm.facts.files import (
     DeviceProbe as DeviceProbe,
     FileFact as FileFact,
     FileProbe as FileProbe,
+    TreeFact as TreeFact,
 )
 from phm.facts.host import DiskFact as DiskFact, HostFact as HostFact, HostProbe as HostProbe
 from phm.facts.links import (

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +22,39 @@ class FileFact:
     """volume or engine: how the file was accessed."""
 
 
+@dataclass(frozen=True, slots=True)
+class TreeFact:
+    """A folder compared with its manifest. changed, missing, new: relative paths, sorted, at most MAX_NAMED of each.
+
+    files: files and links in the folder. size: their bytes. pending: how many have not been read since they last changed.
+    differing: changed, missing and new files together. unreadable: paths for which PHM lacks the permission or that are faulty.
+    """
+
+    files: int
+    size: int
+    differing: int = 0
+    changed: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    new: tuple[str, ...] = ()
+    pending: int = 0
+    unreadable: tuple[str, ...] = ()
+
+    MAX_NAMED: ClassVar[int] = 20
+
+
 class FileProbe(Protocol):
     def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         """Return the file at `path` inside the container, or None if it does not exist.
 
         Reads a volume mounted into PHM if one contains the path, else asks the engine. With `digest`
         the SHA-256 is calculated, too (cached until size, mtime or inode change).
+        """
+
+    def tree(self, container: str, path: str, *, manifest: str, ignore: Sequence[str]) -> TreeFact | None:
+        """Compare the folder at `path` inside the container with the file `manifest`; None if the folder does not exist.
+
+        ignore: patterns of names or relative paths that are left out. Raises CannotTell if the manifest or the folder cannot
+        be read; the folder must be in a volume that PHM sees.
         """
 
 

@@ -10,14 +10,16 @@ import os
 import stat
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, Final
 
 from phm.core.clock import Clock
 from phm.core.settings import DockerSettings
-from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
+from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount, TreeFact
 from phm.probes.docker_facts import TimeBudget
+from phm.probes.file_tree import TreeListing, TreeReader
 from phm.probes.inotify import FileWatcher
+from phm.probes.tree_comparison import Manifests, compare
 from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, join, normal, resolve
 from phm.transport.docker import DockerEngine, EngineMissing
 
@@ -56,6 +58,9 @@ class Files:
         self._last: dict[str, tuple[ContainerFact, ContainerFact | None]] = {}
         self._sums: OrderedDict[Hashable, str] = OrderedDict()
         self._lock = threading.Lock()
+        self._trees: dict[tuple[str, str, tuple[str, ...]], TreeReader] = {}
+        self._trees_lock = threading.Lock()
+        self._manifests = Manifests()
 
     def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         """Raises CannotTell if the container does not exist, or the file is too large or too slow to read."""
@@ -82,6 +87,49 @@ class Files:
             return self._through_volume(*last, path, digest)
         except OutsideVolumes:
             raise error from None
+
+    # ------------------------------------------------------------ folder
+
+    def tree(self, container: str, path: str, *, manifest: str, ignore: Sequence[str]) -> TreeFact | None:
+        """See `phm.facts.FileProbe`."""
+        expected = self._manifests.read(manifest)
+        found = self.listing(container, path, ignore)
+        return None if found is None else compare(expected, found, ignore)
+
+    def listing(self, container: str, path: str, ignore: Sequence[str], *, fresh: bool = False) -> TreeListing | None:
+        """The files of a folder of the container, with the checksums that could be calculated in this look.
+
+        fresh: do not use the listing of an earlier look.
+        """
+        path = normal(path)
+        try:
+            fact, me = self._docker.container(container), self._docker.myself()
+        except CannotTell:
+            if container not in self._last:
+                raise
+            fact, me = self._last[container]
+        if fact is None:
+            raise CannotTell(f"the container {container} does not exist")
+        self._last[container] = (fact, me)
+        roots = self._roots(fact, me)
+        try:
+            number = resolve(path, {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts})
+        except OutsideVolumes:
+            raise CannotTell(
+                f"{path} is not in a volume that PHM sees: mount that volume or host folder for PHM, too, or list single files"
+            ) from None
+        if number is None:
+            return None
+        try:
+            if not stat.S_ISDIR(os.fstat(number).st_mode):
+                raise CannotTell(f"{path} is not a folder: a manifest describes a folder")
+            with self._trees_lock:
+                reader = self._trees.setdefault((container, path, tuple(ignore)), TreeReader(self._clock))
+                return reader.read(number, ignore, fresh=fresh)
+        except OSError as error:
+            raise CannotTell(f"{path} cannot be read: {error.strerror}") from None
+        finally:
+            os.close(number)
 
     # ------------------------------------------------------------ volume
 

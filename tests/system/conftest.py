@@ -49,7 +49,8 @@ def docker_client() -> Iterator[DockerClient]:
 class AppContainer:
     """The application container `name` on the network `network`, both created for one test."""
 
-    def __init__(self, client: DockerClient) -> None:
+    def __init__(self, client: DockerClient, **more: Any) -> None:
+        """more: further arguments of `docker run`."""
         self.client = client
         self.name = f"phm-test-{uuid.uuid4().hex[:8]}"
         self.domain = 10 + uuid.uuid4().int % 80
@@ -62,6 +63,7 @@ class AppContainer:
             labels={"phm.test": "1"},
             environment={"ROS_DOMAIN_ID": str(self.domain)},
             mem_limit="500m",
+            **more,
         )
 
     def run(self, *argv: str) -> str:

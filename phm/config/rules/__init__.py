@@ -14,6 +14,7 @@ from phm.config.rules.containers import (
     containers_are_unique,
     containers_have_one_identity,
     containers_start_in_order,
+    manifests_are_for_folders,
     named_containers_exist,
     recovery_keys_need_opt_in,
 )
@@ -44,6 +45,7 @@ RULES: tuple[Callable[[ConfigNode], None], ...] = (
     container_parts_are_unique,
     containers_start_in_order,
     absent_files_have_no_copy,
+    manifests_are_for_folders,
     recovery_keys_need_opt_in,
     flight_critical_needs_autopilot,
     ros_names_are_unique,

@@ -54,6 +54,21 @@ def containers_start_in_order(root: ConfigNode) -> None:
                     graph.setdefault(key, set()).add(place.text)
 
 
+def manifests_are_for_folders(root: ConfigNode) -> None:
+    for container in root.get("containers").records():
+        for file in container.get("files").records():
+            if file.get("manifest").given:
+                for key in ("sha256", "executable", "restore"):
+                    if file.get(key).value not in (None, False):
+                        file.get(key).add_problem(
+                            "conflicts with 'manifest', which is for a folder: remove one of them"
+                        )
+                if file.get("present").value is False:
+                    file.get("present").add_problem("conflicts with 'manifest': the folder must exist")
+            elif file.get("ignore").value:
+                file.get("ignore").add_problem("is never used without 'manifest': add it or remove this")
+
+
 def absent_files_have_no_copy(root: ConfigNode) -> None:
     for container in root.get("containers").records():
         for file in container.get("files").records():

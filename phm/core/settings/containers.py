@@ -22,6 +22,13 @@ class FileSettings(Section):
     """Expected SHA-256 of the content, 64 hexadecimal digits."""
     restore: Annotated[str, Field(pattern=r"^(image|/.*)$", max_length=4096)] | None = None
     """Where to restore it from: `image` for the container's own image, or a path that PHM sees. Default: never restored."""
+    manifest: AbsolutePath | None = None
+    """For a folder: file with the SHA-256 of each file in it, as `phm learn` or sha256sum writes it. A relative path is relative
+    to this configuration."""
+    ignore: Annotated[list[Annotated[str, Field(min_length=1, max_length=255)]], Field(max_length=100)] = Field(
+        default_factory=list
+    )
+    """Files and folders that the manifest does not cover: names or relative paths with `*` and `?`."""
 
 
 class DeviceSettings(Section):

@@ -1,0 +1,225 @@
+"""Watches an agent for `phm learn`, with PHM's own probes. It changes nothing: no container, no network, no MAVLink message."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+
+from phm.core.clock import Clock
+from phm.core.settings import ContainerSettings, Settings
+from phm.facts import CannotTell, ContainerFact
+from phm.learn.autopilot_watch import AutopilotWatch
+from phm.learn.baseline import IGNORED
+from phm.learn.observations import Observations, ObservedContainer, ObservedFolder
+from phm.learn.ros_watch import RosWatch
+from phm.probes.devices import Devices
+from phm.probes.docker import Docker
+from phm.probes.docker_facts import container_fact
+from phm.probes.file_tree import TreeListing
+from phm.probes.files import Files
+from phm.transport.docker import DockerEngine
+
+NO_PROGRESS_S = 5.0
+"""Reading a folder ends when no further file could be read for this long."""
+_TURN_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class WatchRequest:
+    """What to watch. containers: their names or aliases; empty: those that are configured, else all that run.
+
+    folders: containers and folders in them for which to make manifests. ros, links: whether to watch the ROS graph and the
+    MAVLink endpoints.
+    """
+
+    for_s: float
+    containers: tuple[str, ...] = ()
+    folders: tuple[tuple[str, str], ...] = ()
+    ros: bool = True
+    links: bool = True
+
+
+class WatchFailed(Exception):
+    """What was asked for cannot be watched at all; the text says why and what to do."""
+
+
+@dataclass
+class Watch:
+    """One watch. progress: called with what happens now, in a few words, and the seconds that it takes (0: unknown)."""
+
+    settings: Settings
+    request: WatchRequest
+    clock: Clock
+    progress: Callable[[str, float], None] = lambda text, seconds: None
+    problems: list[str] = field(default_factory=list)
+
+    def run(self) -> Observations:
+        """Raises WatchFailed. Returns after `request.for_s`, and the time to read folders."""
+        engine = DockerEngine(self.settings.docker.socket, self.settings.docker.timeout, self.clock)
+        ros = RosWatch(self.settings, self.clock) if self.request.ros else None
+        pilot = (
+            AutopilotWatch(self.settings, self.clock)
+            if self.request.links and self.settings.mavlink.endpoints
+            else None
+        )
+        try:
+            entries = self._entries(engine)
+            docker = Docker(engine, list(entries.values()), self.settings.docker, self.clock)
+            files = Files(docker, engine, self.settings.docker, self.clock)
+            before = {key: self._container(docker, key) for key in entries}
+            first = [self._folder(files, key, path) for key, path in self._folders(entries)]
+            self._wait(ros, pilot)
+            folders = [self._again(files, folder) for folder in first]
+            containers = [self._observed(docker, key, fact) for key, fact in before.items() if fact is not None]
+            return self._observations(containers, folders, ros, pilot)
+        finally:
+            for part in (ros, pilot):
+                if part is not None:
+                    part.close()
+            engine.close()
+
+    # ------------------------------------------------------------ time
+
+    def _wait(self, ros: RosWatch | None, pilot: AutopilotWatch | None) -> None:
+        if pilot is not None:
+            pilot.start()
+        if ros is not None:
+            self.progress("discovering the ROS graph", 0.0)
+            ros.discover(self.request.for_s)
+        self.progress(f"watching {'ROS topics' if ros is not None else 'the agent'}", self.request.for_s)
+        tick, end_s = threading.Event(), self.clock.mono() + self.request.for_s
+        while self.clock.mono() < end_s:
+            self.clock.wait(tick, _TURN_S)
+            for part in (ros, pilot):
+                if part is not None:
+                    part.turn()
+
+    def _observations(
+        self,
+        containers: Sequence[ObservedContainer],
+        folders: Sequence[ObservedFolder],
+        ros: RosWatch | None,
+        pilot: AutopilotWatch | None,
+    ) -> Observations:
+        seen = Observations(self.request.for_s, tuple(containers), tuple(folders))
+        if ros is not None:
+            seen = ros.into(seen)
+        if pilot is not None:
+            seen = pilot.into(seen)
+        try:
+            ports = Devices(self.settings.host, self.clock).serial_ports()
+        except CannotTell as reason:
+            ports = ()
+            self.problems.append(f"serial ports cannot be listed: {reason}")
+        return replace(seen, ports=ports, problems=(*self.problems, *seen.problems))
+
+    # ------------------------------------------------------------ containers
+
+    def _entries(self, engine: DockerEngine) -> Mapping[str, ContainerSettings]:
+        """Settings of the containers to watch, by key."""
+        known = {entry.key: entry for entry in self.settings.containers}
+        wanted = self.request.containers or tuple(known)
+        try:
+            running = self._running(engine)
+        except CannotTell as reason:
+            if wanted or self.request.folders:
+                raise WatchFailed(f"containers cannot be watched: {reason}") from None
+            self.problems.append(f"containers were not watched: {reason}")
+            return {}
+        found: dict[str, ContainerSettings] = {}
+        names = {entry.name: entry.key for entry in known.values() if entry.name}
+        for name in wanted or running:
+            key = name if name in known else names.get(name, name)
+            if key not in known and name not in running:
+                raise WatchFailed(f"there is no running container {name}; running: {', '.join(running) or 'none'}")
+            found[key] = known.get(key) or ContainerSettings(name=name)
+        return found
+
+    def _running(self, engine: DockerEngine) -> list[str]:
+        """Names of the running containers without PHM's own."""
+        me = Docker(engine, (), self.settings.docker, self.clock).myself()
+        facts = [
+            container_fact(engine.inspect(str(one.get("Id")))) for one in engine.list() if one.get("State") == "running"
+        ]
+        return sorted(fact.name for fact in facts if me is None or fact.id != me.id)
+
+    def _container(self, docker: Docker, key: str) -> ContainerFact | None:
+        try:
+            fact = docker.container(key)
+        except CannotTell as reason:
+            self.problems.append(f"container {key} cannot be read: {reason}")
+            return None
+        if fact is None or not fact.running:
+            self.problems.append(
+                f"container {key} {'does not exist' if fact is None else f'is {fact.status}'}: nothing is learned of it"
+            )
+            return None
+        return fact
+
+    def _observed(self, docker: Docker, key: str, before: ContainerFact) -> ObservedContainer:
+        now = self._container(docker, key) or before
+        try:
+            processes = docker.processes(key)
+        except CannotTell:
+            processes = ()
+        answers = {entry.name: self._answers(docker, entry.address) for entry in now.networks}
+        return ObservedContainer(now, key, answers, processes, now.generation != before.generation)
+
+    @staticmethod
+    def _answers(docker: Docker, address: str) -> bool | None:
+        try:
+            return docker.reachable(address) if address else None
+        except CannotTell:
+            return None
+
+    # ------------------------------------------------------------ folders
+
+    def _folders(self, entries: Mapping[str, ContainerSettings]) -> Sequence[tuple[str, str]]:
+        names = {entry.name: key for key, entry in entries.items()}
+        for name, _path in self.request.folders:
+            if name not in entries and name not in names:
+                raise WatchFailed(
+                    f"--files names the container {name}, which is not watched: {', '.join(entries) or 'none'} are"
+                )
+        return [
+            (name if name in entries else names[name], path.rstrip("/") or "/") for name, path in self.request.folders
+        ]
+
+    def _folder(self, files: Files, key: str, path: str) -> ObservedFolder:
+        self.progress(f"reading {key}:{path}", 0.0)
+        listing = self._complete(files, key, path)
+        return ObservedFolder(key, path, listing.sums, listing.size, (), tuple(sorted(listing.unreadable)))
+
+    def _again(self, files: Files, first: ObservedFolder) -> ObservedFolder:
+        """The folder with what has changed since it was first read."""
+        now = self._complete(files, first.container, first.path)
+        names = sorted(path for path in {**first.files, **now.sums} if first.files.get(path) != now.sums.get(path))
+        kept = {path: total for path, total in now.sums.items() if path not in names}
+        unreadable = tuple(sorted(now.unreadable | now.pending))
+        return replace(first, files=kept, size=now.size, unstable=tuple(names), unreadable=unreadable)
+
+    def _complete(self, files: Files, key: str, path: str) -> TreeListing:
+        """With the checksums of all files but those that do not stay the same for long enough to be read."""
+        pause, least, since_s = threading.Event(), -1, self.clock.mono()
+        while True:
+            try:
+                listing = files.listing(key, path, IGNORED, fresh=True)
+            except CannotTell as reason:
+                raise WatchFailed(f"--files {key}:{path}: {reason}") from None
+            if listing is None:
+                raise WatchFailed(f"--files {key}:{path}: the folder does not exist")
+            if len(listing.sums) > least:
+                least, since_s = len(listing.sums), self.clock.mono()
+            if not listing.pending or self.clock.mono() - since_s > NO_PROGRESS_S:
+                return listing
+            self.clock.wait(pause, _TURN_S)
+
+
+def parse_folder(text: str) -> tuple[str, str]:
+    """``CONTAINER:/path`` in parts. Raises ValueError."""
+    container, colon, path = text.partition(":")
+    if not container or not colon or not path.startswith("/") or fnmatchcase(path, "*/../*"):
+        raise ValueError(f"{text!r} is not CONTAINER:/absolute/path")
+    return container, path

@@ -1,0 +1,95 @@
+"""`phm learn` as a command: its options, and what it says when nothing can be learned."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from phm.cli import group
+from phm.facts import EndpointFact
+from phm.learn import watch
+from phm.learn.observations import Observations, ObservedFolder, ObservedTopic
+
+TYPE = "std_msgs/msg/String"
+SEEN = Observations(
+    60.0,
+    nodes={"/a/lidar": True},
+    topics=(ObservedTopic("/a/scan", (EndpointFact("/a/lidar", TYPE),), (), (10.0,) * 60),),
+    problems=("containers were not watched: no engine",),
+)
+
+
+def invoke(*words: str) -> Result:
+    return CliRunner().invoke(group, ["learn", *words], prog_name="phm")
+
+
+@pytest.fixture(autouse=True)
+def seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(watch.Watch, "run", lambda self: SEEN)
+    monkeypatch.chdir(tmp_path)
+
+
+def test_the_configuration_is_printed() -> None:
+    result = invoke("--fresh")
+    assert result.exit_code == 0
+    assert "rate: 10" in result.stdout and "containers were not watched" in result.stdout
+    assert "phm learn" in result.stderr or not result.stderr
+
+
+def test_a_file_is_updated_and_keeps_its_comments(tmp_path: Path) -> None:
+    file = tmp_path / "phm.yaml"
+    file.write_text("# mine\nagent: {id: 7}\n")
+    assert invoke("-o", str(file)).exit_code == 0
+    assert file.read_text().startswith("# mine\nagent: {id: 7}\n") and "/a/scan" in file.read_text()
+
+
+def test_differences_are_printed_and_nothing_is_written(tmp_path: Path) -> None:
+    file = tmp_path / "phm.yaml"
+    file.write_text("agent: {id: 7}\n")
+    result = invoke("-c", str(file), "--diff")
+    assert "+    - name: /a/scan" in result.stdout and " agent: {id: 7}" in result.stdout
+    assert file.read_text() == "agent: {id: 7}\n"
+
+
+def test_manifests_are_written_beside_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = ObservedFolder("app", "/ws", {"a": "0" * 64}, 1)
+    monkeypatch.setattr(watch.Watch, "run", lambda self: Observations(60.0, SEEN.containers, (folder,), SEEN.nodes))
+    assert invoke("--fresh", "--files", "app:/ws", "-o", str(tmp_path / "new" / "phm.yaml")).exit_code == 0
+    assert "  a\n" in (tmp_path / "new" / "app-ws.sha256").read_text()
+
+
+def test_json() -> None:
+    document = json.loads(invoke("--fresh", "--json").stdout)
+    assert (document["nodes"], document["topics"], document["changed"]) == (["/a/lidar"], ["/a/scan"], True)
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (("--for", "soon"), "5s to 24h"),
+        (("--for", "1s"), "5s to 24h"),
+        (("--files", "app:/ws"), "--output"),
+        (("--files", "app", "-o", "x"), "CONTAINER:/absolute/path"),
+        (("--files", "app:/a/../b", "-o", "x"), "CONTAINER:/absolute/path"),
+    ],
+)
+def test_bad_options(words: tuple[str, ...], problem: str) -> None:
+    result = invoke(*words)
+    assert result.exit_code == 2 and problem in result.output
+
+
+def test_an_invalid_configuration_is_refused_with_its_line(tmp_path: Path) -> None:
+    (tmp_path / "phm.yaml").write_text("agent:\n  id: no\n")
+    result = invoke("-c", "phm.yaml")
+    assert result.exit_code == 78 and "phm.yaml:2: agent.id" in result.output
+
+
+def test_nothing_learned_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        watch.Watch, "run", lambda self: Observations(60.0, problems=("ROS was not watched: no rclpy",))
+    )
+    result = invoke("--fresh")
+    assert result.exit_code == 1 and "no rclpy" in result.output

@@ -1,0 +1,112 @@
+"""Writing a baseline into a configuration: comments, order and variables of the file stay."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from phm.config.load import loads
+from phm.learn.baseline import Baseline, Learned
+from phm.learn.merge import merge, unified_diff
+from tests.docs.story import ROOT
+
+TOPIC = {"name": "/a/scan", "type": "std_msgs/msg/String", "rate": 10, "publishers": ["/a/lidar"]}
+FILE = """\
+# My agent.
+agent: {name: "${PHM_AGENT:-a}", id: 3}   # the third
+
+containers:
+- name: ros_app   # ours
+  # The network of the swarm.
+  networks:
+  - net
+  # The rest is by hand.
+  recover: true
+
+# What runs.
+ros:
+  nodes:
+  - name: /${PHM_AGENT:-a}/lidar
+  # Topics with data.
+  topics:
+  - name: /a/scan
+    rate: 10Hz  # by the data sheet
+    publishers: [/a/lidar]
+# The end.
+"""
+SHIPPED = (ROOT / "config" / "phm.yaml").read_text()
+
+
+def baseline(**fields: Any) -> Baseline:
+    """fields: of the only topic."""
+    topic = Learned({**TOPIC, **fields})
+    return Baseline(nodes=(Learned({"name": "/a/lidar"}),), topics=(topic,), seen=frozenset({"a/lidar", "a/scan"}))
+
+
+def changes(old: str, new: str) -> list[str]:
+    lines = list(unified_diff(old, new, "phm.yaml"))[2:]
+    return [line for line in lines if line[:1] in "+-"]
+
+
+def test_an_empty_file_becomes_a_valid_configuration() -> None:
+    settings = loads(merge("", baseline(), {}), environ={})
+    assert (settings.ros.topics[0].rate, settings.ros.topics[0].publishers) == (10.0, ["/a/lidar"])
+
+
+def test_nothing_new_changes_nothing_but_what_was_not_configured() -> None:
+    """A type is added; all else stays, to the byte."""
+    assert changes(FILE, merge(FILE, baseline(), {})) == ["+    type: std_msgs/msg/String"]
+
+
+def test_a_second_time_changes_nothing() -> None:
+    one = Learned({"name": "/b/new", "rate": 7}, {"rate": "varied by 4 %"})
+    more = Baseline(topics=(Learned(TOPIC), one), notes=("a note",), seen=frozenset({"a/scan", "b/new", "a/lidar"}))
+    for text in (FILE, "", SHIPPED):
+        once = merge(text, more, {})
+        assert merge(once, more, {}) == once
+
+
+def test_a_changed_rate_is_replaced_and_its_comment_stays() -> None:
+    new = merge(FILE, baseline(rate=5, tolerance=20), {})
+    assert re.search(r"\n    rate: 5 +# by the data sheet\n", new)
+    assert loads(new, environ={}).ros.topics[0].tolerance == 20
+
+
+def test_names_with_variables_are_recognised() -> None:
+    """The node is known, so it is neither added nor replaced."""
+    assert merge(FILE, baseline(), {"PHM_AGENT": "a"}).count("lidar") == FILE.count("lidar")
+
+
+def test_what_was_not_seen_is_kept_and_marked() -> None:
+    new = merge(FILE, Baseline(nodes=(Learned({"name": "/a/other"}),), seen=frozenset({"a/other"})), {})
+    assert "  - name: /${PHM_AGENT:-a}/lidar # learned: not seen while watching\n  - name: /a/other\n" in new
+
+
+def test_comments_that_follow_stay_where_they_are() -> None:
+    """An entry that is added comes before the comment about what follows."""
+    ours = Learned({"name": "ros_app", "networks": ["net", "other"]})
+    new = merge(FILE, Baseline(containers=(ours, Learned({"name": "second"}, {"name": "it was restarted"}))), {})
+    assert "  - net\n  - other\n  # The rest is by hand.\n  recover: true\n" in new
+    assert "- name: second # learned: it was restarted\n\n# What runs.\nros:\n" in new
+
+
+def test_the_shipped_configuration_keeps_every_comment() -> None:
+    more = Baseline(
+        containers=(Learned({"name": "x", "healthcheck": "required", "networks": ["n"]}, key="ros_app"),),
+        nodes=(Learned({"name": "/a/lidar"}),),
+        topics=(Learned({"name": "/agent_1/topic_1", "rate": 20}), Learned(TOPIC)),
+        mavlink=Learned({"autopilot": True}),
+    )
+    new = merge(SHIPPED, more, {})
+    assert [line for line in changes(SHIPPED, new) if line.startswith("-") and "#" in line] == []
+    assert loads(new, environ={}).containers[0].healthcheck == "required"
+
+
+def test_hostile_names_stay_text() -> None:
+    """What a network or a container is called cannot become YAML of its own, a variable or another line."""
+    name = 'a: {b}\n# ${HOME} "x"'
+    new = merge("", Baseline(containers=(Learned({"name": "app", "networks": [name]}, {"name": f"was {name}"}),)), {})
+    tree = YAML(typ="safe").load(new)
+    assert tree == {"containers": [{"name": "app", "networks": [name.replace("${", "$${")]}]}
