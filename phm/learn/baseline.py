@@ -129,7 +129,11 @@ def _container(one: ObservedContainer, seen: Observations, folders: Mapping[str,
             values["address"] = False
             notes["address"] = "its address did not answer: true would be a fault"
     nested = {"files": [_folder(folder, name) for name, folder in folders.items() if folder.container == one.key]}
-    nested["devices"] = [_device(mapping.host_path, mapping.container_path) for mapping in fact.devices]
+    nested["devices"] = [
+        _device(mapping.host_path, mapping.container_path)
+        for mapping in fact.devices
+        if mapping.host_path not in one.unseen_devices
+    ]
     return Learned(values, notes, {key: entries for key, entries in nested.items() if entries}, one.key)
 
 
@@ -268,6 +272,11 @@ def _general(seen: Observations) -> tuple[str, ...]:
     mapped = {mapping.host_path for one in seen.containers for mapping in one.fact.devices}
     left = [name for name, stays in sorted(seen.nodes.items()) if not stays]
     notes = list(seen.problems)
+    notes += [
+        f"device {path} of {one.key} is left out, since PHM does not see it: mount the host's /dev for PHM and set host.dev_root"
+        for one in seen.containers
+        for path in one.unseen_devices
+    ]
     notes += [
         f"serial port {port.path} ({port.description or 'no description'}) is not mapped into a container"
         for port in seen.ports

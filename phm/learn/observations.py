@@ -20,6 +20,8 @@ class ObservedContainer:
     answers: Mapping[str, bool | None] = field(default_factory=dict)
     processes: tuple[ProcessFact, ...] = ()
     restarted: bool = False
+    unseen_devices: tuple[str, ...] = ()
+    """Devices that are mapped into it, and that PHM does not see on the host."""
 
 
 @dataclass(frozen=True, slots=True)

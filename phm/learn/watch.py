@@ -72,7 +72,10 @@ class Watch:
             first = [self._folder(files, key, path) for key, path in self._folders(entries)]
             self._wait(ros, pilot)
             folders = [self._again(files, folder) for folder in first]
-            containers = [self._observed(docker, key, fact) for key, fact in before.items() if fact is not None]
+            devices = Devices(self.settings.host, self.clock)
+            containers = [
+                self._observed(docker, devices, key, fact) for key, fact in before.items() if fact is not None
+            ]
             return self._observations(containers, folders, ros, pilot)
         finally:
             for part in (ros, pilot):
@@ -158,14 +161,27 @@ class Watch:
             return None
         return fact
 
-    def _observed(self, docker: Docker, key: str, before: ContainerFact) -> ObservedContainer:
+    def _observed(self, docker: Docker, devices: Devices, key: str, before: ContainerFact) -> ObservedContainer:
         now = self._container(docker, key) or before
         try:
             processes = docker.processes(key)
         except CannotTell:
             processes = ()
         answers = {entry.name: self._answers(docker, entry.address) for entry in now.networks}
-        return ObservedContainer(now, key, answers, processes, now.generation != before.generation)
+        return ObservedContainer(
+            now, key, answers, processes, now.generation != before.generation, self._unseen(devices, now)
+        )
+
+    @staticmethod
+    def _unseen(devices: Devices, fact: ContainerFact) -> tuple[str, ...]:
+        found = []
+        for mapping in fact.devices:
+            try:
+                if devices.look(mapping.host_path, open_it=False) is None:
+                    found.append(mapping.host_path)
+            except CannotTell:
+                found.append(mapping.host_path)
+        return tuple(found)
 
     @staticmethod
     def _answers(docker: Docker, address: str) -> bool | None:

@@ -120,6 +120,14 @@ def test_a_container() -> None:
     assert "by-id" in device.notes["path"]
 
 
+def test_a_device_that_phm_does_not_see_is_left_out() -> None:
+    """It would be missing as soon as PHM runs; the note says how PHM can see it."""
+    one = container(devices=(DeviceMapping("/dev/video0", "/dev/video0"),), unseen_devices=("/dev/video0",))
+    found = learn(Observations(60.0, (one,)))
+    assert "devices" not in found.containers[0].nested
+    assert any("dev_root" in note for note in found.notes)
+
+
 def test_what_is_uncertain_about_a_container() -> None:
     """No HEALTHCHECK, an address that does not answer, a restart."""
     net = (Attachment("net", "id", "172.20.0.2"),)

@@ -13,11 +13,9 @@ import yaml
 from docker import DockerClient
 
 from sitl.harness.log_follower import Event
-from tests.system import conftest
-from tests.system.conftest import ROOT, Phm, poll
+from tests.system.conftest import ROOT, AppContainer, Phm, poll
 
 INSIDE = "/ws/data"
-Application = conftest.Aboard
 
 
 @pytest.fixture
@@ -30,16 +28,16 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def app(docker_client: DockerClient, folder: Path) -> Iterator[Application]:
+def app(docker_client: DockerClient, folder: Path) -> Iterator[AppContainer]:
     """The demo's application with a folder of the host."""
-    started = Application(docker_client, volumes={str(folder): {"bind": INSIDE, "mode": "rw"}})
+    started = AppContainer(docker_client, volumes={str(folder): {"bind": INSIDE, "mode": "rw"}})
     try:
         yield started
     finally:
         started.remove()
 
 
-def cli(app: Application, *words: str) -> str:
+def cli(app: AppContainer, *words: str) -> str:
     argv = [sys.executable, "-m", "phm.cli", *words]
     environ = {**os.environ, "ROS_DOMAIN_ID": str(app.domain)}
     done = subprocess.run(argv, cwd=ROOT, env=environ, capture_output=True, text=True, timeout=240, check=False)
@@ -47,7 +45,7 @@ def cli(app: Application, *words: str) -> str:
     return done.stdout
 
 
-def healthy(app: Application) -> bool:
+def healthy(app: AppContainer) -> bool:
     app.container.reload()
     return bool(app.container.attrs["State"].get("Health", {}).get("Status") == "healthy")
 
@@ -62,7 +60,7 @@ def clean(event: Event) -> bool:
 
 @pytest.mark.long
 def test_a_learned_baseline_passes_and_catches_faults(
-    app: Application, folder: Path, start_phm: Callable[..., Phm], tmp_path: Path
+    app: AppContainer, folder: Path, start_phm: Callable[..., Phm], tmp_path: Path
 ) -> None:
     """Three nodes in a ring, and 200 files. Then a file is altered and a node killed."""
     poll(lambda: healthy(app), "a healthy application", 90.0)
