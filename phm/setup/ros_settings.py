@@ -19,7 +19,7 @@ _PLAIN = re.compile(r"[A-Za-z0-9_./:;,@=+-]*")
 
 
 @dataclass(frozen=True, slots=True)
-class RosSettings:
+class DetectedRosSettings:
     """lines:   of agent.env.
     profile: a copy of the application's Fast DDS profile, to be written as APPLICATION_PROFILE; empty for none.
     mount:   where that file is mounted; empty where it is seen in FOLDER.
@@ -30,11 +30,11 @@ class RosSettings:
     mount: str = ""
 
 
-def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profile: str) -> RosSettings:
+def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profile: str) -> DetectedRosSettings:
     """shipped_profile: PHM's own for applications, which only shortens leases, so that PHM itself does not need it."""
     found = source(machine, watched)
     if found is None:
-        return RosSettings("# ROS 2: the values of your application.\nROS_DOMAIN_ID=0")
+        return DetectedRosSettings("# ROS 2: the values of your application.\nROS_DOMAIN_ID=0")
     used = variables(found)
     where = "container" if any(one.ros is found for one in watched) else "process"
     lines = [f"# ROS 2: as in {where} {found.name}; PHM must use the same.", *_lines({"ROS_DOMAIN_ID": "0", **used})]
@@ -43,7 +43,7 @@ def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profi
         lines.append(f"# Other values are set in {', '.join(others)}: PHM does not see the nodes there.")
     profile = next((one.profile for one in watched if one.ros is found), "")
     if not profile or profile.strip() == shipped_profile.strip():
-        return RosSettings("\n".join(lines))
+        return DetectedRosSettings("\n".join(lines))
     path = next(found.variables[name] for name in PROFILE_VARIABLES if name in found.variables)
     mounted = not path.startswith(f"{FOLDER}/") and _PLAIN.fullmatch(path) is not None and ":" not in path
     seen = path if mounted else f"{FOLDER}/{APPLICATION_PROFILE}"
@@ -51,7 +51,7 @@ def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profi
         f"# {APPLICATION_PROFILE}, a copy of the application's profile.",
         *(f"{n}={seen}" for n in PROFILE_VARIABLES),
     ]
-    return RosSettings("\n".join(lines), profile, path if mounted else "")
+    return DetectedRosSettings("\n".join(lines), profile, path if mounted else "")
 
 
 def source(machine: Machine, watched: Sequence[Application]) -> RosEnvironment | None:
