@@ -57,7 +57,7 @@ def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, 
     try:
         machine = discovery.look(engine, Path(os.environ.get("PHM_DEV_ROOT", "/dev")))
     except CannotTell as error:
-        _fail(str(error))
+        _fail(_remedy(socket) or str(error))
     _show(machine)
     interview = Interview(machine, _given(given))
     answers = _ask(interview, yes=yes)
@@ -72,6 +72,14 @@ def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, 
     except OSError as error:
         _fail(f"{error.filename or directory} cannot be written: {error.strerror or error}")
     _finish(directory, sorted(texts), answers)
+
+
+def _remedy(socket: str) -> str:
+    """For a user of this machine who may not open the engine's socket, what to do; else empty."""
+    path = socket.removeprefix("unix://")
+    if not os.path.exists(path) or os.access(path, os.R_OK | os.W_OK):
+        return ""
+    return f"you may not open {path}: run `phm init` with sudo, or `sudo usermod -aG docker $USER` and log in again"
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from phm.probes.ros.environment import of_container, of_phm
 from phm.probes.ros.environment_differences import differences, rmw
 
 CHILD_LIMIT_S = 15.0
+MAX_NAME = 40
+"""Characters of the command of a process that are shown."""
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108
 MAX_PROCESSES = 10
 """ROS processes of the host that are compared."""
@@ -27,7 +29,7 @@ def rows(surroundings: Surroundings) -> Iterator[Row]:
     settings = surroundings.settings.ros
     yield _installation(needed=bool(settings.nodes or settings.topics))
     own = _own(surroundings)
-    yield ok("domain", f"ROS_DOMAIN_ID {own.variables.get('ROS_DOMAIN_ID', '0')}, {rmw(own)}")
+    yield from (ok("domain", f"ROS_DOMAIN_ID {one.variables.get('ROS_DOMAIN_ID', '0')}, {rmw(one)}") for one in own)
     yield _shared_memory()
     try:
         machine = surroundings.machine()
@@ -55,8 +57,8 @@ def _installation(*, needed: bool) -> Row:
     return ok("PHM", text)
 
 
-def _own(surroundings: Surroundings) -> RosEnvironment:
-    """PHM's environment: of this process, or of the sidecar where this process runs on the host beside it."""
+def _own(surroundings: Surroundings) -> list[RosEnvironment]:
+    """PHM's environment: of this process, or of each sidecar where this process runs on the host beside them."""
     settings, environ = surroundings.settings.ros, surroundings.environ
     try:
         sidecars = [one for one in surroundings.machine().sidecars if one.running]
@@ -64,22 +66,24 @@ def _own(surroundings: Surroundings) -> RosEnvironment:
     except CannotTell:
         sidecars, myself = [], None
     if not surroundings.in_container and sidecars:
-        return replace(of_container(sidecars[0], (), surroundings.proc), name="PHM")
+        return [replace(of_container(one, (), surroundings.proc), name="PHM") for one in sidecars]
     own = of_phm(settings, environ, myself)
     # In a container that the engine does not know, namespaces cannot be compared.
     unknown = surroundings.in_container and myself is None
-    return replace(own, network_namespace="", ipc_namespace="") if unknown else own
+    return [replace(own, network_namespace="", ipc_namespace="") if unknown else own]
 
 
-def _compared(one: RosEnvironment, own: RosEnvironment, *, configured_domain: bool) -> Row:
+def _compared(one: RosEnvironment, own: Sequence[RosEnvironment], *, configured_domain: bool) -> Row:
+    """With that PHM of this machine that fits best: each agent of a simulated swarm has its own."""
+    name = one.name[:MAX_NAME]
     distribution = one.variables.get("ROS_DISTRO", "")
-    found = differences(one, own, configured_domain=configured_domain)
+    found = min((differences(one, phm, configured_domain=configured_domain) for phm in own), key=len)
     if not found:
-        return ok(one.name, f"{f'{distribution}, ' if distribution else ''}its ROS environment fits PHM's")
+        return ok(name, f"{f'{distribution}, ' if distribution else ''}its ROS environment fits PHM's")
     what, _, remedy = found[0].text.rpartition(": ")
     certain = "PHM does not receive its nodes" if found[0].certain else "PHM may not receive its nodes"
-    more = f" ({len(found) - 1} more differences)" if len(found) > 1 else ""
-    return limited(one.name, f"{certain}: {what or found[0].text}{more}", remedy)
+    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+    return limited(name, f"{certain}: {what or found[0].text}{more}", remedy)
 
 
 def _shared_memory() -> Row:

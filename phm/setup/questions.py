@@ -70,7 +70,7 @@ class Interview:
     def answers(self) -> Answers:
         """All answers; every question must be answered. Raises InvalidAnswer."""
         given = self._given
-        recover, mavlink = bool(given["recover"]), str(given["mavlink"])
+        recover, mavlink = bool(given.get("recover")), str(given["mavlink"])
         critical = self._critical(given.get("flight_critical", ())) if recover and mavlink != decided.NO_MAVLINK else ()
         number = int(given["id"])
         return Answers(
@@ -93,10 +93,17 @@ class Interview:
         asked.append(Question("containers", "--container", "Containers to watch, separated by spaces", running))
         if "containers" not in given:
             return asked
-        asked.append(Question("recover", "--recover or --no-recover", "May PHM restart them when they fail?", False))
+        if given["containers"]:
+            asked.append(
+                Question("recover", "--recover or --no-recover", "May PHM restart them when they fail?", False)
+            )
         port = decided.ground(self._network())
         asked.append(Question("mavlink", "--mavlink", "MAVLink endpoint, or none", port))
-        if given.get("recover") and given.get("mavlink", decided.NO_MAVLINK) != decided.NO_MAVLINK:
+        if (
+            given["containers"]
+            and given.get("recover")
+            and given.get("mavlink", decided.NO_MAVLINK) != decided.NO_MAVLINK
+        ):
             text = "Containers that PHM must not restart in flight, separated by spaces, or none"
             asked.append(Question("flight_critical", "--flight-critical", text, ()))
         return asked

@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 from phm.cli import group
 from phm.setup import ros_nodes
 from tests.fakes.engine import FakeEngine
+from tests.fakes.engine_faults import Status
 from tests.setup.machines import described
 
 FILES = ["agent.env", "compose.yaml", "fastdds.xml", "logs", "phm.yaml"]
@@ -82,6 +83,15 @@ def test_files_that_exist_are_kept(fake: FakeEngine, tmp_path: Path) -> None:
 def test_without_an_engine_the_remedy_is_printed(tmp_path: Path) -> None:
     done = CliRunner().invoke(group, ["init", str(tmp_path), "--yes", "--socket", f"unix://{tmp_path}/none"])
     assert done.exit_code == 1 and "start the Docker Engine" in done.stderr
+
+
+def test_a_user_who_may_not_open_the_socket_learns_what_to_do(
+    fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("phm.cli.init.os.access", lambda *_: False)
+    fake.fault = Status(403, "no")
+    done = init(fake, tmp_path / "phm", "--yes")
+    assert done.exit_code == 1 and "with sudo" in done.stderr
 
 
 def test_nodes_of_the_graph_are_written(fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,7 +54,9 @@ def test_one_container_on_the_hosts_network_decides() -> None:
 
 
 def test_without_containers_ros_runs_on_the_host() -> None:
-    assert defaults(interview(machine()))[1].network == "host"
+    """There is nothing to restart, either."""
+    keys, answers = defaults(interview(machine()))
+    assert (keys, answers.network) == (["id", "containers", "mavlink"], "host")
 
 
 def test_a_container_brings_the_owner_of_its_network() -> None:
