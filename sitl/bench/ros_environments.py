@@ -115,10 +115,14 @@ def measure(case: Case) -> Row:
             profile = str(ROOT / "config" / "fastdds.xml")
             app |= {"FASTRTPS_DEFAULT_PROFILES_FILE": profile, "FASTDDS_DEFAULT_PROFILES_FILE": profile}
         programs = ROOT / VENVS[case.distro] / "bin"
+        running: list[subprocess.Popen[bytes]] = []
         if how.server:
-            server = (str(programs / "fast-discovery-server"), "-i", "0", "-l", hosts.address["app"], "-p", str(PORT))
-            end.callback(_end, hosts.start("app", server, {}, folder / "server.log"))
-        nodes = []
+            serving = hosts.start(
+                "app", server_command(programs, hosts.address["app"], PORT), {}, folder / "server.log"
+            )
+            end.callback(_end, serving)
+            running.append(serving)
+        nodes: list[subprocess.Popen[bytes]] = []
         for number in range(1, NODES + 1):
             nodes.append(hosts.start("app", _node(programs, number), _environ(app), folder / "app.log"))
             end.callback(_end, nodes[-1])
@@ -127,8 +131,9 @@ def measure(case: Case) -> Row:
         process = hosts.start("phm", daemon, _environ(phm), folder / "phm.log")
         end.callback(_end, process)
         row = _watch(case, Record(folder / "log" / "phm.jsonl"), nodes[0])
-        if process.poll() is not None:
-            raise RuntimeError(f"{case.name}: PHM ended: {(folder / 'phm.log').read_text(errors='replace')[-2000:]}")
+        if any(one.poll() is not None for one in (*running, *nodes[1:], process)):
+            output = "".join(file.read_text(errors="replace")[-1000:] for file in sorted(folder.glob("*.log")))
+            raise RuntimeError(f"{case.name}: a process ended by itself: {output}")
         return row
 
 
@@ -181,6 +186,18 @@ def _node(programs: Path, number: int) -> tuple[str, ...]:
         f"topic_{number}:10",
         "--no-beacon",
     )
+
+
+def server_command(programs: Path, address: str, port: int) -> tuple[str, ...]:
+    """A Fast DDS discovery server, started by the environment's Python, which knows where the wheels have their libraries.
+
+    programs: the folder `bin` of the environment.
+    """
+    start = "import os, sys; os.execv(sys.argv[1], sys.argv[1:])"
+    program = str(programs / "fast-discovery-server")
+    # Fast DDS 3 wants the number of a command first: 42, serve.
+    command = ("42",) if any((programs.parent / "lib").glob("libfastdds.so*")) else ()
+    return (str(programs / "python"), "-c", start, program, *command, "-i", "0", "-l", address, "-p", str(port))
 
 
 def _configure(folder: Path) -> None:

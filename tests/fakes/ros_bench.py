@@ -19,6 +19,7 @@ from phm.core.clock import SystemClock
 from phm.core.settings import Settings
 from phm.facts import CannotTell, RosFact
 from phm.probes.ros.supervisor import COMMAND, RosSupervisor, SupervisorLimits
+from sitl.bench.ros_environments import server_command
 from tests.fakes import until as wait
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,8 +84,7 @@ class Bench:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
-        program = Path(sys.executable).with_name("fast-discovery-server")
-        command = [str(program), "-i", "0", "-l", "127.0.0.1", "-p", str(port)]
+        command = server_command(Path(sys.executable).parent, "127.0.0.1", port)
         self._keep(subprocess.Popen(command, env=self.environ, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL))
         return f"127.0.0.1:{port}"
 

@@ -51,7 +51,11 @@ def main() -> int:
     except ProtocolError as error:
         sys.stderr.write(f"phm ros child: {error}\n")
         return 2
-    fastdds_profile.adapt(os.environ)
+    try:
+        fastdds_profile.adapt(os.environ)
+    except OSError as error:
+        sys.stderr.write(f"phm ros child: ROS_STATIC_PEERS={os.environ.get('ROS_STATIC_PEERS')}: {error}\n")
+        return 2
     try:
         return _look(wanted, out)
     finally:

@@ -123,11 +123,12 @@ def _range(application: RosEnvironment, phm: RosEnvironment) -> Iterator[Environ
                 f"and PHM is in another: set ROS_STATIC_PEERS to the address of {who} in the sidecar's environment, "
                 f"or run both with network_mode: host",
             )
-    elif theirs == LOCALHOST and ours != LOCALHOST:
+    elif theirs == LOCALHOST and ours not in (LOCALHOST, OFF):
         yield EnvironmentDifference(
             _range_variable(application),
             f"{_range_setting(application)} in {who} and the discovery range is {ours} in PHM: set {name}=LOCALHOST in the "
             "sidecar's environment",
+            certain=same_network(application, phm) is None,
         )
     elif ours == OFF or (ours == LOCALHOST and theirs != LOCALHOST and not same_network(application, phm)):
         yield EnvironmentDifference(
@@ -181,7 +182,6 @@ def _shared_memory(application: RosEnvironment, phm: RosEnvironment) -> Iterator
     yield EnvironmentDifference(
         "ipc",
         f"PHM uses shared memory ({remedy[0]}) and shares no /dev/shm with {who}: {remedy[1]}, or share the IPC namespace",
-        certain=False,
     )
 
 

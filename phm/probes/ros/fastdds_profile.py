@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import socket
 import tempfile
 from collections.abc import MutableMapping
 from pathlib import Path
@@ -19,9 +20,11 @@ FOLDERS = (Path("/dev/shm"), Path("/tmp"))  # noqa: S108 (the names of the files
 """Where the profile is written; the sandbox lets the child remove it from the first one alone."""
 MAX_PEERS = 32
 """How many processes of a host are looked for by unicast: the number of rmw_fastrtps for LOCALHOST; 4 is Fast DDS's own."""
-_LOCALHOST_PEERS = """
-<initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
+_PEER = "<locator><udpv4><address>{}</address></udpv4></locator>"
+_PEERS = """
+<initialPeersList>{}</initialPeersList>
 <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>"""
+"""A list of unicast addresses to listen on replaces Fast DDS's own, which has a multicast address."""
 _TRANSPORT = f"""<transport_descriptors><transport_descriptor>
 <transport_id>udp</transport_id><type>UDPv4</type><maxInitialPeersRange>{MAX_PEERS}</maxInitialPeersRange>
 </transport_descriptor></transport_descriptors>
@@ -39,7 +42,10 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def adapt(environ: MutableMapping[str, str]) -> None:
-    """Set what the child needs in `environ`. A profile of the user's own wins. Where no file can be written, there is none."""
+    """Set what the child needs in `environ`. A profile of the user's own wins. Where no file can be written, there is none.
+
+    Raises OSError: a static peer cannot be resolved, as rmw_fastrtps does.
+    """
     environ.pop(OWN_PROFILE, None)
     if environ.get("ROS_DISCOVERY_SERVER"):
         # An ordinary client learns only of the endpoints that match its own.
@@ -47,8 +53,9 @@ def adapt(environ: MutableMapping[str, str]) -> None:
     if any(environ.get(name) for name in PROFILE_VARIABLES):
         return
     before = dict(environ)
+    text = profile(environ)
     try:
-        path = _write(profile(environ))
+        path = _write(text)
     except OSError:
         environ.clear()
         environ.update(before)
@@ -100,10 +107,19 @@ def profile(environ: MutableMapping[str, str]) -> str:
         if not environ.get("ROS_STATIC_PEERS"):
             return _PROFILE.format(transport="", use="", peers="")
         return _PROFILE.format(transport=_TRANSPORT, use=_USE_TRANSPORT, peers="")
+    peers = ["127.0.0.1", *_static_peers(environ)]
+    # For SUBNET, rmw_fastrtps would add a multicast address; for this it changes nothing and adds no peers.
+    environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+    listed = _PEERS.format("".join(map(_PEER.format, peers)))
+    return _PROFILE.format(transport=_TRANSPORT, use=_USE_TRANSPORT, peers=listed)
+
+
+def _static_peers(environ: MutableMapping[str, str]) -> list[str]:
+    """Addresses of ROS_STATIC_PEERS, which ROS_LOCALHOST_ONLY=1 switches off as in rcl. Raises OSError: a name cannot be resolved."""
+    names = environ.pop("ROS_STATIC_PEERS", "").split(";")
     if environ.pop("ROS_LOCALHOST_ONLY", "") == "1":
-        environ.pop("ROS_STATIC_PEERS", None)  # as rcl does
-    environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"  # leaves the profile as it is, and adds static peers
-    return _PROFILE.format(transport=_TRANSPORT, use=_USE_TRANSPORT, peers=_LOCALHOST_PEERS)
+        return []
+    return [socket.gethostbyname(name) for name in names if name]
 
 
 def localhost(environ: MutableMapping[str, str]) -> bool:

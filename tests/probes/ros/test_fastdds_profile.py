@@ -32,17 +32,17 @@ def test_localhost_goes_over_udp_without_multicast(variables: dict[str, str]) ->
     """rmw_fastrtps itself would add shared memory, over which another container's data is lost."""
     environ = {**UDP, **variables}
     assert {"initialPeersList", "metatrafficUnicastLocatorList", "userTransports"} <= elements(environ)
-    assert environ == {**UDP, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+    assert environ == {**UDP, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
 
 
 def test_static_peers_stay_with_the_discovery_range() -> None:
-    """ROS_LOCALHOST_ONLY=1 switches them off, as in rcl."""
-    environ = {**UDP, **LOCAL, "ROS_STATIC_PEERS": "10.0.0.1"}
-    profile(environ)
-    assert environ["ROS_STATIC_PEERS"] == "10.0.0.1"
-    environ["ROS_LOCALHOST_ONLY"] = "1"
-    profile(environ)
-    assert "ROS_STATIC_PEERS" not in environ
+    """ROS_LOCALHOST_ONLY=1 switches them off, as in rcl. A name is resolved, or the child ends."""
+    environ = {**UDP, **LOCAL, "ROS_STATIC_PEERS": "10.0.0.1;localhost"}
+    text = profile(dict(environ))
+    assert text.count("<address>10.0.0.1</address>") == 1 and text.count("<address>127.0.0.1</address>") == 2
+    assert "10.0.0.1" not in profile({**environ, "ROS_LOCALHOST_ONLY": "1"})
+    with pytest.raises(OSError):
+        profile({**environ, "ROS_STATIC_PEERS": "no.such.host.invalid"})
 
 
 def test_static_peers_are_looked_for_on_more_ports() -> None:
