@@ -1,6 +1,6 @@
 """The daemon's side of the control socket (`phm.wire.control`): approvals, notes, holds and reloads from this machine.
 
-One thread with an event loop, few connections, small requests, short deadlines: a client that sends something else, or nothing, gets
+One thread with an event loop (`phm.core.stream_server`), few connections, small requests, short deadlines: a client that sends something else, or nothing, gets
 an error and is disconnected. The socket belongs to PHM's user alone (mode 0600), and the kernel reports the user id of the client.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import logging
 import os
 import socket
 import struct
@@ -20,10 +19,9 @@ from typing import Any
 from phm.commands.authorization import may_use_socket
 from phm.commands.requests import OperatorRequest, Reply, parse
 from phm.core import threads
+from phm.core.stream_server import run, serving
 from phm.wire.command import CommandResult
 from phm.wire.control import DEADLINE_S, MAX_REQUEST, NAME, address
-
-logger = logging.getLogger(__name__)
 
 MAX_CONNECTIONS = 4
 BACKLOG = 16
@@ -51,7 +49,7 @@ class ControlServer:
         self._problem = ""
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing, self._closed = threading.Event(), asyncio.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="phm-control", daemon=True)
+        self._thread = threading.Thread(target=lambda: run(self._serve()), name="phm-control", daemon=True)
 
     def start(self) -> None:
         threads.start(self._thread)
@@ -80,10 +78,9 @@ class ControlServer:
                 await asyncio.wait_for(self._closed.wait(), RETRY_S)
         if listener is None:
             return
-        server = await asyncio.start_server(self._connected, sock=listener, limit=MAX_REQUEST - 1, backlog=BACKLOG)
-        if not self._closing.is_set():  # `close` may have been called before there was a loop
-            await self._closed.wait()
-        server.close()
+        async with serving(listener, self._converse, MAX_REQUEST - 1):
+            if not self._closing.is_set():  # `close` may have been called before there was a loop
+                await self._closed.wait()
 
     def _listen(self) -> socket.socket | None:
         """Bind under another name, restrict its mode, and only then rename it: it is never open to other users."""
@@ -106,19 +103,14 @@ class ControlServer:
         self._problem = ""
         return listener
 
-    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._connections += 1
         try:
-            await self._converse(reader, writer)
-        except OSError:
-            pass  # the client is gone
-        except Exception:  # whatever one client does, the next one is served
-            logger.exception("serving the control socket failed")
+            await self._answer(reader, writer)
         finally:
             self._connections -= 1
-            writer.transport.abort()
 
-    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer one request after the other, until the client ends, is refused, or does not read its answers."""
         uid = _user(writer.get_extra_info("socket"))
         if self._connections > MAX_CONNECTIONS:

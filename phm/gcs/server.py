@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from phm.core import threads
 from phm.core.clock import Clock
+from phm.core.stream_server import run, serving
 from phm.gcs.events import GcsEvent
 from phm.gcs.station import GroundStation
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
@@ -110,7 +111,7 @@ class GcsServer:
         self._closing = threading.Event()
         self._wanted = asyncio.Event()
         """Something is to be done: there are events, or the server closes."""
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="phm-gcs-serve", daemon=True)
+        self._thread = threading.Thread(target=lambda: run(self._serve()), name="phm-gcs-serve", daemon=True)
         self._feed = _Feed(clock, self._wake)
         station.subscribe(self._feed)
 
@@ -138,18 +139,15 @@ class GcsServer:
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
-        server = await asyncio.start_server(
-            self._connected, sock=self._listener, limit=MAX_REQUEST, backlog=MAX_CLIENTS
-        )
-        while not self._closing.is_set():
-            with contextlib.suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._wanted.wait(), _POLL_S)
-            self._wanted.clear()
-            try:
-                self._turn()
-            except Exception:  # a failure with one client must not affect the others
-                logger.exception("serving events failed")
-        server.close()
+        async with serving(self._listener, self._serve_client, MAX_REQUEST):
+            while not self._closing.is_set():
+                with contextlib.suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(self._wanted.wait(), _POLL_S)
+                self._wanted.clear()
+                try:
+                    self._turn()
+                except Exception:  # a failure with one client must not affect the others
+                    logger.exception("serving events failed")
 
     def _turn(self) -> None:
         items = self._feed.take(0.0)
@@ -178,7 +176,7 @@ class GcsServer:
 
     # ------------------------------------------------------------ one client
 
-    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         client = _Client(writer, writer.get_extra_info("peername")[0], self._clock.mono())
         try:
@@ -191,12 +189,7 @@ class GcsServer:
         except _Refused as refusal:
             client.write(refusal.answer)
             writer.close()
-            with contextlib.suppress(OSError):
-                await writer.wait_closed()
-        except OSError:
-            pass  # the client is gone
-        except Exception:
-            logger.exception("serving a client failed")
+            await writer.wait_closed()
         finally:
             self._drop(client)
 

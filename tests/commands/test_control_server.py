@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -175,6 +176,14 @@ def test_the_number_of_connections_is_limited(daemon: Daemon) -> None:
     for stream in held:
         stream.close()
     until(daemon.serves, "the server to answer")
+
+
+def test_a_client_that_has_just_connected_sees_the_end(daemon: Daemon) -> None:
+    """The server closes each connection when it ends, also one that it has not begun to serve."""
+    with daemon.connect() as stream:
+        daemon.control.close()
+        with contextlib.suppress(ConnectionError):
+            assert stream.recv(1) == b""
 
 
 def test_only_root_and_the_own_user_are_accepted(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
