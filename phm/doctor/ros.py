@@ -76,14 +76,14 @@ def _own(surroundings: Surroundings) -> list[RosEnvironment]:
 def _compared(one: RosEnvironment, own: Sequence[RosEnvironment], *, configured_domain: bool) -> Row:
     """With that PHM of this machine that fits best: each agent of a simulated swarm has its own."""
     name = one.name[:MAX_NAME]
-    distribution = one.variables.get("ROS_DISTRO", "")
+    installed = ", ".join(part for part in (one.variables.get("ROS_DISTRO", ""), rmw(one)) if part)
     found = min((differences(one, phm, configured_domain=configured_domain) for phm in own), key=len)
     if not found:
-        return ok(name, f"{f'{distribution}, ' if distribution else ''}its ROS environment fits PHM's")
+        return ok(name, f"{installed}; its ROS environment fits PHM's")
     what, _, remedy = found[0].text.rpartition(": ")
     certain = "PHM does not receive its nodes" if found[0].certain else "PHM may not receive its nodes"
     more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-    return limited(name, f"{certain}: {what or found[0].text}{more}", remedy)
+    return limited(name, f"{installed}; {certain}: {what or found[0].text}{more}", remedy)
 
 
 def _shared_memory() -> Row:

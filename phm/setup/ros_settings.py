@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from phm.facts import RosEnvironment
 from phm.facts.ros_environment import MAX_VALUE
-from phm.probes.ros.environment_differences import sidecar_variables
+from phm.probes.ros.environment_differences import DEFAULT_RMW, rmw, sidecar_variables
 from phm.probes.ros.sandbox import PROFILE_VARIABLES
 from phm.setup.machine import Application, Machine
 
@@ -38,6 +38,8 @@ def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profi
     used = variables(found)
     where = "container" if any(one.ros is found for one in watched) else "process"
     lines = [f"# ROS 2: as in {where} {found.name}; PHM must use the same.", *_lines({"ROS_DOMAIN_ID": "0", **used})]
+    if rmw(found) != DEFAULT_RMW:
+        lines.append(f"# PHM's image must have {rmw(found)}: build it from a ROS base image that does (BASE_IMAGE).")
     others = [one.name for one in watched if one.ros.variables and variables(one.ros) != used]
     if others:
         lines.append(f"# Other values are set in {', '.join(others)}: PHM does not see the nodes there.")

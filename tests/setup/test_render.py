@@ -114,6 +114,11 @@ def test_an_application_of_another_domain_is_named() -> None:
     assert "Other values are set in two" in made(one, other)["agent.env"]
 
 
+def test_another_middleware_needs_another_image() -> None:
+    text = made(application("app", env={"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}))["agent.env"]
+    assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in text and "image must have rmw_cyclonedds_cpp" in text
+
+
 def test_a_profile_of_the_application_is_copied_and_seen_at_its_path() -> None:
     """That which PHM ships is not: it only shortens leases."""
     env = {"FASTDDS_DEFAULT_PROFILES_FILE": "/opt/dds.xml"}
