@@ -44,6 +44,7 @@ def _yaml(text: str) -> Any:
 
     yaml = YAML()
     yaml.preserve_quotes = True
+    yaml.brace_single_entry_mapping_in_flow_sequence = True
     yaml.width = 4096
     if re.search(r": null\b", text):
         yaml.representer.add_representer(

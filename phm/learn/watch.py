@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
+from typing import Any
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, Settings
@@ -141,11 +142,10 @@ class Watch:
         return found
 
     def _running(self, engine: DockerEngine) -> list[str]:
-        """Names of the running containers without PHM's own."""
+        """Names of the running containers without PHM's own and other containers that run PHM."""
         me = Docker(engine, (), self.settings.docker, self.clock).myself()
-        facts = [
-            container_fact(engine.inspect(str(one.get("Id")))) for one in engine.list() if one.get("State") == "running"
-        ]
+        answers = [engine.inspect(str(one.get("Id"))) for one in engine.list() if one.get("State") == "running"]
+        facts = [container_fact(answer) for answer in answers if not _runs_phm(answer)]
         return sorted(fact.name for fact in facts if me is None or fact.id != me.id)
 
     def _container(self, docker: Docker, key: str) -> ContainerFact | None:
@@ -231,6 +231,13 @@ class Watch:
             if not listing.pending or self.clock.mono() - since_s > NO_PROGRESS_S:
                 return listing
             self.clock.wait(pause, _TURN_S)
+
+
+def _runs_phm(answer: Mapping[str, Any]) -> bool:
+    """By the command of PHM's image."""
+    config = answer.get("Config")
+    words = (config.get("Entrypoint") or []) if isinstance(config, Mapping) else []
+    return any(str(word).rpartition("/")[2] == "phm" for word in words)
 
 
 def parse_folder(text: str) -> tuple[str, str]:

@@ -17,7 +17,9 @@ _EOL = 2
 
 
 def add(entry: CommentedMap, key: str, text: str) -> None:
-    """Set the comment at the end of the key's line, unless there is one."""
+    """Set the comment at the end of the key's line, unless there is one. A mapping in braces gets one line per key."""
+    if entry.fa.flow_style():
+        entry.fa.set_block_style()
     token = _token(entry, key)
     if token is None:
         entry.yaml_add_eol_comment(text, key, column=0)

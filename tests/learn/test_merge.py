@@ -74,6 +74,15 @@ def test_a_changed_rate_is_replaced_and_its_comment_stays() -> None:
     assert loads(new, environ={}).ros.topics[0].tolerance == 20
 
 
+def test_a_mapping_in_braces_gets_lines_of_its_own_for_a_comment() -> None:
+    """Without a comment it stays in braces, and so do others."""
+    text = "agent: {name: a, id: 1}\nmavlink:\n  endpoints: [{url: udpin:0.0.0.0:1}]   # radio\n"
+    new = merge(text, Baseline(agent=Learned({"id": 7}, {"id": "was 1"}), mavlink=Learned({"autopilot": True})), {})
+    assert new == (
+        "agent:\n  name: a\n  id: 7 # learned: was 1\nmavlink:\n  endpoints: [{url: udpin:0.0.0.0:1}]   # radio\n  autopilot: true\n"
+    )
+
+
 def test_names_with_variables_are_recognised() -> None:
     """The node is known, so it is neither added nor replaced."""
     assert merge(FILE, baseline(), {"PHM_AGENT": "a"}).count("lidar") == FILE.count("lidar")

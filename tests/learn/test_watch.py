@@ -1,0 +1,176 @@
+"""Watching containers, folders and autopilots, with a fake engine and a real socket."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.core.settings import Settings
+from phm.facts import NameFact, RateFact, RosFact, TopicFact
+from phm.facts.ros import EndpointFact
+from phm.learn import ros_watch
+from phm.learn.observations import Observations
+from phm.learn.ros_watch import RosWatch
+from phm.learn.watch import Watch, WatchFailed, WatchRequest
+from phm.probes.docker import Docker
+from phm.testing import FakeClock
+from tests.fakes.engine import FakeEngine, container
+
+
+class PassingClock(FakeClock):
+    """Time passes when the test's own thread waits."""
+
+    def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
+        if threading.current_thread() is not threading.main_thread() or timeout_s is None:
+            return super().wait(event, timeout_s)
+        self.advance(timeout_s)
+        return event.is_set()
+
+
+@pytest.fixture
+def engine(tmp_path: Path) -> Iterator[FakeEngine]:
+    """ros_app with a folder of the host, PHM's own container, and one that has ended."""
+    (tmp_path / "data").mkdir()
+    for name in "ab":
+        (tmp_path / "data" / name).write_text(name)
+    mount = {"Type": "bind", "Source": str(tmp_path / "data"), "Destination": "/data", "RW": True}
+    with FakeEngine(tmp_path / "engine.sock") as fake:
+        fake.containers["ros_app"] = container("ros_app", health="healthy", mounts=[mount])
+        fake.containers["sidecar"] = container("sidecar")
+        fake.containers["sidecar"]["Config"]["Entrypoint"] = ["ros-entrypoint", "/opt/phm/bin/phm"]
+        fake.containers["ended"] = container("ended", status="exited")
+        yield fake
+
+
+@pytest.fixture(autouse=True)
+def no_ping(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Docker, "reachable", lambda self, address: True)
+
+
+def watch(engine: FakeEngine, *containers: str, **fields: Any) -> Observations:
+    """fields: of the request; `settings`: sections of the configuration."""
+    sections = fields.pop("settings", {})
+    settings = Settings.model_validate({"docker": {"socket": engine.url}, **sections})
+    request = replace(WatchRequest(5.0, containers, ros=False, links=False), **fields)
+    return Watch(settings, request, PassingClock()).run()
+
+
+def test_all_that_run_are_watched_but_phm(engine: FakeEngine) -> None:
+    seen = watch(engine)
+    assert [(one.key, one.fact.health, one.restarted) for one in seen.containers] == [("ros_app", "healthy", False)]
+
+
+def test_configured_containers_keep_their_alias(engine: FakeEngine) -> None:
+    """And only these are watched; a container is named by alias or name."""
+    engine.containers["other"] = container("other")
+    configured = {"containers": [{"name": "ros_app", "alias": "app"}]}
+    assert [one.key for one in watch(engine, settings=configured).containers] == ["app"]
+    assert [one.key for one in watch(engine, "ros_app", "other", settings=configured).containers] == ["app", "other"]
+
+
+def test_a_container_that_does_not_run_is_refused_by_name(engine: FakeEngine) -> None:
+    with pytest.raises(WatchFailed, match=r"no running container ended; running: ros_app"):
+        watch(engine, "ended")
+
+
+def test_a_configured_container_that_does_not_run_is_a_problem(engine: FakeEngine) -> None:
+    seen = watch(engine, settings={"containers": [{"name": "ended"}]})
+    assert seen.containers == () and "ended is exited" in seen.problems[0]
+
+
+def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
+    settings = Settings.model_validate({"docker": {"socket": f"unix://{tmp_path}/none"}})
+    seen = Watch(settings, WatchRequest(5.0, ros=False, links=False), PassingClock()).run()
+    assert "containers were not watched" in seen.problems[0]
+    with pytest.raises(WatchFailed, match="containers cannot be watched"):
+        Watch(settings, WatchRequest(5.0, ("app",), ros=False, links=False), PassingClock()).run()
+
+
+def test_a_folder_has_the_sums_of_its_files(engine: FakeEngine) -> None:
+    (folder,) = watch(engine, folders=(("ros_app", "/data/"),)).folders
+    assert (folder.container, folder.path, sorted(folder.files), folder.unstable) == (
+        "ros_app",
+        "/data",
+        ["a", "b"],
+        (),
+    )
+
+
+def test_files_that_change_meanwhile_are_left_out(engine: FakeEngine, tmp_path: Path) -> None:
+    class Changing(PassingClock):
+        def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
+            (tmp_path / "data" / "b").write_text(str(self.mono()))
+            return super().wait(event, timeout_s)
+
+    settings = Settings.model_validate({"docker": {"socket": engine.url}})
+    request = WatchRequest(5.0, folders=(("ros_app", "/data"),), ros=False, links=False)
+    (folder,) = Watch(settings, request, Changing()).run().folders
+    assert (list(folder.files), folder.unstable) == (["a"], ("b",))
+
+
+@pytest.mark.parametrize(
+    ("folder", "problem"),
+    [
+        (("ros_app", "/elsewhere"), "not in a volume"),
+        (("ros_app", "/data/a"), "not a folder"),
+        (("ros_app", "/data/none"), "does not exist"),
+        (("stranger", "/data"), "stranger, which is not watched"),
+    ],
+)
+def test_a_folder_that_cannot_be_read_is_refused(engine: FakeEngine, folder: tuple[str, str], problem: str) -> None:
+    with pytest.raises(WatchFailed, match=problem):
+        watch(engine, folders=(folder,))
+
+
+class Supervisor:
+    """In the place of the ROS child: reports a graph, and rates of the topics that are asked for."""
+
+    graph: RosFact
+
+    def __init__(self, ros: Any, *_: Any) -> None:
+        self._topics = [topic.name for topic in ros.topics]
+
+    def start(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def look(self) -> RosFact:
+        topic = TopicFact(
+            (EndpointFact("/a/lidar", "std_msgs/msg/String"),),
+            (EndpointFact("/a/planner", "std_msgs/msg/String"), EndpointFact("/_phm_a", "std_msgs/msg/String")),
+            RateFact(10.0, 0.1, samples=50),
+        )
+        others = {name: fact for name, fact in self.graph.others.items() if name not in self._topics}
+        return replace(self.graph, topics=dict.fromkeys(self._topics, topic), others=others)
+
+
+def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Topics with a publisher, without those of PHM and of tools; nodes without hidden ones."""
+    users = NameFact(("/a/lidar",), ("/a/planner",))
+    Supervisor.graph = RosFact(
+        0.0,
+        60.0,
+        nodes={"/a/lidar": 1, "/a/planner": 1, "/_phm_a": 1},
+        others={"/a/scan": users, "/diagnostics": users, "/a/unused": NameFact((), ("/a/planner",))},
+    )
+    monkeypatch.setattr(ros_watch, "RosSupervisor", Supervisor)
+    clock = PassingClock()
+    seen = RosWatch(testing.settings(), clock)
+    seen.discover(10.0)
+    for _ in range(10):
+        clock.advance(1.0)
+        seen.turn()
+    found = seen.into(Observations(10.0))
+    assert found.nodes == {"/a/lidar": True, "/a/planner": True}
+    (topic,) = found.topics
+    assert (topic.name, topic.rates, [end.node for end in topic.subscribers]) == (
+        "/a/scan",
+        (10.0,) * 10,
+        ["/a/planner"],
+    )
