@@ -86,7 +86,7 @@ class ContainerFact:
     """Like `network_mode`, for the PID namespace: `container:...` if it shares that of another container."""
     ipc_mode: str = ""
     """The same for the IPC namespace, which includes /dev/shm."""
-    ros_variables: Mapping[str, str] = field(default_factory=dict)
+    ros_variables: Mapping[str, str] = field(default_factory=dict, hash=False)
     """Variables of its configured environment that ROS reads (`phm.facts.ros_environment.ROS_VARIABLES`); no others are kept."""
     networks: tuple[Attachment, ...] = ()
     mounts: tuple[Mount, ...] = ()

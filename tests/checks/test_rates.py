@@ -167,12 +167,12 @@ def test_silence_of_a_running_executor_is_not_explained_by_starvation(
 ) -> None:
     """The node's executor ran 2 s after a message was due: it had the CPU, and did not publish."""
     beacon = api.BeaconFact(0.1, 1.0, late_s, turns=20)
-    result = Bench().judge(0.0, silent_s, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
+    result = Bench().evaluate(0.0, silent_s, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
     assert (result.condition, result.evidence.conclusive) == ("silent", conclusive)
 
 
 def test_silence_without_evidence_of_the_node_may_follow_from_starvation() -> None:
-    assert not Bench().judge(0.0, 60.0).evidence.conclusive
+    assert not Bench().evaluate(0.0, 60.0).evidence.conclusive
 
 
 def test_a_delay_of_phm_itself_is_not_silence() -> None:

@@ -15,6 +15,7 @@ from phm.checking import registry
 from phm.cli import group
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.signals import Signals
+from phm.core.systemd import SystemdNotifier
 from phm.runtime import service
 from phm.runtime.daemon import Daemon
 from phm.runtime.reload import Reloader
@@ -83,7 +84,7 @@ def test_run_and_reload_read_and_build_once(
     """A reload in which the agent's id changed builds twice: the file's checks, and those that apply until the restart."""
     seen: list[Counter[str]] = []
 
-    def serve(daemon: Daemon, signals: Signals, reloader: Reloader) -> Daemon:
+    def serve(daemon: Daemon, signals: Signals, reloader: Reloader, systemd: SystemdNotifier) -> Daemon:
         seen.append(counts.copy())
         counts.clear()
         write(file, agent, interval="30s")
