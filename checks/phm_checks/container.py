@@ -16,11 +16,10 @@ _CODES = {
     125: "Docker could not run it",
     126: "its command cannot be executed: check the file's execute bit and its format",
     127: "its command was not found: check the image's entry point and PATH",
-    int(signal.SIGKILL)
-    + 128: "killed by SIGKILL: by `docker kill`, by a stop that took too long, or for lack of memory",
-    int(signal.SIGTERM) + 128: "ended by SIGTERM, as `docker stop` sends it",
-    int(signal.SIGSEGV) + 128: "segmentation fault (SIGSEGV): a bug in native code, look for a core dump",
-    int(signal.SIGABRT) + 128: "aborted itself (SIGABRT), e.g. by a failed assertion",
+    137: "killed by SIGKILL: by `docker kill`, by a stop that took too long, or for lack of memory",
+    143: "ended by SIGTERM, as `docker stop` sends it",
+    139: "segmentation fault (SIGSEGV): a bug in native code, look for a core dump",
+    134: "aborted itself (SIGABRT), e.g. by a failed assertion",
 }
 
 

@@ -150,10 +150,14 @@ def _interval(environ: Mapping[str, str]) -> tuple[float | None, list[Problem]]:
         return None, [Problem(where, 0, "interval", sentence(dict(entry))) for entry in error.errors(include_url=False)]
 
 
+# Windows lacks the first two, and changes line ends without the third.
+_READING = os.O_RDONLY | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+
+
 def _read(path: FilePath) -> str:
     """The file's text. Raises `ConfigError`; never blocks, whatever kind of file it is."""
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        handle = os.open(path, _READING)
     except (OSError, ValueError) as error:
         if path == IN_REPOSITORY and isinstance(error, FileNotFoundError):
             raise _refused(path, NO_CONFIGURATION) from error
@@ -186,7 +190,8 @@ def _why(error: OSError | ValueError) -> str:
     if number in (errno.ENOENT, errno.ENOTDIR):
         return "file not found: correct the name; `phm init` writes a configuration for this machine"
     if number in (errno.EACCES, errno.EPERM):
-        return f"permission denied for user {os.getuid()}: change its permissions"
+        user = f" for user {os.getuid()}" if hasattr(os, "getuid") else ""
+        return f"permission denied{user}: change its permissions"
     reason = os.strerror(number) if number is not None else str(error)
     return f"cannot be read: {reason}"
 

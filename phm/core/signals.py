@@ -1,24 +1,25 @@
-"""Receive signals as bytes from a pipe: the handlers do nothing, so they cannot block on a lock that the interrupted code holds.
+"""Receive signals as bytes from a socket: the handlers do nothing, so they cannot block on a lock that the interrupted code holds.
 
 A handler runs in the main thread, between two bytecode instructions. A handler that calls `Event.set` deadlocks if the main thread
 is inside `wait` of the same event, because `wait` holds the event's lock. So Python's C-level handler writes the number of each
-signal into a pipe (`signal.set_wakeup_fd`), and the thread that waits for signals reads it.
+signal into a socket (`signal.set_wakeup_fd`), and the thread that waits for signals reads it.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
-import select
 import signal
+import socket
 from collections.abc import Callable
 from types import FrameType, TracebackType
+
+from phm.core import polling
 
 Handler = Callable[[int, "FrameType | None"], None]
 
 
 def _nothing(number: int, frame: FrameType | None) -> None:
-    """The number is in the pipe."""
+    """The number is in the socket."""
 
 
 class Signals:
@@ -26,18 +27,19 @@ class Signals:
 
     def __init__(self, *numbers: signal.Signals, handler: Handler = _nothing) -> None:
         """handler: also called, in the main thread; it must neither wait nor take a lock."""
-        self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        self._wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+        # Not a pipe: Windows takes only sockets.
+        self._read, self._write = socket.socketpair()
+        self._read.setblocking(False)
+        self._write.setblocking(False)
+        self._wakeup = signal.set_wakeup_fd(self._write.fileno(), warn_on_full_buffer=False)
         self._before = {number: signal.signal(number, handler) for number in numbers}
 
     def wait(self, timeout_s: float | None) -> tuple[signal.Signals, ...]:
         """Wait at most `timeout_s` for signals and return them in order of arrival; empty after a timeout."""
-        ready = select.poll()
-        ready.register(self._read, select.POLLIN)
-        if not ready.poll(None if timeout_s is None else max(0.0, timeout_s) * 1000):
+        if not polling.wait([(self._read.fileno(), polling.READ)], None if timeout_s is None else max(0.0, timeout_s)):
             return ()
         with contextlib.suppress(BlockingIOError):
-            data = os.read(self._read, 512)
+            data = self._read.recv(512)
             return tuple(number for number in map(signal.Signals, data) if number in self._before)
         return ()
 
@@ -46,8 +48,8 @@ class Signals:
         for number, handler in self._before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._wakeup)
-        os.close(self._read)
-        os.close(self._write)
+        self._read.close()
+        self._write.close()
 
     def __enter__(self) -> Signals:
         return self

@@ -10,14 +10,14 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import resource
 import stat
+import sys
 from collections import deque
 from collections.abc import Callable
 
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
-from phm.wire.json_log import rotated_number
+from phm.reporters.rotated_files import CompressedFiles, PlainFiles, RotatedFiles
 
 RING_LINES = 1000
 """Lines kept in memory while the file cannot be written; older ones are dropped and counted."""
@@ -26,24 +26,33 @@ LAST_RETRY_S = 30.0
 HANGS_S = 5.0
 """A write that takes longer is reported: a failing SD card blocks its writer instead of returning an error."""
 
+# Windows lacks the first, and changes line ends without the second.
+_OPENING = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+
 LostLine = Callable[[int, str, bytes], bytes]
 """Returns the line that states how many lines were lost, why, and the last of them."""
 
 
 class RotatingFile:
-    """Appends lines to `path` and rotates it to ``path.1`` .. ``path.<files>`` before it passes `max_size` bytes.
+    """Appends lines to `path` and rotates it to ``path.1`` .. ``path.<files>`` before it passes `max_size` bytes. compress: to
+    ``path.1.gz``, ``path.2.gz`` ..., as many as fit into ``files * max_size`` bytes.
 
     Invariants: `write` never raises; a file never holds more than `max_size` bytes (a caller's line must be
     shorter), so all files together hold at most ``(files + 1) * max_size``; lines reach the file in the order
     in which they were given. One thread writes; `problem` may be asked from any.
     """
 
-    def __init__(self, path: str, *, max_size: int, files: int, clock: Clock, lost_line: LostLine) -> None:
+    def __init__(
+        self, path: str, *, max_size: int, files: int, clock: Clock, lost_line: LostLine, compress: bool = False
+    ) -> None:
         self.path = os.path.abspath(path)
-        self._max_size, self._files, self._clock, self._lost_line = (max_size, files, clock, lost_line)
+        self._rotated: RotatedFiles = (
+            CompressedFiles(self.path, files * max_size) if compress else PlainFiles(self.path, files)
+        )
+        self._max_size, self._clock, self._lost_line = max_size, clock, lost_line
         self._fd = -1
         self._size = 0
-        self._torn = False
+        self._torn = self._dirty = False
         self._ring: deque[bytes] = deque()
         self._lost = 0
         self._last_lost = b""
@@ -68,14 +77,27 @@ class RotatingFile:
         try:
             self._open()
             self._drain()
-            if sync and self._regular():
-                os.fdatasync(self._fd)
+            self._dirty = not (sync and self._regular())
+            if not self._dirty:
+                _sync(self._fd)
             self._reason = ""
             self._backoff.reset()
         except OSError as error:
             self._failed(error)
         finally:
             self._asked_at = None
+
+    def sync(self) -> None:
+        """Wait until what was written is on the disk."""
+        if self._dirty and self._fd >= 0 and self._regular():
+            self._asked_at = self._clock.mono()
+            try:
+                _sync(self._fd)
+                self._dirty = False
+            except OSError as error:
+                self._failed(error)
+            finally:
+                self._asked_at = None
 
     def problem(self) -> str:
         """A sentence while lines cannot be written, else empty."""
@@ -91,6 +113,7 @@ class RotatingFile:
         """Try once more to write the waiting lines, then close the file."""
         self.retry(now=True)
         self._close()
+        self._rotated.close()
 
     def _drain(self) -> None:
         if self._lost:
@@ -132,8 +155,8 @@ class RotatingFile:
         raise OSError(cause, os.strerror(cause))
 
     def _limited(self, more: int) -> bool:
-        limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-        return limit != resource.RLIM_INFINITY and self._size + more > limit
+        limit = _size_limit()
+        return limit is not None and self._size + more > limit
 
     def _open(self) -> None:
         """Open the file, again if it was moved or deleted since. Repairs a line torn by a power cut."""
@@ -144,13 +167,15 @@ class RotatingFile:
         directory = os.path.dirname(self.path)
         os.makedirs(directory, exist_ok=True)
         # O_NONBLOCK: a log that was replaced by a pipe without a reader must fail, not hang.
-        self._fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK, 0o644)
+        self._fd = os.open(self.path, _OPENING, 0o644)
         self._size = 0
         if self._regular():
             self._size = os.fstat(self._fd).st_size
             # The torn piece stays on a line of its own: it may contain the last data before the power cut.
-            self._torn = self._size > 0 and os.pread(self._fd, 1, self._size - 1) != b"\n"
-            self._prune(directory)
+            self._torn = self._size > 0 and _last_byte(self._fd, self._size) != b"\n"
+            with self._rotated.lock:
+                self._rotated.prune()
+            self._rotated.added()
 
     def _in_place(self) -> bool:
         try:
@@ -167,31 +192,19 @@ class RotatingFile:
         return stat.S_ISREG(os.fstat(self._fd).st_mode)
 
     def _rotate(self) -> None:
-        """Shift ``.1`` to ``.2`` and so on; the oldest is replaced. Only renames, so no content is lost at any moment.
+        """Give the file a number and begin a new one. Only renames, so no content is lost at any moment.
 
-        A directory or link with such a name, created by another program, is left alone and its number skipped. Without
-        a free number the file is restarted: a log of the last lines is better than none.
+        Without a free number the file is restarted: a log of the last lines is better than none.
         """
-        names = [name for number in range(1, self._files + 1) if _ours(name := f"{self.path}.{number}")]
-        if not names:
-            os.ftruncate(self._fd, 0)
-            self._size = 0
-            return
-        for older, newer in zip(names[:0:-1], names[-2::-1], strict=True):
-            with contextlib.suppress(FileNotFoundError):
-                os.rename(newer, older)
-        os.rename(self.path, names[0])
-        self._close()
+        with self._rotated.lock:
+            name = self._rotated.make_room()
+            if name is None:
+                os.ftruncate(self._fd, 0)
+                self._size = 0
+                return
+            self._close()  # Windows renames no open file
+            os.replace(self.path, name)
         self._open()
-
-    def _prune(self, directory: str) -> None:
-        """Delete rotated files beyond the configured number; an earlier configuration may have kept more."""
-        base = os.path.basename(self.path)
-        extra = [name for name in os.listdir(directory) if (rotated_number(base, name) or 0) > self._files]
-        for path in (os.path.join(directory, name) for name in extra):
-            with contextlib.suppress(OSError):  # a file that cannot be removed must not stop the log
-                if _ours(path):
-                    os.unlink(path)
 
     def _failed(self, error: OSError) -> None:
         self._reason = error.strerror or type(error).__name__
@@ -206,9 +219,31 @@ class RotatingFile:
                 os.close(fd)
 
 
-def _ours(path: str) -> bool:
-    """Whether rotation may put a file there: it is free, or a regular file. Raises OSError."""
-    try:
-        return stat.S_ISREG(os.lstat(path).st_mode)
-    except FileNotFoundError:
-        return True
+if sys.platform == "win32":
+
+    def _sync(fd: int) -> None:
+        os.fsync(fd)
+
+    def _size_limit() -> int | None:
+        return None
+
+    def _last_byte(fd: int, size: int) -> bytes:
+        os.lseek(fd, size - 1, os.SEEK_SET)
+        return os.read(fd, 1)
+
+else:
+    import resource
+
+    def _sync(fd: int) -> None:
+        if sys.platform == "linux":
+            os.fdatasync(fd)
+        else:
+            os.fsync(fd)
+
+    def _size_limit() -> int | None:
+        """RLIMIT_FSIZE; None: there is none."""
+        limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+        return None if limit == resource.RLIM_INFINITY else limit
+
+    def _last_byte(fd: int, size: int) -> bytes:
+        return os.pread(fd, 1, size - 1)

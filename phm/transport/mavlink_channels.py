@@ -7,12 +7,13 @@ and takes complete frames. OSError from any of its methods means that the channe
 from __future__ import annotations
 
 import contextlib
-import os
-import select
 import socket
+import sys
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any
 
+from phm.core import polling
 from phm.core.clock import Clock
 from phm.transport.client_admission import ClientAdmission
 from phm.transport.mavlink_codec import Codec, Parser
@@ -22,7 +23,6 @@ READ_BYTES = 16384
 SEND_BUFFER_BYTES = 16384
 CLIENT_BACKLOG_BYTES = 16384
 """A TCP client with a longer backlog loses frames; other clients do not."""
-_POLL_LOST = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class Channel(ABC):
@@ -57,25 +57,25 @@ class Channel(ABC):
 
 
 class Stream:
-    """A byte stream with one peer: a TCP connection or a serial port, by its non-blocking descriptor."""
+    """A byte stream with one peer: a TCP connection or a serial port, by its non-blocking descriptor and how to read and write it."""
 
-    def __init__(self, fd: int, parser: Parser) -> None:
+    def __init__(self, fd: int, parser: Parser, read: Callable[[int], bytes], write: Callable[[bytes], int]) -> None:
         self.fd = fd
         self.pending = bytearray()
-        self._parser = parser
+        self._parser, self._read, self._write = parser, read, write
 
     def mask(self) -> int:
-        return select.POLLIN | (select.POLLOUT if self.pending else 0)
+        return polling.READ | (polling.WRITE if self.pending else 0)
 
     def serve(self, events: int) -> list[Any]:
         """Raises OSError when the other side is gone. Data received before the end are still read."""
-        if events & select.POLLOUT:
+        if events & polling.WRITE:
             self.flush()
-        if events & (select.POLLIN | _POLL_LOST):
+        if events & (polling.READ | polling.LOST):
             try:
-                data = os.read(self.fd, READ_BYTES)
+                data = self._read(READ_BYTES)
             except BlockingIOError:
-                if events & _POLL_LOST:
+                if events & polling.LOST:
                     raise ConnectionResetError("the connection was lost") from None
                 return []
             if not data:
@@ -90,14 +90,14 @@ class Stream:
     def flush(self) -> None:
         with contextlib.suppress(BlockingIOError):
             while self.pending:
-                del self.pending[: os.write(self.fd, self.pending)]
+                del self.pending[: self._write(bytes(self.pending))]
 
 
 class StreamChannel(Channel):
     """A channel of one stream. `owner` is closed with it: the socket or the serial port."""
 
-    def __init__(self, owner: Any, fd: int, codec: Codec) -> None:
-        self._owner, self._stream = owner, Stream(fd, codec.parser())
+    def __init__(self, owner: Any, stream: Stream) -> None:
+        self._owner, self._stream = owner, stream
 
     def polls(self) -> list[tuple[int, int]]:
         return [(self._stream.fd, self._stream.mask())]
@@ -134,7 +134,7 @@ class TcpServer(Channel):
         for fd in self._admission.unproven(self._clock.mono()):
             self._drop(fd)
         clients = [(fd, stream.mask()) for fd, (_, stream) in self._clients.items()]
-        return [(self._listener.fileno(), select.POLLIN), *clients]
+        return [(self._listener.fileno(), polling.READ), *clients]
 
     def serve(self, fd: int, events: int) -> list[Any]:
         if fd == self._listener.fileno():
@@ -147,7 +147,7 @@ class TcpServer(Channel):
         except OSError:
             self._drop(fd)
             return []
-        if events & select.POLLIN:
+        if events & polling.READ:
             signed = any(message.get_signed() for message in messages)
             self._admission.heard(fd, self._clock.mono(), signed=signed)
         return messages
@@ -184,12 +184,16 @@ class TcpServer(Channel):
             for fd in going:
                 self._drop(fd)
             tune(client)
-            self._clients[client.fileno()] = (client, Stream(client.fileno(), self._codec.parser()))
+            self._clients[client.fileno()] = (client, socket_stream(client, self._codec))
 
     def _drop(self, fd: int) -> None:
         client, _ = self._clients.pop(fd)
         self._admission.forget(fd)
         client.close()
+
+
+def socket_stream(sock: socket.socket, codec: Codec) -> Stream:
+    return Stream(sock.fileno(), codec.parser(), sock.recv, sock.send)
 
 
 def tune(sock: socket.socket) -> None:
@@ -200,4 +204,5 @@ def tune(sock: socket.socket) -> None:
     sock.setblocking(False)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 10_000)
+    if sys.platform == "linux":
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 10_000)

@@ -5,19 +5,21 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select
 import socket
-import termios
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
+from phm.core import polling
 from phm.core.clock import Clock
 from phm.core.settings import EndpointSettings
 from phm.transport.dns import Address, Resolver
-from phm.transport.mavlink_channels import Channel, StreamChannel, TcpServer, tune
+from phm.transport.mavlink_channels import Channel, Stream, StreamChannel, TcpServer, socket_stream, tune
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_udp import UdpBroadcast, UdpIn, UdpOut
-from phm.transport.serial_errors import SerialErrorCount, keep_dtr, read_counts
+from phm.transport.serial_errors import SerialErrorCount, drop_output, keep_dtr, read_counts
 
 CONNECT_LIMIT_S = 5.0
 RESOLVE_LIMIT_S = 5.0
@@ -84,19 +86,17 @@ class ChannelOpener:
         with _closed_on_failure(sock):
             tune(sock)
             problem = sock.connect_ex(target)
-            if problem == errno.EINPROGRESS:
+            if problem in (errno.EINPROGRESS, errno.EWOULDBLOCK):  # the second one on Windows
                 problem = self._connected(sock)
             if problem:
                 raise OSError(problem, os.strerror(problem))
-        return StreamChannel(sock, sock.fileno(), self._codec)
+        return StreamChannel(sock, socket_stream(sock, self._codec))
 
     def _connected(self, sock: socket.socket) -> int:
         """The error number of a connection in progress, 0 when it is established."""
-        poller = select.poll()
-        poller.register(sock, select.POLLOUT)
         end = self._clock.mono() + CONNECT_LIMIT_S
         while not self._enough.is_set() and self._clock.mono() < end:
-            if poller.poll(_SLICE_S * 1000):
+            if polling.wait([(sock.fileno(), polling.WRITE)], _SLICE_S):
                 return sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         return errno.ETIMEDOUT
 
@@ -146,6 +146,11 @@ class ChannelOpener:
         return False
 
     def _serial(self) -> Channel:
+        if sys.platform == "win32":
+            raise OSError(
+                errno.ENOTSUP,
+                f"{self._settings.url}: PHM opens no serial ports on Windows: have a ground station forward by UDP",
+            )
         # Imported here: an agent without serial endpoints needs no pyserial.
         import serial
 
@@ -155,7 +160,7 @@ class ChannelOpener:
         except ValueError as error:  # a baud rate that the driver refuses
             raise OSError(f"{self._settings.url}: {error}") from error
         keep_dtr(port.fileno())
-        return SerialChannel(port, port.fileno(), self._codec)
+        return SerialChannel(port, self._codec)
 
 
 @contextlib.contextmanager
@@ -170,10 +175,13 @@ def _closed_on_failure(sock: socket.socket) -> Iterator[None]:
 class SerialChannel(StreamChannel):
     """A serial port. Unsent data are discarded at the end: a stuck port would block `close`."""
 
+    def __init__(self, port: Any, codec: Codec) -> None:
+        fd = port.fileno()
+        super().__init__(port, Stream(fd, codec.parser(), partial(os.read, fd), partial(os.write, fd)))
+
     def line(self) -> SerialErrorCount | None:
         return read_counts(self._owner.fileno())
 
     def close(self) -> None:
-        with contextlib.suppress(OSError, termios.error):  # the port may be gone, and is closed either way
-            self._owner.reset_output_buffer()
+        drop_output(self._owner)
         super().close()

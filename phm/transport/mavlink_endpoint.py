@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import os
-import select
 import threading
 from collections.abc import Callable
 from typing import Any
 
-from phm.core import threads
+from phm.core import polling, threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.settings import EndpointSettings
@@ -61,7 +58,7 @@ class Endpoint:
         self._soon = threading.Event()
         """Ends every wait while it is closed; also set with `_stopping`."""
         self._opener = ChannelOpener(settings, codec, clock, self._soon)
-        self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._bell = polling.Bell()
         self._fact: LinkFact | None = None
         self._line: SerialErrorCount | None = None
         self._again = threading.Event()
@@ -174,14 +171,9 @@ class Endpoint:
 
     def _turn(self, channel: Channel, timeout_s: float) -> None:
         """Wait until there is something to do, and do it."""
-        poller = select.poll()
-        poller.register(self._bell, select.POLLIN)
-        for fd, mask in channel.polls():
-            poller.register(fd, mask)
-        for fd, events in poller.poll(timeout_s * 1000):
-            if fd == self._bell:
-                with contextlib.suppress(BlockingIOError):
-                    os.eventfd_read(self._bell)
+        for fd, events in polling.wait([(self._bell.fd, polling.READ), *channel.polls()], timeout_s):
+            if fd == self._bell.fd:
+                self._bell.silence()
                 continue
             for message in channel.serve(fd, events):
                 self._heard = self._clock.mono()
@@ -229,9 +221,4 @@ class Endpoint:
         self._changed()
 
     def _ring(self) -> None:
-        with contextlib.suppress(OSError):
-            os.eventfd_write(self._bell, 1)
-
-    def __del__(self) -> None:
-        with contextlib.suppress(OSError, AttributeError):  # `__init__` may have failed before there was one
-            os.close(self._bell)
+        self._bell.ring()

@@ -17,6 +17,7 @@ import hmac
 import json
 import os
 import stat
+import sys
 import threading
 from collections.abc import Callable
 from enum import Enum
@@ -44,6 +45,9 @@ MAX_FILE_BYTES = 65_536
 FORGED_SHOWN_S = 60.0
 
 
+_READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+
+
 class InvalidKey(Exception):
     """The key cannot be used; one sentence that says why and what to do."""
 
@@ -61,11 +65,11 @@ class SignatureResult(Enum):
 def read_key(path: str) -> bytes:
     """The key: 32 bytes, or 64 hexadecimal digits. Raises InvalidKey."""
     try:
-        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as stream:
+        with open(os.open(path, _READING), "rb") as stream:
             about = os.fstat(stream.fileno())
             if not stat.S_ISREG(about.st_mode):
                 raise InvalidKey(f"mavlink.signing.key: {path} is not a regular file")
-            if about.st_mode & 0o077:
+            if sys.platform != "win32" and about.st_mode & 0o077:  # Windows has no such bits
                 raise InvalidKey(
                     f"mavlink.signing.key: {path} can be read by others than its owner (mode "
                     f"{stat.S_IMODE(about.st_mode):04o}): `chmod 600 {path}`, and make a new key if it was read"

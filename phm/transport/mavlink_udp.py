@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import errno
 import ipaddress
-import select
 import socket
 from abc import abstractmethod
 from typing import Any
 
+from phm.core import polling
 from phm.core.clock import Clock
 from phm.transport.client_admission import ClientAdmission
 from phm.transport.mavlink_channels import Channel
@@ -27,7 +27,7 @@ class _Udp(Channel):
         self._parser = codec.parser()
 
     def polls(self) -> list[tuple[int, int]]:
-        return [(self._socket.fileno(), select.POLLIN)]
+        return [(self._socket.fileno(), polling.READ)]
 
     def serve(self, fd: int, events: int) -> list[Any]:
         messages: list[Any] = []

@@ -1,12 +1,12 @@
-"""What Linux knows of a serial port beyond its bytes: errors on the line, and a DTR that stays up. Never raises."""
+"""What the system knows of a serial port beyond its bytes: errors on the line, and a DTR that stays up. Never raises."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import struct
-import termios
+import sys
 from dataclasses import dataclass
+from typing import Any
 
 TIOCGICOUNT = 0x545D
 """As in asm-generic/ioctls.h, which x86 and ARM use."""
@@ -25,20 +25,42 @@ class SerialErrorCount:
     parity: int
 
 
-def read_counts(fd: int) -> SerialErrorCount | None:
-    """None where the driver does not count: pseudo terminals, and some USB adapters."""
-    try:
-        raw = fcntl.ioctl(fd, TIOCGICOUNT, bytes(_COUNTERS.size))
-    except OSError:
+if sys.platform == "win32":
+
+    def read_counts(fd: int) -> SerialErrorCount | None:
+        """None: PHM opens no serial ports on Windows."""
         return None
-    found = _COUNTERS.unpack(raw)
-    return SerialErrorCount(found[_FRAME], found[_OVERRUN] + found[_BUFFER_OVERRUN], found[_PARITY])
 
+    def keep_dtr(fd: int) -> None:
+        """Do nothing."""
 
-def keep_dtr(fd: int) -> None:
-    """Closing this port does not drop DTR, so opening it again does not raise it: some autopilots and radios take that edge
-    for a reset. The driver remembers it, so it also holds for a PHM that is started again."""
-    with contextlib.suppress(termios.error, OSError):
-        attributes = termios.tcgetattr(fd)
-        attributes[_CFLAG] &= ~termios.HUPCL
-        termios.tcsetattr(fd, termios.TCSANOW, attributes)
+    def drop_output(port: Any) -> None:
+        """Do nothing."""
+
+else:
+    import fcntl
+    import termios
+
+    def read_counts(fd: int) -> SerialErrorCount | None:
+        """None where the driver does not count: pseudo terminals, and some USB adapters. Only Linux counts."""
+        if sys.platform != "linux":
+            return None
+        try:
+            raw = fcntl.ioctl(fd, TIOCGICOUNT, bytes(_COUNTERS.size))
+        except OSError:
+            return None
+        found = _COUNTERS.unpack(raw)
+        return SerialErrorCount(found[_FRAME], found[_OVERRUN] + found[_BUFFER_OVERRUN], found[_PARITY])
+
+    def keep_dtr(fd: int) -> None:
+        """Closing this port does not drop DTR, so opening it again does not raise it: some autopilots and radios take that edge
+        for a reset. The driver remembers it, so it also holds for a PHM that is started again."""
+        with contextlib.suppress(termios.error, OSError):
+            attributes = termios.tcgetattr(fd)
+            attributes[_CFLAG] &= ~termios.HUPCL
+            termios.tcsetattr(fd, termios.TCSANOW, attributes)
+
+    def drop_output(port: Any) -> None:
+        """Discard what was not sent. The port may be gone."""
+        with contextlib.suppress(termios.error, OSError):
+            port.reset_output_buffer()

@@ -46,6 +46,7 @@ FOREIGN = frozenset(
         "pytest",
         "python3",
         "ros2",
+        "scp",
         "sha256sum",
         "source",
         "stat",

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 import os
 from pathlib import PurePosixPath
 
-_STEP = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
-FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+
+def _flags(*names: str) -> int:
+    """Of `os.open`, as far as this system has them: on a ground computer the actions are imported to be named, and never run."""
+    return functools.reduce(operator.or_, (int(getattr(os, name, 0)) for name in names))
+
+
+FOLDER = _flags("O_RDONLY", "O_DIRECTORY", "O_NOFOLLOW", "O_CLOEXEC")
+_STEP = _flags("O_PATH", "O_NOFOLLOW", "O_CLOEXEC", "O_DIRECTORY")
+_LAST = _flags("O_NOFOLLOW", "O_CLOEXEC")
 
 
 def open_plain(path: str, flags: int) -> int:
@@ -16,12 +25,12 @@ def open_plain(path: str, flags: int) -> int:
     removes with its own rights. Raises OSError, ELOOP or ENOTDIR for a link.
     """
     *parents, name = PurePosixPath(os.path.normpath(path)).parts[1:] or (".",)
-    handle = os.open("/", _STEP | os.O_DIRECTORY)
+    handle = os.open("/", _STEP)
     try:
         for parent in parents:
-            inner = os.open(parent, _STEP | os.O_DIRECTORY, dir_fd=handle)
+            inner = os.open(parent, _STEP, dir_fd=handle)
             os.close(handle)
             handle = inner
-        return os.open(name, flags | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=handle)
+        return os.open(name, flags | _LAST, dir_fd=handle)
     finally:
         os.close(handle)
