@@ -11,6 +11,7 @@ from phm.config.schema_lookup import field_at, model_at, range_of, unit_of
 
 # By pattern of `phm.core.settings`; a test finds patterns without a description.
 PATTERNS = {
+    r"^[A-Za-z0-9]+://.+": "a URL of Apprise, e.g. json://hooks.example.org/phm or mqtt://broker.local/alerts",
     r"^[A-Za-z0-9][A-Za-z0-9_.-]*$": "letters, digits, '_', '.' and '-', the first a letter or a digit",
     r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$": "a ROS name such as /agent_1/node_1: "
     "words of letters, digits and '_' that start with no digit, with '/' between",

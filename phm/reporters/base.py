@@ -62,7 +62,7 @@ class ReporterContext:
     states: the units as the tracker publishes them, in configuration order.
     alive:  False when the check scheduler hangs; then a reporter must not report that all is OK.
     health: a snapshot of PHM's own condition for `phm status` (JSON-able).
-    swarm:  the other agents. pilot: whether this agent's autopilot is received.
+    swarm:  the other agents. armed: whether the autopilot is armed; None: unknown. pilot: whether this agent's autopilot is received.
     holds: what is on hold, as in `phm status --json`.
     restored: faults that were open, and were reported, before PHM restarted.
     open_faults, given_up: faults as they are now, also of units that recovery has given up on and that have not been OK since.
@@ -79,6 +79,7 @@ class ReporterContext:
     ros: DiagnosticsPublisher | None = None
     swarm: SwarmProbe | None = None
     pilot: Callable[[], bool] | None = None
+    armed: Callable[[], bool | None] = lambda: None
     radio: Callable[[], bool] | None = None
     holds: Callable[[], list[dict[str, Any]]] = list
     open_faults: Callable[[], tuple[Fault, ...]] = tuple

@@ -28,6 +28,7 @@ from phm.core.model import (
     worst_by_slot,
 )
 from phm.reporters.base import Reporter, ReporterContext
+from phm.reporters.flights import FlightChange, FlightCounter
 from phm.reporters.rotating_file import RotatingFile
 from phm.reporters.text_log_format import MAX_BYTES, TextLogFormatter, closed_kind, encode, note_kind, unit_kind
 from phm.wire.json_log import VERSION
@@ -38,11 +39,14 @@ from phm.wire.text import one_line
 _CUTS = ((500, 16), (60, 4))
 
 
+FLIGHT = "FLIGHT"
+
+
 class LogReporter(Reporter):
     """Text and JSON lines in `log.directory`."""
 
     name = "log"
-    period_s = 1.0
+    period_s = 0.5
     queue_size = 5000
 
     def __init__(self, context: ReporterContext) -> None:
@@ -56,11 +60,17 @@ class LogReporter(Reporter):
         size, files, clock = int(log.max_size), log.files, context.clock
         where = log.directory
         self._sync = log.sync
+        self._flights = FlightCounter(settings.state_dir)
         self._plain = RotatingFile(
             os.path.join(where, "phm.log"), max_size=size, files=files, clock=clock, lost_line=_lost_text
         )
         self._record = RotatingFile(
-            os.path.join(where, "phm.jsonl"), max_size=size, files=files, clock=clock, lost_line=_lost_json
+            os.path.join(where, "phm.jsonl"),
+            max_size=size,
+            files=files,
+            clock=clock,
+            lost_line=_lost_json,
+            compress=True,
         )
         start = {"version": __version__, "pid": os.getpid(), "interval_s": settings.interval}
         self._put(clock.stamp(), "start", "PHM", start)
@@ -70,7 +80,7 @@ class LogReporter(Reporter):
         return cls(context)
 
     def handle(self, event: Event) -> None:
-        sync = self._sync and isinstance(event, (FaultOpened, FaultClosed, Report))
+        sync = self._sync == "always" and isinstance(event, (FaultOpened, FaultClosed, Report))
         # The record first: if the process dies in between, the file for analysis is complete.
         for at, name, kind, body in self._bodies(event):
             self._put(at, name, kind, body, sync=sync and name != "unit")
@@ -78,8 +88,15 @@ class LogReporter(Reporter):
             self._plain.write(encode(line), sync=sync)
 
     def tick(self) -> None:
+        armed = self._context.armed()
+        change = self._flights.update(armed, self._context.clock.mono())
+        if change is not None:
+            self._mark(change)
         self._record.retry()
         self._plain.retry()
+        if self._sync == "always" or (self._sync == "auto" and armed is not False):
+            self._record.sync()
+            self._plain.sync()
 
     def close(self) -> None:
         self._record.close()
@@ -87,6 +104,13 @@ class LogReporter(Reporter):
 
     def problem(self) -> str:
         return self._record.problem() or self._plain.problem()
+
+    def _mark(self, change: FlightChange) -> None:
+        at = self._context.clock.stamp()
+        duration_s = None if change.duration_s is None else round(change.duration_s, 1)
+        body = {"number": change.number, "began": change.began, "continued": change.continued, "duration_s": duration_s}
+        self._put(at, "flight", FLIGHT, {**body, "text": change.text})
+        self._plain.write(encode(f"{clock_text(at.utc)} ---- {FLIGHT}: {change.text}"))
 
     def _put(self, at: Stamp, name: str, kind: str, body: dict[str, Any], *, sync: bool = False) -> None:
         self._seq += 1

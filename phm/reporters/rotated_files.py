@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gzip
 import os
+import re
 import stat
 import sys
 import threading
@@ -49,11 +50,12 @@ class RotatedFiles(ABC):
                 os.replace(newer, older)
 
     def _listed(self) -> Iterator[str]:
-        """Names of the rotated files, as paths."""
+        """The rotated files, as paths. A directory or a link with such a name is none."""
         directory, base = os.path.split(self._path)
         for name in os.listdir(directory):
-            if rotated_number(base, name) is not None:
-                yield os.path.join(directory, name)
+            path = os.path.join(directory, name)
+            if rotated_number(base, name) is not None and os.path.isfile(path) and not os.path.islink(path):
+                yield path
 
 
 class PlainFiles(RotatedFiles):
@@ -137,6 +139,7 @@ class CompressedFiles(RotatedFiles):
         if sys.platform == "linux":
             with contextlib.suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)
+        self._remove_unfinished()
         while not self._stop.is_set():
             self._wake.clear()
             try:
@@ -147,6 +150,14 @@ class CompressedFiles(RotatedFiles):
             except OSError:  # a full disk, a file that is gone: the file remains as it is, and is tried again after the next rotation
                 _remove(self._temporary)
             self._wake.wait()
+
+    def _remove_unfinished(self) -> None:
+        """Copies of an earlier run."""
+        directory, base = os.path.split(self._path)
+        unfinished = re.compile(rf"{re.escape(base + COMPRESSED)}\.[0-9]+\.tmp")
+        for name in os.listdir(directory):
+            if unfinished.fullmatch(name):
+                _remove(os.path.join(directory, name))
 
     def _remove_duplicates(self) -> None:
         """After a crash: a file and its complete copy."""

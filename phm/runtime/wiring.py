@@ -31,7 +31,7 @@ from phm.recovery.executor import Executor, NotNow
 from phm.recovery.holds.hold_registry import HoldRegistry
 from phm.recovery.holds.hold_service import HoldInputs, HoldService
 from phm.recovery.persistence.persistence_service import PersistenceService
-from phm.recovery.safety.armed_state import ArmedMonitor
+from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState
 from phm.recovery.safety.flight_critical import critical_containers
 from phm.reporters.base import ReporterContext
 from phm.reporters.reporter_manager import ReporterManager
@@ -205,11 +205,16 @@ class Components:
             ros=self.probes.ros,
             swarm=self.probes.world.swarm,
             pilot=autopilot_received,
+            armed=self._known_armed,
             radio=radio_received,
             open_faults=pipeline.open_faults,
             given_up=pipeline.given_up,
             holds=self.holds.snapshot,
         )
+
+    def _known_armed(self) -> bool | None:
+        """Whether the autopilot is armed; None: unknown."""
+        return {ArmedState.ARMED: True, ArmedState.DISARMED: False}.get(self.armed.now().state)
 
     # ------------------------------------------------------------ operator commands
 

@@ -140,8 +140,9 @@ BROKEN = [
     Broken("fraction", "agent:\n  id: 1.5\n", 2, "agent.id", ("is the number 1.5, expected a whole number",)),
     Broken("number for a name", "agent:\n  name: 7\n", 2, "agent.name", ("whole number 7, expected text", "quotes")),
     Broken("yes", ONE + "    recover: yes\n", 3, "containers[0].recover", ("true or false", "write true")),
-    Broken("off", "log:\n  sync: off\n", 2, "log.sync", ("is text 'off'", "write false")),
-    Broken("one for true", "log:\n  sync: 1\n", 2, "log.sync", ("whole number 1, expected true or false",)),
+    Broken("off", "mavlink:\n  autopilot: off\n", 2, "mavlink.autopilot", ("is text 'off'", "write false")),
+    Broken("one for true", "mavlink:\n  autopilot: 1\n", 2, "mavlink.autopilot", ("whole number 1, expected true or false",)),
+    Broken("unknown word", "log:\n  sync: sometimes\n", 2, "log.sync", ("'sometimes'", "auto", "always", "never")),
     Broken("nothing for a list", "containers:\n", 1, "containers", ("is empty, expected a list", "remove the key")),
     Broken("mapping for a list", "containers:\n  name: app\n", 1, "containers", ("is a mapping, expected a list",)),
     Broken("text for a list", ONE + "    networks: net\n", 3, "containers[0].networks", ("expected a list", "'- '")),
@@ -318,10 +319,10 @@ def test_all_mistakes_are_reported_together_in_order_of_lines() -> None:
 def test_a_problem_is_printed_as_file_line_key_and_sentence() -> None:
     """The printed form is `file:line: key: message`, one problem per line."""
     with pytest.raises(ConfigError) as caught:
-        loads("log:\n  files: 0\n  sync: 1\n", "config/phm.yaml", environ={})
+        loads("log:\n  files: 0\nmavlink:\n  autopilot: 1\n", "config/phm.yaml", environ={})
     assert str(caught.value).splitlines() == [
         "config/phm.yaml:2: log.files: is 0, allowed is 1 to 100",
-        "config/phm.yaml:3: log.sync: is the whole number 1, expected true or false",
+        "config/phm.yaml:4: mavlink.autopilot: is the whole number 1, expected true or false",
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import phm
@@ -33,7 +34,8 @@ def written(directory: Path) -> dict[str, set[str]]:
     """Keys by event of a log that contains every event."""
     clock = FakeClock()
     (directory / "logs").write_text("in the way")
-    log = LogReporter.build(context(Settings(log=LogSettings(directory=str(directory / "logs"))), clock=clock))
+    settings = Settings(log=LogSettings(directory=str(directory / "logs")), state_dir=str(directory / "state"))
+    log = LogReporter.build(replace(context(settings, clock=clock), armed=lambda: True))
     for _ in range(RING_LINES):
         log.handle(Note(at(), "PHM", "x"))
     (directory / "logs").unlink()
@@ -44,6 +46,7 @@ def written(directory: Path) -> dict[str, set[str]]:
     report = Report(at(), 1, at(), (UNIT,))
     for event in (ReportStarted(at(), 1), transition(UNIT), opened(UNIT), act, end, hold, report):
         log.handle(event)
+    log.tick()
     log.close()
     LogReporter.build(context(Settings(log=LogSettings(directory=str(directory / "logs")))))
     return {str(line["event"]): set(line) for line in json_log.read(directory / "logs")}

@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -35,9 +37,15 @@ DEAD = unit(
 HEAD = {"v", "agent", "agent_id", "boot_id", "seq", "mono", "utc", "utc_s", "event", "kind"}
 
 
-def make(directory: Path, clock: FakeClock | None = None, **log: object) -> LogReporter:
-    settings = Settings(log=LogSettings(directory=str(directory), **log))  # type: ignore[arg-type]
-    return LogReporter.build(context(settings, clock=clock))
+def make(
+    directory: Path, clock: FakeClock | None = None, *, armed: Callable[[], bool | None] = lambda: None, **log: object
+) -> LogReporter:
+    """armed: whether the autopilot is."""
+    settings = Settings(
+        log=LogSettings(directory=str(directory), **log),  # type: ignore[arg-type]
+        state_dir=str(directory / "state"),
+    )
+    return LogReporter.build(replace(context(settings, clock=clock), armed=armed))
 
 
 def written(directory: Path, *events: Event) -> list[dict[str, object]]:
@@ -180,7 +188,7 @@ def test_only_faults_and_reports_are_synced(tmp_path: Path, monkeypatch: pytest.
     """`log.sync` waits for the disk after important events, not after each line: SD cards wear out."""
     synced: list[int] = []
     monkeypatch.setattr(os, "fdatasync", synced.append)
-    log = make(tmp_path, sync=True)
+    log = make(tmp_path, sync="always")
     log.handle(Note(at(), "DOCKER", "x"))
     log.handle(transition(DEAD))
     assert synced == []
@@ -188,6 +196,51 @@ def test_only_faults_and_reports_are_synced(tmp_path: Path, monkeypatch: pytest.
     assert len(synced) == 1
     log.handle(Report(at(), 1, at(), (DEAD, DEAD)))
     assert len(synced) >= 2
+
+
+@pytest.mark.parametrize(
+    ("sync", "armed", "expected"),
+    [
+        ("auto", True, True),
+        ("auto", None, True),
+        ("auto", False, False),
+        ("always", False, True),
+        ("never", True, False),
+    ],
+)
+def test_events_are_on_the_disk_within_a_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sync: str, armed: bool | None, expected: bool
+) -> None:
+    """`auto`: unless the autopilot reports disarmed, because the power may fail in the air. Once for each change."""
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fdatasync", synced.append)
+    log = make(tmp_path, armed=lambda: armed, sync=sync)
+    log.tick()
+    synced.clear()
+    log.handle(Note(at(), "DOCKER", "x"))
+    log.tick()
+    assert len(synced) == (2 if expected else 0), "the record and the text"
+    log.tick()
+    assert len(synced) == (2 if expected else 0), "nothing new"
+    assert LogReporter.period_s <= 0.5
+    log.close()
+
+
+def test_a_flight_is_marked_in_both_files(tmp_path: Path) -> None:
+    """With its number, from armed to disarmed."""
+    state: list[bool | None] = [None]
+    log = make(tmp_path, armed=lambda: state[0])
+    for armed in (None, True, True, None, False, False):
+        state[0] = armed
+        log.tick()
+    log.close()
+    flights = [event for event in json_log.read(tmp_path) if event["event"] == "flight"]
+    assert [(event["number"], event["began"], event["kind"]) for event in flights] == [
+        (1, True, "FLIGHT"),
+        (1, False, "FLIGHT"),
+    ]
+    text = [line for line in (tmp_path / "phm.log").read_text().splitlines() if "FLIGHT" in line]
+    assert text[0].endswith(" ---- FLIGHT: flight 1 began: the autopilot is armed")
 
 
 WRITER = """

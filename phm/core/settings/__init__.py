@@ -29,6 +29,7 @@ from phm.core.settings.daemon import CheckSettings, DockerSettings, LogSettings,
 from phm.core.settings.fleet import FleetEndpoint, FleetSettings, FleetTlsSettings
 from phm.core.settings.host import FreeDiskSettings, HostSettings, PressureSettings
 from phm.core.settings.mavlink import EndpointSettings, MavlinkSettings, SigningSettings
+from phm.core.settings.notify import NotifySettings
 from phm.core.settings.recovery import MaintenanceSettings, ManualStop, ManualStopSettings, RecoverySettings
 from phm.core.settings.ros import (
     DiagnosticsSettings,
@@ -66,6 +67,7 @@ __all__ = [
     "MavlinkSettings",
     "Name",
     "NodeSettings",
+    "NotifySettings",
     "Percent",
     "PressureSettings",
     "ProcessSettings",
@@ -107,6 +109,8 @@ class Settings(Section):
     """Automatic recovery."""
     log: LogSettings = LogSettings()
     """The log on board."""
+    notify: NotifySettings = NotifySettings()
+    """Alerts to other services."""
     docker: DockerSettings = DockerSettings()
     """The Docker Engine."""
     process: ProcessSettings = ProcessSettings()

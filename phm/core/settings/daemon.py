@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from phm.core.settings.base import AbsolutePath, Bytes, Name, Seconds, Section
+
+
+def _sync(value: Any) -> Any:
+    """`true` and `false` are the values of earlier versions."""
+    return {True: "always", False: "never"}[value] if isinstance(value, bool) else value
+
+
+Sync = Annotated[
+    Literal["auto", "always", "never"],
+    BeforeValidator(_sync),
+    WithJsonSchema({"enum": ["auto", "always", "never", True, False]}),
+]
 
 
 class LogSettings(Section):
@@ -17,9 +29,10 @@ class LogSettings(Section):
     max_size: Annotated[Bytes, Field(ge=10e3)] = 5e6
     """A file is rotated at this size."""
     files: Annotated[int, Field(ge=1, le=100)] = 5
-    """How many rotated files of each kind are kept."""
-    sync: bool = False
-    """True: fsync after each fault and report (survives power loss, but wears SD cards)."""
+    """How many rotated files of phm.log are kept. Those of phm.jsonl are compressed: as many as fit into `files` times `max_size`."""
+    sync: Sync = "auto"
+    """When events are written through to the disk. `auto`: within a second unless the autopilot reports disarmed; `always`: within a
+    second, faults and reports immediately (wears SD cards); `never`: by the system, mostly within 30 s."""
 
 
 class DockerSettings(Section):

@@ -1,0 +1,149 @@
+"""Alerts elsewhere: a webhook, MQTT or any other service of Apprise, and a command, when a fault opens, closes or is given up.
+
+Nothing here waits: a separate thread sends. What is too much is counted, and the next alert says how many were left out.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import subprocess
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from phm.core import threads
+from phm.core.bounded_queue import BoundedQueue
+from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase
+from phm.core.rate_limiter import RateLimiter
+from phm.reporters.base import Reporter, ReporterContext
+from phm.wire.report import fault_json
+from phm.wire.status_line import agent_name
+
+MISSING = "notify.urls needs Apprise: pip install 'phm-sidecar[notify]', or build the image with EXTRAS=notify"
+MAX_WAITING = 100
+COMMAND_S = 10.0
+CLOSE_LIMIT_S = 2.0
+_KINDS = {"open": "failure", "escalate": "failure", "close": "success"}
+"""Apprise's type of notification."""
+
+Alert = dict[str, Any]
+Send = Callable[[Alert], str]
+"""Sends an alert; why that failed, else empty."""
+
+
+class NotifyReporter(Reporter):
+    """See the module."""
+
+    name = "notify"
+    kinds = (FaultOpened, FaultClosed, ActionEvent)
+
+    def __init__(self, context: ReporterContext, senders: Sequence[Send]) -> None:
+        settings = context.settings.notify
+        self._agent, self._clock, self._senders = context.settings.agent, context.clock, tuple(senders)
+        self._events, self._open_faults = frozenset(settings.events), context.open_faults
+        self._limiter = RateLimiter(settings.per_minute / 60.0, float(settings.per_minute))
+        self._queue: BoundedQueue[Alert] = BoundedQueue(context.clock, MAX_WAITING)
+        self._left_out = 0
+        self._problem = ""
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="phm-notify", daemon=True)
+        threads.start(self._thread)
+
+    @classmethod
+    def build(cls, context: ReporterContext) -> NotifyReporter | None:
+        settings = context.settings.notify
+        senders: list[Send] = [lambda alert: send_to_urls(alert, settings.urls)] if settings.urls else []
+        if settings.command:
+            senders.append(lambda alert: run_command(alert, settings.command))
+        return cls(context, senders) if senders else None
+
+    def handle(self, event: Event) -> None:
+        if isinstance(event, FaultOpened):
+            self._put("open", event.fault)
+        elif isinstance(event, FaultClosed):
+            self._put("close", event.fault)
+        elif isinstance(event, ActionEvent) and event.phase is Phase.ESCALATED:
+            fault = next((fault for fault in self._open_faults() if fault.id == event.fault), None)
+            if fault is not None:
+                self._put("escalate", fault, event.detail)
+
+    def close(self) -> None:
+        """Send what waits, for at most CLOSE_LIMIT_S."""
+        self._stop.set()
+        self._queue.wake()
+        threads.join(self._thread, CLOSE_LIMIT_S)
+
+    def problem(self) -> str:
+        return f"notify: {self._problem}" if self._problem else ""
+
+    def _put(self, event: str, fault: Fault, detail: str = "") -> None:
+        if event not in self._events:
+            return
+        if not self._limiter.allow(self._clock.mono()):
+            self._left_out += 1
+            return
+        left_out, self._left_out = self._left_out, 0
+        words = {"open": "FAIL", "close": fault.outcome.value.upper(), "escalate": "GAVE UP"}[event]
+        brief = fault.result.brief or fault.unit
+        body = detail or f"{fault.unit}: {fault.result.summary}"
+        more = f" ({left_out} alerts before this one were left out: notify.per_minute)" if left_out else ""
+        self._queue.put(
+            {
+                "event": event,
+                "agent": self._agent.name,
+                "agent_id": self._agent.id,
+                "title": f"{agent_name(self._agent.id)} {words} {int(fault.slot)} {brief}",
+                "body": f"{self._agent.name}: {body}{more}",
+                "left_out": left_out,
+                "fault": fault_json(fault),
+            }
+        )
+
+    def _loop(self) -> None:
+        last = False
+        while not last:
+            last = self._stop.is_set()
+            for alert in self._queue.take(0.0 if last else 1.0):
+                problems = [problem for send in self._senders if (problem := _guarded(send, alert))]
+                self._problem = "; ".join(problems)
+
+
+def send_to_urls(alert: Alert, urls: Sequence[str]) -> str:
+    """By Apprise, which is imported at the first alert."""
+    try:
+        import apprise
+    except ImportError:
+        return MISSING
+    logging.getLogger("apprise").setLevel(logging.CRITICAL)  # its messages contain passwords of URLs
+    target = apprise.Apprise()
+    refused = [number for number, url in enumerate(urls) if not target.add(url)]
+    if refused:
+        return f"notify.urls[{refused[0]}] is not a URL that Apprise knows"
+    sent = target.notify(title=alert["title"], body=alert["body"], notify_type=_KINDS[alert["event"]])
+    return "" if sent else "an alert could not be sent to all of notify.urls: address, network or password"
+
+
+def run_command(alert: Alert, command: Sequence[str]) -> str:
+    """With the alert as a JSON object on its standard input. No shell is used."""
+    try:
+        done = subprocess.run(
+            list(command),
+            input=json.dumps(alert).encode("ascii"),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            timeout=COMMAND_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"{command[0]} did not end within {COMMAND_S:g} s and was killed"
+    except OSError as error:
+        return f"{command[0]} cannot be started: {error.strerror or error}"
+    return "" if done.returncode == 0 else f"{command[0]} ended with exit code {done.returncode}"
+
+
+def _guarded(send: Send, alert: Alert) -> str:
+    try:
+        return send(alert)
+    except Exception as error:  # a library of others: the next alert must still be sent
+        return f"{type(error).__name__} while an alert was sent"

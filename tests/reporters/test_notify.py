@@ -1,0 +1,186 @@
+"""Alerts to a real HTTP server and a real command."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.core.model import (
+    ActionEvent,
+    Event,
+    Fault,
+    FaultClosed,
+    FaultOpened,
+    Layer,
+    Level,
+    Outcome,
+    Phase,
+    Result,
+    Slot,
+    Stamp,
+)
+from phm.reporters import notify
+from phm.reporters.base import ReporterContext
+from phm.reporters.notify import NotifyReporter
+from phm.testing import FakeClock, settings
+from tests.fakes.until import until
+
+# Of the plug-ins of Apprise, which it imports when they are first used.
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+AT = Stamp(1.8e9, 10.0)
+FOUND = Result(Level.ERROR, "ros_app exited with code 1", "ros_app exited 1", "exited", "ros_app")
+FAULT = Fault("ab12-17", "container/ros_app", Slot.CONTAINER, Layer.DOCKER, FOUND, AT)
+
+
+class Hook:
+    """A web server that keeps what is posted to it."""
+
+    def __init__(self) -> None:
+        self.posted: list[dict[str, Any]] = []
+        outer = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                body = self.rfile.read(int(self.headers["Content-Length"]))
+                outer.posted.append(json.loads(body))
+                self.send_response(200)
+                self.end_headers()
+
+            def log_message(self, *_: object) -> None: ...
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        self.url = f"json://127.0.0.1:{self.server.server_address[1]}/phm"
+
+
+@pytest.fixture
+def hook() -> Iterator[Hook]:
+    made = Hook()
+    yield made
+    made.server.shutdown()
+    made.server.server_close()
+
+
+def make(clock: FakeClock | None = None, **notify_settings: Any) -> NotifyReporter:
+    made = settings(agent={"id": 5, "name": "agent_5"}, notify=notify_settings)
+    context = ReporterContext(made, clock or FakeClock(), "b", tuple, lambda: True, dict, open_faults=lambda: (FAULT,))
+    reporter = NotifyReporter.build(context)
+    assert reporter is not None
+    return reporter
+
+
+def steps() -> list[Event]:
+    """A fault opens, PHM gives up, and it closes."""
+    closed = replace(FAULT, outcome=Outcome.RESOLVED, closed=AT)
+    return [
+        FaultOpened(AT, FAULT),
+        ActionEvent(AT, FAULT.id, FAULT.unit, "restart", "ros_app", Phase.STARTED),
+        ActionEvent(AT, FAULT.id, FAULT.unit, "restart", "ros_app", Phase.ESCALATED, "three restarts did not help"),
+        FaultClosed(AT, closed),
+    ]
+
+
+def test_a_webhook_gets_open_escalation_and_close(hook: Hook) -> None:
+    """By Apprise, as JSON; steps in between are not alerts."""
+    reporter = make(urls=[hook.url])
+    for event in steps():
+        reporter.handle(event)
+    until(lambda: len(hook.posted) == 3, "the alerts")
+    reporter.close()
+    assert [post["title"] for post in hook.posted] == [
+        "A05 FAIL 2 ros_app exited 1",
+        "A05 GAVE UP 2 ros_app exited 1",
+        "A05 RESOLVED 2 ros_app exited 1",
+    ]
+    assert [post["type"] for post in hook.posted] == ["failure", "failure", "success"]
+    assert "three restarts did not help" in hook.posted[1]["message"]
+    assert reporter.problem() == ""
+
+
+def test_a_command_gets_the_alert_as_json(tmp_path: Path) -> None:
+    """Started without a shell, so that no name from outside is interpreted."""
+    output = tmp_path / "alert; touch hacked"
+    script = "import sys; open(sys.argv[1], 'ab').write(sys.stdin.buffer.read() + b'\\n')"
+    reporter = make(command=[sys.executable, "-c", script, str(output)], events=["close"])
+    for event in steps():
+        reporter.handle(event)
+    until(lambda: output.exists() and output.read_bytes().endswith(b"\n"), "the alert")
+    reporter.close()
+    (alert,) = map(json.loads, output.read_bytes().splitlines())
+    assert (alert["event"], alert["agent_id"], alert["fault"]["fault"]) == ("close", 5, "ab12-17")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [output.name]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [
+        ({"command": ["/no/such/program"]}, "/no/such/program cannot be started: No such file or directory"),
+        ({"command": [sys.executable, "-c", "raise SystemExit(3)"]}, "ended with exit code 3"),
+        ({"urls": ["json://127.0.0.1:1/"]}, "could not be sent to all of notify.urls"),
+        ({"urls": ["nothing://x"]}, "notify.urls[0] is not a URL that Apprise knows"),
+    ],
+)
+def test_what_cannot_be_sent_is_a_problem_without_secrets(chosen: dict[str, Any], words: str) -> None:
+    """Shown in `phm status`; it ends with the next alert that is sent."""
+    reporter = make(**chosen)
+    reporter.handle(FaultOpened(AT, FAULT))
+    until(reporter.problem, "the problem")
+    assert words in reporter.problem()
+    reporter.close()
+
+
+def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is an extra, and imported only for an alert."""
+    monkeypatch.setitem(sys.modules, "apprise", None)
+    assert notify.send_to_urls({}, ["json://x"]) == notify.MISSING
+
+
+def test_alerts_are_limited_and_what_was_left_out_is_counted() -> None:
+    """A flapping container sends no hundred messages to a telephone."""
+    clock, sent = FakeClock(), list[dict[str, Any]]()
+    made = settings(notify={"command": ["x"], "per_minute": 2})
+    reporter = NotifyReporter(
+        ReporterContext(made, clock, "b", tuple, lambda: True, dict), [lambda alert: sent.append(alert) or ""]
+    )
+    for _ in range(5):
+        reporter.handle(FaultOpened(AT, FAULT))
+    clock.advance(30.0)
+    reporter.handle(FaultOpened(AT, FAULT))
+    until(lambda: len(sent) == 3, "the alerts")
+    assert [alert["left_out"] for alert in sent] == [0, 0, 3]
+    assert "3 alerts before this one were left out" in sent[-1]["body"]
+    reporter.close()
+
+
+def test_a_slow_service_delays_nothing_else() -> None:
+    """Neither PHM's other reports nor its end; alerts that wait are limited in number."""
+    held, begun = threading.Event(), threading.Event()
+
+    def slow(alert: dict[str, Any]) -> str:
+        begun.set()
+        held.wait(120)
+        return ""
+
+    made = settings(notify={"command": ["x"], "per_minute": 600})
+    reporter = NotifyReporter(ReporterContext(made, FakeClock(), "b", tuple, lambda: True, dict), [slow])
+    for _ in range(500):
+        reporter.handle(FaultOpened(AT, FAULT))
+    until(begun.is_set, "the first alert")
+    reporter.close()
+    assert len(reporter._queue) <= notify.MAX_WAITING
+    held.set()
+
+
+def test_it_is_off_by_default() -> None:
+    """Without urls and command there is no reporter."""
+    context = ReporterContext(settings(), FakeClock(), "b", tuple, lambda: True, dict)
+    assert NotifyReporter.build(context) is None
