@@ -1,7 +1,8 @@
 """The daemon's side of the control socket (`phm.wire.control`): approvals, notes, holds and reloads from this machine.
 
-One thread with an event loop (`phm.core.stream_server`), few connections, small requests, short deadlines: a client that sends something else, or nothing, gets
-an error and is disconnected. The socket belongs to PHM's user alone (mode 0600), and the kernel reports the user id of the client.
+One thread with an event loop (`phm.core.stream_server`), few connections, small requests, short deadlines: a client that sends
+something else, or nothing, gets an error and is disconnected. The socket belongs to PHM's user alone (mode 0600), and the kernel
+reports the user id of the client.
 """
 
 from __future__ import annotations
