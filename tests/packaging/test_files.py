@@ -17,7 +17,7 @@ from phm import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = sorted((ROOT / "scripts" / "locks").glob("*.lock"))
-SCRIPTS = [ROOT / "scripts" / name for name in ("check", "engine", "image", "lock", "test", "venv")]
+SCRIPTS = sorted(path for path in (ROOT / "scripts").glob("[a-z]*") if path.is_file() and not path.suffix)
 PIN = re.compile(r"^([A-Za-z0-9._-]+)==(\S+)((?: ;[^\\]*)?) \\$")
 
 
