@@ -173,6 +173,8 @@ def test_the_passphrase_of_mavproxy_gives_the_key_of_phm(vehicle: Vehicle, proxy
     console.wait_for("Setup signing key")
     console.say("long USER_1 1")
     console.wait_for("COMMAND_ACK: USER_1: ACCEPTED")
+    console.say("long USER_1 2 17")  # permitted; there is no fault 17
+    console.wait_for("COMMAND_ACK: USER_1: FAILED")
     vehicle.break_container()
     console.wait_for(f"AP: {FAIL}")
 

@@ -27,7 +27,7 @@ def _signed(folder: Path, passphrase: str) -> dict[str, object]:
     key = folder / "mavlink.key"
     key.write_text(hashlib.sha256(passphrase.encode()).hexdigest())
     key.chmod(0o600)
-    return {"signing": {"key": str(key)}, "commands": ["status", "details", "check"]}
+    return {"signing": {"key": str(key)}, "commands": ["status", "details", "check", "approve"]}
 
 
 class Vehicle:
