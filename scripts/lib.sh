@@ -96,6 +96,25 @@ mirror_uri() {
   fail "apt has no source for $(release): add one and call again."
 }
 
+# apt_download RELEASE FOLDER PACKAGE... : the packages of another Debian release into FOLDER. Its package lists are used once and
+# removed, so the machine's own sources stay unchanged.
+apt_download() {
+  local release=$1 folder=$2 lists result=0
+  shift 2
+  lists=$(mktemp -d)
+  chmod 755 -- "$lists"
+  mkdir -p -- "$lists/state/partial" "$lists/cache/archives/partial"
+  printf 'deb [signed-by=/usr/share/keyrings/debian-archive-keyring.gpg] %s %s main\n' "$(mirror_uri)" "$release" >"$lists/sources.list"
+  local apart=(-o "Dir::Etc::SourceList=$lists/sources.list" -o Dir::Etc::SourceParts=/dev/null
+    -o "Dir::State::Lists=$lists/state" -o "Dir::Cache=$lists/cache" -o APT::Sandbox::User=root)
+  if ! { _apt "${apart[@]}" update && (cd -- "$folder" && _apt "${apart[@]}" download "$@"); } >"$lists/log" 2>&1; then
+    tail -n 15 -- "$lists/log" >&2
+    result=1
+  fi
+  rm -rf -- "$lists"
+  return "$result"
+}
+
 # install_locked PYTHON [--OPTION...] LOCK... : the packages of these locks, each file's hash checked; options are pip's.
 # What comes as source alone (one dependency of rclpy does) is built with the locked setuptools, so nothing unlocked is
 # fetched.
