@@ -166,7 +166,7 @@ class Daemon:
         parts.loop.stop()
         closing.step("marker", self._marker.end, 0.5)  # first: the stop was requested, whatever hangs after this
         if self._watchdog is not None:
-            closing.step("guard", self._watchdog.close, 0.5)
+            closing.step("watchdog", self._watchdog.close, 0.5)
         self.pipeline.note("PHM", "PHM is stopping")
         closing.step("control", parts.control.close, 0.5)
         self._stop_recovery(closing)
