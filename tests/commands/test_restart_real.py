@@ -111,8 +111,9 @@ def test_a_recommended_action_is_approved_by_the_number_in_its_line(real: Any, t
         container.kill()
         agent.until(lambda: any("ADVISE" in text for _, text in agent.lines), "the advice")
         line = next(text for _, text in agent.lines if "ADVISE" in text)
-        words, _, number = line.partition(" #")
-        assert words == "A07 ADVISE 2 start app"
+        words, _, rest = line.partition(" #")
+        number, _, valid = rest.partition(" ")
+        assert (words, valid) == ("A07 ADVISE 2 start app", "60s")
         assert agent.ask(APPROVE, int(number) + 1) == mavlink.MAV_RESULT_FAILED, "there is no such fault"
         container.reload()
         assert container.status == "exited"
