@@ -182,6 +182,7 @@ def _finish(directory: Path, names: list[str], answers: Answers) -> None:
     click.echo("Next:")
     click.echo(f"  cd {directory} && docker compose up -d")
     click.echo("  docker compose exec phm phm status")
+    click.echo("`phm learn` then adds nodes, topics and rates, and `phm doctor` shows what PHM can use.")
     if answers.name and not answers.recover:
         click.echo("PHM reports faults and restarts nothing: `recover: true` in phm.yaml allows it.")
 
