@@ -96,7 +96,9 @@ def parse(text: str, file: str, expander: Expander) -> Tree:
         tree.problems.append(Problem(file, line, "", _sentence(error) + hint))
     else:
         if node is None:
-            tree.problems.append(Problem(file, 0, "", "is empty: write at least one key (`phm init` writes a complete file)"))
+            tree.problems.append(
+                Problem(file, 0, "", "is empty: write at least one key (`phm init` writes a complete file)")
+            )
         elif isinstance(node, yaml.MappingNode):
             tree.data = _Builder(tree, file, expander).build(node, ())
         else:
