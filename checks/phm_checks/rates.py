@@ -151,7 +151,8 @@ class Rates(api.Check):
             f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}; check that node's log",
             case,
         )
-        result = result.with_evidence(api.Evidence(conclusive=turns and _all_turned(seen, fact, due_s - RAN_S)))
+        ran = turns and _all_turned(seen, fact, due_s - RAN_S)
+        result = result.with_evidence(api.Evidence(conclusive=ran and _inputs_flow(seen, fact)))
         settle_s = GAP_PERIODS / case.rate - (limit_s or 0.0)
         return replace(result, settle_s=min(SETTLE_S, max(0.0, settle_s))) if turns else result
 
@@ -329,6 +330,14 @@ def _all_turned(seen: api.TopicFact, fact: api.RosFact, due_s: float) -> bool:
     """
     nodes = _nodes(seen)
     return bool(nodes) and all(fact.nodes.get(node) == 1 and turned_s(node, fact) <= due_s for node in nodes)
+
+
+def _inputs_flow(seen: api.TopicFact, fact: api.RosFact) -> bool:
+    """Whether data arrives on all configured topics to which the publishers subscribe: a node may publish once per input."""
+    publishers = _nodes(seen)
+    inputs = (topic for topic in fact.topics.values() if topic is not seen)
+    needed = (topic for topic in inputs if any(end.node in publishers for end in topic.subscribers))
+    return all(topic.rate is not None and bool(topic.rate.hz) for topic in needed)
 
 
 def _nodes(seen: api.TopicFact) -> set[str]:

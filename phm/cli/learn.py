@@ -75,16 +75,14 @@ def command(
         baseline = learn(seen, settings.agent.id)
         new = merge.merge(text, baseline, os.environ)
         files.check(new, str(output or base or "phm.yaml"), os.environ)
+        if not (baseline.containers or baseline.nodes or baseline.mavlink.values):
+            raise WatchFailed(f"nothing was learned: {'; '.join(seen.problems) or 'no container and no ROS node runs'}")
         written = files.write(output, new, baseline) if output is not None else []
     except ConfigError as error:
         click.echo(str(error), err=True)
         ctx.exit(EX_CONFIG)
     except (OSError, UnicodeDecodeError, WatchFailed) as error:
         raise click.ClickException(str(error)) from None
-    if not (baseline.containers or baseline.nodes or baseline.mavlink.values):
-        raise click.ClickException(
-            f"nothing was learned: {'; '.join(seen.problems) or 'no container and no ROS node runs'}"
-        )
     for path in written:
         click.echo(f"phm learn: wrote {path}", err=True)
     _print(text, new, str(base or "phm.yaml"), baseline, diff=diff, as_json=as_json, printed=output is None)

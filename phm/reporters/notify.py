@@ -131,7 +131,7 @@ def run_command(alert: Alert, command: Sequence[str]) -> str:
             list(command),
             input=json.dumps(alert).encode("ascii"),
             stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
             timeout=COMMAND_S,
             check=False,
         )

@@ -202,6 +202,9 @@ class RotatingFile:
                 os.ftruncate(self._fd, 0)
                 self._size = 0
                 return
+            # The next sync is of the next file: without this, a power cut could take the end of this one.
+            with contextlib.suppress(OSError):
+                _sync(self._fd)
             self._close()  # Windows renames no open file
             os.replace(self.path, name)
         self._open()

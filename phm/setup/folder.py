@@ -40,9 +40,11 @@ def write(folder: Path, texts: Mapping[str, str], *, force: bool) -> None:
 
 
 def make_log_folder(path: Path) -> None:
-    """A folder that PHM's user may write to: its own where this process may say so, else one that everyone may write to,
-    as /tmp. Raises OSError."""
-    path.mkdir(parents=True, exist_ok=True)
+    """Make a folder that PHM's user may write to: its own where this process may say so, else one that everyone may write
+    to, as /tmp. A folder that exists stays as it is. Raises OSError."""
+    if path.is_dir():
+        return
+    path.mkdir(parents=True)
     try:
         os.chown(path, PHM_USER, PHM_USER)
         path.chmod(0o755)

@@ -41,7 +41,6 @@ def render(machine: Machine, answers: Answers) -> dict[str, str]:
             network=_network(answers),
             devices=_devices(answers),
             socket=f"      - {compose_quoted(f'{machine.socket}:/var/run/docker.sock')}\n" if machine.socket else "",
-            profile=f"      - {compose_quoted(f'./{APPLICATION_PROFILE}:{ros.mount}:ro')}\n" if ros.mount else "",
             logs=compose_quoted(f"{answers.logs}:/var/log/phm"),
         ),
         ENVIRONMENT: Template(_template(ENVIRONMENT)).substitute(agent=answers.name, id=answers.id, ros=ros.lines),

@@ -20,14 +20,14 @@ _PLAIN = re.compile(r"[A-Za-z0-9_./:;,@=+-]*")
 
 @dataclass(frozen=True, slots=True)
 class DetectedRosSettings:
-    """lines:   of agent.env.
-    profile: a copy of the application's Fast DDS profile, to be written as APPLICATION_PROFILE; empty for none.
-    mount:   where that file is mounted; empty where it is seen in FOLDER.
+    """lines: of agent.env. profile: a copy of the application's Fast DDS profile, to be written as APPLICATION_PROFILE; empty for none.
+
+    PHM sees the copy in FOLDER, never at the application's own path: the path comes from the application's image, and a mount
+    there could replace PHM's code.
     """
 
     lines: str
     profile: str = ""
-    mount: str = ""
 
 
 def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profile: str) -> DetectedRosSettings:
@@ -46,14 +46,11 @@ def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profi
     profile = next((one.profile for one in watched if one.ros is found), "")
     if not profile or profile.strip() == shipped_profile.strip():
         return DetectedRosSettings("\n".join(lines))
-    path = next(found.variables[name] for name in PROFILE_VARIABLES if name in found.variables)
-    mounted = not path.startswith(f"{FOLDER}/") and _PLAIN.fullmatch(path) is not None and ":" not in path
-    seen = path if mounted else f"{FOLDER}/{APPLICATION_PROFILE}"
     lines += [
         f"# {APPLICATION_PROFILE}, a copy of the application's profile.",
-        *(f"{n}={seen}" for n in PROFILE_VARIABLES),
+        *(f"{name}={FOLDER}/{APPLICATION_PROFILE}" for name in PROFILE_VARIABLES),
     ]
-    return DetectedRosSettings("\n".join(lines), profile, path if mounted else "")
+    return DetectedRosSettings("\n".join(lines), profile)
 
 
 def source(machine: Machine, watched: Sequence[Application]) -> RosEnvironment | None:

@@ -171,6 +171,21 @@ def test_silence_of_a_running_executor_is_not_explained_by_starvation(
     assert (result.condition, result.evidence.conclusive) == ("silent", conclusive)
 
 
+@pytest.mark.parametrize(("input_hz", "conclusive"), [(10.0, True), (0.0, False), (None, False)])
+def test_silence_behind_an_input_without_data_may_follow_from_starvation(
+    input_hz: float | None, conclusive: bool
+) -> None:
+    """A node that publishes once per input is silent although its executor runs."""
+    bench, node = Bench(), "/agent_1/node_1"
+    silent = api.RateFact(0.0, 5.0, WINDOW_S, samples=5, limit_s=1.5, publishers=1, error_hz=0.0)
+    source = api.TopicFact((), TALKER, api.RateFact(input_hz, 0.1, WINDOW_S, samples=5, publishers=1))
+    topics = {NAME: api.TopicFact(TALKER, (), silent), "/agent_1/in": source}
+    bench.ros.change(topics=topics, nodes={node: 1}, beacons={node: api.BeaconFact(0.1, 1.0, turns=20)})
+    results = bench.check.run(testing.world(clock=bench.clock, ros=bench.ros))
+    assert not isinstance(results, api.Result)
+    assert results[UNIT].evidence.conclusive is conclusive
+
+
 def test_silence_without_evidence_of_the_node_may_follow_from_starvation() -> None:
     assert not Bench().evaluate(0.0, 60.0).evidence.conclusive
 

@@ -93,3 +93,13 @@ def test_nothing_learned_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     result = invoke("--fresh")
     assert result.exit_code == 1 and "no rclpy" in result.output
+
+
+def test_a_file_is_kept_when_nothing_was_learned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The engine is down: an empty configuration must not replace the present one."""
+    monkeypatch.setattr(watch.Watch, "run", lambda self: Observations(60.0))
+    (tmp_path / "phm.yaml").write_text("agent: {id: 7} # mine\n")
+    result = invoke("--fresh", "-o", "phm.yaml")
+    assert result.exit_code == 1
+    assert "nothing was learned" in result.output
+    assert (tmp_path / "phm.yaml").read_text() == "agent: {id: 7} # mine\n"

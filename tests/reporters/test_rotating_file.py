@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
+from phm.reporters import rotating_file
 from phm.reporters.rotating_file import FIRST_RETRY_S, LAST_RETRY_S, RING_LINES, RotatingFile
 from phm.testing import FakeClock
 
@@ -42,6 +43,18 @@ def test_rotation_keeps_the_newest_files(tmp_path: Path) -> None:
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["log", "log.1", "log.2"]
     kept = [int(line) for name in ("log.2", "log.1", "log") for line in (tmp_path / name).read_text().split()]
     assert kept == list(range(85, 100))
+
+
+def test_a_rotated_file_is_on_the_disk_before_the_next_one_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Later syncs are of the next file, so a power cut could take the end of this one."""
+    synced: list[int] = []
+    monkeypatch.setattr(rotating_file, "_sync", lambda fd: synced.append(os.fstat(fd).st_ino))
+    lines = make(tmp_path / "log", max_size=100)
+    for number in range(10):
+        lines.write(b"%019d" % number)
+    assert (tmp_path / "log.1").stat().st_ino in synced
 
 
 @given(

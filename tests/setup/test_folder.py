@@ -44,3 +44,12 @@ def test_the_log_folder_can_be_written_by_the_user_of_the_image(
     monkeypatch.setattr(os, "chown", refuse)
     make_log_folder(tmp_path / "logs")
     assert (tmp_path / "logs").stat().st_mode & 0o7777 == 0o1777
+
+
+def test_a_log_folder_that_exists_keeps_its_owner_and_mode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--logs /var/log` must not lock other services out."""
+    changed: list[object] = []
+    monkeypatch.setattr(os, "chown", lambda *words: changed.append(words))
+    tmp_path.chmod(0o750)
+    make_log_folder(tmp_path)
+    assert (changed, tmp_path.stat().st_mode & 0o7777) == ([], 0o750)

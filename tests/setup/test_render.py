@@ -119,22 +119,16 @@ def test_another_middleware_needs_another_image() -> None:
     assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in text and "image must have rmw_cyclonedds_cpp" in text
 
 
-def test_a_profile_of_the_application_is_copied_and_seen_at_its_path() -> None:
-    """That which PHM ships is not: it only shortens leases."""
-    env = {"FASTDDS_DEFAULT_PROFILES_FILE": "/opt/dds.xml"}
+@pytest.mark.parametrize("path", ["/opt/dds.xml", "/etc/phm/dds.xml", "/opt/phm/code/phm/__init__.py"])
+def test_a_profile_of_the_application_is_copied_and_never_mounted_at_a_path_that_its_image_chose(path: str) -> None:
+    """A mount there could replace PHM's code. The profile that PHM ships is not copied: it only shortens leases."""
+    env = {"FASTDDS_DEFAULT_PROFILES_FILE": path}
     texts = made(application("app", env=env, profile="<dds/>"))
     assert texts["application-fastdds.xml"] == "<dds/>"
-    assert variables(texts)["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/opt/dds.xml"
-    assert "./application-fastdds.xml:/opt/dds.xml:ro" in service(texts)["volumes"]
+    assert variables(texts)["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/etc/phm/application-fastdds.xml"
+    assert not [volume for volume in service(texts)["volumes"] if "application-fastdds" in volume or path in volume]
     shipped = (ROOT / "config" / "fastdds.xml").read_text("utf-8")
     assert "application-fastdds.xml" not in made(application("app", env=env, profile=shipped))
-
-
-def test_a_profile_below_the_folder_of_phm_is_not_mounted_over_it() -> None:
-    env = {"FASTDDS_DEFAULT_PROFILES_FILE": "/etc/phm/dds.xml"}
-    texts = made(application("app", env=env, profile="<dds/>"))
-    assert variables(texts)["FASTDDS_DEFAULT_PROFILES_FILE"] == "/etc/phm/application-fastdds.xml"
-    assert not [volume for volume in service(texts)["volumes"] if "application-fastdds" in volume]
 
 
 def test_the_shipped_profile_is_the_documented_one() -> None:

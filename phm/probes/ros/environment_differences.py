@@ -15,6 +15,8 @@ _UDP = ("", "DEFAULT", "UDPv4")
 """Values of FASTDDS_BUILTIN_TRANSPORTS with which a process can be reached over UDP on IPv4."""
 _OF_MIDDLEWARE = {"rmw_cyclonedds_cpp": "CYCLONEDDS_URI", "rmw_zenoh_cpp": "ZENOH_SESSION_CONFIG_URI"}
 OWN_PROFILE = "/etc/phm/fastdds.xml"
+COPIED_PROFILE = "/etc/phm/application-fastdds.xml"
+"""A copy of the application's profile that `phm init` made for PHM."""
 """Where images have PHM's profile, which changes leases alone (config/fastdds.xml)."""
 SUBNET, LOCALHOST, OFF, SYSTEM = "SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"
 
@@ -157,7 +159,7 @@ def _transports(application: RosEnvironment, phm: RosEnvironment) -> Iterator[En
         yield _unequal(application, name, theirs, ours, "DEFAULT", f"set {name}=UDPv4 in {who}")
     yield from _shared_memory(application, phm)
     profile = next((application.variables[key] for key in _profile_variables(application)), "")
-    if profile not in ("", OWN_PROFILE) and profile not in phm.variables.values():
+    if profile not in ("", OWN_PROFILE) and not {profile, COPIED_PROFILE} & set(phm.variables.values()):
         yield EnvironmentDifference(
             "FASTDDS_DEFAULT_PROFILES_FILE",
             f"{who} loads the Fast DDS profile {profile} and PHM does not: if it changes transports, interfaces or "
