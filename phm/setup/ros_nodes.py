@@ -10,12 +10,16 @@ import sys
 from collections.abc import Mapping, Sequence
 
 from phm.facts import CannotTell
+from phm.probes.ros.sandbox import PROFILE_VARIABLES
 from phm.setup.machine import Application
 from phm.transport.docker import DockerEngine
 
 DISCOVERY_S = 4.0
 """Fast DDS announces itself every 3 s by default."""
 LIMIT_S = DISCOVERY_S + 15.0
+_CONFIGURATION = frozenset(("CYCLONEDDS_URI", "FASTDDS_ENVIRONMENT_FILE", *PROFILE_VARIABLES))
+"""Variables of the application that name configuration of its middleware. An image could have files written by it, with the
+rights of the user of `phm init`; their paths are of the container anyway."""
 _NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _LAUNCHERS = re.compile(r"/(?:launch_ros_\d+|ros2cli\w*|transform_listener_impl_\w+|rviz2?|rqt\w*)$")
 """Nodes of tools, and nodes with a number that changes with each start."""
@@ -28,7 +32,8 @@ class NoGraph(Exception):
 def nodes(environment: Mapping[str, str]) -> tuple[str, ...]:
     """Names of the nodes that a participant with these ROS variables finds within DISCOVERY_S. Raises NoGraph."""
     # The application's shared memory cannot be read by another user in another container.
-    environ = {**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", **environment}
+    safe = {name: value for name, value in environment.items() if name not in _CONFIGURATION}
+    environ = {**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", **safe}
     argv = [sys.executable, "-m", "phm.probes.ros.graph_listing", f"{DISCOVERY_S:g}"]
     try:
         done = subprocess.run(argv, env=environ, capture_output=True, timeout=LIMIT_S, check=False)
