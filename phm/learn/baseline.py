@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import math
 import re
 import statistics
@@ -146,14 +147,19 @@ def _device(path: str, inside: str) -> Learned:
 
 
 def _folder(folder: ObservedFolder, name: str) -> Learned:
-    values: dict[str, Any] = {"path": folder.path, "manifest": name, "ignore": [*IGNORED, *folder.unstable]}
+    values: dict[str, Any] = {"path": folder.path, "manifest": name, "ignore": [*IGNORED, *_literal(folder.unstable)]}
     notes = {"manifest": f"{len(folder.files)} files, {folder.size / 1e6:.1f} MB"}
     if folder.unstable:
         notes["ignore"] = f"{len(folder.unstable)} of these changed while they were watched"
     if folder.unreadable:
-        values["ignore"] += folder.unreadable
+        values["ignore"] += _literal(folder.unreadable)
         notes["ignore"] = "PHM cannot read some of these, or they changed while they were watched"
     return Learned(values, notes)
+
+
+def _literal(paths: Sequence[str]) -> list[str]:
+    """Patterns without wildcards: a file may be named ``*``, which would ignore all files."""
+    return [glob.escape(path) for path in paths]
 
 
 # ---------------------------------------------------------------- ROS

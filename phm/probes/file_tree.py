@@ -10,8 +10,10 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+import threading
+from collections import deque
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
@@ -20,11 +22,17 @@ from phm.facts import CannotTell
 from phm.wire.manifest import MAX_FILES
 
 MAX_DEPTH = 64
+MAX_ENTRIES = 2 * MAX_FILES
+"""Names that are read in one walk, with those that are ignored: all of a folder are in memory at once."""
 LOOK_BYTES = 64 << 20
 """Read in one look; the rest of a large folder follows in the next looks."""
 LOOK_S = 1.5
 WALK_S = 10.0
 """For finding the files, without reading them."""
+FILE_S = 10.0
+"""For reading one file."""
+BUSY_S = 5.0
+"""So long a look waits for another one at the same folder. Well below the deadline of the check."""
 SHARE = 20
 """A walk is repeated after this many times its duration at the earliest, so that it takes at most 5 % of a core."""
 _PIECE = 1 << 20
@@ -45,31 +53,51 @@ class TreeListing:
 
 
 class TreeReader:
-    """Reads one folder repeatedly. Not thread-safe."""
+    """Reads one folder repeatedly. Thread-safe."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
+        self._lock = threading.Lock()
         self._known: dict[str, tuple[_Key, str]] = {}
-        self._listing: TreeListing | None = None
+        self._waiting: tuple[str, ...] = ()
+        self._listing = TreeListing()
+        self._problem = ""
+        """Why the last walk failed, or empty."""
         self._next_s = float("-inf")
 
     def read(self, folder: int, ignore: Sequence[str], *, fresh: bool = False) -> TreeListing:
         """folder: its descriptor, which may be O_PATH. fresh: walk now, whatever it costs.
 
-        Raises CannotTell if the folder has too many files or is too slow.
+        Raises CannotTell if the folder has too many files, is too slow or cannot be read, or if another thread is still
+        reading it after BUSY_S.
         """
-        now = self._clock.mono()
-        if self._listing is not None and now < self._next_s and not fresh:
+        if not self._lock.acquire(timeout=BUSY_S):
+            raise CannotTell("an earlier look is still reading it: check that its disk or network volume answers")
+        try:
+            if fresh or self._clock.mono() >= self._next_s:
+                self._look(folder, ignore)
+            if self._problem:
+                raise CannotTell(self._problem)
             return self._listing
-        walk = _Walk(self._clock, ignore, self._known)
-        with closing(
-            _Descriptor(os.open(f"/proc/self/fd/{folder}", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC))
-        ) as top:
-            walk.folder(top.number, "", 0)
-        self._known, self._listing = walk.found, walk.listing
-        took_s = self._clock.mono() - now
-        self._next_s = now + took_s * (2 if walk.listing.pending else SHARE)
-        return walk.listing
+        finally:
+            self._lock.release()
+
+    def _look(self, folder: int, ignore: Sequence[str]) -> None:
+        """A failure is remembered like a listing: a walk that fails costs as much as one that does not."""
+        began_s = self._clock.mono()
+        walk = _Walk(self._clock, ignore, self._known, self._waiting)
+        self._problem = "the last look at it did not finish"
+        try:
+            walk.run(folder)
+            self._known, self._waiting, self._listing, self._problem = walk.found, walk.waiting, walk.listing, ""
+        except CannotTell as reason:
+            self._problem = str(reason)
+        except OSError as error:
+            self._problem = f"it cannot be read: {error.strerror}"
+        finally:
+            ended_s = self._clock.mono()
+            times = 2 if walk.listing.pending and not self._problem else SHARE
+            self._next_s = ended_s + (ended_s - began_s) * times
 
 
 class _Descriptor:
@@ -81,27 +109,58 @@ class _Descriptor:
 
 
 class _Walk:
-    def __init__(self, clock: Clock, ignore: Sequence[str], known: dict[str, tuple[_Key, str]]) -> None:
+    """One look: finds all files, then reads those that have changed, within the limits of one look.
+
+    waiting: files that the last look did not get to, longest wait first. They come first, so that a large file that changes
+    all the time does not keep the others from being read.
+    """
+
+    def __init__(
+        self, clock: Clock, ignore: Sequence[str], known: dict[str, tuple[_Key, str]], waiting: Sequence[str]
+    ) -> None:
         self._clock, self._ignore, self._known = clock, tuple(ignore), known
         self._began_s = clock.mono()
-        self._reading_s, self._bytes = 0.0, 0
+        self._entries, self._bytes = 0, 0
+        self._changed: set[str] = set()
+        self.waiting = tuple(waiting)
         self.found: dict[str, tuple[_Key, str]] = {}
         self.listing = TreeListing()
 
-    def folder(self, number: int, path: str, depth: int) -> None:
-        with os.scandir(number) as entries:
-            listed = sorted(entries, key=lambda entry: entry.name)
-        for entry in listed:
+    def run(self, folder: int) -> None:
+        """Raises CannotTell or OSError if the files cannot be found; a file that cannot be read is in the listing."""
+        flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+        with closing(_Descriptor(os.open(f"/proc/self/fd/{folder}", flags))) as top:
+            self._folder(top.number, "", 0)
+            self._read_changed(top.number)
+
+    # ------------------------------------------------------------ finding
+
+    def _folder(self, number: int, path: str, depth: int) -> None:
+        for name in self._names(number):
             self._in_time()
-            below = f"{path}/{entry.name}" if path else entry.name
-            if any(fnmatchcase(entry.name, pattern) or fnmatchcase(below, pattern) for pattern in self._ignore):
+            below = f"{path}/{name}" if path else name
+            if any(fnmatchcase(name, pattern) or fnmatchcase(below, pattern) for pattern in self._ignore):
                 continue
             try:
-                self._entry(number, entry.name, below, depth)
+                self._entry(number, name, below, depth)
             except FileNotFoundError:
                 continue  # removed meanwhile
             except OSError:
                 self.listing.unreadable.add(below)
+
+    def _names(self, number: int) -> list[str]:
+        names: list[str] = []
+        with os.scandir(number) as entries:
+            for entry in entries:
+                self._in_time()
+                self._entries += 1
+                if self._entries > MAX_ENTRIES:
+                    raise CannotTell(
+                        f"it has more than {MAX_ENTRIES} files and folders, with those that are ignored: "
+                        "choose a folder below it, or remove some"
+                    )
+                names.append(entry.name)
+        return sorted(names)
 
     def _entry(self, number: int, name: str, path: str, depth: int) -> None:
         info = os.stat(name, dir_fd=number, follow_symlinks=False)
@@ -109,59 +168,74 @@ class _Walk:
             if depth >= MAX_DEPTH:
                 raise CannotTell(f"{path[:80]}... is more than {MAX_DEPTH} folders deep")
             with closing(_Descriptor(os.open(name, _FOLDER, dir_fd=number))) as below:
-                self.folder(below.number, path, depth + 1)
+                self._folder(below.number, path, depth + 1)
         elif stat.S_ISLNK(info.st_mode):
             target = os.fsencode(os.readlink(name, dir_fd=number))
             self._add(path, _key(info), hashlib.sha256(b"link " + target).hexdigest())
         elif stat.S_ISREG(info.st_mode):
-            self._file(number, name, path, info)
+            self._file(path, info)
+        if len(self.listing.sums) + len(self._changed) > MAX_FILES:
+            raise CannotTell(f"it has more than {MAX_FILES} files: choose a folder below it, or add `ignore`")
 
-    def _file(self, number: int, name: str, path: str, info: os.stat_result) -> None:
+    def _file(self, path: str, info: os.stat_result) -> None:
         known = self._known.get(path)
         self.listing.size += info.st_size
         if known is not None and known[0] == _key(info):
             self._add(path, *known)
-        elif self._bytes >= LOOK_BYTES or self._reading_s >= LOOK_S:
-            self._pending(path)
         else:
-            began_s = self._clock.mono()
-            with closing(_Descriptor(os.open(name, _FILE, dir_fd=number))) as file:
+            self._changed.add(path)
+
+    def _in_time(self) -> None:
+        if self._clock.mono() - self._began_s > WALK_S:
+            raise CannotTell(
+                f"its files cannot be listed within {WALK_S:g} s: choose a folder below it, or add `ignore`"
+            )
+
+    # ------------------------------------------------------------ reading
+
+    def _read_changed(self, top: int) -> None:
+        first = [path for path in self.waiting if path in self._changed]
+        queue = deque([*first, *sorted(self._changed.difference(first))])
+        until_s = self._clock.mono() + LOOK_S
+        while queue and self._bytes < LOOK_BYTES and self._clock.mono() < until_s:
+            self._try(top, queue.popleft())
+        self.waiting = tuple(queue)
+        self.listing.pending.update(queue)
+
+    def _try(self, top: int, path: str) -> None:
+        """Open each folder on the way again without following links: it may have been replaced since it was listed."""
+        *folders, name = path.split("/")
+        try:
+            with ExitStack() as opened:
+                number = top
+                for folder in folders:
+                    below = _Descriptor(os.open(folder, _FOLDER, dir_fd=number))
+                    number = opened.enter_context(closing(below)).number
+                file = opened.enter_context(closing(_Descriptor(os.open(name, _FILE, dir_fd=number))))
                 self._read(file.number, path)
-            self._reading_s += self._clock.mono() - began_s
+        except FileNotFoundError:
+            return  # removed meanwhile
+        except OSError:
+            self.listing.unreadable.add(path)
 
     def _read(self, number: int, path: str) -> None:
         before = os.fstat(number)
         if not stat.S_ISREG(before.st_mode):
             return  # replaced meanwhile
-        total, until_s = hashlib.sha256(), self._clock.mono() + WALK_S
+        total, until_s = hashlib.sha256(), self._clock.mono() + FILE_S
         while piece := os.read(number, _PIECE):
             total.update(piece)
             self._bytes += len(piece)
             if self._clock.mono() > until_s:
                 raise OSError(f"{path} is too slow to read")
         if _key(os.fstat(number)) != _key(before):
-            self._pending(path)  # written to while it was read
+            self.listing.pending.add(path)  # written to while it was read
         else:
             self._add(path, _key(before), total.hexdigest())
 
     def _add(self, path: str, key: _Key, total: str) -> None:
         self.listing.sums[path] = total
         self.found[path] = (key, total)
-        self._count()
-
-    def _pending(self, path: str) -> None:
-        self.listing.pending.add(path)
-        self._count()
-
-    def _count(self) -> None:
-        if len(self.listing.sums) + len(self.listing.pending) > MAX_FILES:
-            raise CannotTell(f"it has more than {MAX_FILES} files: choose a folder below it, or add `ignore`")
-
-    def _in_time(self) -> None:
-        if self._clock.mono() - self._began_s - self._reading_s > WALK_S:
-            raise CannotTell(
-                f"its files cannot be listed within {WALK_S:g} s: choose a folder below it, or add `ignore`"
-            )
 
 
 def _key(info: os.stat_result) -> _Key:

@@ -125,7 +125,8 @@ class Files:
                 raise CannotTell(f"{path} is not a folder: a manifest describes a folder")
             with self._trees_lock:
                 reader = self._trees.setdefault((container, path, tuple(ignore)), TreeReader(self._clock))
-                return reader.read(number, ignore, fresh=fresh)
+            # Without the lock: a volume that hangs delays only the looks at its own folders.
+            return reader.read(number, ignore, fresh=fresh)
         except OSError as error:
             raise CannotTell(f"{path} cannot be read: {error.strerror}") from None
         finally:

@@ -36,12 +36,19 @@ class Manifests:
 
 
 def compare(expected: Mapping[str, str], found: TreeListing, ignore: Sequence[str]) -> TreeFact:
-    """Paths that are ignored do not count, even if the manifest has them."""
+    """Paths that are ignored do not count, even if the manifest has them.
+
+    Raises CannotTell if nothing differs only because `ignore` covers all of the manifest.
+    """
     wanted = {path: total for path, total in expected.items() if not _ignored(path, ignore)}
     unread = found.pending | found.unreadable
     changed = [path for path, total in found.sums.items() if path in wanted and wanted[path] != total]
     missing = [path for path in wanted if path not in found.sums and not _within(path, unread)]
     new = [path for path in (*found.sums, *found.pending) if path not in wanted]
+    if expected and not wanted and not new:
+        raise CannotTell(
+            "`ignore` covers all files of its manifest, so nothing is compared: remove patterns from `ignore`"
+        )
     return TreeFact(
         len(found.sums) + len(found.pending),
         found.size,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from typing import Any
 
 import pytest
@@ -17,6 +18,8 @@ from phm.learn.observations import (
     ObservedFolder,
     ObservedTopic,
 )
+from phm.probes.file_tree import TreeListing
+from phm.probes.tree_comparison import compare
 
 TYPE = "std_msgs/msg/String"
 STEADY = (10.0, 10.02, 9.98) * 20
@@ -149,6 +152,18 @@ def test_a_folder_becomes_one_entry_with_a_manifest() -> None:
     assert set(found.manifests) == {"ros_app-ws-install.sha256"}
     (entry,) = found.containers[0].nested["files"]
     assert entry.values["ignore"][-1] == "log.txt" and "changed" in entry.notes["ignore"]
+
+
+@pytest.mark.parametrize("where", ["unstable", "unreadable"])
+def test_the_name_of_a_file_is_never_a_pattern(where: str) -> None:
+    """A file named `*` does not take all other files out of the manifest."""
+    names = ("*", "a[b]?")
+    odd: dict[str, Any] = {where: names}
+    folder = ObservedFolder("ros_app", "/ws", {"kept": "1"}, 1, **odd)
+    (entry,) = learn(Observations(60.0, (container(),), (folder,))).containers[0].nested["files"]
+    ignore = entry.values["ignore"]
+    assert compare({"kept": "1"}, TreeListing({"kept": "2"}), ignore).changed == ("kept",)
+    assert all(any(fnmatchcase(name, pattern) for pattern in ignore) for name in names)
 
 
 def test_a_manifest_has_a_harmless_name() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
+from phm.probes import file_tree
 from phm.probes.files import MAX_BYTES, Files
 from phm.probes.inotify import FileWatcher
 from phm.probes.volume_path import OutsideVolumes, resolve
@@ -262,6 +264,36 @@ def test_with_a_hung_engine_a_file_is_unknown(mounted: Mounted) -> None:
     mounted.fake.fault = Hang()
     with pytest.raises(CannotTell):
         mounted.read("/opt/app")
+
+
+def test_a_folder_that_hangs_does_not_block_other_folders(mounted: Mounted, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second look at the same folder waits for a limited time, and cannot tell."""
+    for name in ("stuck", "well"):
+        (mounted.here / name).mkdir()
+        (mounted.here / name / name).write_text("text")
+    hangs, go_on, real = threading.Event(), threading.Event(), file_tree._Walk._read
+
+    def read(walk: file_tree._Walk, number: int, path: str) -> None:
+        if path == "stuck":
+            hangs.set()
+            go_on.wait(30)
+        real(walk, number, path)
+
+    monkeypatch.setattr(file_tree._Walk, "_read", read)
+    monkeypatch.setattr(file_tree, "BUSY_S", 0.01, raising=False)
+    threading.Thread(target=mounted.files.listing, args=("app", "/data/stuck", ()), name="stuck", daemon=True).start()
+    try:
+        assert hangs.wait(10)
+        with ThreadPoolExecutor(1) as pool:
+            try:
+                well = pool.submit(mounted.files.listing, "app", "/data/well", ()).result(10)
+                assert well is not None and set(well.sums) == {"well"}
+                with pytest.raises(CannotTell, match="still reading"):
+                    pool.submit(mounted.files.listing, "app", "/data/stuck", ()).result(10)
+            finally:
+                go_on.set()
+    finally:
+        go_on.set()
 
 
 def test_a_change_in_a_volume_triggers_the_check(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,8 @@ class Folder:
     """A folder that a reader reads."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.reader = path, TreeReader(FakeClock())
+        self.path, self.clock = path, FakeClock()
+        self.reader = TreeReader(self.clock)
         self.number = os.open(path, os.O_PATH)
 
     def write(self, name: str, text: str = "text") -> None:
@@ -111,6 +113,111 @@ def test_limits(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
         folder.read("a", "b")
 
 
+def slow_files(monkeypatch: pytest.MonkeyPatch, clock: FakeClock, seconds: dict[str, float]) -> list[str]:
+    """Reading each of these files takes so long; returns the list of files that are read."""
+    reads: list[str] = []
+    real_read, real_walk_read, current = os.read, file_tree._Walk._read, [""]
+
+    def walk_read(walk: file_tree._Walk, number: int, path: str) -> None:
+        current[0] = path
+        reads.append(path)
+        real_walk_read(walk, number, path)
+
+    def read(number: int, size: int) -> bytes:
+        clock.advance(seconds.get(current[0], 0.0))
+        return real_read(number, size)
+
+    monkeypatch.setattr(file_tree._Walk, "_read", walk_read)
+    monkeypatch.setattr(os, "read", read)
+    return reads
+
+
+def slow_names(monkeypatch: pytest.MonkeyPatch, clock: FakeClock, name_s: float) -> list[str]:
+    """Each name of a folder takes so long; returns the list of names that were taken."""
+    taken: list[str] = []
+    real = os.scandir
+
+    @contextmanager
+    def scandir(number: int) -> Iterator[Iterator[os.DirEntry[str]]]:
+        def each() -> Iterator[os.DirEntry[str]]:
+            for entry in entries:
+                clock.advance(name_s)
+                taken.append(entry.name)
+                yield entry
+
+        with real(number) as entries:
+            yield each()
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    return taken
+
+
+@pytest.mark.parametrize("ignore", [(), ("*",)])
+def test_a_huge_folder_is_left_before_all_its_names_are_in_memory(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, ignore: tuple[str, ...]
+) -> None:
+    """Names that are ignored count as well."""
+    monkeypatch.setattr(file_tree, "MAX_ENTRIES", 5, raising=False)
+    for number in range(20):
+        folder.write(f"{number}")
+    taken = slow_names(monkeypatch, folder.clock, 0.0)
+    with pytest.raises(CannotTell, match="more than 5 files and folders"):
+        folder.read(*ignore)
+    assert len(taken) == 6
+
+
+def test_names_that_come_slowly_end_the_walk(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Already while they are read, not only after all are."""
+    for number in range(20):
+        folder.write(f"{number}")
+    taken = slow_names(monkeypatch, folder.clock, file_tree.WALK_S / 4)
+    with pytest.raises(CannotTell, match="cannot be listed within"):
+        folder.read()
+    assert len(taken) < 20
+
+
+def test_a_walk_that_failed_is_not_repeated_at_once(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its problem stays until the next walk is due by cost; then checksums of before are still known."""
+    for name in "abc":
+        folder.write(name)
+    reads = slow_files(monkeypatch, folder.clock, {})
+    folder.read()
+    taken = slow_names(monkeypatch, folder.clock, 1.0)
+    monkeypatch.setattr(file_tree, "MAX_FILES", 2)
+    for _ in range(5):
+        folder.clock.advance(5.0)
+        with pytest.raises(CannotTell, match="more than 2 files"):
+            folder.reader.read(folder.number, ())
+    assert len(taken) == 3
+    monkeypatch.setattr(file_tree, "MAX_FILES", 3)
+    folder.clock.advance(3.0 * file_tree.SHARE)
+    assert len(folder.reader.read(folder.number, ()).sums) == 3
+    assert reads == ["a", "b", "c"]
+
+
+def test_a_file_that_is_too_slow_does_not_hide_the_others(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is unknown; the folder is not."""
+    for name in "abc":
+        folder.write(name)
+    slow_files(monkeypatch, folder.clock, {"a": 11.0})
+    first, second = folder.read(), folder.read()
+    assert first.unreadable == {"a"} and first.pending == {"b", "c"}
+    assert set(second.sums) == {"b", "c"}
+
+
+def test_a_large_file_that_changes_all_the_time_does_not_starve_the_others(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files that waited longest come first in each look."""
+    monkeypatch.setattr(file_tree, "LOOK_BYTES", 8)
+    for name in "bcdefg":
+        folder.write(name)
+    for turn in range(8):
+        folder.write("a", f"{turn}" * 100)
+        listing = folder.read()
+    assert {"b", "c", "d", "e", "f", "g"} <= set(listing.sums)
+
+
 def test_hostile_names(folder: Folder) -> None:
     """Any byte may be in a name; nothing is interpreted."""
     for name in (b"\xff\xfe", b"line\nbreak", b"* ? [", b"-rf"):
@@ -138,6 +245,13 @@ def test_names_are_limited_and_counted() -> None:
     found = TreeListing({f"f{number:03}": "1" for number in range(100)}, set(), set(), 0)
     fact = compare({}, found, [])
     assert fact.differing == 100 and len(fact.new) == fact.MAX_NAMED
+
+
+def test_a_manifest_that_is_ignored_entirely_is_not_ok() -> None:
+    """Nothing is compared, so nothing is known; a new file is still a difference."""
+    with pytest.raises(CannotTell, match="`ignore` covers all files of its manifest"):
+        compare({"a": "1", "below/b": "2"}, TreeListing(), ["*"])
+    assert compare({"a.pyc": "1"}, TreeListing({"evil": "2"}), ["*.pyc"]).new == ("evil",)
 
 
 def test_a_manifest_is_read_again_when_it_changes(tmp_path: Path) -> None:
