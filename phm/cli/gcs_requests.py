@@ -158,7 +158,7 @@ class _Client:
         from phm.gcs import operator
 
         if name.isdecimal() and int(name) > 0:
-            return operator.restart(int(name), f"container {name}")
+            return operator.restart(int(name))
         listed = self.send(operator.list_containers())
         if not listed.accepted:
             raise click.ClickException(f"{listed.answer()}; give the position of the container instead of its name")

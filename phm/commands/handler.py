@@ -8,7 +8,7 @@ from phm.commands.requests import AddNote, HoldContainer, OperatorRequest, Ping,
 from phm.commands.services import CommandServices
 from phm.core.clock import Clock
 from phm.core.model import Fault
-from phm.wire.command import ApproveAction, CommandResult, RestartContainer, RunChecks, fault_number
+from phm.wire.command import ApproveAction, CommandResult, RestartContainer, RunChecks, container_hash, fault_number
 
 CHECK_EVERY_S = 2.0
 
@@ -40,8 +40,8 @@ class CommandHandler:
                 return self._run_checks()
             case ApproveAction(fault):
                 return self._approve(fault)
-            case RestartContainer(place):
-                return self._restart(place, by)
+            case RestartContainer(place, name_hash):
+                return self._restart(place, name_hash, by)
             case HoldContainer(container, for_s, reason):
                 text, data = self._services.holds.hold(container, for_s, reason, by)
                 return Reply(CommandResult.ACCEPTED, text, data)
@@ -74,11 +74,17 @@ class CommandHandler:
             )
         return Reply(CommandResult.ACCEPTED, self._services.approve(found[0].id))
 
-    def _restart(self, place: int, by: str) -> Reply:
+    def _restart(self, place: int, name_hash: int, by: str) -> Reply:
         count = len(self._containers)
         if place > count:
             return Reply(CommandResult.FAILED, f"container {place} does not exist: {count} are configured")
-        return Reply(CommandResult.ACCEPTED, self._services.restart(self._containers[place - 1], by))
+        name = self._containers[place - 1]
+        if name_hash not in (0, container_hash(name)):
+            return Reply(
+                CommandResult.DENIED,
+                f"container {place} is {name}, not the chosen one: the configuration has changed, list the containers again",
+            )
+        return Reply(CommandResult.ACCEPTED, self._services.restart(name, by))
 
 
 def numbered(faults: Iterable[Fault], number: int) -> list[Fault]:

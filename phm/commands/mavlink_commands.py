@@ -117,6 +117,7 @@ class MavlinkCommands:
             bool(message.get_signed()),
             broadcast=message.target_component == 0,
             age_s=getattr(message, "_age_s", 0.0),
+            name_hash=message.param3,
         )
         authorization = authorize(command, self._allowed, signing=self._port.signs, command_age_s=self._command_age_s)
         if isinstance(authorization, Ignore):

@@ -63,5 +63,7 @@ class CommandDedup:
 
 def _key(command: Command) -> tuple[object, ...]:
     # Without the link: a ground station may repeat a command on another one.
-    params = tuple(repr(value) for value in command.params)  # as text, because NaN is not equal to itself
+    params = tuple(
+        repr(value) for value in (*command.params, command.name_hash)
+    )  # as text, because NaN is not equal to itself
     return command.system, command.component, command.command, params

@@ -25,7 +25,7 @@ class GcsFact:
     not_counted_s: float = 0.0
     """The part of age_s in which PHM did not run or had not read its link."""
     left: bool = False
-    """It announced its end, and no other one is received."""
+    """It announced its end, and no other one is known."""
 
     @property
     def silent_s(self) -> float:

@@ -12,7 +12,7 @@ from phm.gcs.frames import BOOT, Heartbeat
 from phm.gcs.presence import Presence, PresenceState
 from phm.gcs.statustext_parser import LineKind, ParsedLine, matches
 from phm.wire import status_word
-from phm.wire.command import CONTAINERS_TEXT
+from phm.wire.command import CONTAINERS_TEXT, MAX_NAME
 from phm.wire.status_line import ARRAY_SLOTS, agent_name
 from phm.wire.tunnel import FaultDetail, PeerView
 
@@ -125,6 +125,7 @@ class Agent:
             self.restarts += 1
             self.bad.clear()
             self.advice.clear()
+            self.forget_containers()
             self.view, self.view_at, self.no_ground = None, None, None
         try:
             levels, self.problem = status_word.decode(beat.custom_mode), ""
@@ -180,10 +181,15 @@ class Agent:
                 if (one.slot, f"{one.action} {one.target}") == (line.slot, line.text):
                     del self.advice[fault]
 
+    def forget_containers(self) -> None:
+        """Its configuration may have changed: neither the list nor parts of it count any more."""
+        self.containers = ()
+        self.details.pop(CONTAINERS_TEXT, None)
+
     def take_text(self, about: str, text: str) -> None:
         """Take over the list of containers."""
         if about == CONTAINERS_TEXT:
-            self.containers = tuple(piece.partition(" ")[2][:128] for piece in text.split(", ")[:MAX_CONTAINERS])
+            self.containers = tuple(piece.partition(" ")[2][:MAX_NAME] for piece in text.split(", ")[:MAX_CONTAINERS])
 
     def _array(self, line: ParsedLine) -> None:
         """Take over the digits of a refresh, as far as they contradict what was reported before: `1` is OK or WARN."""

@@ -23,6 +23,7 @@ from phm.wire.status_line import agent_name
 
 REDRAW_S = 0.5
 KEPT_LINES, KEPT_ANSWERS = 20, 3
+MAX_CHOICES = 100
 ANSWER_SHOWN_S = 60.0
 KEYS = "up/down: choose an agent   Enter: actions   a: acknowledge   q: quit"
 MENU_KEYS = "up/down: choose   Enter: send the request   Esc: back"
@@ -42,8 +43,10 @@ class LiveView:
         self._exchanges: list[Exchange] = []
         self._alarms = Alarms()
         self._selected = ""
-        self._menu: int | None = None
-        """The chosen line of the menu; None: it is closed."""
+        self._menu: OperatorCommand | None = None
+        """The chosen command of the menu; None: it is closed."""
+        self._choices: dict[OperatorCommand, str] = {}
+        """The lines of the open menu as last drawn. None moves or goes away, so that a key means what the screen shows."""
 
     def run(self, stop: threading.Event, end: float | None, console: Console) -> None:
         """Show the table and update it in place until `stop` is set, the clock is at `end`, or `q` is pressed."""
@@ -114,35 +117,63 @@ class LiveView:
             place = (names.index(self._selected) + step) % len(names) if known else 0 if step > 0 else -1
             self._selected = names[place]
         elif key == "enter" and (agent := self._agent()) is not None:
-            self._menu = 0
+            self._open_menu(agent)
+
+    def _open_menu(self, agent: Json) -> None:
+        """A list of containers from before may be out of date."""
+        command = operator.list_containers()
+        if not self._waiting_for(agent, command):
+            self._station.forget_containers(agent["agent"], agent["component"])
             if agent["presence"] in ("alive", "late"):
-                self._request(agent, operator.list_containers())
+                self._request(agent, command)
+        self._choices = {}
+        self._update_choices(self._agent() or agent)
+        self._menu = next(iter(self._choices))
+
+    def _update_choices(self, agent: Json) -> None:
+        """New ones come last."""
+        for text, command in operator.menu(agent):
+            if command in self._choices or len(self._choices) < MAX_CHOICES:
+                self._choices[command] = text
 
     def _choose_action(self, key: str) -> None:
         agent = self._agent()
-        choices = operator.menu(agent) if agent is not None else []
-        if agent is None or key == "escape":
+        command = self._menu
+        if agent is None or command is None or key == "escape":
             self._menu = None
         elif key in ("up", "down"):
-            self._menu = ((self._menu or 0) + (1 if key == "down" else -1)) % len(choices)
+            lines = list(self._choices)
+            self._menu = lines[(lines.index(command) + (1 if key == "down" else -1)) % len(lines)]
         elif key == "enter":
-            command = choices[min(self._menu or 0, len(choices) - 1)][1]
             self._menu = None
-            self._request(agent, command)
+            if command in _available(agent):
+                self._request(agent, command)
+            else:
+                self._answer(f"{agent['name']} {command.text}: not sent, it is no longer available")
 
     def _request(self, agent: Json, command: OperatorCommand) -> None:
-        now = self._clock.mono()
+        about = f"{agent['name']} {command.text}"
         if self._station.silent:
-            self._answers.append((now, "--silent: nothing can be sent"))
+            self._answer("--silent: nothing can be sent")
             return
         if agent["presence"] not in ("alive", "late"):
-            self._answers.append((now, f"{agent['name']} {command.text}: not sent, the agent is {agent['presence']}"))
+            self._answer(f"{about}: not sent, the agent is {agent['presence']}")
+            return
+        if (earlier := self._waiting_for(agent, command)) is not None:
+            self._answer(f"{about}: not sent, still waiting for the answer to {earlier.command.text}")
             return
 
         def send(confirmation: int) -> None:
             self._station.command(agent["agent"], agent["component"], command, confirmation, agent["link"] or "")
 
-        self._exchanges.append(Exchange(agent["name"], command, send, now))
+        self._exchanges.append(Exchange(agent["name"], command, send, self._clock.mono()))
+
+    def _waiting_for(self, agent: Json, command: OperatorCommand) -> Exchange | None:
+        """What must be answered before this command can be sent."""
+        return next((one for one in self._exchanges if one.blocks(agent["name"], command)), None)
+
+    def _answer(self, text: str) -> None:
+        self._answers.append((self._clock.mono(), text))
 
     def _agents(self) -> list[Json]:
         return list(self._station.snapshot()[1].body["agents"])
@@ -158,15 +189,22 @@ class LiveView:
         agent = self._agent() if self._menu is not None else None
         if agent is not None:
             lines.append(f"{agent['name']}:   {MENU_KEYS}")
-            choices = operator.menu(agent)
-            chosen = min(self._menu or 0, len(choices) - 1)
-            lines += [f"{'>' if place == chosen else ' '} {text}" for place, (text, _) in enumerate(choices)]
+            self._update_choices(agent)
+            available = _available(agent)
+            for command, text in self._choices.items():
+                over = "" if command in available else " (no longer available)"
+                lines.append(f"{'>' if command == self._menu else ' '} {text}{over}")
         elif active:
             lines.append(KEYS)
         lines += [
             f"{one.name} {one.command.text}: sent, no answer yet" for one in self._exchanges if one.command.has_reply
         ]
         return lines + [text for at, text in self._answers if now - at <= ANSWER_SHOWN_S]
+
+
+def _available(agent: Json) -> set[OperatorCommand]:
+    """What can be requested of it now."""
+    return {command for _, command in operator.menu(agent)}
 
 
 def _agent_of(event: GcsEvent) -> str:

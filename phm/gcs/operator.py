@@ -7,7 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from phm.gcs.events import GcsEvent
-from phm.wire.command import APPROVE, CHECK, CONTAINERS, REPLY_TEXT, REQUEST_MESSAGE, RESTART, TUNNEL, USER_1
+from phm.wire.command import (
+    APPROVE,
+    CHECK,
+    CONTAINERS,
+    REPLY_TEXT,
+    REQUEST_MESSAGE,
+    RESTART,
+    TUNNEL,
+    USER_1,
+    container_hash,
+)
 
 RESEND_S, ATTEMPTS = 1.5, 4
 """An unanswered command is sent again, with a higher `confirmation`: an agent does not execute it twice."""
@@ -24,11 +34,12 @@ HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class OperatorCommand:
-    """A MAVLink command. text: for the operator."""
+    """A MAVLink command. text: for the operator. name_hash: param3, of the container's name; 0: none."""
 
     text: str
     command: int
     params: tuple[float, float]
+    name_hash: int = 0
 
     @property
     def has_reply(self) -> bool:
@@ -45,9 +56,10 @@ def approve(fault: int, what: str = "") -> OperatorCommand:
     return OperatorCommand(f"approve #{fault}{f' {what}' if what else ''}", USER_1, (APPROVE, fault))
 
 
-def restart(place: int, name: str) -> OperatorCommand:
-    """place: position of the container in the configuration, from 1."""
-    return OperatorCommand(f"restart {name}", USER_1, (RESTART, place))
+def restart(place: int, name: str = "") -> OperatorCommand:
+    """place: position of the container in the configuration, from 1. name: the agent refuses if another one is there; empty: any."""
+    text = f"restart {name or f'container {place}'}"
+    return OperatorCommand(text, USER_1, (RESTART, place), container_hash(name) if name else 0)
 
 
 def list_containers() -> OperatorCommand:
@@ -79,6 +91,10 @@ class Exchange:
         self.reply = ""
         self._attempts, self._at = 1, now
         self._send(0)
+
+    def blocks(self, name: str, command: OperatorCommand) -> bool:
+        """Whether this command to this agent must wait for the answer: a COMMAND_ACK names the command's number alone."""
+        return (self.name, self.command.command) == (name, command.command)
 
     @property
     def accepted(self) -> bool:

@@ -127,13 +127,20 @@ class GroundStation:
         """Send a command to one agent, on the link by which it is received; never waits. confirmation: counts repetitions from 0."""
         # The last parameter is unused by PHM, which takes equal frames within seconds for copies of one: programs that were started
         # one after another send equal ones.
-        padding = (0.0, 0.0, 0.0, 0.0, self._nonce)
+        rest = (float(command.name_hash), 0.0, 0.0, 0.0, self._nonce)
         self._hub.send(
             mavlink.MAVLink_command_long_message(
-                system, component, command.command, confirmation, *map(float, command.params), *padding
+                system, component, command.command, confirmation, *map(float, command.params), *rest
             ),
             link=link,
         )
+
+    def forget_containers(self, system: int, component: int) -> None:
+        """Forget which containers an agent has named, before it is asked again."""
+        with self._lock:
+            agent = self._store.fleet.agents.get((system, component))
+            if agent is not None:
+                agent.forget_containers()
 
     def subscribe(self, queue: SubscriberQueue) -> None:
         """Put all events into this queue from now on."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from phm.probes.adaptive_timeout import UNEVEN_S, AdaptiveTimeout
 from phm.wire.gcs_marker import MONITOR
@@ -14,48 +14,53 @@ MAX_STATIONS = 16
 
 @dataclass(frozen=True, slots=True)
 class StationBeat:
-    """The last HEARTBEAT of a ground station: monotonic seconds, its MAVLink ids, and the endpoint that received it."""
+    """The last HEARTBEAT of a ground station: monotonic seconds, its MAVLink ids, the endpoint that received it, and
+    whether it is signed."""
 
     at: float
     system: int
     component: int
     link: str
+    signed: bool = False
 
 
 class GroundStations:
     """Not thread-safe. timeout_s: a station that is silent for longer is lost."""
 
     def __init__(self, timeout_s: float) -> None:
-        self._timeout_s = timeout_s
         self._heard: OrderedDict[tuple[int, int], StationBeat] = OrderedDict()
         # A ground station may freeze while its operator loads a map, and all agents would report it: half of the timeout.
         self.cadence = AdaptiveTimeout(timeout_s, max(UNEVEN_S, timeout_s / 2))
         self.left = False
-        """The last one has announced its end."""
+        """All have announced their end."""
         self.last: StationBeat | None = None
 
     def beat(self, beat: StationBeat, late_s: float = 0.0) -> None:
         """late_s: for how long since the last one PHM did not run."""
         key = (beat.system, beat.component)
-        self._heard.pop(key, None)
+        before = self._heard.pop(key, None)
+        if before is not None and before.signed:
+            beat = replace(beat, signed=True)  # an unsigned one may be forged
         self._heard[key] = self.last = beat
         if len(self._heard) > MAX_STATIONS:
             self._heard.popitem(last=False)
         self.cadence.beat(beat.at, late_s)
         self.left = False
 
-    def leave(self, system: int, component: int, now: float) -> None:
-        """A station announced its end: another one that is received counts, or none is expected any more."""
-        if self._heard.pop((system, component), None) is None or self.last is None:
+    def leave(self, system: int, component: int, now: float, *, signed: bool = False) -> None:
+        """A station announced its end: the newest of the others counts, also a silent one. Without others none is expected any more.
+
+        signed: the farewell is. A station that has signed leaves only with a signature.
+        """
+        heard = self._heard.get((system, component))
+        if heard is None or self.last is None or (heard.signed and not signed):
             return
+        del self._heard[system, component]
         if (self.last.system, self.last.component) != (system, component):
             return
         self.cadence.broke(now)
-        other = next(reversed(self._heard.values()), None)
-        if other is not None and now - other.at <= self._timeout_s:
-            self.last = other
-        else:
-            self.left = True
+        self.last = next(reversed(self._heard.values()), self.last)
+        self.left = not self._heard
 
 
 def counts_as_pilot(system: int, custom_mode: int, pilots: Collection[int]) -> bool:

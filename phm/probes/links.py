@@ -234,9 +234,10 @@ class Links:
     def _hear_ground(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
         system, component = message.get_srcSystem(), message.get_srcComponent()
         leaving = message.system_status == mavlink.MAV_STATE_POWEROFF
+        signed = bool(message.get_signed())
         with self._lock:
             if leaving:
-                self._pilots_gcs.leave(system, component, now)
+                self._pilots_gcs.leave(system, component, now, signed=signed)
                 return
             self._unreached = False
             for stations in (self._pilots_gcs, self._any_gcs):
@@ -244,7 +245,7 @@ class Links:
                     if stalled:
                         stations.cadence.broke(now)
                     late_s = 0.0 if stations.last is None else self._clock.late_s(stations.last.at)
-                    stations.beat(StationBeat(now, system, component, link), late_s)
+                    stations.beat(StationBeat(now, system, component, link, signed), late_s)
 
     def _hear_pilot(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
         with self._lock:

@@ -11,7 +11,7 @@ The contract for ground stations (`docs/reference/mavlink.md`, Commands)::
     MAV_CMD_USER_1 (31010)               param1 the operation
         1    run all checks now
         2    approve the recommended action for the fault with number param2
-        3    restart the container at position param2 in the configuration, from 1
+        3    restart the container at position param2 in the configuration, from 1; param3 the hash of its name, 0 or NaN: not given
 
 The answer to MAV_CMD_USER_1 is also sent as text, in a TUNNEL to the sender.
 A fault's number is the part of its id after the dash: 17 of ``ab12-17``.
@@ -20,8 +20,11 @@ A fault's number is the part of its id after the dash: 17 of ``ab12-17``.
 from __future__ import annotations
 
 import math
+import zlib
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+
+from phm.wire.text import one_line
 
 COMMAND_INT, COMMAND_LONG, COMMAND_ACK = 75, 76, 77
 HEARTBEAT, STATUSTEXT, TUNNEL, ONBOARD_COMPUTER_STATUS = 0, 253, 385, 390
@@ -35,6 +38,8 @@ SHORTEST_S = {STATUSTEXT: 2.0, ONBOARD_COMPUTER_STATUS: 5.0, TUNNEL: 10.0}
 """Messages that can be repeated, with their shortest interval."""
 LARGEST = 2**24
 """Up to here a 32-bit float represents every integer."""
+MAX_NAME = 128
+"""So many characters of a container's name count."""
 
 
 class CommandResult(IntEnum):
@@ -62,7 +67,8 @@ READ_ONLY = frozenset((Permission.STATUS, Permission.DETAILS))
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command as received. broadcast: addressed to all components of the system. age_s: seconds since it was signed."""
+    """One command as received. broadcast: addressed to all components of the system. age_s: seconds since it was signed.
+    name_hash: param3 as received."""
 
     command: int
     params: tuple[float, float]
@@ -73,6 +79,7 @@ class Command:
     signed: bool
     broadcast: bool = False
     age_s: float = 0.0
+    name_hash: float = 0.0
 
     @property
     def sender(self) -> str:
@@ -121,9 +128,10 @@ class ApproveAction:
 
 @dataclass(frozen=True, slots=True)
 class RestartContainer:
-    """Restart a container. place: its position in the configuration, from 1."""
+    """Restart a container. place: its position in the configuration, from 1. name_hash: `container_hash` of its name, 0: not given."""
 
     place: int
+    name_hash: int = 0
 
 
 Request = SendMessage | SendDetails | SendContainers | RepeatMessage | RunChecks | ApproveAction | RestartContainer
@@ -137,14 +145,16 @@ class InvalidParameters(Exception):
     """The command is supported, its parameters are not allowed; the message says which."""
 
 
-def parse(command: int, params: tuple[float, float]) -> Request:
-    """The request. params: param1 and param2. Raises UnknownCommand and InvalidParameters."""
+def parse(command: int, params: tuple[float, float], name_hash: float = 0.0) -> Request:
+    """The request. params: param1 and param2. name_hash: param3. Raises UnknownCommand and InvalidParameters."""
     if command not in (REQUEST_MESSAGE, SET_MESSAGE_INTERVAL, USER_1):
         raise UnknownCommand(f"command {command}")
     what = _whole(params[0], "param1")
     if command == REQUEST_MESSAGE:
         return _message(what, params[1])
-    return _repeat(what, params[1]) if command == SET_MESSAGE_INTERVAL else _operation(what, params[1])
+    if command == SET_MESSAGE_INTERVAL:
+        return _repeat(what, params[1])
+    return _operation(what, params[1], name_hash)
 
 
 def required_permission(request: Request) -> Permission:
@@ -176,7 +186,7 @@ def describe(request: Request) -> str:
             return "run all checks"
         case ApproveAction(fault):
             return f"approve the action for fault {fault}"
-        case RestartContainer(place):
+        case RestartContainer(place, _):
             return f"restart container {place}"
 
 
@@ -184,6 +194,11 @@ def fault_number(fault_id: str) -> int | None:
     """The number in a fault's id, None when it has none."""
     digits = fault_id.rpartition("-")[2]
     return int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 10 else None
+
+
+def container_hash(name: str) -> int:
+    """A number from 1 to 2^24 - 1 for the name of a container as it is listed: it is exact in a 32-bit float."""
+    return zlib.crc32(one_line(name)[:MAX_NAME].encode("utf-8", "replace")) % (LARGEST - 1) + 1
 
 
 def _message(what: int, second: float) -> Request:
@@ -207,7 +222,7 @@ def _repeat(what: int, interval_us: float) -> Request:
     return RepeatMessage(what, interval_us / 1e6)
 
 
-def _operation(what: int, second: float) -> Request:
+def _operation(what: int, second: float, third: float) -> Request:
     if what == CHECK:
         return RunChecks()
     if what not in (APPROVE, RESTART):
@@ -215,7 +230,10 @@ def _operation(what: int, second: float) -> Request:
     chosen = _whole(second, "param2")
     if chosen == 0:
         raise InvalidParameters("param2 must be 1 or more")
-    return ApproveAction(chosen) if what == APPROVE else RestartContainer(chosen)
+    if what == APPROVE:
+        return ApproveAction(chosen)
+    # Ground stations that do not know this parameter send 0 or NaN.
+    return RestartContainer(chosen, 0 if math.isnan(third) else _whole(third, "param3"))
 
 
 def _whole(value: float, name: str) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
+import zlib
 
 import pytest
 from hypothesis import given, strategies as st
@@ -24,6 +25,7 @@ from phm.wire.command import (
     SendDetails,
     SendMessage,
     UnknownCommand,
+    container_hash,
     fault_number,
     parse,
     required_permission,
@@ -98,6 +100,32 @@ def test_each_command_has_one_meaning(
     """The table of the contract, and the permission that each command needs."""
     assert parse(command, (first, second)) == wanted
     assert required_permission(wanted) is needed
+
+
+@pytest.mark.parametrize(("third", "wanted"), [(0, 0), (NAN, 0), (17, 17), (2**24, 2**24)])
+def test_a_restart_may_have_the_hash_of_the_name(third: float, wanted: int) -> None:
+    """In param3; 0 and NaN are what other ground stations send there."""
+    assert parse(31010, (3, 2), third) == RestartContainer(2, wanted)
+
+
+@pytest.mark.parametrize("third", [-1, 0.5, 2**25, INF])
+def test_a_wrong_hash_is_not_ignored(third: float) -> None:
+    """It could mean another container."""
+    with pytest.raises(InvalidParameters, match="param3 must be"):
+        parse(31010, (3, 2), third)
+    assert parse(31010, (1, 0), third) == RunChecks()
+
+
+@given(st.text(max_size=300))
+def test_the_hash_of_a_name_survives_a_float(name: str) -> None:
+    """It is never 0, which means that none is given."""
+    number = container_hash(name)
+    assert 0 < number == struct.unpack("<f", struct.pack("<f", number))[0]
+
+
+def test_the_hash_of_a_name_is_part_of_the_contract() -> None:
+    """Other ground stations compute it: 1 + CRC-32 of the name modulo 2^24 - 1."""
+    assert container_hash("ros_app") == zlib.crc32(b"ros_app") % (2**24 - 1) + 1
 
 
 @pytest.mark.parametrize("given_", WRONG)

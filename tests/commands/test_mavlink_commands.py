@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ from phm.testing import FakeClock, FakeHost, settings, world
 from phm.transport.dialect import mavlink
 from phm.transport.priority import MessagePriority
 from phm.wire import status_word, tunnel
-from phm.wire.command import CommandResult
+from phm.wire.command import CommandResult, container_hash
 from phm_checks.host import Host
 from tests.fakes.mavlink import Sender
 from tests.fakes.until import until
@@ -118,8 +119,16 @@ class Scene:
         return CommandResult(acks[0].result)
 
 
-def long(command: int, first: float = 0, second: float = 0, *, to: tuple[int, int] = (7, 193), again: int = 0) -> Any:
-    return mavlink.MAVLink_command_long_message(*to, command, again, first, second, 0, 0, 0, 0, 0)
+def long(
+    command: int,
+    first: float = 0,
+    second: float = 0,
+    third: float = 0,
+    *,
+    to: tuple[int, int] = (7, 193),
+    again: int = 0,
+) -> Any:
+    return mavlink.MAVLink_command_long_message(*to, command, again, first, second, third, 0, 0, 0, 0)
 
 
 def test_a_command_int_is_a_command_too() -> None:
@@ -278,6 +287,27 @@ def test_a_container_is_restarted_by_its_position() -> None:
     assert scene.result(long(31010, 3, 2)) is CommandResult.ACCEPTED
     assert scene.did == ["restart db for 255/190"]
     assert scene.result(long(31010, 3, 3)) is CommandResult.FAILED
+
+
+def test_a_restart_of_another_container_than_the_chosen_one_is_denied() -> None:
+    """The operator chose a name; after a reload its position may be another container's. 0 and NaN: no name is given."""
+    scene = Scene("restart")
+    assert scene.result(long(31010, 3, 2, container_hash("db"))) is CommandResult.ACCEPTED
+    assert scene.result(long(31010, 3, 2, math.nan)) is CommandResult.ACCEPTED
+    assert scene.did == ["restart db for 255/190"] * 2
+    sent = scene.ask(long(31010, 3, 1, container_hash("db")))
+    assert sent[0].result == CommandResult.DENIED
+    assert details_of(sent)[1] == (
+        "container 1 is app, not the chosen one: the configuration has changed, list the containers again"
+    )
+    assert len(scene.did) == 2
+
+
+def test_a_restart_of_another_name_is_not_a_repetition() -> None:
+    """The same position, chosen from another list."""
+    scene = Scene("restart")
+    assert scene.result(long(31010, 3, 1, container_hash("app"))) is CommandResult.ACCEPTED
+    assert scene.result(long(31010, 3, 1, container_hash("db"), again=1)) is CommandResult.DENIED
 
 
 @pytest.mark.parametrize(("raised", "result"), [(Later("armed"), 1), (RuntimeError("no"), 4), (KeyError(), 4)])

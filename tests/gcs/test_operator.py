@@ -13,6 +13,7 @@ from phm.gcs.events import GcsEvent
 from phm.gcs.frames import CommandAck
 from phm.gcs.operator import ATTEMPTS, REPLY_S, RESEND_S, Exchange
 from phm.wire import tunnel
+from phm.wire.command import container_hash
 from tests.gcs.bench import Ground, events, phm_heartbeat, text_frame, tunnel_frame
 
 ADVICE = "A07 ADVISE 2 restart ros_app #17 60s"
@@ -58,6 +59,23 @@ def test_advice_ends(ground: Ground, over: Any) -> None:
     assert [one["fault"] for one in ground.agent(7)["advice"]] == [17]
     ground.hear(over)
     assert ground.agent(7)["advice"] == []
+
+
+def test_a_restart_names_the_container_by_its_hash(ground: Ground) -> None:
+    """Its position may be another container's after a reload. A position that the operator wrote has no name."""
+    commands = [command for _, command in operator.menu(ground.agent(7))]
+    hashes = [command.name_hash for command in commands]
+    assert hashes == [0, 0, container_hash("ros_app"), container_hash("router")]
+    assert (operator.restart(3).text, operator.restart(3).name_hash) == ("restart container 3", 0)
+
+
+def test_a_restarted_phm_must_list_its_containers_again(ground: Ground) -> None:
+    """Its configuration may have changed; parts of a list from before the restart are not used either."""
+    parts = tunnel.details("containers", ", ".join(f"{n} container_{n}" for n in range(1, 20)))
+    ground.hear(tunnel_frame(7, parts[0]), phm_heartbeat(7, FAILED, state=1))
+    assert ground.agent(7)["containers"] == []
+    ground.hear(*(tunnel_frame(7, part) for part in parts[1:]))
+    assert ground.agent(7)["containers"] == []
 
 
 def test_advice_of_an_older_phm_has_no_time(ground: Ground) -> None:

@@ -40,10 +40,12 @@ class Scene:
     def wake(self) -> None:
         self.wakes += 1
 
-    def receive(self, system: int, component: int, message: Any, link: str = "radio") -> int:
+    def receive(self, system: int, component: int, message: Any, link: str = "radio", *, signed: bool = False) -> int:
         """Receive a message and return the number of wake-ups that followed."""
         before = self.wakes
-        self.hub._deliver(Sender(system, component).received(message), link)
+        received = Sender(system, component).received(message)
+        received._signed = signed
+        self.hub._deliver(received, link)
         return self.wakes - before
 
     def pass_time(self, seconds: float) -> int:
@@ -126,6 +128,34 @@ def test_a_station_that_announces_its_end_is_not_lost() -> None:
     scene.receive(255, 190, leaving())
     fact = scene.links.gcs()
     assert fact is not None and (fact.left, fact.system) == (False, 250)
+
+
+def test_a_farewell_does_not_hide_the_loss_of_another_station() -> None:
+    """The pilot's station died without one; a second one, which says goodbye, ends only itself."""
+    scene = Scene()
+    scene.receive(255, 190, GCS)
+    scene.pass_time(11.0)
+    scene.receive(254, 190, GCS)
+    scene.receive(254, 190, leaving())
+    fact = scene.links.gcs()
+    assert fact is not None
+    assert (fact.left, fact.system, fact.age_s) == (False, 255, pytest.approx(11.0))
+    scene.receive(255, 190, leaving())
+    fact = scene.links.gcs()
+    assert fact is not None and fact.left
+
+
+def test_a_station_that_has_signed_leaves_only_with_a_signature() -> None:
+    """Anybody on the link can send an unsigned farewell; an unsigned heartbeat before it changes nothing."""
+    scene = Scene()
+    scene.receive(255, 190, GCS, signed=True)
+    scene.receive(255, 190, GCS)
+    scene.receive(255, 190, leaving())
+    fact = scene.links.gcs()
+    assert fact is not None and not fact.left
+    scene.receive(255, 190, leaving(), signed=True)
+    fact = scene.links.gcs()
+    assert fact is not None and fact.left
 
 
 @pytest.mark.parametrize(
