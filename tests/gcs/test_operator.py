@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,6 +13,8 @@ from phm.gcs.alarms import Alarms
 from phm.gcs.events import GcsEvent
 from phm.gcs.frames import CommandAck
 from phm.gcs.operator import ATTEMPTS, REPLY_S, RESEND_S, Exchange
+from phm.gcs.station import GroundStation
+from phm.testing import FakeClock, settings
 from phm.wire import tunnel
 from phm.wire.command import container_hash
 from tests.gcs.bench import Ground, events, phm_heartbeat, text_frame, tunnel_frame
@@ -145,6 +148,16 @@ def test_an_unanswered_command_is_sent_again_as_a_repetition() -> None:
     assert bench.sent == list(range(ATTEMPTS))
     assert done.index(True) == 2 * ATTEMPTS - 1
     assert bench.exchange.answer() == "A07 restart ros_app: no answer within 6 s"
+
+
+def test_the_hash_of_the_name_is_sent_in_param3(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which only a restart has."""
+    station, sent = GroundStation(settings().mavlink, 254, FakeClock()), list[Any]()
+    monkeypatch.setattr(station, "_hub", SimpleNamespace(send=lambda message, *, link: sent.append(message)))
+    for command in (operator.restart(2, "router"), operator.restart(2), operator.approve(17)):
+        station.command(7, 193, command, 0)
+    params = [(one.param1, one.param2, one.param3) for one in sent]
+    assert params == [(3, 2, container_hash("router")), (3, 2, 0), (2, 17, 0)]
 
 
 def test_only_answers_to_this_ground_station_are_events(ground: Ground) -> None:
