@@ -40,6 +40,7 @@ FOREIGN = frozenset(
         "ls",
         "mavproxy.py",
         "mkdir",
+        "mv",
         "nc",
         "pip",
         "printf",
