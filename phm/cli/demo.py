@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
@@ -62,13 +63,12 @@ def _watch(demo: Demo, seconds: int, port: int) -> int:
     started = time.monotonic()
     with subprocess.Popen(words) as gcs:
         try:
-            while gcs.poll() is None:
+            while True:
                 demo.step(time.monotonic() - started)
-                time.sleep(STEP_S)
-        except BaseException:
-            gcs.terminate()
-            raise
-    return gcs.returncode
+                with contextlib.suppress(subprocess.TimeoutExpired):  # `phm gcs` still runs
+                    return gcs.wait(STEP_S)
+        finally:
+            gcs.terminate()  # also after Ctrl-C and SIGTERM; nothing is sent to a process that has ended
 
 
 def _end(number: int, frame: object) -> NoReturn:

@@ -50,6 +50,6 @@ def _replace(path: Path, data: bytes) -> None:
         except OSError:
             path.write_bytes(data)
             os.unlink(temporary)
-    except BaseException:
+    except BaseException:  # also Ctrl-C must leave no temporary file
         Path(temporary).unlink(missing_ok=True)
         raise
