@@ -179,6 +179,8 @@ class Fault(ABC):
     shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it; ``starvation``, somebody who
     judges its symptoms as those of one cause, which `sitl.bench.starvation` does.
     least: how many agents its swarm must have for it to be what it says.
+    evidence: the earliest event on board that reveals it (a missed heartbeat, a missed period, a kernel event), and
+    evidence_s: how many seconds after the injection that event happens, at the latest; None: not stated yet.
     """
 
     name: ClassVar[str]
@@ -195,6 +197,8 @@ class Fault(ABC):
     passes: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset()
     least: ClassVar[int] = 1
+    evidence: ClassVar[str] = ""
+    evidence_s: ClassVar[float | None] = None
 
     def places(self, agent: Agent) -> tuple[str, ...]:
         """Units at which an alarm is due, exactly one at each; none where the condition is not reported as a fault."""
@@ -218,6 +222,14 @@ class Fault(ABC):
 
     def clear(self, agent: Agent) -> None:
         """Undo what healing by PHM does not undo. Doing it twice is harmless."""
+
+    def restored(self, agent: Agent) -> bool | None:
+        """Whether the world is as before the injection, observed without PHM. None: this fault cannot be observed so.
+
+        Read-only and quick (at most 2 s): it is called repeatedly during a trial, from a thread of its own. Exceptions of
+        Docker mean "not now".
+        """
+        return None
 
 
 @contextlib.contextmanager
