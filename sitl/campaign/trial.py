@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-VERSION = 1
+VERSION = 2
 NOMINAL, OFF, TRIAL = "nominal", "off", "trial"
 
 
@@ -49,6 +49,18 @@ class Injection:
     cleared: float | None = None
     """When `clear` was called."""
     error: str = ""
+    explained_by: str = ""
+    """Name of another fault of this trial on this agent which causes this one's symptoms: its alarm reports both."""
+    evidence: str = ""
+    """The earliest event on board that reveals the fault."""
+    evidence_s: float | None = None
+    """Seconds from `moment` until that event, at the latest; None: not stated."""
+    world_seen: bool = False
+    """The injector observed the world: False or True was returned by the fault's `restored` at least once."""
+    world_broken: float | None = None
+    """When the world was first observed to be broken; None: never, e.g. since it was restored too quickly."""
+    world: float | None = None
+    """When the world was observed to be restored and stayed so until the fault was cleared; None: it was not."""
 
 
 @dataclass
@@ -113,12 +125,26 @@ class Line:
 
 @dataclass
 class Cost:
-    """Resources used by one agent's sidecar between two samples `seconds` apart, all its processes together."""
+    """Resources used by one agent's sidecar during `seconds` of a trial: the entire container, so health checks and
+    processes that ended are included. Memory is the mean of the samples, `peak_mb` the largest resident one.
+    """
 
     agent: int
     seconds: float
     cpu_s: float
     rss_mb: float
+    pss_mb: float | None = None
+    peak_mb: float | None = None
+
+
+@dataclass
+class HostSample:
+    """What all agents share: shares from 0 to 1 in use of the machine's cores (since the last sample), memory and disk."""
+
+    mono: float
+    cpu: float
+    memory: float
+    disk: float
 
 
 @dataclass
@@ -145,17 +171,33 @@ class Trial:
     received: dict[int, int] = field(default_factory=dict)
     """Bytes of the frames from each agent's PHM that reached the ground between `began` and `ended`."""
     cost: list[Cost] = field(default_factory=list)
+    host: list[HostSample] = field(default_factory=list)
+    """Of the machine, about once a second."""
     well_after: float | None = None
     """When all agents were OK again; None: not within the limit."""
     changed: list[str] = field(default_factory=list)
     """With recovery off: what changed nevertheless."""
     setting: dict[str, Any] = field(default_factory=dict)
-    """Seed, autopilot, machine: which campaign this trial belongs to."""
+    """Which campaign this trial belongs to: `seed` (a number), `index` (of the seed, from 0), `commit` (full id), `profile`
+    (``tuned``, ``shipped``, ``as-found``), `load` (``quiet``, ``busy``), `agents`, `autopilot`, `interval_s`,
+    `machine`, `day`, `planned` (the number of trials of this seed), and `differences` from what is shipped: objects with
+    `of` (``configuration``, ``application`` or ``sidecar``), `key` (a path as in ``recovery.budget``), `shipped` and `here`, each
+    None where the key is absent.
+    """
     v: int = VERSION
 
     @property
     def seconds(self) -> float:
         return self.ended - self.began
+
+    @property
+    def campaign(self) -> tuple[str, str, int]:
+        """Profile, load and seed. One record can have the trials of several campaigns."""
+        return (
+            str(self.setting.get("profile", "")),
+            str(self.setting.get("load", "")),
+            int(self.setting.get("seed", 0)),
+        )
 
 
 _PARTS = {
@@ -166,6 +208,7 @@ _PARTS = {
     "starts": Start,
     "lines": Line,
     "cost": Cost,
+    "host": HostSample,
 }
 
 
@@ -197,18 +240,19 @@ def _made(part: Any, data: dict[str, Any]) -> Any:
 
 
 def load(path: Path) -> list[Trial]:
-    """All complete trials of a file, oldest first; the last of several with one kind and number counts. A line
-    truncated by a kill is skipped. A missing file has none.
+    """All complete trials of a file, oldest first; the last of several with one campaign, kind and number counts. A
+    line truncated by a kill is skipped. A missing file has none.
     """
-    found: dict[tuple[str, int], Trial] = {}
+    found: dict[tuple[tuple[str, str, int], str, int], Trial] = {}
     lines: Iterable[bytes] = path.read_bytes().splitlines() if path.exists() else ()
     for line in lines:
         try:
             trial = from_json(line)
         except ValueError:
             continue
-        found.pop((trial.kind, trial.number), None)
-        found[trial.kind, trial.number] = trial
+        key = (trial.campaign, trial.kind, trial.number)
+        found.pop(key, None)
+        found[key] = trial
     return list(found.values())
 
 

@@ -44,7 +44,7 @@ def test_unknown_keys_are_ignored() -> None:
     assert from_json(json.dumps(data)) == full_trial()
 
 
-@pytest.mark.parametrize("line", ["", "7", "[]", "{}", '{"v": 1}', '{"v": 2}', '{"v": 1, "injections": [7]}', "{"])
+@pytest.mark.parametrize("line", ["", "7", "[]", "{}", '{"v": 1}', '{"v": 3}', '{"v": 2, "injections": [7]}', "{"])
 def test_an_invalid_trial_is_rejected(line: str) -> None:
     """ValueError for any content."""
     with pytest.raises(ValueError):
