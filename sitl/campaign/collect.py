@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from phm.wire.report import OK_LEVELS
-from sitl.campaign.trial import Act, Alarm, Start, Trial, Warned
+from sitl.campaign.trial import Act, Alarm, Start, Summary, Trial, Warned
 from sitl.harness.log_follower import Event
 
 SHARED = "host/"
 """Units about the machine that all agents of a swarm share; their levels say nothing about one agent."""
+BAD_LEVELS = ("WARN", "ERROR")
 MEMORY = ("companion", "WARN")
 """PHM reports for a while that it restarted or was suspended; after this time it is OK again."""
 
@@ -60,10 +61,27 @@ def _started(trial: Trial, agent: int, event: Event) -> None:
     trial.starts.append(Start(agent, event["mono"]))
 
 
+def _report_started(trial: Trial, agent: int, event: Event) -> None:
+    trial.summaries.append(Summary(agent, event["mono"]))
+
+
+def _listed(trial: Trial, agent: int, event: Event) -> None:
+    if event["level"] in BAD_LEVELS:
+        for summary in _unfinished(trial, agent):
+            summary.bad.append(event["unit"])
+
+
 def _reported(trial: Trial, agent: int, event: Event) -> None:
+    for summary in _unfinished(trial, agent):
+        summary.mono = event["mono"]
     for start in trial.starts:
         if start.agent == agent and start.report is None:
             start.report = event["mono"]
+
+
+def _unfinished(trial: Trial, agent: int) -> list[Summary]:
+    """The agent's report in progress. One that a restart interrupted remains unfinished."""
+    return [each for each in trial.summaries if each.agent == agent and each.mono is None][-1:]
 
 
 _TAKES: dict[str, Callable[[Trial, int, Event], None]] = {
@@ -72,6 +90,8 @@ _TAKES: dict[str, Callable[[Trial, int, Event], None]] = {
     "transition": _changed,
     "action": _acted,
     "start": _started,
+    "report_started": _report_started,
+    "unit": _listed,
     "report": _reported,
 }
 

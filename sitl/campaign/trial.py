@@ -6,9 +6,9 @@ and the ground's can be subtracted; `utc` is the same in seconds since 1970, for
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -114,6 +114,29 @@ class Start:
 
 
 @dataclass
+class Summary:
+    """A periodic report of one agent. `bad`: the units that it lists as WARN or ERROR; `mono`: when it was complete."""
+
+    agent: int
+    began: float
+    bad: list[str] = field(default_factory=list)
+    mono: float | None = None
+
+
+@dataclass
+class Load:
+    """Load of the machine that all agents share, measured by the campaign, in percent: CPU, memory and disk in use,
+    and the share of time in which all tasks waited for a disk; None: this kernel does not measure it.
+    """
+
+    mono: float
+    cpu: float
+    memory: float
+    disk: float
+    io_stalled: float | None = None
+
+
+@dataclass
 class Line:
     """A STATUSTEXT that the ground received."""
 
@@ -175,6 +198,8 @@ class Trial:
     """Of the machine, about once a second."""
     well_after: float | None = None
     """When all agents were OK again; None: not within the limit."""
+    summaries: list[Summary] = field(default_factory=list)
+    machine: list[Load] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
     """With recovery off: what changed nevertheless."""
     setting: dict[str, Any] = field(default_factory=dict)
@@ -240,12 +265,12 @@ def _made(part: Any, data: dict[str, Any]) -> Any:
 
 
 def load(path: Path) -> list[Trial]:
-    """All complete trials of a file, oldest first; the last of several with one campaign, kind and number counts. A
+    """All complete trials of a file (``.gz``: compressed), oldest first; the last of several with one campaign, kind and number counts. A
     line truncated by a kill is skipped. A missing file has none.
     """
     found: dict[tuple[tuple[str, str, int], str, int], Trial] = {}
-    lines: Iterable[bytes] = path.read_bytes().splitlines() if path.exists() else ()
-    for line in lines:
+    content = path.read_bytes() if path.exists() else b""
+    for line in (gzip.decompress(content) if path.suffix == ".gz" else content).splitlines():
         try:
             trial = from_json(line)
         except ValueError:

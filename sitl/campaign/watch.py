@@ -13,6 +13,7 @@ import psutil
 from docker.errors import DockerException
 
 from sitl.campaign.collect import Levels, note
+from sitl.campaign.machine_load import MachineMeter
 from sitl.campaign.trial import Cost, Line, Trial
 from sitl.faults.base import Agent
 from sitl.harness.log_follower import Record
@@ -77,11 +78,13 @@ class SwarmWatcher:
         self.levels = {agent: Levels() for agent in records}
         self.usual: dict[int, dict[str, str]] = {agent: {} for agent in records}
         self._trial: Trial | None = None
+        self._machine = MachineMeter()
 
     def begin(self, trial: Trial) -> None:
         """From now on everything is recorded in this trial."""
         self.update()
         self.ear.begin()
+        self._machine.begin()
         self._trial = trial
 
     def end(self) -> None:
@@ -89,6 +92,7 @@ class SwarmWatcher:
         self.update()
         if self._trial is not None:
             self._trial.ended = time.monotonic()
+            self._trial.machine = self._machine.end()
             self.ear.fill(self._trial)
         self._trial = None
 

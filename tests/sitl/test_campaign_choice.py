@@ -154,3 +154,23 @@ def test_a_record_of_another_campaign_is_rejected(tmp_path: Any, capsys: pytest.
     append(file, trial(setting={"seed": 2, "agents": 8}))
     assert main(["--plan", "--record", str(file), "--seed", "1"]) == 2
     assert "another campaign" in capsys.readouterr().err
+
+
+def test_a_report_lists_what_is_bad() -> None:
+    """Units that are WARN or ERROR in a complete report; one that a restart interrupted remains incomplete."""
+    made = trial(alarms=[], acts=[], lines=[])
+    for each in (
+        event("unit", 0.5, level="ERROR"),
+        event("report_started", 1.0),
+        event("start", 1.5),
+        event("report_started", 2.0),
+        event("unit", 2.1, level="ERROR"),
+        event("unit", 2.1, unit="rates/a", level="OK"),
+        event("unit", 2.2, unit="radio/ground", level="WARN"),
+        event("report", 3.0),
+    ):
+        note(made, 3, each)
+    assert [(each.began, each.bad, each.mono) for each in made.summaries] == [
+        (1.0, [], None),
+        (2.0, ["nodes/a", "radio/ground"], 3.0),
+    ]

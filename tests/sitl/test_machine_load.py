@@ -1,0 +1,28 @@
+"""Measurement of the load of the machine that all agents share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sitl.campaign.machine_load import MachineMeter, sample
+
+PRESSURE = "some avg10=3.00 avg60=0.00 avg300=0.00 total=1\nfull avg10=2.50 avg60=0.00 avg300=0.00 total=1\n"
+
+
+def test_a_sample_has_the_load_of_this_machine(tmp_path: Path) -> None:
+    """CPU, memory and disk in percent; the kernel's figure of I/O pressure, or None where it has none."""
+    file = tmp_path / "io"
+    file.write_text(PRESSURE, "ascii")
+    found = sample(file)
+    assert all(0 <= value <= 100 for value in (found.cpu, found.memory, found.disk))
+    assert found.io_stalled == 2.5
+    assert sample(tmp_path / "none").io_stalled is None
+
+
+def test_a_meter_that_ends_immediately_has_no_samples() -> None:
+    """Ending is possible at any time, also twice and before the beginning."""
+    meter = MachineMeter()
+    assert meter.end() == []
+    meter.begin()
+    meter.end()
+    assert meter.end() == []
