@@ -20,12 +20,13 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from sitl.application.graph import NodePlan, read, ring
+from sitl.application.graph import OPTIONS_VARIABLE, NodePlan, read, ring
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1, signal.SIGUSR2)
+NODE = (sys.executable, "-m", "sitl.application.node")
 _FAREWELL_S = 3.0
 _BITE = 8 * 2**20
 """Bytes taken at once by a process that leaks."""
@@ -40,9 +41,10 @@ class App:
         self._pid_dir = pid_dir
         self._nodes: dict[int, str] = {}
 
-    def start(self, name: str, argv: Sequence[str]) -> None:
+    def start(self, name: str, argv: Sequence[str], more: Mapping[str, str]) -> None:
+        """`more`: environment variables of this node alone."""
         # posix_spawn gives the node a clean signal mask: ours is blocked, and would be inherited.
-        pid = os.posix_spawn(argv[0], list(argv), dict(os.environ), setsigmask=())
+        pid = os.posix_spawn(argv[0], list(argv), {**os.environ, **more}, setsigmask=())
         self._nodes[pid] = name
         pid_file = self._pid_dir / f"{name}.pid"
         pid_file.write_text(f"{pid}\n", encoding="ascii")
@@ -95,7 +97,22 @@ def _leak() -> None:
 
 def node_argv(agent: str, plan: NodePlan) -> list[str]:
     """The command of one node of the agent's graph."""
-    return [sys.executable, "-m", "sitl.application.node", "--namespace", f"/{agent}", *plan.argv()]
+    return [*NODE, *_node_options(agent, plan)]
+
+
+def _node_options(agent: str, plan: NodePlan) -> list[str]:
+    return ["--namespace", f"/{agent}", *plan.argv()]
+
+
+def _with_beacon(agent: str, plan: NodePlan) -> tuple[list[str], dict[str, str]]:
+    return node_argv(agent, plan), {}
+
+
+def _as_found(agent: str, plan: NodePlan) -> tuple[list[str], dict[str, str]]:
+    """Command and environment of a node that was made without PHM in mind: it has no beacon, and as with a node whose
+    name is in its program, the command line does not tell which one it is.
+    """
+    return [*NODE], {OPTIONS_VARIABLE: json.dumps([*_node_options(agent, plan), "--no-beacon"])}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -113,7 +130,7 @@ def main(argv: list[str] | None = None) -> int:
     options.left_out.unlink(missing_ok=True)  # the start that goes wrong now goes well the next time
     for plan in read(json.loads(options.graph)) if options.graph else ring(options.nodes, options.rate):
         if plan.name not in left_out:
-            app.start(plan.name, node_argv(options.agent, plan))
+            app.start(plan.name, *(_as_found if options.as_found else _with_beacon)(options.agent, plan))
     app.serve()
     app.stop()
     return 0
@@ -132,6 +149,9 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--broken", type=Path, default=Path("/tmp/broken_start"), help="file that breaks the start")
     parser.add_argument(
         "--left-out", type=Path, default=Path("/tmp/left_out"), help="file with nodes not to start, once"
+    )
+    parser.add_argument(
+        "--as-found", action="store_true", help="nodes without beacons, whose command lines do not name them"
     )
     return parser.parse_args(argv)
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 MOST_NODES = 64
+OPTIONS_VARIABLE = "SITL_NODE"
+"""As `sitl.application.node` has it, which imports nothing of this package so that it runs in any ROS image."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
 
 

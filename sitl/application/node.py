@@ -13,6 +13,7 @@ library alone, so that it runs in any ROS image.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import signal
 import sys
@@ -32,6 +33,8 @@ from std_msgs.msg import String
 from phm.beacon import Beacon
 
 DEPTH = 10
+OPTIONS_VARIABLE = "SITL_NODE"
+"""Environment variable with the options, a list in JSON, for a node that is started without any."""
 SIGNALS = {
     signal.SIGUSR1: "silent",
     signal.SIGUSR2: "halved",
@@ -159,6 +162,8 @@ def _options(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--publish", action="append", default=[], type=topic_rate, metavar="TOPIC:HZ")
     parser.add_argument("--subscribe", action="append", default=[], metavar="TOPIC")
     parser.add_argument("--no-beacon", action="store_false", dest="beacon")
+    if argv is None and len(sys.argv) == 1 and OPTIONS_VARIABLE in os.environ:
+        argv = json.loads(os.environ[OPTIONS_VARIABLE])
     return parser.parse_args(argv)
 
 

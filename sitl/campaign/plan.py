@@ -1,30 +1,30 @@
-"""The plan of a campaign, drawn from a seed: which faults, on which agents, single or compound. Pure."""
+"""The plan of a campaign, drawn from its seeds: which faults, on which agents, together with which others. Pure."""
 
 from __future__ import annotations
 
 import random
-from collections import deque
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import count, islice
 
-SIZES = (1, 2, 1, 3)
-"""Faults at once in the trials, over and over: every second trial is a single fault, the others are compound."""
+SHAPES = ((1,), (2,), (1,), (1, 1), (2, 1), (1,), (3,), (1, 1, 1))
+"""Faults of a trial on each of its agents, over and over: three of eight trials have two or three faults on one agent."""
+Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Class:
-    """The properties of a fault that the plan needs. `group`: faults of one group on one agent hide or resolve each
-    other, so they are never combined. `whole`: no other fault is combined on its agent, since PHM there detects or
-    reports nothing meanwhile. `alone`: it affects more than one agent, and is never combined.
+    """The properties of a fault that the plan needs. `kind`: what fails. `partners`: kinds of faults that may be on the
+    same agent at the same time, because the end of each can be observed. `alone`: other agents are affected, too, so no
+    fault is on them meanwhile. `rank`: of the faults on one agent, the lowest is injected first.
     """
 
     name: str
-    layer: str
-    group: str
-    whole: bool = False
+    kind: str
+    partners: frozenset[str] = frozenset()
     alone: bool = False
+    rank: int = 0
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class TrialPlan:
-    """`number` counts from 1. All draws are injected at the same time."""
+    """`number` counts from 1 in each seed. All draws are injected at the same time, those of one agent in this order."""
 
     number: int
     draws: tuple[Draw, ...]
@@ -46,12 +46,20 @@ class TrialPlan:
     def kind(self) -> str:
         return "single" if len(self.draws) == 1 else "compound"
 
+    @property
+    def together(self) -> int:
+        """The largest number of faults on one agent."""
+        return max(Counter(draw.agent for draw in self.draws).values(), default=0)
 
-def plan(seed: int, agents: int, trials: int, classes: Collection[Class]) -> tuple[TrialPlan, ...]:
-    """The first `trials` trials of a seed. More trials of the same seed begin with the same ones.
 
-    Each layer's classes come in a random order, the layers alternate, and no class is repeated before all others of its
-    layer were drawn; agents alternate likewise. Raises ValueError when there is nothing to draw from.
+def plan(
+    seeds: Sequence[int], agents: int, trials: int, classes: Collection[Class], wanted: Sequence[Pair] = ()
+) -> tuple[tuple[TrialPlan, ...], ...]:
+    """The trials of each seed. Every choice takes a class that was drawn least often so far, over all seeds, and draws
+    among those by the seed. So more seeds begin with the same trials.
+
+    `wanted`: pairs of kinds that must be injected on one agent, in turn. Raises ValueError when there is nothing to draw
+    from.
     """
     if agents < 1 or trials < 0:
         raise ValueError(
@@ -59,67 +67,109 @@ def plan(seed: int, agents: int, trials: int, classes: Collection[Class]) -> tup
         )
     if not classes:
         raise ValueError("a campaign needs at least one class of faults")
+    drawer = _Drawer(sorted(classes, key=lambda each: each.name), wanted)
+    return tuple(tuple(_trials(seed, agents, trials, drawer)) for seed in seeds)
+
+
+def counts(plans: Collection[Sequence[TrialPlan]]) -> Counter[str]:
+    """How often each fault is injected in all of them."""
+    return Counter(draw.fault for trials in plans for trial in trials for draw in trial.draws)
+
+
+def trials_for(
+    seeds: Sequence[int],
+    agents: int,
+    least: int,
+    times: int,
+    classes: Collection[Class],
+    wanted: Sequence[Pair] = (),
+    most: int = 200,
+) -> int:
+    """The number of trials of each seed, at least `least`, with which every class is injected so many `times` in all."""
+    for trials in range(least, most):
+        found = counts(plan(seeds, agents, trials, classes, wanted))
+        if all(found[each.name] >= times for each in classes):
+            return trials
+    raise ValueError(f"{most} trials of each seed do not inject each of {len(classes)} faults {times} times")
+
+
+def fits(fault: Class, others: Sequence[Class]) -> bool:
+    """Whether the fault may be injected on an agent together with these."""
+    return all(fault.kind in each.partners and each.kind in fault.partners for each in others)
+
+
+def _trials(seed: int, agents: int, trials: int, drawer: _Drawer) -> Iterator[TrialPlan]:
     rng = random.Random(f"phm-campaign/{seed}")
-    return tuple(islice(_trials(rng, agents, sorted(classes, key=lambda each: each.name)), trials))
-
-
-def _trials(rng: random.Random, agents: int, classes: Sequence[Class]) -> Iterator[TrialPlan]:
-    faults, victims = _Faults(rng, classes), _Victims(rng, agents)
-    for number in count(1):
-        taken: list[tuple[Class, int]] = []
-        size = SIZES[(number - 1) % len(SIZES)]
-        for _ in range(size):
-            agent = victims.next()
-            fault = None
-            if size > 1 and not taken:
-                fault = faults.next(_sociable)
-            fault = fault or faults.next(partial(fits, agent=agent, taken=tuple(taken)))
-            if fault is None:
+    victims = _Victims(rng, agents)
+    for number in range(1, trials + 1):
+        shape = SHAPES[(number - 1) % len(SHAPES)][:agents]
+        taken: list[Class] = []
+        draws: list[Draw] = []
+        for size in shape:
+            if any(each.alone for each in taken):
                 break
-            taken.append((fault, agent))
-        yield TrialPlan(number, tuple(Draw(fault.name, agent) for fault, agent in taken))
+            group = drawer.group(rng, size, taken, sole=len(shape) == 1)
+            if not group and not taken:  # there are only faults that affect several agents
+                group = drawer.group(rng, 1, (), sole=True)
+            if not group:
+                break
+            agent = victims.next([draw.agent for draw in draws])
+            draws += [Draw(each.name, agent) for each in sorted(group, key=lambda each: (each.rank, each.name))]
+            taken += group
+        yield TrialPlan(number, tuple(draws))
 
 
-def fits(fault: Class, agent: int, taken: Sequence[tuple[Class, int]]) -> bool:
-    """Whether the fault can be combined with those already drawn."""
-    if not taken:
-        return True
-    if fault.alone or any(each.alone for each, _ in taken):
-        return False
-    on_board = [each for each, victim in taken if victim == agent]
-    return not any(fault.whole or each.whole or each.group == fault.group for each in on_board)
+class _Drawer:
+    """Draws the class that was drawn least often."""
+
+    def __init__(self, classes: Sequence[Class], wanted: Sequence[Pair]) -> None:
+        self._classes, self._wanted = classes, wanted
+        self._drawn: Counter[str] = Counter()
+        self._pairs: Counter[Pair] = Counter()
+        self._groups = 0
+
+    def group(self, rng: random.Random, size: int, taken: Sequence[Class], *, sole: bool) -> list[Class]:
+        """Up to `size` faults for one agent. `sole`: no other agent gets any."""
+        usable = [each for each in self._classes if each not in taken and (sole or not each.alone)]
+        group = self._pair(rng, usable) if size > 1 else []
+        while len(group) < size:
+            more = self._next(
+                rng, usable, lambda each: each not in group and fits(each, group) and (size == 1 or bool(each.partners))
+            ) or (None if group else self._next(rng, usable, lambda _: True))
+            if more is None:
+                break
+            group.append(more)
+        for each in group:
+            self._drawn[each.name] += 1
+        return group
+
+    def _pair(self, rng: random.Random, usable: Sequence[Class]) -> list[Class]:
+        """For every second group a wanted pair, that which was drawn least often; empty when none is possible."""
+        self._groups += 1
+        if sum(self._pairs.values()) >= self._groups / 2 + 1:
+            return []
+        for pair in sorted(self._wanted, key=lambda each: self._pairs[each]):
+            first = self._next(rng, usable, partial(_leads, pair=pair, usable=usable))
+            if first is not None:
+                self._pairs[pair] += 1
+                partner = self._next(rng, usable, partial(_completes, pair=pair, first=first))
+                assert partner is not None  # `first` was chosen so
+                return [first, partner]
+        return []
+
+    def _next(self, rng: random.Random, usable: Sequence[Class], wanted: Callable[[Class], bool]) -> Class | None:
+        found = [each for each in usable if wanted(each)]
+        least = min((self._drawn[each.name] for each in found), default=0)
+        rarest = [each for each in found if self._drawn[each.name] == least]
+        return rng.choice(rarest) if rarest else None
 
 
-def _sociable(fault: Class) -> bool:
-    return not fault.alone
+def _leads(fault: Class, pair: Pair, usable: Sequence[Class]) -> bool:
+    return fault.kind == pair[0] and any(_completes(each, pair, fault) for each in usable)
 
 
-class _Faults:
-    """A shuffled bag for each layer; the layers alternate."""
-
-    def __init__(self, rng: random.Random, classes: Sequence[Class]) -> None:
-        self._rng = rng
-        self._of: dict[str, list[Class]] = {}
-        for each in classes:
-            self._of.setdefault(each.layer, []).append(each)
-        self._bags: dict[str, list[Class]] = {layer: [] for layer in self._of}
-        layers = list(self._of)
-        rng.shuffle(layers)
-        self._turns = deque(layers)
-
-    def next(self, wanted: Callable[[Class], bool]) -> Class | None:
-        """The next suitable class; its layer moves to the end of the queue. None when no layer has one in its bag."""
-        for layer in tuple(self._turns):
-            bag = self._bags[layer]
-            if not bag:
-                bag.extend(self._of[layer])
-                self._rng.shuffle(bag)
-            for place, each in enumerate(bag):
-                if wanted(each):
-                    self._turns.remove(layer)
-                    self._turns.append(layer)
-                    return bag.pop(place)
-        return None
+def _completes(fault: Class, pair: Pair, first: Class) -> bool:
+    return fault.kind == pair[1] and fault != first and fits(fault, [first])
 
 
 class _Victims:
@@ -130,11 +180,17 @@ class _Victims:
         self._left: list[int] = []
         self._last = 0
 
-    def next(self) -> int:
+    def next(self, but: Collection[int]) -> int:
+        """The next one that is none of these, fewer than all."""
         if not self._left:
             self._left = list(range(1, self._agents + 1))
             self._rng.shuffle(self._left)
             if self._left[0] == self._last and self._agents > 1:
                 self._left.append(self._left.pop(0))
-        self._last = self._left.pop(0)
+        free = [agent for agent in self._left if agent not in but]
+        if not free:
+            self._left += self._rng.sample(range(1, self._agents + 1), self._agents)
+            free = [agent for agent in self._left if agent not in but]
+        self._last = free[0]
+        self._left.remove(free[0])
         return self._last

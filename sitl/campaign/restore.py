@@ -7,22 +7,29 @@ from collections.abc import Callable
 
 from docker.errors import DockerException
 
-from sitl.faults.base import STOP_S
+from sitl.faults._load_container import stop_load
+from sitl.faults._overload import end_overload
 from sitl.faults.file_deleted import put_back
+from sitl.swarm import startup
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
 
 def restore(swarm: Swarm, agent: SwarmAgent) -> None:
-    """Restore links, router, device, file, networks and configuration; then restart application and PHM. Each step is
-    tried separately.
+    """End loads; restore links, router and device; recreate the application; restore its file; restart PHM with its
+    configuration. Each step is tried separately.
     """
-    for step in (_air, _router, _device, _networks, _file, _application, _phm):
+    for step in (_loads, _air, _router, _device, _application, _file, _phm):
         _try(step, swarm, agent)
 
 
 def _try(step: Callable[[Swarm, SwarmAgent], None], swarm: Swarm, agent: SwarmAgent) -> None:
     with contextlib.suppress(DockerException, LookupError, OSError, RuntimeError, ValueError):
         step(swarm, agent)
+
+
+def _loads(_: Swarm, agent: SwarmAgent) -> None:
+    end_overload(agent)
+    stop_load(agent)
 
 
 def _air(swarm: Swarm, agent: SwarmAgent) -> None:
@@ -38,23 +45,18 @@ def _device(_: Swarm, agent: SwarmAgent) -> None:
     agent.make_device()
 
 
-def _networks(_: Swarm, agent: SwarmAgent) -> None:
-    name = f"{agent.project}_net"
-    app = agent.app
-    if name not in app.attrs["NetworkSettings"]["Networks"]:
-        agent.docker.networks.get(name).connect(app, aliases=["ros_app"])
-
-
 def _file(_: Swarm, agent: SwarmAgent) -> None:
     put_back(agent)
 
 
-def _application(_: Swarm, agent: SwarmAgent) -> None:
-    app = agent.app
-    if app.status == "paused":
-        app.unpause()
-    app.restart(timeout=STOP_S)
+def _application(swarm: Swarm, agent: SwarmAgent) -> None:
+    """A new container has no changed limits, firewall rules or networks."""
+    if agent.app.status == "paused":
+        agent.app.unpause()
+    startup.recreate(swarm, agent, "ros_app")
 
 
 def _phm(swarm: Swarm, agent: SwarmAgent) -> None:
+    if agent.sidecar.status == "paused":
+        agent.sidecar.unpause()
     swarm.configure(agent, {})

@@ -10,12 +10,17 @@ from functools import partial
 from typing import Any
 
 from phm.transport.priority import SIZES
-from sitl.campaign.fault_catalog import LEFT_ALONE, OFF as RECOVERY_OFF, injection
+from sitl.campaign.busy import BusyLoad
+from sitl.campaign.cost_meter import CostMeter
+from sitl.campaign.fault_catalog import LEFT_ALONE, OFF as RECOVERY_OFF
+from sitl.campaign.injector import Injector
+from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
 from sitl.campaign.plan import Draw, TrialPlan
+from sitl.campaign.profiles import Profile
 from sitl.campaign.restore import restore
 from sitl.campaign.scoring import judge
-from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Injection, Trial
-from sitl.campaign.watch import CostMeter, GroundListener, SwarmWatcher
+from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Trial
+from sitl.campaign.watch import GroundListener, SwarmWatcher
 from sitl.faults.base import Fault
 from sitl.harness.log_queries import container_state
 from sitl.swarm import config
@@ -23,8 +28,6 @@ from sitl.swarm.swarm import Swarm, SwarmAgent
 
 Progress = Callable[[str], None]
 POLL_S = 0.05
-SEEN_LIMIT_S = 30.0
-"""A fault that was not reported within this time after its injection is missed."""
 HEALED_LIMIT_S = 90.0
 AFTER_S = 10.0
 """How long a trial is watched after its faults are recovered or reported: longer than any grace, so late alarms are caught."""
@@ -35,8 +38,6 @@ STEADY_S = 3.0
 """All must have been well for so long before the next injection."""
 OWN = ("join_network", "reopen")
 """What PHM does to its own container and its own end of a link, in every mode: nothing of the vehicle is touched."""
-LASTING_S = 31.0
-"""Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""
 
 
 class NotOk(RuntimeError):
@@ -49,23 +50,34 @@ def heartbeat_s(agents: int) -> float:
 
 
 class Runner:
-    """Runs trials. `setting` is recorded in each. `progress` is called with status lines."""
+    """Runs trials. `progress` is called with status lines. `busy`: a load to keep up meanwhile. `setting` is recorded in
+    each trial and may be changed between them.
+    """
 
-    def __init__(self, swarm: Swarm, faults: Mapping[str, Fault], setting: dict[str, Any], progress: Progress) -> None:
-        self.swarm, self.faults, self.setting, self.progress = swarm, faults, setting, progress
+    def __init__(
+        self,
+        swarm: Swarm,
+        faults: Mapping[str, Fault],
+        profile: Profile,
+        progress: Progress,
+        busy: BusyLoad | None = None,
+    ) -> None:
+        self.swarm, self.faults, self.profile, self.progress, self.busy = swarm, faults, profile, progress, busy
+        self.setting: dict[str, Any] = {}
         self.agents = {agent.number: agent for agent in swarm.agents}
         self.watch = SwarmWatcher(
             {number: agent.record for number, agent in self.agents.items()}, GroundListener(swarm.ground_url)
         )
         self.meter = CostMeter(self.agents)
-        self._ended: dict[tuple[int, str], float] = {}
-        """When the last fault at a unit of an agent was over."""
+        self.injector = Injector(faults, self.agents, profile, lambda agent, unit: self.watch.levels[agent].bad(unit))
+        self._pacing = Pacing(profile.actions)
 
     def start(self) -> None:
         """Listen, and wait until all agents are OK and received by the ground. Leftovers of a killed campaign are
         undone.
         """
         self.watch.ear.start()
+        self._keep_busy()
         left = [
             agent
             for agent in self.agents.values()
@@ -86,7 +98,14 @@ class Runner:
         self.watch.learn()
 
     def stop(self) -> None:
+        self.injector.stop()
         self.watch.ear.stop()
+        if self.busy is not None:
+            self.busy.stop()
+
+    def _keep_busy(self) -> None:
+        if self.busy is not None:
+            self.busy.keep()
 
     def nominal(self, seconds: float) -> Trial:
         """Nothing is injected."""
@@ -105,7 +124,10 @@ class Runner:
         trial = self._begin(OFF, 0)
         try:
             self._inject(trial, draws)
-            self._wait(lambda: all(verdict.detected_s is not None for verdict in judge(trial).verdicts), SEEN_LIMIT_S)
+            self._wait(
+                lambda: all(verdict.detected_s is not None for verdict in judge(trial).verdicts),
+                self.profile.seen_limit_s,
+            )
             before = {agent: container_state(self.agents[agent]) for agent in victims}
             self._wait(lambda: False, STILL_S)
             for agent, was in before.items():
@@ -119,7 +141,7 @@ class Runner:
                 if act.phase == "started" and act.action not in OWN
             ]
         finally:
-            self._clear(trial, draws)
+            self._clear(trial)
         trial = self._end(trial, well=self._recover(victims))
         self._configure([self.agents[agent] for agent in victims], {})
         self._well(WELL_LIMIT_S)
@@ -135,10 +157,14 @@ class Runner:
             for fault, draw in zip(faults, plan.draws, strict=True)
             if "configuration" in fault.needs
         ]
+        self._keep_busy()
         self._rest(plan.draws)
+        changes: dict[int, dict[str, str]] = {}
         for fault, agent in special:
             fault.prepare(agent)
-            self._configure([agent], fault.configuration(agent))
+            changes.setdefault(agent.number, {}).update(fault.configuration(agent))
+        for number, mine in changes.items():
+            self._configure([self.agents[number]], mine)
         if special:
             self._well(WELL_LIMIT_S)
         trial = self._begin(TRIAL, plan.number)
@@ -147,12 +173,13 @@ class Runner:
             self._wait(partial(self._done, trial), HEALED_LIMIT_S)
             self._wait(lambda: False, AFTER_S)
         finally:
-            self._clear(trial, plan.draws)
+            self._clear(trial)
         well = self._recover([draw.agent for draw in plan.draws])
         trial = self._end(trial, well=well)
         for fault, agent in special:
             fault.dismantle(agent)
-            self._configure([agent], {})
+        for number in changes:
+            self._configure([self.agents[number]], {})
         if special or not well:
             self._well(WELL_LIMIT_S)
         return trial
@@ -169,6 +196,7 @@ class Runner:
 
     def _end(self, trial: Trial, *, well: bool) -> Trial:
         self.watch.end()
+        self._pacing.note(trial)
         trial.well_after = trial.ended - trial.began if well else None
         trial.cost = self.meter.costs()
         # Until all is OK again: a restored link must be reopened, and a radio's buffer must be sent.
@@ -180,38 +208,15 @@ class Runner:
         return trial
 
     def _inject(self, trial: Trial, draws: Sequence[Draw]) -> None:
-        """Inject all in parallel; faults on one agent one after another, since a Docker client belongs to one thread."""
-        trial.injections = [injection(self.faults[draw.fault], self.agents[draw.agent]) for draw in draws]
-        by_agent: dict[int, list[Injection]] = {}
+        trial.injections = self.injector.planned(draws)
+        self.injector.inject(
+            trial.injections, lambda futures: self._wait(lambda: all(each.done() for each in futures), HEALED_LIMIT_S)
+        )
+
+    def _clear(self, trial: Trial) -> None:
+        self.injector.clear(trial.injections)
         for each in trial.injections:
-            if self.watch.levels[each.agent].bad(each.unit):
-                each.error = f"{each.unit} is not well already, whatever is done to it"
-            else:
-                by_agent.setdefault(each.agent, []).append(each)
-        with ThreadPoolExecutor(len(by_agent) or 1) as pool:
-            at_work = [pool.submit(self._inject_all, mine) for mine in by_agent.values()]
-            self._wait(lambda: all(each.done() for each in at_work), HEALED_LIMIT_S)
-        for future in at_work:
-            future.result()
-
-    def _inject_all(self, mine: Sequence[Injection]) -> None:
-        for each in mine:
-            each.asked = time.monotonic()
-            try:
-                each.moment = self.faults[each.fault].inject(self.agents[each.agent])
-            except Exception as error:  # one that cannot be injected is reported, and does not end the campaign
-                each.error = f"{type(error).__name__}: {error}"
-
-    def _clear(self, trial: Trial, draws: Sequence[Draw]) -> None:
-        for draw, each in reversed(list(zip(draws, trial.injections, strict=True))):
-            if each.asked is None:
-                continue
-            each.cleared = time.monotonic()
-            try:
-                self.faults[draw.fault].clear(self.agents[draw.agent])
-            except Exception as error:
-                each.error = f"clear: {type(error).__name__}: {error}"
-            self._ended[draw.agent, each.unit] = time.monotonic()
+            self._pacing.ended(each.agent, each.unit, time.monotonic())
 
     def _done(self, trial: Trial) -> bool:
         """Whether every fault is recovered, or reported where it cannot be recovered, or nothing more can be expected
@@ -220,24 +225,24 @@ class Runner:
         now = time.monotonic()
         for verdict in judge(trial).verdicts:
             fault, begun = verdict.injection, verdict.injection.moment or now
-            if verdict.healed_s is not None:
+            if verdict.healed_s is not None or (fault.explained_by and fault.world is not None):
                 continue
-            if verdict.detected_s is None and now - begun <= SEEN_LIMIT_S:
+            if verdict.detected_s is None and now - begun <= self.profile.seen_limit_s:
                 return False
             if fault.others and not any(alarm.unit == fault.others for alarm in verdict.alarms):
-                if now - begun <= SEEN_LIMIT_S:
+                if now - begun <= self.profile.seen_limit_s:
                     return False
             elif (fault.healable or fault.passes) and verdict.detected_s is not None:
                 return False
         return True
 
     def _rest(self, draws: Sequence[Draw]) -> None:
-        """A unit that was broken recently must have been OK for a while, or PHM correctly counts a repair that did not
-        last.
-        """
-        units = [(draw.agent, injection(self.faults[draw.fault], self.agents[draw.agent]).unit) for draw in draws]
-        until = max((self._ended.get(each, 0.0) for each in units), default=0.0) + LASTING_S
-        self._wait(lambda: time.monotonic() >= until, LASTING_S)
+        """Wait until these may be injected."""
+        now = time.monotonic()
+        until = self._pacing.ready_at([(each.agent, each.unit) for each in self.injector.planned(draws)], now)
+        if until - now > LASTING_S:
+            self.progress(f"  waiting {until - now:.0f} s until PHM's budget of actions has room again")
+        self._wait(lambda: time.monotonic() >= until, WINDOW_S)
 
     def _recover(self, victims: Sequence[int]) -> bool:
         """Whether all recovered once the faults were cleared; otherwise restore them by force."""

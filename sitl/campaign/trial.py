@@ -15,6 +15,7 @@ from typing import Any
 
 VERSION = 2
 NOMINAL, OFF, TRIAL = "nominal", "off", "trial"
+QUIET, BUSY = "quiet", "busy"
 
 
 @dataclass
@@ -161,16 +162,6 @@ class Cost:
 
 
 @dataclass
-class HostSample:
-    """What all agents share: shares from 0 to 1 in use of the machine's cores (since the last sample), memory and disk."""
-
-    mono: float
-    cpu: float
-    memory: float
-    disk: float
-
-
-@dataclass
 class Trial:
     """The events between `began` and `ended`, on all agents."""
 
@@ -194,8 +185,6 @@ class Trial:
     received: dict[int, int] = field(default_factory=dict)
     """Bytes of the frames from each agent's PHM that reached the ground between `began` and `ended`."""
     cost: list[Cost] = field(default_factory=list)
-    host: list[HostSample] = field(default_factory=list)
-    """Of the machine, about once a second."""
     well_after: float | None = None
     """When all agents were OK again; None: not within the limit."""
     summaries: list[Summary] = field(default_factory=list)
@@ -233,7 +222,6 @@ _PARTS = {
     "starts": Start,
     "lines": Line,
     "cost": Cost,
-    "host": HostSample,
 }
 
 

@@ -1,23 +1,17 @@
-"""External observations during a trial: each agent's record, messages at the ground, the sidecars' cost."""
+"""External observations during a trial: each agent's record, messages at the ground."""
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import psutil
-from docker.errors import DockerException
-
 from sitl.campaign.collect import Levels, note
 from sitl.campaign.machine_load import MachineMeter
-from sitl.campaign.trial import Cost, Line, Trial
-from sitl.faults.base import Agent
+from sitl.campaign.trial import Line, Trial
 from sitl.harness.log_follower import Record
-from sitl.harness.machine import processes
 from sitl.simulation.ground import Ground
 
 PHM_COMPONENT = 193
@@ -113,38 +107,3 @@ class SwarmWatcher:
         """Agents that are not as usual, and why."""
         found = {agent: levels.unwell(self.usual[agent]) for agent, levels in self.levels.items()}
         return {agent: words for agent, words in found.items() if words}
-
-
-class CostMeter:
-    """CPU and memory of the sidecars between two samples."""
-
-    def __init__(self, agents: Mapping[int, Agent]) -> None:
-        self._agents = agents
-        self._before: dict[int, dict[tuple[int, float], float]] = {}
-        self._since = time.monotonic()
-
-    def begin(self) -> None:
-        self._since = time.monotonic()
-        self._before = {number: self._look(agent)[0] for number, agent in self._agents.items()}
-
-    def costs(self) -> list[Cost]:
-        """Cost since `begin`. An agent whose sidecar did not run at both samples is left out."""
-        found = []
-        for number, agent in self._agents.items():
-            now, rss = self._look(agent)
-            before = self._before.get(number, {})
-            if now and before:
-                used = sum(cpu - before.get(process, 0.0) for process, cpu in now.items())
-                found.append(Cost(number, time.monotonic() - self._since, used, rss / 1e6))
-        return found
-
-    @staticmethod
-    def _look(agent: Agent) -> tuple[dict[tuple[int, float], float], int]:
-        cpu: dict[tuple[int, float], float] = {}
-        rss = 0
-        with contextlib.suppress(psutil.Error, DockerException, LookupError):
-            for process in processes(agent):
-                with process.oneshot():
-                    cpu[process.pid, process.create_time()] = sum(process.cpu_times()[:2])
-                    rss += process.memory_info().rss
-        return cpu, rss

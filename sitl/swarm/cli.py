@@ -17,7 +17,7 @@ from rich.table import Table
 from sitl.faults import all_faults
 from sitl.harness.console import make_console
 from sitl.swarm import active_faults, cost, startup
-from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, Options
+from sitl.swarm.options import DEFAULT_NAME, MOST_AGENTS, PROFILES, Options
 from sitl.swarm.swarm import Swarm
 
 Verb = Callable[[argparse.Namespace], int]
@@ -52,6 +52,12 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--autopilot-image", default="", metavar="IMAGE", help="a Docker image that has one")
     up.add_argument(
         "--autopilot-command", default="", metavar="WORDS", help="how it is started: docs/development/sitl.md"
+    )
+    up.add_argument(
+        "--profile",
+        choices=PROFILES,
+        default="tuned",
+        help="how much is configured for PHM, in it and in the application: docs/development/campaign.md (tuned)",
     )
     up.add_argument("--seed", type=int, default=0, help="of losses that are drawn at random (0)")
     up.add_argument("--no-build", action="store_true", help="take the images as they are")
@@ -101,6 +107,7 @@ def _up(chosen: argparse.Namespace) -> int:
         autopilot_command=chosen.autopilot_command,
         seed=chosen.seed,
         build=not chosen.no_build,
+        profile=chosen.profile,
     )
     swarm = Swarm(options)
     # A shell that starts this in the background has SIGINT ignored; an interrupted `up` must not leave half a swarm.

@@ -53,7 +53,7 @@ def endpoints(options: Options, number: int) -> list[dict[str, Any]]:
             "name": "router",
             "leads_to": "router",
             "container": ROUTER,
-            "radio": "required",
+            **({"radio": "required"} if options.profile == "tuned" else {}),
         },
         {"url": f"udpout:{AIR_HOST}:{INSIDE.peers_of(number)}", "name": "peers", "leads_to": "peers"},
     ]

@@ -22,6 +22,7 @@ LABEL = "phm.sitl.swarm"
 COMPOSE_LIMIT_S = 180.0
 SOCKET = Path("/var/run/docker.sock")
 AGENT_FILES = ("docker/compose.yaml", "docker/compose.swarm.yaml")
+AS_FOUND_FILE = "docker/compose.as-found.yaml"
 AIR_FILES = ("docker/compose.air.yaml",)
 REMOVE_AT_ONCE = 4
 

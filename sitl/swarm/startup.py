@@ -122,8 +122,23 @@ def _create(swarm: Swarm, agent: SwarmAgent, lock: int) -> None:
     agent.config.parent.mkdir(parents=True, exist_ok=True)
     write(config.text(swarm.options, agent.number), agent.config)
     agent.make_device()
-    files = [*engine.AGENT_FILES, *external_autopilots.write(swarm.options, agent.number, agent.config.parent)]
-    engine.compose(agent.project, files, ["create", "--no-build"], _variables(swarm, agent), [lock])
+    engine.compose(agent.project, _files(swarm, agent), ["create", "--no-build"], _variables(swarm, agent), [lock])
+
+
+def recreate(swarm: Swarm, agent: SwarmAgent, service: str) -> None:
+    """Replace and start the container of one service of a running swarm, as `up` made it."""
+    words = ["up", "--detach", "--no-build", "--no-deps", "--force-recreate", service]
+    engine.compose(agent.project, _files(swarm, agent), words, _variables(swarm, agent))
+
+
+def _files(swarm: Swarm, agent: SwarmAgent) -> list[str]:
+    """The Compose files of an agent."""
+    more = [engine.AS_FOUND_FILE] if swarm.options.profile == "as-found" else []
+    return [
+        *engine.AGENT_FILES,
+        *external_autopilots.write(swarm.options, agent.number, agent.config.parent),
+        *more,
+    ]
 
 
 def _variables(swarm: Swarm, agent: SwarmAgent) -> dict[str, str]:

@@ -2,55 +2,103 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
+from sitl.campaign.arguments import parser
 from sitl.campaign.collect import Levels, note
-from sitl.campaign.fault_catalog import CHANGES, LEFT_ALONE, OFF, chosen, class_of, unsuitable_because
+from sitl.campaign.fault_catalog import (
+    EXCLUDED,
+    LEFT_ALONE,
+    OFF,
+    chosen,
+    class_of,
+    excluded,
+    explained,
+    injection,
+    kind,
+)
 from sitl.campaign.main import main
-from sitl.campaign.plan import plan
+from sitl.campaign.plan import fits
+from sitl.campaign.profiles import ALL, CHANGES
 from sitl.campaign.report import BEGIN, END
-from sitl.campaign.trial import append
+from sitl.campaign.schedule import schedule
+from sitl.campaign.seeds import checked_out, seed_of
+from sitl.campaign.trial import OFF as OFF_RUN, append
 from sitl.faults import all_faults
+from sitl.faults.base import Agent
 from sitl.harness.compose_stack import ROOT
 from sitl.harness.config_overrides import overridden
 from tests.fakes.campaign_trials import trial
 
+TUNED, SHIPPED, AS_FOUND = ALL["tuned"], ALL["shipped"], ALL["as-found"]
+COMMIT = "0123456789" * 4
 
-def test_every_fault_is_drawn_or_excluded_with_a_reason() -> None:
-    """With eight agents and emulated links, the only excluded faults are double faults and starvation."""
+
+def test_every_fault_is_injected_or_excluded_with_a_reason() -> None:
+    """With eight agents and emulated links, the only faults that the tuned profile excludes are double faults and one that
+    is injected when it ends.
+    """
     faults = all_faults()
-    left = {name for name, fault in faults.items() if unsuitable_because(fault, 8, air=True)}
-    assert left == {name for name, fault in faults.items() if fault.also or "starvation" in fault.needs}
-    assert {class_of(fault).layer for fault in faults.values()} == {"companion", "container", "ros", "link"}
-    drawn = {
-        draw.fault
-        for each in plan(1, 8, 80, [class_of(fault) for fault in chosen(faults, (), 8, air=True).values()])
-        for draw in each.draws
-    }
-    assert drawn == faults.keys() - left
+    left = excluded(faults, 8, TUNED, air=True)
+    assert left.keys() == {name for name, fault in faults.items() if fault.also} | EXCLUDED.keys()
+    assert {fault.layer for fault in faults.values()} == {"companion", "container", "ros", "link"}
+    assert chosen(faults, (), 8, TUNED, air=True).keys() == faults.keys() - left.keys()
 
 
-def test_phm_is_among_the_victims() -> None:
-    """Twenty trials of any seed kill or stop PHM, and inject faults of every layer."""
-    faults = chosen(all_faults(), (), 8, air=True)
-    for seed in range(20):
-        drawn = {
-            draw.fault
-            for each in plan(seed, 8, 20, [class_of(fault) for fault in faults.values()])
-            for draw in each.draws
-        }
-        assert drawn & {"phm_killed", "phm_stopped"}
-        assert {faults[name].layer for name in drawn} == {"companion", "container", "ros", "link"}
+def test_the_shipped_configuration_says_what_it_cannot_see() -> None:
+    """What needs more than names is excluded from the other profiles, with the keys that it needs; a fault whose
+    configuration only names things is not. Files are reported, and PHM may not restore them.
+    """
+    faults = all_faults()
+    for profile in (SHIPPED, AS_FOUND):
+        left = excluded(faults, 8, profile, air=True)
+        assert "host.memory.error" in left["memory_full"]
+        assert "host.free_disk" in left["disk_full"]
+        assert "SHA-256" in left["file_altered"]
+        assert not {"engine_restarted", "netns_owner_killed", "container_killed"} & left.keys()
+        assert not injection(faults["file_deleted"], Agent("p", "agent_1", docker=Mock()), profile).healable
+    assert injection(faults["file_deleted"], Agent("p", "agent_1", docker=Mock()), TUNED).healable
+
+
+def test_several_faults_on_one_agent_are_independent_or_explained() -> None:
+    """An engine and a container, a network and a node, a node and the host's load may fail together; the end of a
+    container explains its nodes, so one alarm may report both. PHM's own faults come alone.
+    """
+    faults = all_faults()
+    one, other = (class_of(faults[name]) for name in ("host_overload", "node_killed"))
+    assert fits(one, [other])
+    assert fits(class_of(faults["engine_restarted"]), [class_of(faults["container_killed"])])
+    assert fits(class_of(faults["network_disconnected"]), [other])
+    for name in ("phm_killed", "gcs_radio_cut", "crash_loop", "peer_lost", "cpu_limited", "topic_silent"):
+        assert not fits(class_of(faults[name]), [other]), name
+    agents = [Agent("p", f"agent_{number}", docker=Mock(), number=number) for number in (1, 2)]
+    found = [
+        injection(faults[name], agents[at], SHIPPED)
+        for name, at in (("node_killed", 0), ("network_blocked", 0), ("container_killed", 0), ("node_stopped", 1))
+    ]
+    explained(found)
+    assert [each.explained_by for each in found] == ["container_killed", "", "", ""]
+
+
+def test_what_the_ground_cannot_receive_is_blind() -> None:
+    """Faults of the radio and of the router hide the agent; one of its autopilot does not."""
+    faults, agent = all_faults(), Agent("p", "agent_1", docker=Mock())
+    blind = {name for name, fault in faults.items() if injection(fault, agent, TUNED).blinds}
+    assert blind == {"gcs_radio_cut", "radio_lossy", "radio_saturated", "router_killed"}
+    assert kind(faults["topic_silent"]) == kind(faults["qos_mismatch"]) == "topics"
 
 
 def test_an_unavailable_fault_is_rejected() -> None:
     """A fault that does not exist, or needs more agents, is named in the message."""
     with pytest.raises(ValueError, match="no such fault: nonsense"):
-        chosen(all_faults(), ["nonsense"], 8, air=True)
+        chosen(all_faults(), ["nonsense"], 8, TUNED, air=True)
     with pytest.raises(ValueError, match="peer_lost: it needs 3 agents"):
-        chosen(all_faults(), ["peer_lost"], 2, air=True)
+        chosen(all_faults(), ["peer_lost"], 2, TUNED, air=True)
 
 
 def test_the_changes_apply_to_the_shipped_configuration() -> None:
@@ -141,36 +189,48 @@ def test_an_agent_has_recovered_when_its_units_are_as_before() -> None:
 
 
 def test_the_plan_is_printed_without_a_swarm(capsys: pytest.CaptureFixture[str]) -> None:
-    """`--plan` needs no running swarm; a record of another campaign, or a wrong fault, ends with exit code 2."""
-    assert main(["--plan", "--trials", "3", "--record", "none.jsonl"]) == 0
-    assert len(capsys.readouterr().out.strip().splitlines()) == 3
-    assert main(["--plan", "--only", "nonsense"]) == 2
-    assert "no such fault" in capsys.readouterr().err
-
-
-def test_a_record_of_another_campaign_is_rejected(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    """Trials of two seeds in one file are not one campaign."""
-    file = tmp_path / "trials.jsonl"
-    append(file, trial(setting={"seed": 2, "agents": 8}))
-    assert main(["--plan", "--record", str(file), "--seed", "1"]) == 2
-    assert "another campaign" in capsys.readouterr().err
-
-
-def test_a_report_lists_what_is_bad() -> None:
-    """Units that are WARN or ERROR in a complete report; one that a restart interrupted remains incomplete."""
-    made = trial(alarms=[], acts=[], lines=[])
-    for each in (
-        event("unit", 0.5, level="ERROR"),
-        event("report_started", 1.0),
-        event("start", 1.5),
-        event("report_started", 2.0),
-        event("unit", 2.1, level="ERROR"),
-        event("unit", 2.1, unit="rates/a", level="OK"),
-        event("unit", 2.2, unit="radio/ground", level="WARN"),
-        event("report", 3.0),
+    """`--plan` needs no running swarm: the trials of each seed, how often each fault is injected, what is excluded and why.
+    A wrong fault, number of seeds or commit ends with exit code 2.
+    """
+    assert main(["--plan", "--seeds", "2", "--trials", "3", "--commit", COMMIT]) == 0
+    out = capsys.readouterr().out
+    assert out.count("seed 1 of 2") == out.count("seed 2 of 2") == 1
+    assert len([row for row in out.splitlines() if " on A0" in row]) == 6
+    assert "6 trials, 2 with several faults on one agent" in out
+    assert "memory_full: the shipped configuration does not set host.memory.error, host.memory.warn" in out
+    for words, error in (
+        (["--only", "nonsense"], "no such fault"),
+        (["--seeds", "0"], "1 seed or more"),
+        (["--commit", "abc"], "40 hexadecimal digits"),
     ):
-        note(made, 3, each)
-    assert [(each.began, each.bad, each.mono) for each in made.summaries] == [
-        (1.0, [], None),
-        (2.0, ["nodes/a", "radio/ground"], 3.0),
-    ]
+        assert main(["--plan", *words]) == 2
+        assert error in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"commit": "f" * 40}, f"the record of commit {'f' * 40}"),
+        ({"agents": 4}, "with other agents"),
+        ({"seed": 1}, "another number of seeds or trials"),
+    ],
+)
+def test_a_record_of_another_campaign_is_rejected(
+    tmp_path: Any, capsys: pytest.CaptureFixture[str], change: dict[str, Any], error: str
+) -> None:
+    """Of another commit, with other settings, or with other trials than planned."""
+    file = tmp_path / "trials.jsonl"
+    words = ["--commit", COMMIT, "--seed", "1", "--trials", "4", "--record", str(file)]
+    to_do = schedule(parser().parse_args(words))
+    append(file, trial(kind=OFF_RUN, setting=to_do.setting(0)))
+    append(file, trial(setting={**to_do.setting(0), **change}))
+    assert main(words) == 2
+    assert error in capsys.readouterr().err
+
+
+def test_seeds_follow_from_the_commit() -> None:
+    """By the documented rule, so that no one can choose them. Uncommitted changes do not change them."""
+    for index in range(3):
+        digest = hashlib.sha256(f"{COMMIT}/{index}".encode()).hexdigest()
+        assert seed_of(COMMIT, index) == seed_of(f"{COMMIT}-dirty", index) == int(digest[:8], 16)
+    assert re.fullmatch(r"[0-9a-f]{40}(-dirty)?", checked_out())

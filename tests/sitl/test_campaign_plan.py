@@ -7,81 +7,131 @@ from collections import Counter
 import pytest
 from hypothesis import given, strategies as st
 
-from sitl.campaign.plan import SIZES, Class, fits, plan
+from sitl.campaign.fault_catalog import TIMES, WANTED, chosen, class_of
+from sitl.campaign.plan import SHAPES, Class, TrialPlan, counts, fits, plan, trials_for
+from sitl.campaign.profiles import ALL
+from sitl.faults import all_faults
 
-NAMES = st.text("abcdefgh", min_size=1, max_size=4)
+KINDS = ("app", "files", "host", "link")
 CLASSES = st.lists(
     st.builds(
         Class,
-        name=NAMES,
-        layer=st.sampled_from(("companion", "container", "ros", "link")),
-        group=st.sampled_from(("app", "files", "host")),
-        whole=st.booleans(),
+        name=st.text("abcdefgh", min_size=1, max_size=4),
+        kind=st.sampled_from(KINDS),
+        partners=st.frozensets(st.sampled_from(KINDS)),
         alone=st.booleans(),
+        rank=st.integers(0, 3),
     ),
     min_size=1,
     max_size=20,
     unique_by=lambda each: each.name,
 )
-SEEDS, AGENTS = st.integers(0, 10**6), st.integers(1, 10)
+SEED, SEEDS, AGENTS = st.integers(0, 10**6), st.lists(st.integers(0, 2**32), min_size=1, max_size=4), st.integers(1, 10)
+REAL = {
+    name: [class_of(fault) for fault in chosen(all_faults(), (), 8, profile, air=True).values()]
+    for name, profile in ALL.items()
+}
 
 
-@given(SEEDS, AGENTS, CLASSES, st.integers(0, 30), st.integers(0, 30))
+@given(SEED, AGENTS, CLASSES, st.integers(0, 30), st.integers(0, 30))
 def test_a_seed_determines_the_campaign(seed: int, agents: int, classes: list[Class], few: int, more: int) -> None:
-    """The same seed gives the same trials, and a longer campaign begins with the shorter one, so it can be resumed and
-    extended.
+    """The same seed gives the same trials, and a longer campaign of one seed begins with the shorter one, so it can be
+    resumed and extended.
     """
-    short, long = (plan(seed, agents, trials, classes) for trials in sorted((few, more)))
+    ((short,), (long,)) = (plan([seed], agents, trials, classes) for trials in sorted((few, more)))
     assert long[: len(short)] == short
-    assert plan(seed, agents, len(long), list(reversed(classes))) == long
+    assert plan([seed], agents, len(long), list(reversed(classes))) == (long,)
 
 
 @given(SEEDS, AGENTS, CLASSES)
+def test_more_seeds_begin_with_the_same_trials(seeds: list[int], agents: int, classes: list[Class]) -> None:
+    """A campaign may be extended by a seed."""
+    assert plan(seeds, agents, 10, classes)[:-1] == plan(seeds[:-1], agents, 10, classes)
+
+
+@given(SEED, AGENTS, CLASSES)
 def test_simultaneous_faults_do_not_hide_each_other(seed: int, agents: int, classes: list[Class]) -> None:
-    """No two faults of one group on one agent, and none beside one that affects the entire agent or swarm."""
+    """Faults on one agent are of kinds that may be together, injected in the order of their ranks. One that affects
+    several agents is on the only agent that has any.
+    """
     known = {each.name: each for each in classes}
-    for number, trial in enumerate(plan(seed, agents, 24, classes), 1):
+    (trials,) = plan([seed], agents, 24, classes)
+    for number, trial in enumerate(trials, 1):
         assert trial.number == number
-        assert 1 <= len(trial.draws) <= SIZES[(number - 1) % len(SIZES)]
+        assert 1 <= len(trial.draws) <= sum(SHAPES[(number - 1) % len(SHAPES)])
         assert trial.kind == ("single" if len(trial.draws) == 1 else "compound")
-        for place, draw in enumerate(trial.draws):
-            assert 1 <= draw.agent <= agents
-            others = [(known[each.fault], each.agent) for each in trial.draws[:place]]
-            assert fits(known[draw.fault], draw.agent, others)
-        if any(known[draw.fault].alone for draw in trial.draws):
-            assert len(trial.draws) == 1
-
-
-@given(SEEDS, CLASSES)
-def test_every_class_is_drawn_in_turn(seed: int, classes: list[Class]) -> None:
-    """In each layer no class is drawn a third time before all others were drawn once: a bag contains each class once."""
-    layers = {each.name: each.layer for each in classes}
-    drawn: Counter[str] = Counter()
-    for trial in plan(seed, 8, 60, classes):
+        assert len({draw.fault for draw in trial.draws}) == len(trial.draws)
+        by_agent: dict[int, list[Class]] = {}
         for draw in trial.draws:
-            drawn[draw.fault] += 1
-            mine = [drawn[name] for name, layer in layers.items() if layer == layers[draw.fault]]
-            assert max(mine) - min(mine) <= 1
+            assert 1 <= draw.agent <= agents
+            by_agent.setdefault(draw.agent, []).append(known[draw.fault])
+        for mine in by_agent.values():
+            assert [each.rank for each in mine] == sorted(each.rank for each in mine)
+            assert all(fits(each, [other for other in mine if other != each]) for each in mine)
+        if any(known[draw.fault].alone for draw in trial.draws):
+            assert len(by_agent) == 1
 
 
-@given(SEEDS, st.integers(2, 10))
+@given(SEEDS)
+def test_classes_are_drawn_equally_often(seeds: list[int]) -> None:
+    """What was drawn least often comes next, also in the next seed."""
+    classes = [Class(f"fault_{number}", "app") for number in range(7)]
+    found = counts(plan(seeds, 8, 24, classes))
+    assert max(found.values()) - min(found.values()) <= 1
+
+
+@given(SEED, st.integers(2, 10))
 def test_victims_alternate(seed: int, agents: int) -> None:
-    """Consecutive single faults have different victims."""
-    trials = plan(seed, agents, 40, [Class("a", "ros", "app")])
+    """All agents are victims."""
+    (trials,) = plan([seed], agents, 40, [Class(f"fault_{number}", "app") for number in range(4)])
     assert len({draw.agent for trial in trials[: 2 * agents] for draw in trial.draws}) == agents
 
 
 def test_different_seeds_give_different_campaigns() -> None:
     """The seed determines the order."""
-    classes = [Class(f"fault_{number}", "ros", "app") for number in range(10)]
-    assert len({plan(seed, 8, 20, classes) for seed in range(20)}) == 20
+    classes = [Class(f"fault_{number}", "app") for number in range(10)]
+    assert len({plan([seed], 8, 20, classes) for seed in range(20)}) == 20
+
+
+@pytest.mark.parametrize("profile", ALL)
+def test_the_real_catalog_is_covered(profile: str) -> None:
+    """With five seeds every fault is injected three times or more, a quarter of the trials has several faults on one
+    agent, and all wanted pairs are among them, whatever the seeds are.
+    """
+    classes = REAL[profile]
+    kinds = {each.name: each.kind for each in classes}
+    for start in range(0, 50, 10):
+        seeds = [start * 977 + number for number in range(5)]
+        trials = trials_for(seeds, 8, 20, TIMES, classes, WANTED)
+        assert trials <= 40, "a campaign would take too long"
+        plans = plan(seeds, 8, trials, classes, WANTED)
+        assert min(counts(plans)[each.name] for each in classes) >= TIMES
+        every = [trial for one in plans for trial in one]
+        assert sum(trial.together > 1 for trial in every) >= len(every) / 4
+        pairs = Counter(pair for trial in every for pair in _pairs(trial, kinds))
+        assert all(pairs[frozenset(pair)] >= TIMES for pair in WANTED), pairs
+
+
+def _pairs(trial: TrialPlan, kinds: dict[str, str]) -> set[frozenset[str]]:
+    """Of the kinds of faults on one agent."""
+    return {
+        frozenset((kinds[one.fault], kinds[other.fault]))
+        for one in trial.draws
+        for other in trial.draws
+        if one.agent == other.agent and one != other
+    }
+
+
+def test_too_few_trials_for_the_catalog_are_refused() -> None:
+    """When no number of trials injects each fault often enough, the message says so."""
+    with pytest.raises(ValueError, match="5 trials of each seed do not inject each of 9 faults 3 times"):
+        trials_for([1], 8, 1, 3, [Class(f"fault_{number}", "app") for number in range(9)], most=5)
 
 
 @pytest.mark.parametrize(
-    ("agents", "trials", "classes"),
-    [(0, 1, [Class("a", "ros", "app")]), (1, -1, [Class("a", "ros", "app")]), (1, 1, [])],
+    ("agents", "trials", "classes"), [(0, 1, [Class("a", "app")]), (1, -1, [Class("a", "app")]), (1, 1, [])]
 )
 def test_invalid_plan_arguments_are_rejected(agents: int, trials: int, classes: list[Class]) -> None:
     """No agents, a negative number of trials or no classes raises an error."""
     with pytest.raises(ValueError, match="a campaign needs"):
-        plan(1, agents, trials, classes)
+        plan([1], agents, trials, classes)

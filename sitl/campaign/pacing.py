@@ -1,0 +1,42 @@
+"""When the next faults may be injected: not before PHM has forgotten enough of the last ones. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from sitl.campaign.trial import Trial
+
+LASTING_S = 31.0
+"""Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""
+WINDOW_S = 600.0
+"""`recovery.window`: for so long an action counts against `recovery.budget`."""
+
+
+class Pacing:
+    """actions: most actions on an agent within `WINDOW_S` before its next fault; None: any number."""
+
+    def __init__(self, actions: int | None) -> None:
+        self._actions = actions
+        self._ended: dict[tuple[int, str], float] = {}
+        self._acted: dict[int, list[float]] = {}
+
+    def ended(self, agent: int, unit: str, mono: float) -> None:
+        """A fault at this unit is over."""
+        self._ended[agent, unit] = mono
+
+    def note(self, trial: Trial) -> None:
+        """The trial is over."""
+        for act in trial.acts:
+            if act.phase == "started":
+                self._acted.setdefault(act.agent, []).append(act.mono)
+
+    def ready_at(self, units: Collection[tuple[int, str]], now: float) -> float:
+        """The time from which faults may be injected at these units of agents; not after `now` when that is already so."""
+        times = [self._ended[each] + LASTING_S for each in units if each in self._ended]
+        return max([*times, *(self._room_at(agent, now) for agent in {agent for agent, _ in units})], default=now)
+
+    def _room_at(self, agent: int, now: float) -> float:
+        recent = sorted(each for each in self._acted.get(agent, ()) if each > now - WINDOW_S)
+        if self._actions is None or len(recent) <= self._actions:
+            return now
+        return recent[-1 - self._actions] + WINDOW_S

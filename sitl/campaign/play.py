@@ -1,0 +1,157 @@
+"""Runs what is missing of a campaign, seed after seed, on one swarm."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from docker.errors import DockerException
+from rich.console import Console
+
+from sitl.campaign import table
+from sitl.campaign.busy import BusyLoad
+from sitl.campaign.differences import of_swarm
+from sitl.campaign.metrics import figures
+from sitl.campaign.plan import TrialPlan
+from sitl.campaign.run import NotOk, Runner
+from sitl.campaign.schedule import Schedule
+from sitl.campaign.trial import BUSY, NOMINAL, OFF, TRIAL, Trial, append, load
+from sitl.faults import all_faults
+from sitl.swarm import startup
+from sitl.swarm.options import Options
+from sitl.swarm.swarm import Swarm
+
+GUESS_S = 70.0
+"""Of a trial, before one was made."""
+
+
+def play(asked: argparse.Namespace, to_do: Schedule, file: Path, console: Console) -> bool:
+    """Run the trials that are still missing; return whether all are made."""
+    swarm, ours = None, False
+
+    def progress(words: str) -> None:
+        console.print(words, highlight=False, soft_wrap=True)
+
+    try:
+        swarm, ours = _swarm(asked, to_do, progress)
+        busy = BusyLoad(swarm) if to_do.load == BUSY else None
+        runner = Runner(swarm, all_faults(), to_do.profile, progress, busy)
+        try:
+            runner.start()
+            return _Sequence(runner, to_do, file, progress, asked).run()
+        finally:
+            runner.stop()
+    except KeyboardInterrupt:
+        progress("interrupted; call again to continue from here")
+        return False
+    except (LookupError, RuntimeError, DockerException) as error:
+        progress(f"[red]the campaign has stopped:[/] {error}")
+        if isinstance(error, NotOk):
+            progress("call again to continue from here")
+        return False
+    finally:
+        if ours and swarm is not None and not asked.keep:
+            swarm.down()
+
+
+def _swarm(asked: argparse.Namespace, to_do: Schedule, progress: Callable[[str], None]) -> tuple[Swarm, bool]:
+    """The running swarm of this name, or a new one; and whether the campaign must take it down."""
+    try:
+        swarm = Swarm.load(asked.name)
+    except LookupError:
+        options = Options(
+            agents=asked.agents,
+            name=asked.name,
+            interval_s=asked.interval,
+            autopilot=asked.autopilot,
+            autopilot_path=asked.autopilot_path,
+            autopilot_image=asked.autopilot_image,
+            seed=to_do.seeds[0],
+            changes=to_do.profile.changes,
+            profile=to_do.profile.name,
+            build=not asked.no_build,
+        )
+        swarm = Swarm(options)
+        progress(f"starting {asked.agents} agents")
+        startup.up(swarm, progress)
+        return swarm, True
+    down = f"take it down (`python -m sitl down --name {asked.name}`) or give the campaign another --name"
+    if len(swarm.agents) != asked.agents:
+        raise LookupError(f"the running swarm {asked.name} has {len(swarm.agents)} agents, not {asked.agents}: {down}")
+    if (swarm.options.profile, dict(swarm.options.changes)) != (to_do.profile.name, dict(to_do.profile.changes)):
+        raise LookupError(
+            f"the running swarm {asked.name} was not started for the profile {to_do.profile.name}: {down}"
+        )
+    return swarm, False
+
+
+class _Sequence:
+    """All runs of all seeds that the record does not have yet."""
+
+    def __init__(
+        self, runner: Runner, to_do: Schedule, file: Path, progress: Callable[[str], None], asked: argparse.Namespace
+    ) -> None:
+        self._runner, self._to_do, self._file, self._progress, self._asked = runner, to_do, file, progress, asked
+        self._began = time.monotonic()
+        done = [each for each in load(file) if each.campaign[:2] == (to_do.profile.name, to_do.load)]
+        self._done = {(each.setting["seed"], each.kind, each.number) for each in done}
+        self._took = [each.seconds for each in done if each.kind == TRIAL]
+
+    def run(self) -> bool:
+        """Whether all are made; no run begins after `--stop-after`."""
+        differences = of_swarm(self._runner.swarm)
+        for index, trials in enumerate(self._to_do.plans):
+            self._runner.setting = {**self._to_do.setting(index), "differences": differences}
+            if not all(self._ensure(index, *run) for run in self._runs(index, trials)):
+                return False
+        return True
+
+    def _runs(self, index: int, trials: tuple[TrialPlan, ...]) -> list[tuple[str, int, str, Callable[[], Trial]]]:
+        """Kind, number, words and function of each run of a seed."""
+        runner = self._runner
+        return [
+            (NOMINAL, 0, "nothing is injected", partial(runner.nominal, self._asked.nominal)),
+            (OFF, 0, "recovery is off", partial(runner.off, self._to_do.seeds[index])),
+            *((TRIAL, each.number, _words(each), partial(runner.trial, each)) for each in trials),
+        ]
+
+    def _ensure(self, index: int, kind: str, number: int, words: str, make: Callable[[], Trial]) -> bool:
+        seed, limit = self._to_do.seeds[index], self._asked.stop_after
+        if (seed, kind, number) in self._done:
+            return True
+        if limit is not None and time.monotonic() - self._began > limit:
+            return False
+        which = f"trial {number} of {len(self._to_do.plans[index])}" if kind == TRIAL else kind
+        self._progress(
+            f"[bold]seed {index + 1} of {len(self._to_do.seeds)}, {which}[/]  {words}  [dim]({self._left_min():.0f} min left)[/]"
+        )
+        trial = make()
+        append(self._file, trial)
+        self._done.add((seed, kind, number))
+        if kind == TRIAL:
+            self._took.append(trial.seconds)
+            self._show(trial)
+        return True
+
+    def _left_min(self) -> float:
+        made = len([each for each in self._done if each[1] == TRIAL])
+        each_s = sum(self._took) / len(self._took) if self._took else GUESS_S
+        return max(0, self._to_do.planned - made) * each_s / 60
+
+    def _show(self, trial: Trial) -> None:
+        for row in table.trials(figures([trial]).judged):
+            _, agent, title, seen, reported, healed, by, alarms, remarks = row
+            colour = "red" if remarks else "green"
+            self._progress(
+                f"  [{colour}]{agent} {title}[/]: detected {seen} s, reported {reported} s, healed {healed} s {by}; {alarms} alarms {remarks}"
+            )
+        for each in trial.injections:
+            if each.error:
+                self._progress(f"  [red]A{each.agent:02d} {each.title} was not injected:[/] {each.error}")
+
+
+def _words(trial: TrialPlan) -> str:
+    return ", ".join(f"{draw.fault} on A{draw.agent:02d}" for draw in trial.draws)

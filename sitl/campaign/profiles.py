@@ -1,0 +1,78 @@
+"""The profiles of a campaign: how much is configured for it, in PHM and in the application."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import cast
+
+from docker import DockerClient
+
+from sitl.campaign.differences import of_configuration
+from sitl.faults.base import Agent, Fault
+from sitl.faults.file_deleted import CONTENT
+from sitl.harness.config_overrides import overridden
+from sitl.swarm.options import PROFILES, ProfileName
+
+CHANGES = {
+    "\n  budget: 5": "\n  budget: 100",
+    '#sha256: "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"': f'sha256: "{hashlib.sha256(CONTENT).hexdigest()}"',
+    "#restore: image": "restore: image",
+}
+"""Of the profile *tuned*: room for many faults in a row, and a file that can be judged and restored."""
+NAMING = re.compile(
+    r"agent\.\w+"
+    r"|containers\[[^]]*\]\.(name|alias|label|recover)"
+    r"|ros\.nodes\[[^]]*\]\.(name|container)"
+    r"|ros\.topics\[[^]]*\]\.(name|type|rate|publishers|subscribers|container)"
+    r"|mavlink\.endpoints\[[^]]*\]\.(url|name|leads_to|container)|mavlink\.autopilot|swarm\.agents"
+    r"|docker\.socket|host\.disks|log\.directory|state_dir"
+)
+"""Keys that say what there is and where, so every user has to set them."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """changes: of the shipped configuration of all agents. unseen: faults that its configuration cannot detect, and why.
+    not_healed: faults that PHM may only report. seen_limit_s: a fault that was not reported for so long after its
+    injection is missed. actions: most actions of PHM on an agent within `recovery.window` before its next fault; None: its
+    budget is no limit.
+    """
+
+    name: ProfileName
+    changes: Mapping[str, str] = field(default_factory=dict)
+    unseen: Mapping[str, str] = field(default_factory=dict)
+    not_healed: frozenset[str] = frozenset()
+    seen_limit_s: float = 30.0
+    actions: int | None = None
+
+    @property
+    def tuned(self) -> bool:
+        return self.name == "tuned"
+
+
+_UNSEEN = {"file_altered": "the shipped configuration does not have the SHA-256 of the file"}
+_NOT_HEALED = frozenset({"file_deleted", "file_not_executable"})
+"""The shipped configuration does not allow PHM to restore files."""
+_OF_FIVE = 2
+"""The shipped budget is five actions in ten minutes. A campaign injects more often than faults occur, so it waits until at
+least three are left.
+"""
+ALL: Mapping[str, Profile] = {
+    "tuned": Profile("tuned", CHANGES),
+    "shipped": Profile("shipped", {}, _UNSEEN, _NOT_HEALED, actions=_OF_FIVE),
+    # Docker runs the HEALTHCHECK every 30 s.
+    "as-found": Profile("as-found", {}, _UNSEEN, _NOT_HEALED, seen_limit_s=45.0, actions=_OF_FIVE),
+}
+assert tuple(ALL) == PROFILES
+
+
+def beyond_naming(fault: Fault) -> list[str]:
+    """The keys with which PHM must be configured to see or recover the fault, other than those that name things."""
+    if "configuration" not in fault.needs:
+        return []
+    agent = Agent("phm-swarm-1", "agent_1", docker=cast(DockerClient, None))
+    found = of_configuration(overridden(fault.configuration(agent)), {"PHM_AGENT": "agent_1"})
+    return [each["key"] for each in found if not NAMING.fullmatch(each["key"])]
