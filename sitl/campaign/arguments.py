@@ -77,4 +77,8 @@ def _output(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--report-only", action="store_true", help="only make the reports from the record")
     group.add_argument("--json", type=Path, metavar="FILE", help="write the report with everything in it")
     group.add_argument("--html", type=Path, metavar="FILE", help="write the report as a page")
-    group.add_argument("--markdown", action="store_true", help="write the result into docs/development/results.md")
+    group.add_argument(
+        "--markdown",
+        action="store_true",
+        help="write record and result into docs/development, and the figures of the README",
+    )

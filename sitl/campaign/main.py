@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
-from sitl.campaign import table
 from sitl.campaign.arguments import parser
 from sitl.campaign.fault_catalog import class_of
-from sitl.campaign.metrics import figures
 from sitl.campaign.play import play
-from sitl.campaign.report import Setting, as_html, as_json, as_markdown, between_marks
 from sitl.campaign.schedule import Schedule, check_record, schedule
-from sitl.campaign.targets import short
-from sitl.campaign.trial import Trial, load
-from sitl.harness.compose_stack import ROOT
+from sitl.campaign.show import DONE, show
+from sitl.campaign.trial import load
 from sitl.harness.console import make_console
-
-DONE, SHORT, NOT_DONE = 0, 1, 75
-"""Exit codes: every aim is met; some are not; stopped before the end (EX_TEMPFAIL): call again to continue."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     asked = parser().parse_args(arguments)
     console = make_console(json=False)
+    if asked.report_only and asked.record is not None:
+        return show(load(asked.record), asked, console, whole=True)
     try:
         to_do = schedule(asked)
         file = asked.record or Path(f"campaign-{to_do.commit[:8]}.jsonl")
@@ -43,42 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     whole = True
     if not asked.report_only:
         whole = play(asked, to_do, file, console)
-    return _report(asked, load(file), to_do.planned, console, whole=whole)
-
-
-def _report(asked: argparse.Namespace, trials: Sequence[Trial], planned: int, console: Console, *, whole: bool) -> int:
-    if not trials:
-        console.print("no trial is made yet; call again to continue", highlight=False)
-        return NOT_DONE
-    known = trials[-1].setting
-    setting = Setting(known["seed"], known["machine"], known["day"], known["autopilot"], known["interval_s"], planned)
-    found = figures(trials)
-    console.print(
-        _rich(f"PHM on {found.agents} agents ({setting.words})", table.TABLE2, table.table2(found, setting.interval_s))
-    )
-    console.print(_rich("further figures", ("figure", "value"), table.beyond(found)))
-    for words in table.short(found.judged):
-        console.print(f"- {words}", markup=False, highlight=False)
-    for path, make in ((asked.json, as_json), (asked.html, as_html)):
-        if path is not None:
-            path.write_text(make(trials, setting), "utf-8")
-            console.print(f"written: {path}", highlight=False)
-    if asked.markdown:
-        page = ROOT / "docs" / "development" / "results.md"
-        page.write_text(between_marks(page.read_text("utf-8"), as_markdown(trials, setting)), "utf-8")
-    if not whole or found.trials < planned:
-        console.print(f"{found.trials} of {planned} trials are made; call again to continue", highlight=False)
-        return NOT_DONE
-    return SHORT if short(found) else DONE
-
-
-def _rich(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    made = Table(title=title)
-    for name in head:
-        made.add_column(name)
-    for row in rows:
-        made.add_row(*(f"[red]{cell}[/]" if cell == "NOT met" else cell for cell in row))
-    return made
+    return show(load(file), asked, console, whole=whole)
 
 
 def _print_plan(to_do: Schedule, console: Console) -> None:

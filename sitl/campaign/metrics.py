@@ -3,36 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from sitl.campaign import uptime
-from sitl.campaign.scoring import Judged, Verdict, judge
+from sitl.campaign.attempts import Attempt, attempts
+from sitl.campaign.scoring import judge
+from sitl.campaign.stats import Stats, rank, stats
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Trial
+from sitl.campaign.verdict import ENDINGS, Judged, Verdict
 
-
-@dataclass(frozen=True)
-class Stats:
-    """Statistics of n values; all None for n = 0. p50 and p95 are by nearest rank, so they are measured values."""
-
-    n: int
-    mean: float | None = None
-    p50: float | None = None
-    p95: float | None = None
-    max: float | None = None
-
-
-def stats(values: Iterable[float | None]) -> Stats:
-    """Statistics of the values that are not None."""
-    known = sorted(value for value in values if value is not None)
-    if not known:
-        return Stats(0)
-    return Stats(len(known), math.fsum(known) / len(known), rank(known, 0.5), rank(known, 0.95), known[-1])
-
-
-def rank(ordered: Sequence[float], part: float) -> float:
-    """The smallest of the ordered values that is not below the share `part` (0 to 1) of them."""
-    return ordered[max(0, math.ceil(part * len(ordered)) - 1)]
+__all__ = ["Figures", "OfClass", "Stats", "figures", "rank", "stats"]
 
 
 @dataclass(frozen=True)
@@ -46,12 +28,16 @@ class OfClass:
     injected: int
     detection: Stats
     response: Stats
-    healing: Stats
-    resolved: int
+    recovery: Stats
+    """By an action of PHM, confirmed from outside."""
+    by_action: int
+    claimed: int
     missed: int
     wrong: int
     alarms: float | None
-    """Per alarm that was due, of what was reported at all; None where none was due."""
+    """Per expected alarm, of what was reported; None where none was expected."""
+    evidence: str = ""
+    evidence_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -64,9 +50,21 @@ class Figures:
     not_injected: int
     detection: Stats
     response: Stats
-    healing: Stats
-    resolved_healable: float | None
-    resolved: float | None
+    logged: Stats
+    """Detection as the paper defines it."""
+    published: Stats
+    """Response as the paper defines it."""
+    recovery: Stats
+    """By an action of PHM, confirmed from outside."""
+    recovery_other: Stats
+    """PHM's claims about all other faults: ended by something else, or not confirmed."""
+    by_action: float | None
+    by_action_healable: float | None
+    endings: dict[str, int]
+    """Faults by what has ended them, by PHM's record."""
+    unconfirmed: int
+    """Ended by an action by PHM's record; not observed from outside, or observed otherwise."""
+    through_cause: int
     uptime: float | None
     heard: float | None
     """As `uptime`, including the time in which the injector cut the agent from the ground."""
@@ -74,6 +72,9 @@ class Figures:
     missed: int
     false: int
     right: float | None
+    unhelpful: int
+    unfinished: int
+    """Actions that were interrupted by the end of the trial."""
     nominal_s: float
     nominal_alarms: int
     off_changes: int | None
@@ -84,8 +85,23 @@ class Figures:
     cpu_nominal: float | None
     cpu_all: float | None
     rss_mb: float | None
+    pss_mb: float | None
+    peak_mb: float | None
+    without_cost: int
+    """Agents of trials whose sidecar's cost was not measured."""
+    restarts: int
+    """Starts of PHM during trials, injected or not."""
     classes: tuple[OfClass, ...] = ()
     judged: tuple[Judged, ...] = field(default=(), repr=False)
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """Of all injected faults, except those of the run with recovery off."""
+        return [verdict for each in self.judged if each.trial.kind == TRIAL for verdict in each.verdicts]
+
+    @property
+    def attempts(self) -> list[Attempt]:
+        return [attempt for each in self.judged if each.trial.kind != OFF for attempt in attempts(each.trial)]
 
     @property
     def beside(self) -> list[Alarm]:
@@ -104,6 +120,9 @@ def figures(trials: Sequence[Trial]) -> Figures:
     nominal = [each for each in judged if each.trial.kind == NOMINAL]
     off = [each for each in judged if each.trial.kind == OFF]
     watched = [each.trial for each in judged if each.trial.kind != OFF]
+    tried = [attempt for trial in watched for attempt in attempts(trial)]
+    costs = [cost for trial in trials for cost in trial.cost]
+    ended = Counter(verdict.ended_by for verdict in verdicts)
     return Figures(
         agents=max((trial.agents for trial in trials), default=0),
         trials=len(played),
@@ -111,25 +130,37 @@ def figures(trials: Sequence[Trial]) -> Figures:
         not_injected=sum(each.moment is None for one in played for each in one.trial.injections),
         detection=stats(verdict.detected_s for verdict in verdicts),
         response=stats(verdict.response_s for verdict in verdicts),
-        healing=stats(verdict.healed_s for verdict in verdicts),
-        resolved_healable=_part(
-            (verdict for verdict in verdicts if verdict.injection.healable), lambda each: each.healed_s is not None
+        logged=stats(verdict.logged_s for verdict in verdicts),
+        published=stats(verdict.published_s for verdict in verdicts),
+        recovery=stats(verdict.recovered_s for verdict in verdicts if verdict.by_action),
+        recovery_other=stats(verdict.claimed_s for verdict in verdicts if not verdict.by_action),
+        by_action=_part(verdicts, lambda each: each.by_action),
+        by_action_healable=_part(
+            (verdict for verdict in verdicts if verdict.injection.healable), lambda each: each.by_action
         ),
-        resolved=_part(verdicts, lambda each: each.healed_s is not None),
+        endings={ending: ended[ending] for ending in ENDINGS},
+        unconfirmed=sum(each.ended_by == ENDINGS[0] and not each.by_action for each in verdicts),
+        through_cause=sum(each.through_cause for each in verdicts),
         uptime=uptime.share(watched),
         heard=uptime.share(watched, net=False),
         alarms_per_fault=_alarms(verdicts),
         missed=sum(verdict.missed for each in (*played, *off) for verdict in each.verdicts),
         false=sum(len(each.false) for each in judged),
         right=_part(verdicts, lambda each: each.right),
+        unhelpful=sum(attempt.helped is False for attempt in tried),
+        unfinished=sum(attempt.helped is None for attempt in tried),
         nominal_s=math.fsum(each.trial.seconds for each in nominal),
         nominal_alarms=sum(len(each.false) for each in nominal),
         off_changes=sum(len(each.trial.changed) for each in off) if off else None,
         bytes_nominal=_rate([each.trial for each in nominal]),
         bytes_all=_rate(watched),
         cpu_nominal=_cpu(cost for each in nominal for cost in each.trial.cost),
-        cpu_all=_cpu(cost for each in watched for cost in each.cost),
-        rss_mb=max((cost.rss_mb for each in watched for cost in each.cost), default=None),
+        cpu_all=_cpu(costs),
+        rss_mb=_memory((cost.seconds, cost.rss_mb) for cost in costs),
+        pss_mb=_memory((cost.seconds, cost.pss_mb) for cost in costs),
+        peak_mb=max((cost.peak_mb or cost.rss_mb for cost in costs), default=None),
+        without_cost=sum(trial.agents - len(trial.cost) for trial in trials),
+        restarts=sum(len(trial.starts) for trial in watched),
         classes=tuple(_of_class(name, verdicts) for name in sorted({each.injection.fault for each in verdicts})),
         judged=judged,
     )
@@ -146,11 +177,14 @@ def _of_class(name: str, verdicts: Sequence[Verdict]) -> OfClass:
         injected=len(mine),
         detection=stats(verdict.detected_s for verdict in mine),
         response=stats(verdict.response_s for verdict in mine),
-        healing=stats(verdict.healed_s for verdict in mine),
-        resolved=sum(verdict.healed_s is not None for verdict in mine),
+        recovery=stats(verdict.recovered_s for verdict in mine if verdict.by_action),
+        by_action=sum(verdict.by_action for verdict in mine),
+        claimed=sum(verdict.claimed_s is not None for verdict in mine),
         missed=sum(verdict.missed for verdict in mine),
         wrong=sum(bool(verdict.wrong) for verdict in mine),
         alarms=_alarms(mine),
+        evidence=first.evidence,
+        evidence_s=first.evidence_s,
     )
 
 
@@ -176,3 +210,10 @@ def _cpu(costs: Iterable[Cost]) -> float | None:
     known = list(costs)
     seconds = math.fsum(cost.seconds for cost in known)
     return 100.0 * math.fsum(cost.cpu_s for cost in known) / seconds if seconds > 0 else None
+
+
+def _memory(samples: Iterable[tuple[float, float | None]]) -> float | None:
+    """Mean over agents and time."""
+    known = [(seconds, value) for seconds, value in samples if value is not None]
+    seconds = math.fsum(each for each, _ in known)
+    return math.fsum(each * value for each, value in known) / seconds if seconds > 0 else None

@@ -11,13 +11,13 @@ from pathlib import Path
 from docker.errors import DockerException
 from rich.console import Console
 
-from sitl.campaign import table
+from sitl.campaign import fault_rows
 from sitl.campaign.busy import BusyLoad
 from sitl.campaign.differences import of_swarm
-from sitl.campaign.metrics import figures
 from sitl.campaign.plan import TrialPlan
 from sitl.campaign.run import NotOk, Runner
 from sitl.campaign.schedule import Schedule
+from sitl.campaign.scoring import judge
 from sitl.campaign.trial import BUSY, NOMINAL, OFF, TRIAL, Trial, append, load
 from sitl.faults import all_faults
 from sitl.swarm import startup
@@ -142,11 +142,11 @@ class _Sequence:
         return max(0, self._to_do.planned - made) * each_s / 60
 
     def _show(self, trial: Trial) -> None:
-        for row in table.trials(figures([trial]).judged):
-            _, agent, title, seen, reported, healed, by, alarms, remarks = row
+        for row in fault_rows.trials([judge(trial)]):
+            _, agent, title, seen, reported, recovered, by, alarms, remarks = row
             colour = "red" if remarks else "green"
             self._progress(
-                f"  [{colour}]{agent} {title}[/]: detected {seen} s, reported {reported} s, healed {healed} s {by}; {alarms} alarms {remarks}"
+                f"  [{colour}]{agent} {title}[/]: detected {seen} s, reported {reported} s, recovered {recovered} s {by}; {alarms} alarms {remarks}"
             )
         for each in trial.injections:
             if each.error:

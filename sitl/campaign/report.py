@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, fields
 from html import escape
 from typing import Any
 
-from sitl.campaign import plots, table
-from sitl.campaign.metrics import Figures, figures
-from sitl.campaign.targets import judged as aims_judged, short as aims_short
+from sitl.campaign import fault_rows, plots
+from sitl.campaign.groups import Group, groups
+from sitl.campaign.sections import problems, sections
+from sitl.campaign.targets import evaluated
 from sitl.campaign.trial import Trial
+from sitl.campaign.verdict import Verdict
 
 BEGIN, END = "<!-- campaign: begin, written by scripts/campaign --markdown -->", "<!-- campaign: end -->"
 PAPER_LINES = (("paper: detection 5.2 s", 5.2), ("paper: response 14.82 s", 14.82))
@@ -27,137 +30,181 @@ svg circle { fill: #0b61c4; fill-opacity: .55 } svg .curve { fill: none; stroke-
 svg path.c0 { stroke: #0b61c4 } svg path.c1 { stroke: #b35900 } svg path.c2 { stroke: #13672f }
 svg text.c0 { fill: #0b61c4 } svg text.c1 { fill: #b35900 } svg text.c2 { fill: #13672f }
 """
+WIDTH = 100
+"""Columns of a document's lines."""
+NOT_FIGURES = {"classes", "judged"}
 
 
-@dataclass(frozen=True)
-class Setting:
-    """The parameters of a campaign. `day` as 2026-01-01."""
+def description(found: Sequence[Group]) -> str:
+    """Which campaigns these are, in sentences: commit, day, machine, seeds, number of trials."""
+    sentences = []
+    for group in found:
+        words = [" / ".join(str(value) for value in group.settings(key)) for key in ("day", "machine", "commit")]
+        planned = sum(max(int(trial.setting.get("planned", 0)) for trial in seed) for seed in _by_seed(group).values())
+        of = f" of {planned} planned" if planned and planned != group.all.trials else ""
+        seeds = ", ".join(str(seed) for seed in group.settings("seed"))
+        sentences.append(
+            f"{group.name}: {words[0]}, {words[1]}, commit {words[2] or 'not recorded'}, seeds {seeds}, "
+            f"autopilot {' / '.join(group.settings('autopilot')) or 'sim'}; {group.all.agents} agents, "
+            f"{group.all.trials}{of} trials, {group.all.injected} faults injected."
+        )
+    return "\n".join(sentences) or "No trial was run."
 
-    seed: int
-    machine: str
-    day: str
-    autopilot: str = "sim"
-    interval_s: float = 20.0
-    planned: int = 0
-    more: dict[str, Any] = field(default_factory=dict)
 
-    @property
-    def words(self) -> str:
-        return f"{self.day}, {self.machine}, seed {self.seed}, autopilot {self.autopilot}"
+def _by_seed(group: Group) -> dict[int, list[Trial]]:
+    found: dict[int, list[Trial]] = {}
+    for trial in group.trials:
+        found.setdefault(trial.campaign[2], []).append(trial)
+    return found
 
 
-def as_json(trials: Sequence[Trial], setting: Setting) -> str:
-    """Parameters, targets, figures, one verdict for each fault, and the complete record of each trial."""
-    found = figures(trials)
-    scalars = {each.name: getattr(found, each.name) for each in fields(found) if each.name not in ("classes", "judged")}
+def as_json(trials: Sequence[Trial]) -> str:
+    """Targets, figures, one verdict for each fault, and the complete record of each trial."""
+    found = groups(trials)
     return json.dumps(
         {
-            "setting": asdict(setting),
-            "aims": [asdict(row) for row in aims_judged(found)],
-            "figures": {name: _plain(value) for name, value in scalars.items()},
-            "classes": [asdict(each) for each in found.classes],
-            "verdicts": [
-                {
-                    "kind": each.trial.kind,
-                    "number": each.trial.number,
-                    "fault": verdict.injection.fault,
-                    "agent": verdict.injection.agent,
-                    "detected_s": verdict.detected_s,
-                    "response_s": verdict.response_s,
-                    "healed_s": verdict.healed_s,
-                    "by": verdict.by,
-                    "alarms": [alarm.unit for alarm in verdict.alarms],
-                    "missed": verdict.missed,
-                    "wrong": verdict.wrong,
-                    "remarks": table.remarks(each, verdict),
-                }
-                for each in found.judged
-                for verdict in each.verdicts
-            ],
-            "short": [*aims_short(found), *table.short(found.judged)],
+            "groups": [_group(group, found) for group in found],
+            "problems": problems(found),
             "trials": [asdict(trial) for trial in trials],
         },
         indent=1,
     )
 
 
+def _group(group: Group, others: Sequence[Group]) -> dict[str, Any]:
+    return {
+        "profile": group.profile,
+        "load": group.load,
+        "seeds": group.settings("seed"),
+        "commits": group.settings("commit"),
+        "metrics": [
+            {
+                "name": each.metric.name,
+                "paper": each.metric.paper,
+                "value": each.value,
+                "over_seeds": _plain(each.estimate),
+                "aim": each.aim,
+                "met": each.met,
+            }
+            for each in evaluated(group, others)
+        ],
+        "figures": {
+            each.name: _plain(getattr(group.all, each.name))
+            for each in fields(group.all)
+            if each.name not in NOT_FIGURES
+        },
+        "classes": [asdict(each) for each in group.all.classes],
+        "verdicts": [
+            {
+                "seed": each.trial.campaign[2],
+                "kind": each.trial.kind,
+                "number": each.trial.number,
+                **_verdict(verdict),
+                "remarks": fault_rows.remarks(each, verdict),
+            }
+            for each in group.all.judged
+            for verdict in each.verdicts
+        ],
+    }
+
+
+def _verdict(verdict: Verdict) -> dict[str, Any]:
+    names = ("detected_s", "logged_s", "response_s", "published_s", "claimed_s", "world_s", "recovered_s")
+    return {
+        "fault": verdict.injection.fault,
+        "agent": verdict.injection.agent,
+        **{name: getattr(verdict, name) for name in names},
+        "by": verdict.by,
+        "ended_by": verdict.ended_by,
+        "alarms": [alarm.unit for alarm in verdict.alarms],
+        "missed": verdict.missed,
+        "wrong": verdict.wrong,
+    }
+
+
 def _plain(value: Any) -> Any:
     return asdict(value) if hasattr(value, "__dataclass_fields__") else value
 
 
-def as_html(trials: Sequence[Trial], setting: Setting) -> str:
-    found = figures(trials)
-    verdicts = [verdict for each in found.judged if each.trial.kind == "trial" for verdict in each.verdicts]
-
-    def per_class(name: str) -> list[tuple[str, list[float]]]:
-        known = [(each.injection.title, value) for each in verdicts if (value := getattr(each, name)) is not None]
-        return [
-            (title, [value for other, value in known if other == title])
-            for title in dict.fromkeys(sorted(t for t, _ in known))
+def as_html(trials: Sequence[Trial]) -> str:
+    found = groups(trials)
+    parts = ["<h1>PHM fault campaign</h1>", *(f"<p>{escape(line)}</p>" for line in description(found).splitlines())]
+    for section in sections(found):
+        parts += [f"<h2>{escape(section.title)}</h2>", f"<p>{escape(section.words)}</p>" if section.words else ""]
+        parts.append(_table(section.head, section.rows) if section.head else _list(section.sentences))
+    for group in found:
+        parts += _drawn(group)
+    for group in found[1:]:
+        parts += [
+            f"<h2>Every injected fault ({escape(group.name)})</h2>",
+            _table(fault_rows.FAULTS, fault_rows.faults(group)),
         ]
-
-    def all_of(name: str) -> list[float]:
-        return [value for each in verdicts if (value := getattr(each, name)) is not None]
-
-    curves = [
-        ("detected", all_of("detected_s")),
-        ("reported at the ground", all_of("response_s")),
-        ("healed", all_of("healed_s")),
-    ]
-    parts = [
-        f"<h1>PHM fault campaign</h1><p>{escape(setting.words)}. {escape(_done(found, setting))}</p>",
-        "<h2>Beside the paper's Table 2</h2>",
-        _table(table.TABLE2, table.table2(found, setting.interval_s)),
-        "<h2>Further figures</h2>",
-        _table(("figure", "value"), table.beyond(found)),
-        "<h2>How soon</h2>",
-        plots.steps("Share of the faults within a time", curves, PAPER_LINES),
-        "<h2>Detection, one dot a fault</h2>",
-        plots.strips("Seconds from injection to the log", per_class("detected_s"), PAPER_LINES[:1]),
-        "<h2>Healing, one dot a fault</h2>",
-        plots.strips("Seconds from injection to proven healing", per_class("healed_s")),
-        "<h2>Classes of faults</h2>",
-        _table(table.CLASSES, table.classes(found)),
-        "<h2>What is not as it should be</h2>",
-        _list([*aims_short(found), *table.short(found.judged)]),
-        "<h2>Every injected fault</h2>",
-        _table(table.TRIALS, table.trials(found.judged)),
-    ]
-    body = "\n".join(parts)
+    body = "\n".join(part for part in parts if part)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>PHM fault campaign</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n'
     )
 
 
-def as_markdown(trials: Sequence[Trial], setting: Setting) -> str:
-    found = figures(trials)
-    lines = [
-        f"{setting.words}. {_done(found, setting)}",
-        "",
-        *_rows(table.TABLE2, table.table2(found, setting.interval_s)),
-        "",
+def _drawn(group: Group) -> list[str]:
+    """The plots of a group."""
+    verdicts = group.all.verdicts
+
+    def all_of(name: str) -> list[float]:
+        return [value for each in verdicts if (value := getattr(each, name)) is not None]
+
+    def per_class(name: str) -> list[tuple[str, list[float]]]:
+        known = [(each.injection.title, value) for each in verdicts if (value := getattr(each, name)) is not None]
+        return [(title, [value for other, value in known if other == title]) for title in sorted(dict(known))]
+
+    curves = [
+        ("detected", all_of("detected_s")),
+        ("reported at the ground", all_of("response_s")),
+        ("recovered", all_of("recovered_s")),
     ]
-    lines += [*_rows(("further figures", ""), table.beyond(found)), "", "## Classes of faults", ""]
-    lines += ["Seconds; one row for each class that was injected.", "", *_rows(table.CLASSES, table.classes(found)), ""]
-    lines += ["## What is not as it should be", ""]
-    lines += [f"- {_cell(each)}" for each in [*aims_short(found), *table.short(found.judged)] or ["nothing"]]
-    lines += ["", "## Every injected fault", "", *_rows(table.TRIALS, table.trials(found.judged))]
+    return [
+        f"<h2>Times ({escape(group.name)})</h2>",
+        plots.steps("Share of the faults within a time", curves, PAPER_LINES),
+        "<h3>Detection: seconds from injection to the log, one dot per fault</h3>",
+        plots.strips("Detection", per_class("detected_s"), PAPER_LINES[:1]),
+        "<h3>Recovery: seconds from injection until PHM and the world agree, one dot per fault</h3>",
+        plots.strips("Recovery", per_class("recovered_s")),
+    ]
+
+
+def as_markdown(trials: Sequence[Trial]) -> str:
+    """The generated part of the page of results."""
+    found = groups(trials)
+    lines = [wrapped(line, "- ") for line in description(found).splitlines()]
+    for section in sections(found):
+        lines += ["", f"## {section.title}", ""]
+        lines += [wrapped(section.words), ""] if section.words else []
+        if section.head:
+            lines += _rows(section.head, section.rows) if section.rows else ["Nothing."]
+        else:
+            lines += [wrapped(each, "- ") for each in section.sentences or ["nothing"]]
     return "\n".join(lines)
 
 
-def between_marks(page: str, text: str) -> str:
+def between_marks(page: str, text: str, begin: str = BEGIN, end: str = END) -> str:
     """`page` with the text between the two marks replaced. Raises ValueError when it has no marks."""
-    head, begin, rest = page.partition(BEGIN)
-    _, end, tail = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"the page has no marks {BEGIN} and {END}")
-    return f"{head}{BEGIN}\n{text}\n{END}{tail}"
+    before, found, rest = page.partition(begin)
+    _, closed, after = rest.partition(end)
+    if not found or not closed:
+        raise ValueError(f"the page has no marks {begin} and {end}")
+    return f"{before}{begin}\n{text}\n{end}{after}"
 
 
-def _done(found: Figures, setting: Setting) -> str:
-    planned = f" of {setting.planned} planned" if setting.planned and setting.planned != found.trials else ""
-    return f"{found.agents} agents, {found.trials}{planned} trials, {found.injected} faults injected."
+def wrapped(text: str, mark: str = "") -> str:
+    """The text in lines of a document, after a list mark."""
+    return textwrap.fill(
+        _cell(text),
+        WIDTH,
+        initial_indent=mark,
+        subsequent_indent=" " * len(mark),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _cell(text: str) -> str:
@@ -170,12 +217,15 @@ def _rows(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    classes = {"met": ' class="met"', "NOT met": ' class="missed"'}
     titles = "".join(f"<th>{escape(name)}</th>" for name in head)
-    lines = [
-        "<tr>" + "".join(f"<td{classes.get(cell, '')}>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    ]
+    lines = ["<tr>" + "".join(f"<td{_class(cell)}>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
     return f'<div class="wide"><table><tr>{titles}</tr>\n' + "\n".join(lines) + "</table></div>"
+
+
+def _class(cell: str) -> str:
+    if cell.endswith(": NOT met"):
+        return ' class="missed"'
+    return ' class="met"' if cell.endswith(": met") else ""
 
 
 def _list(sentences: Sequence[str]) -> str:

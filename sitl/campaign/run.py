@@ -225,7 +225,7 @@ class Runner:
         now = time.monotonic()
         for verdict in judge(trial).verdicts:
             fault, begun = verdict.injection, verdict.injection.moment or now
-            if verdict.healed_s is not None or (fault.explained_by and fault.world is not None):
+            if verdict.claimed_s is not None or (fault.explained_by and fault.world is not None):
                 continue
             if verdict.detected_s is None and now - begun <= self.profile.seen_limit_s:
                 return False

@@ -1,155 +1,191 @@
-"""A campaign's figures as text rows, for terminal, Markdown, HTML. Pure."""
+"""The tables of a campaign as text rows, for terminal, Markdown, HTML: one column for each profile and load. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from sitl.campaign.metrics import Figures, Stats
-from sitl.campaign.scoring import Judged, Verdict
-from sitl.campaign.targets import judged
+from sitl.campaign import uptime
+from sitl.campaign.groups import Group
+from sitl.campaign.metrics import Figures
+from sitl.campaign.stats import Stats, stats
+from sitl.campaign.targets import evaluated, percent
+from sitl.campaign.trial import OFF
+from sitl.campaign.verdict import ACTION, ENDINGS, Verdict
 
-TABLE2 = ("metric", "paper, Table 2", "here", "aim", "")
-CLASSES = (
-    "fault",
-    "layer",
-    "injected",
-    "detected: mean",
-    "p50",
-    "p95",
-    "max",
-    "reported at the ground: mean",
-    "p95",
-    "healed: mean",
-    "p95",
-    "self-resolved",
-    "missed",
-    "wrong cause",
-    "alarms per fault",
-)
-TRIALS = ("trial", "agent", "fault", "detected", "reported", "healed", "by", "alarms", "remarks")
-MET = {True: "met", False: "NOT met", None: ""}
+Rows = list[tuple[str, ...]]
+MET = {True: "met", False: "NOT met"}
+Shown = Callable[[Figures], str]
 
 
-def table2(found: Figures, interval_s: float) -> list[tuple[str, ...]]:
+def head(first: str, groups: Sequence[Group], *more: str) -> tuple[str, ...]:
+    return (first, *more, *(group.name for group in groups))
+
+
+def table2(groups: Sequence[Group]) -> Rows:
     """The paper's parameters, then every metric with its target and whether it is met."""
-    rows: list[tuple[str, ...]] = [
-        ("Parameter: Reactivation Interval", "20 s", f"{interval_s:g} s", "", ""),
-        ("Parameter: SITL Agents", "8", str(found.agents), "", ""),
-        ("Parameter: trials, faults injected", "20, not stated", f"{found.trials}, {found.injected}", "", ""),
+
+    def settings(key: str, unit: str = "") -> list[str]:
+        return [" / ".join(f"{value}{unit}" for value in group.settings(key)) or "-" for group in groups]
+
+    rows: Rows = [
+        ("Parameter: Reactivation Interval", "20 s", *settings("interval_s", " s")),
+        ("Parameter: SITL Agents", "8", *(str(group.all.agents) for group in groups)),
+        ("Parameter: seeds", "not stated", *(str(len(group.seeds)) for group in groups)),
+        ("Parameter: trials", "20", *(str(group.all.trials) for group in groups)),
+        ("Parameter: faults injected", "not stated", *(str(group.all.injected) for group in groups)),
     ]
-    return rows + [(row.name, row.paper, row.shown, row.aim, MET[row.met]) for row in judged(found)]
+    columns = [evaluated(group, groups) for group in groups]
+    for results in zip(*columns, strict=True):
+        metric = results[0].metric
+        cells = [
+            each.shown + (f"; aim {each.aim}: {MET[each.met]}" if each.met is not None else "") for each in results
+        ]
+        rows.append((metric.name, metric.paper, *cells))
+    return rows
 
 
-def beyond(found: Figures) -> list[tuple[str, str]]:
-    """Figures without a target."""
-    heard = "-" if found.heard is None else f"{100 * found.heard:.3f} %"
-    return [
-        ("Healing time, mean / p50 / p95 / max", spread(found.healing)),
-        ("Detection, mean / p50 / p95 / max", spread(found.detection)),
-        ("Response, mean / p50 / p95 / max", spread(found.response)),
-        ("Nothing injected", f"{found.nominal_s:.0f} s, {found.nominal_alarms} alarms"),
-        ("Could not be injected", str(found.not_injected)),
-        ("Alarms about the machine that all agents share", str(len(found.beside))),
-        ("Alarms that clearing has caused", str(len(found.clearing))),
-        ("PHM heard at the ground, cut radios counted as silence", heard),
-        ("Bytes per agent and second at the ground, nothing injected", number(found.bytes_nominal, "{:.1f}")),
-        ("Bytes per agent and second at the ground, all trials", number(found.bytes_all, "{:.1f}")),
-        ("Sidecar, CPU of one core, all trials", number(found.cpu_all, "{:.2f} %")),
-        ("Sidecar, RSS of the largest", number(found.rss_mb, "{:.0f} MB")),
+def spreads(groups: Sequence[Group]) -> Rows:
+    """Standard deviation, smallest and largest value of each mean over the seeds."""
+    rows: Rows = []
+    for results in zip(*(evaluated(group, groups) for group in groups), strict=True):
+        if results[0].metric.total:
+            continue
+        cells = []
+        for each in results:
+            shown, found = each.metric.shown, each.estimate
+            if found is None or found.deviation is None or found.least is None or found.most is None:
+                cells.append("-")
+            else:
+                cells.append(f"{shown(found.deviation)}; {shown(found.least)} to {shown(found.most)}")
+        rows.append((results[0].metric.name, *cells))
+    return rows
+
+
+def endings(groups: Sequence[Group]) -> Rows:
+    """What has ended the faults, as number and share of all injected faults."""
+
+    def of(number: Callable[[Figures], int]) -> Shown:
+        return lambda f: f"{number(f)} ({percent(number(f) / f.injected)})" if f.injected else "-"
+
+    def ended_by(ending: str) -> Shown:
+        return of(lambda f: f.endings[ending])
+
+    wanted: list[tuple[str, Shown]] = [
+        ("action of PHM, confirmed from outside: self-resolved", of(lambda f: f.endings[ACTION] - f.unconfirmed)),
+        ("action of PHM, not confirmed from outside", of(lambda f: f.unconfirmed)),
+        *((ending, ended_by(ending)) for ending in ENDINGS if ending != ACTION),
+        ("cleared by the campaign", of(lambda f: f.injected - sum(f.endings.values()))),
+        ("injected", lambda f: str(f.injected)),
+        ("could not be injected, in no row above", lambda f: str(f.not_injected)),
     ]
+    return _rows(wanted, groups)
 
 
-def classes(found: Figures) -> list[tuple[str, ...]]:
-    return [
-        (
-            each.title,
-            each.layer,
-            str(each.injected),
-            *(
-                number(value)
-                for value in (each.detection.mean, each.detection.p50, each.detection.p95, each.detection.max)
-            ),
-            number(each.response.mean),
-            number(each.response.p95),
-            number(each.healing.mean),
-            number(each.healing.p95),
-            f"{each.resolved} of {each.injected}" + ("" if each.healable else " (not healable)"),
-            str(each.missed),
-            str(each.wrong),
-            number(each.alarms),
+def definitions(groups: Sequence[Group]) -> Rows:
+    """Detection and response by both definitions."""
+    wanted: list[tuple[str, Shown]] = [
+        ("detection: the alarm is in the log", lambda f: spread(f.detection, f.injected)),
+        ("detection, paper: PHM's response is complete and in the log", lambda f: spread(f.logged, f.injected)),
+        ("response: first STATUSTEXT at the ground", lambda f: spread(f.response, f.injected)),
+        ("response, paper: a periodic report lists the fault", lambda f: spread(f.published, f.injected)),
+    ]
+    return _rows(wanted, groups)
+
+
+def outside(groups: Sequence[Group]) -> Rows:
+    """PHM's claims beside the injector's own observation of the world."""
+
+    def count(wanted: Callable[[Verdict], bool]) -> Shown:
+        return lambda f: str(sum(wanted(verdict) for verdict in f.verdicts))
+
+    def claims(verdict: Verdict) -> bool:
+        return verdict.claimed_s is not None
+
+    wanted: list[tuple[str, Shown]] = [
+        ("both say that the fault is over", count(lambda v: v.difference_s is not None)),
+        ("both say that it is not over", count(lambda v: v.observed and not claims(v) and v.world_s is None)),
+        ("disagreement: PHM says that it is over, the world does not", count(lambda v: v.claimed_wrongly)),
+        ("disagreement: the world is restored, PHM does not say so", count(lambda v: v.unnoticed)),
+        ("PHM said so more than 1 s before the world was seen restored", count(lambda v: v.claimed_early)),
+        ("PHM says that it is over; cannot be observed", count(lambda v: claims(v) and not v.observed)),
+        ("not over; cannot be observed", count(lambda v: not claims(v) and not v.observed)),
+        ("seconds from the world to PHM's claim", lambda f: differences(stats(v.difference_s for v in f.verdicts))),
+    ]
+    return _rows(wanted, groups)
+
+
+def left_out(groups: Sequence[Group]) -> Rows:
+    """Everything that is in no mean, or not counted."""
+
+    def blind(found: Figures) -> str:
+        watched = [each.trial for each in found.judged if each.trial.kind != OFF]
+        agents = [(trial, agent) for trial in watched for agent in range(1, trial.agents + 1)]
+        spared = sum(
+            uptime.of_agent(trial, agent, net=False)[0] - uptime.of_agent(trial, agent)[0] for trial, agent in agents
         )
-        for each in sorted(found.classes, key=lambda one: (one.layer, one.title))
+        return f"{spared:.0f} s of {sum(trial.seconds for trial, _ in agents):.0f} s"
+
+    def lacks(value: Callable[[Verdict], float | None]) -> Shown:
+        return lambda f: str(sum(value(verdict) is None for verdict in f.verdicts))
+
+    wanted: list[tuple[str, Shown]] = [
+        ("injection failed: in no figure", lambda f: str(f.not_injected)),
+        ("detection: missed", lambda f: str(sum(verdict.missed for verdict in f.verdicts))),
+        ("detection: reported by the alarm of another fault of the agent", lambda f: str(f.through_cause)),
+        ("detection: reported at another unit only", lambda f: str(_elsewhere(f))),
+        ("response: no STATUSTEXT received", lacks(lambda v: v.response_s)),
+        ("response, paper: over or cleared before a periodic report", lacks(lambda v: v.published_s)),
+        ("recovery: ended otherwise or not confirmed; PHM's claims", lambda f: spread(f.recovery_other, f.injected)),
+        ("false alarms: `host/*`, confirmed by the measured load", lambda f: str(len(f.beside))),
+        ("alarms: caused by clearing", lambda f: str(len(f.clearing))),
+        ("actions: interrupted by the end of the trial", lambda f: str(f.unfinished)),
+        ("cost: agents of runs without measurement", lambda f: str(f.without_cost)),
+        ("uptime: agent cut from the ground by the campaign", blind),
+        ("uptime: run with recovery off", lambda f: f"{sum(each.trial.kind == OFF for each in f.judged)} runs"),
     ]
+    return _rows(wanted, groups)
 
 
-def trials(judged_trials: Sequence[Judged]) -> list[tuple[str, ...]]:
-    """One row for each injected fault, with remarks."""
-    return [_trial(each, verdict) for each in judged_trials for verdict in each.verdicts]
+def _elsewhere(found: Figures) -> int:
+    return sum(v.detected_s is None and not v.missed and not v.through_cause for v in found.verdicts)
 
 
-def _trial(each: Judged, verdict: Verdict) -> tuple[str, ...]:
-    fault = verdict.injection
-    name = f"{each.trial.number}" if each.trial.kind == "trial" else each.trial.kind
-    times = (number(value) for value in (verdict.detected_s, verdict.response_s, verdict.healed_s))
-    return (
-        name,
-        f"A{fault.agent:02d}",
-        fault.title,
-        *times,
-        verdict.by,
-        str(verdict.count),
-        "; ".join(remarks(each, verdict)),
-    )
-
-
-def remarks(each: Judged, verdict: Verdict) -> list[str]:
-    """The problems of this fault."""
-    fault, found = verdict.injection, []
-    if verdict.missed and fault.unit:
-        found.append("missed")
-    if verdict.missed and not fault.unit:
-        found.append("PHM did not come back by itself")
-    if verdict.wrong:
-        found.append(verdict.wrong)
-    if verdict.count > verdict.expected:
-        extra = [alarm.unit for alarm in verdict.alarms if alarm.unit not in (fault.unit, *fault.also)]
-        found.append(f"{verdict.count} alarms for {verdict.expected}: {', '.join(extra) or 'reported again'}")
-    if each.trial.kind == "trial" and verdict.healed_s is None and fault.healable:
-        found.append("not healed")
-    if each.trial.well_after is None:
-        found.append("not all well afterwards")
-    return found
-
-
-def short(judged_trials: Sequence[Judged]) -> list[str]:
-    """All problems, one sentence each."""
-    lines = [
-        f"trial {each.trial.number}, {verdict.injection.fault} on A{verdict.injection.agent:02d}: {remark}"
-        for each in judged_trials
-        if each.trial.kind == "trial"
-        for verdict in each.verdicts
-        for remark in remarks(each, verdict)
+def beyond(groups: Sequence[Group]) -> Rows:
+    """Figures without a target."""
+    wanted: list[tuple[str, Shown]] = [
+        ("Recovery by action, mean / p50 / p95 / max", lambda f: spread(f.recovery, f.injected)),
+        ("Nothing injected", lambda f: f"{f.nominal_s:.0f} s, {f.nominal_alarms} alarms"),
+        ("Starts of PHM during runs, injected or not", lambda f: str(f.restarts)),
+        ("PHM received at the ground, cut radios counted as silence", lambda f: _share(f.heard)),
+        ("Bytes per agent and second, nothing injected", lambda f: number(f.bytes_nominal, "{:.1f}")),
+        ("Bytes per agent and second, all runs", lambda f: number(f.bytes_all, "{:.1f}")),
+        ("Sidecar, CPU of one core, nothing injected", lambda f: number(f.cpu_nominal, "{:.2f} %")),
+        ("Sidecar, RSS, mean", lambda f: number(f.rss_mb, "{:.0f} MB")),
+        ("Sidecar, PSS, mean", lambda f: number(f.pss_mb, "{:.0f} MB")),
+        ("Sidecar, largest resident memory", lambda f: number(f.peak_mb, "{:.0f} MB")),
     ]
-    lines += [
-        f"{each.trial.kind} {each.trial.number}: false alarm on board A{alarm.agent:02d} at {alarm.unit}: {alarm.summary}"
-        for each in judged_trials
-        for alarm in each.false
-    ]
-    lines += [
-        f"trial {each.trial.number}: {fault.fault} on A{fault.agent:02d} could not be injected: {fault.error}"
-        for each in judged_trials
-        for fault in each.trial.injections
-        if fault.moment is None
-    ]
-    return lines + [f"recovery off: {change}" for each in judged_trials for change in each.trial.changed]
+    return _rows(wanted, groups)
 
 
-def spread(found: Stats) -> str:
+def _rows(wanted: Sequence[tuple[str, Shown]], groups: Sequence[Group]) -> Rows:
+    return [(name, *(shown(group.all) for group in groups)) for name, shown in wanted]
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.3f} %"
+
+
+def spread(found: Stats, of: int) -> str:
     if not found.n:
         return "-"
-    return (
-        " / ".join(number(value) for value in (found.mean, found.p50, found.p95, found.max)) + f" s, {found.n} of them"
-    )
+    numbers = " / ".join(number(value) for value in (found.mean, found.p50, found.p95, found.max))
+    return f"{numbers} s, {found.n} of {of}"
+
+
+def differences(found: Stats) -> str:
+    if not found.n:
+        return "-"
+    return f"mean {number(found.mean)}, {number(found.min)} to {number(found.max)}"
 
 
 def number(value: float | None, form: str = "{:.2f}") -> str:

@@ -1,44 +1,65 @@
-"""The reference values of a campaign: the paper's Table 2, and PHM's own targets. Pure."""
+"""The reference values of a campaign: the paper's Table 2, and PHM's targets for each profile and load. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from sitl.campaign.groups import Group
 from sitl.campaign.metrics import Figures
+from sitl.campaign.stats import Estimate
 
 Value = float | int | None
 
 
 @dataclass(frozen=True)
-class Aim:
-    """One row of the table. `met` tests a value; `shown` formats it."""
+class Metric:
+    """One row of the table. `total`: of all seeds together; otherwise the mean over the seeds. `always`: measured also
+    where nothing was injected.
+    """
 
     name: str
     paper: str
-    aim: str
     value: Callable[[Figures], Value]
-    met: Callable[[float], bool]
     shown: Callable[[float], str]
+    total: bool = False
+    always: bool = False
 
 
 @dataclass(frozen=True)
-class Row:
-    """An evaluated target. `met` is None when nothing was measured."""
+class Target:
+    """`words`: as shown; `met`: tests a value."""
 
-    name: str
-    paper: str
-    aim: str
+    words: str
+    met: Callable[[float], bool]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A metric of a group. `met` is None without a target, or when nothing was measured."""
+
+    metric: Metric
     value: Value
-    shown: str
+    estimate: Estimate | None
+    aim: str
     met: bool | None
 
+    @property
+    def shown(self) -> str:
+        """The value, with the confidence interval of a mean over several seeds."""
+        if self.value is None:
+            return "not measured"
+        text = self.metric.shown(self.value)
+        if self.estimate is not None and self.estimate.half is not None:
+            text += f" ± {self.metric.shown(self.estimate.half).split(' ')[0]}"
+        return text
 
-def _seconds(value: float) -> str:
+
+def seconds(value: float) -> str:
     return f"{value:.2f} s"
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
     return f"{100 * value:.1f} %"
 
 
@@ -50,52 +71,109 @@ def _whole(value: float) -> str:
     return f"{value:.0f}"
 
 
-AIMS = (
-    Aim("Average fault detection", "5.2 s", "<= 0.7 s", lambda f: f.detection.mean, lambda v: v <= 0.7, _seconds),
-    Aim("Fault detection, p95", "-", "<= 3 s", lambda f: f.detection.p95, lambda v: v <= 3.0, _seconds),
-    Aim("Average PHM response", "14.82 s", "<= 1.0 s", lambda f: f.response.mean, lambda v: v <= 1.0, _seconds),
-    Aim("Self-resolved, of the healable", "-", "100 %", lambda f: f.resolved_healable, lambda v: v >= 1.0, _percent),
-    Aim("Self-resolved, of all", "16.6 %", ">= 75 %", lambda f: f.resolved, lambda v: v >= 0.75, _percent),
-    Aim("PHM uptime", "96.77 %", ">= 99.9 %", lambda f: f.uptime, lambda v: v >= 0.999, _fine),
-    Aim(
-        "Alarms per fault",
-        "chains",
-        "1.00",
-        lambda f: f.alarms_per_fault,
-        lambda v: round(v, 2) == 1.0,
-        "{:.2f}".format,
-    ),
-    Aim("Missed", "-", "0", lambda f: f.missed, lambda v: v == 0, _whole),
-    Aim("False alarms", "-", "0", lambda f: f.false, lambda v: v == 0, _whole),
-    Aim("Cause reported correctly", "-", ">= 98 %", lambda f: f.right, lambda v: v >= 0.98, _percent),
-    Aim("Sidecar, CPU of one core", "-", "<= 3 %", lambda f: f.cpu_nominal, lambda v: v <= 3.0, "{:.2f} %".format),
-    Aim("Changed with recovery off", "-", "0", lambda f: f.off_changes, lambda v: v == 0, _whole),
+METRICS = (
+    Metric("Fault detection, mean", "-", lambda f: f.detection.mean, seconds),
+    Metric("Fault detection, p95", "-", lambda f: f.detection.p95, seconds),
+    Metric("Fault detection as the paper defines it, mean", "5.2 s", lambda f: f.logged.mean, seconds),
+    Metric("Response, mean", "-", lambda f: f.response.mean, seconds),
+    Metric("Response as the paper defines it, mean", "14.82 s", lambda f: f.published.mean, seconds),
+    Metric("Recovery by action, mean", "-", lambda f: f.recovery.mean, seconds),
+    Metric("Recovery by action, p95", "-", lambda f: f.recovery.p95, seconds),
+    Metric("Self-resolved: by action, of all injected", "16.6 %", lambda f: f.by_action, percent),
+    Metric("By action, of the healable", "-", lambda f: f.by_action_healable, percent),
+    Metric("PHM uptime", "96.77 %", lambda f: f.uptime, _fine, always=True),
+    Metric("Alarms per fault", "chains", lambda f: f.alarms_per_fault, "{:.2f}".format),
+    Metric("Cause reported correctly", "-", lambda f: f.right, percent),
+    Metric("Missed", "-", lambda f: f.missed, _whole, total=True),
+    Metric("False alarms", "-", lambda f: f.false, _whole, total=True, always=True),
+    Metric("Actions that did not help", "-", lambda f: f.unhelpful, _whole, total=True),
+    Metric("Sidecar, CPU of one core, all runs", "-", lambda f: f.cpu_all, "{:.2f} %".format, always=True),
+    Metric("Changed with recovery off", "-", lambda f: f.off_changes, _whole, total=True, always=True),
+)
+TIMES = (
+    "Fault detection, mean",
+    "Fault detection, p95",
+    "Response, mean",
+    "Recovery by action, mean",
+    "Recovery by action, p95",
 )
 
 
-def judged(found: Figures) -> list[Row]:
-    """Every target with its measured value."""
-    rows = []
-    for aim in AIMS:
-        value = aim.value(found)
-        measured = value is not None and (found.injected > 0 or aim.name in _WITHOUT)
-        rows.append(
-            Row(
-                aim.name,
-                aim.paper,
-                aim.aim,
-                value if measured else None,
-                aim.shown(value) if measured and value is not None else "not measured",
-                aim.met(value) if measured and value is not None else None,
-            )
-        )
-    return rows
+def at_most(limit: float, shown: Callable[[float], str]) -> Target:
+    return Target(f"<= {shown(limit)}", lambda value: value <= limit)
 
 
-_WITHOUT = {"PHM uptime", "False alarms", "Sidecar, CPU of one core", "Changed with recovery off"}
-"""Measured also where nothing was injected."""
+def at_least(limit: float, shown: Callable[[float], str]) -> Target:
+    return Target(f">= {shown(limit)}", lambda value: value >= limit)
 
 
-def short(found: Figures) -> list[str]:
+NONE = Target("0", lambda value: value == 0)
+ONE = Target("1.00", lambda value: round(value, 2) == 1.0)
+ALWAYS = {
+    "PHM uptime": at_least(0.999, percent),
+    "Cause reported correctly": at_least(0.98, percent),
+    "Missed": NONE,
+    "False alarms": NONE,
+    "Changed with recovery off": NONE,
+}
+"""For every profile and load."""
+QUIET = {
+    "Alarms per fault": ONE,
+    "By action, of the healable": Target("100 %", lambda value: value >= 1.0),
+    "Self-resolved: by action, of all injected": at_least(0.65, percent),
+    "Sidecar, CPU of one core, all runs": at_most(3.0, "{:.1f} %".format),
+}
+SHIPPED = {
+    "Fault detection, mean": at_most(1.0, seconds),
+    "Fault detection, p95": at_most(3.5, seconds),
+    "Response, mean": at_most(1.2, seconds),
+    "Recovery by action, mean": at_most(4.5, seconds),
+    "Recovery by action, p95": at_most(10.0, seconds),
+}
+TUNED = {
+    **SHIPPED,
+    "Fault detection, mean": at_most(0.7, seconds),
+    "Fault detection, p95": at_most(3.0, seconds),
+    "Response, mean": at_most(1.0, seconds),
+}
+AS_FOUND = {"Fault detection, p95": at_most(6.0, seconds)}
+BUSY = {"Alarms per fault": at_most(1.05, "{:.2f}".format), "Actions that did not help": NONE}
+
+
+def targets(group: Group, quiet: Group | None) -> dict[str, Target]:
+    """By name of the metric. `quiet`: the same profile on a quiet machine, which limits the times under load."""
+    if group.load == "busy":
+        means = {} if quiet is None else {name: quiet.mean(metric.value) for name, metric in _TIMES.items()}
+        doubled = {name: at_most(2 * mean.mean, seconds) for name, mean in means.items() if mean is not None}
+        return {**ALWAYS, **BUSY, **doubled}
+    return {**ALWAYS, **QUIET, **{"tuned": TUNED, "as-found": AS_FOUND}.get(group.profile, SHIPPED)}
+
+
+_TIMES = {metric.name: metric for metric in METRICS if metric.name in TIMES}
+
+
+def evaluated(group: Group, others: Sequence[Group] = ()) -> list[Result]:
+    """Every metric of the group with its target. `others`: all groups of the record."""
+    quiet = next((each for each in others if (each.profile, each.load) == (group.profile, "quiet")), None)
+    known = targets(group, quiet)
+    return [_result(metric, group, known.get(metric.name)) for metric in METRICS]
+
+
+def _result(metric: Metric, group: Group, target: Target | None) -> Result:
+    aim = "" if target is None else target.words
+    if not group.trials or not (group.all.injected or metric.always):
+        return Result(metric, None, None, aim, None)
+    found = None if metric.total else group.mean(metric.value)
+    value = metric.value(group.all) if metric.total else found.mean if found is not None else None
+    met = None if value is None or target is None else target.met(value)
+    return Result(metric, value, found, aim, met)
+
+
+def short(groups: Sequence[Group]) -> list[str]:
     """The missed targets as text; empty when every measured target is met."""
-    return [f"{row.name}: {row.shown}, aim {row.aim}" for row in judged(found) if row.met is False]
+    return [
+        f"{group.name}: {result.metric.name}: {result.shown}, aim {result.aim}"
+        for group in groups
+        for result in evaluated(group, groups)
+        if result.met is False
+    ]

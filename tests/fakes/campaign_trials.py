@@ -22,6 +22,9 @@ def injection(**more: Any) -> Injection:
         "group": "app",
         "moment": T0,
         "cleared": T0 + 20,
+        "world_seen": True,
+        "world_broken": T0,
+        "world": T0 + 3.5,
     }
     return Injection(**{**given, **more})
 
@@ -33,6 +36,10 @@ def alarm(after: float, unit: str = NODE, agent: int = 3, **more: Any) -> Alarm:
 
 def verified(after: float, unit: str = NODE, agent: int = 3, action: str = "restart") -> Act:
     return Act(agent, unit, action, "verified", T0 + after, "is OK again")
+
+
+def started(after: float, unit: str = NODE, agent: int = 3, action: str = "restart") -> Act:
+    return Act(agent, unit, action, "started", T0 + after, "")
 
 
 def line(after: float, text: str, system: int = 3) -> Line:

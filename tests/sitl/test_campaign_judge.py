@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from sitl.campaign.scoring import Verdict, judge, reports
-from sitl.campaign.trial import OFF, Start, Trial, Warned
-from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, trial, verified
+from sitl.campaign.attempts import attempts
+from sitl.campaign.scoring import judge
+from sitl.campaign.times import reports
+from sitl.campaign.trial import OFF, Act, Load, Start, Summary, Trial, Warned
+from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PHM, Verdict
+from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, started, trial, verified
 
 
 def only(made: Trial) -> Verdict:
@@ -19,14 +24,14 @@ def test_times_count_from_the_injection() -> None:
     verdict = only(trial())
     assert verdict.detected_s == pytest.approx(0.4)
     assert verdict.response_s == pytest.approx(0.9)
-    assert verdict.healed_s == pytest.approx(4.0)
+    assert verdict.claimed_s == pytest.approx(4.0)
     assert (verdict.by, verdict.count, verdict.right, verdict.missed) == ("restart", 1, True, False)
 
 
 def test_a_fault_without_an_alarm_is_missed() -> None:
     """Without its own alarm it is missed, and neither correct nor recovered."""
     verdict = only(trial(alarms=[], acts=[], lines=[]))
-    assert (verdict.missed, verdict.right, verdict.healed_s) == (True, False, None)
+    assert (verdict.missed, verdict.right, verdict.claimed_s) == (True, False, None)
 
 
 def test_an_alarm_before_the_injection_is_false() -> None:
@@ -62,13 +67,30 @@ def test_an_alarm_on_another_agent_is_false() -> None:
     assert judged.verdicts[0].count == 1
 
 
-def test_host_load_is_not_a_false_alarm() -> None:
-    """host/* may be reported by any agent, unless it is the injected fault."""
-    judged = judge(trial(alarms=[alarm(0.4), alarm(1.0, "host/cpu", 5)]))
-    assert (len(judged.beside), judged.false) == (1, [])
+@pytest.mark.parametrize(
+    ("unit", "loads", "confirmed"),
+    [
+        ("host/cpu", [99.0, 99.0], True),
+        ("host/cpu", [99.0, 50.0, 99.0], False),
+        ("host/cpu", [], False),
+        ("host/memory", [99.0, 99.0], False),
+        ("host/temperature", [99.0, 99.0], False),
+    ],
+)
+def test_only_measured_host_load_confirms_an_alarm(unit: str, loads: list[float], confirmed: bool) -> None:
+    """An alarm about the shared machine is false unless the campaign's own samples show that load at that time."""
+    samples = [Load(T0 - 2 + second, cpu=cpu, memory=50.0, disk=50.0) for second, cpu in enumerate(loads)]
+    judged = judge(trial(alarms=[alarm(0.4), alarm(1.0, unit, 5)], machine=samples))
+    assert (len(judged.beside), len(judged.false)) == ((1, 0) if confirmed else (0, 1))
+    late = judge(trial(alarms=[alarm(0.4), alarm(19.0, unit, 5)], machine=samples))
+    assert (late.beside, len(late.false)) == ([], 1), "the load was long over"
+
+
+def test_an_injected_host_load_keeps_its_alarms() -> None:
+    """Where the machine's load is the fault, its alarm is neither false nor confirmed."""
     hog = injection(unit="host/cpu", condition="cpu_busy", group="host")
     judged = judge(trial(injections=[hog], alarms=[alarm(1.0, "host/cpu", conditions=["cpu_busy"])]))
-    assert (judged.beside, judged.verdicts[0].right) == ([], True)
+    assert (judged.beside, judged.false, judged.verdicts[0].right) == ([], [], True)
 
 
 def test_a_chain_is_counted_and_wrong_if_it_began_elsewhere() -> None:
@@ -102,33 +124,33 @@ def test_a_fault_is_recovered_only_before_it_is_cleared() -> None:
     """A fault that the injector cleared was not recovered by PHM; closed as resolved counts if no verification was
     needed.
     """
-    assert only(trial(acts=[verified(25.0)], alarms=[alarm(0.4)])).healed_s is None
+    assert only(trial(acts=[verified(25.0)], alarms=[alarm(0.4)])).claimed_s is None
     itself = alarm(0.4, closed=T0 + 3, outcome="resolved", by="itself")
     verdict = only(trial(acts=[], alarms=[itself]))
-    assert (verdict.healed_s, verdict.by) == (pytest.approx(3.0), "itself")
-    assert only(trial(acts=[], alarms=[alarm(0.4, closed=T0 + 3, outcome="reattributed")])).healed_s is None
+    assert (verdict.claimed_s, verdict.by) == (pytest.approx(3.0), "itself")
+    assert only(trial(acts=[], alarms=[alarm(0.4, closed=T0 + 3, outcome="reattributed")])).claimed_s is None
 
 
 def test_a_running_trial_can_be_scored() -> None:
     """While nothing is cleared and the end is unknown, a recovered fault counts as recovered."""
-    assert only(trial(injections=[injection(cleared=None)], ended=0.0)).healed_s == pytest.approx(4.0)
+    assert only(trial(injections=[injection(cleared=None)], ended=0.0)).claimed_s == pytest.approx(4.0)
 
 
 def test_nothing_is_recovered_with_recovery_off() -> None:
     """In that run, only changes are scored."""
     made = trial()
     made.kind = OFF
-    assert only(made).healed_s is None
+    assert only(made).claimed_s is None
 
 
 def test_several_units_need_several_alarms() -> None:
     """A fault that breaks two independent units needs two alarms, and is recovered when both units are."""
     both = injection(also=["files/ros_app"])
     verdict = only(trial(injections=[both], alarms=[alarm(0.4), alarm(2.0, "files/ros_app")]))
-    assert (verdict.expected, verdict.count, verdict.healed_s) == (2, 2, None)
+    assert (verdict.expected, verdict.count, verdict.claimed_s) == (2, 2, None)
     acts = [verified(4.0), verified(5.0, "files/ros_app", action="restore_file")]
     verdict = only(trial(injections=[both], alarms=[alarm(0.4), alarm(2.0, "files/ros_app")], acts=acts))
-    assert (verdict.healed_s, verdict.by) == (pytest.approx(5.0), "restart, restore_file")
+    assert (verdict.claimed_s, verdict.by) == (pytest.approx(5.0), "restart, restore_file")
 
 
 def test_compound_faults_each_keep_their_own_alarms() -> None:
@@ -172,7 +194,7 @@ def test_phm_is_back_when_it_reports() -> None:
     gone = injection(unit="", condition="", layer="companion", group="phm", phm=True)
     back = {"starts": [Start(3, T0 + 1.5, T0 + 3.0)], "lines": [line(3.5, "A03 OK 11111111")], "alarms": [], "acts": []}
     verdict = only(trial(injections=[gone], **back))
-    assert (verdict.detected_s, verdict.response_s, verdict.healed_s) == (1.5, 3.5, 3.0)
+    assert (verdict.detected_s, verdict.response_s, verdict.claimed_s) == (1.5, 3.5, 3.0)
     assert (verdict.expected, verdict.count, verdict.missed, verdict.right) == (0, 0, False, True)
     assert only(trial(injections=[gone], alarms=[], acts=[], lines=[])).missed
 
@@ -185,9 +207,9 @@ def test_a_warning_counts_as_detection_of_a_warning_fault() -> None:
         trial(injections=[slow], alarms=[], acts=[], warned=warned, lines=[line(2.5, "A03 WARN 11 radio loss")])
     )
     assert (verdict.detected_s, verdict.response_s, verdict.right, verdict.missed) == (2.0, 2.5, True, False)
-    assert (verdict.expected, verdict.healed_s) == (0, None)
+    assert (verdict.expected, verdict.claimed_s) == (0, None)
     warned[0].ended = T0 + 5
-    assert only(trial(injections=[slow], alarms=[], acts=[], warned=warned)).healed_s == pytest.approx(5.0)
+    assert only(trial(injections=[slow], alarms=[], acts=[], warned=warned)).claimed_s == pytest.approx(5.0)
 
 
 def test_a_stopped_phm_is_recovered_when_it_reports_the_suspension() -> None:
@@ -197,7 +219,8 @@ def test_a_stopped_phm_is_recovered_when_it_reports_the_suspension() -> None:
     )
     warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_suspended"], "it was suspended for 3 s")]
     verdict = only(trial(injections=[stopped], warned=warned, alarms=[], acts=[]))
-    assert (verdict.healed_s, verdict.by) == (3.0, "its own guard")
+    assert (verdict.claimed_s, verdict.by) == (3.0, "its own guard")
+    assert verdict.ended_by == PHM
 
 
 def test_a_killed_phm_is_recovered_when_it_reports_again() -> None:
@@ -209,7 +232,7 @@ def test_a_killed_phm_is_recovered_when_it_reports_again() -> None:
     )
     warned = [Warned(3, "companion", 1, T0 + 2.0, ["phm_restarted"], "it had ended without a word")]
     verdict = only(trial(injections=[gone], warned=warned, starts=[Start(3, T0 + 1.5, T0 + 3.0)], alarms=[], acts=[]))
-    assert (verdict.detected_s, verdict.healed_s, verdict.by, verdict.right) == (2.0, 3.0, "its own restart", True)
+    assert (verdict.detected_s, verdict.claimed_s, verdict.by, verdict.right) == (2.0, 3.0, "its own restart", True)
 
 
 def test_a_failed_injection_is_not_scored() -> None:
@@ -239,3 +262,95 @@ def test_a_line_is_matched_to_its_fault(text: str, system: int, reported: bool) 
 def test_a_lost_radio_is_reported_by_other_agents() -> None:
     """Neighbours report a link fault, since the agent itself cannot."""
     assert reports(line(1.0, "A03 no GCS radio, heard by A01 A02: 2 ERROR", 1), injection(layer="link"), 1)
+
+
+@pytest.mark.parametrize(
+    ("fault", "by", "world", "ended_by"),
+    [
+        ({}, "restart", 3.5, ACTION),
+        ({}, "itself", 3.5, ITSELF),
+        ({"unit": "container/ros_app"}, "itself", 3.5, DOCKER),
+        ({"passes": True}, "restart", 3.5, INJECTOR),
+        ({}, "restart", 0.5, ITSELF),
+        ({"unit": "container/ros_app"}, "restart", 0.5, DOCKER),
+    ],
+)
+def test_what_ended_a_fault(fault: dict[str, Any], by: str, world: float, ended_by: str) -> None:
+    """Only an action counts as PHM's, and only if the world was not restored before any action began, and no timer of
+    the injector was running.
+    """
+    one = injection(world=T0 + world, **fault)
+    acts = [] if by == "itself" else [started(1.0, one.unit), verified(4.0, one.unit)]
+    closed = alarm(0.4, one.unit, closed=T0 + 4, outcome="resolved", by=by)
+    verdict = only(trial(injections=[one], alarms=[closed], acts=acts))
+    assert (verdict.ended_by, verdict.by_action) == (ended_by, ended_by == ACTION)
+
+
+def test_a_recovery_counts_when_the_world_confirms_it() -> None:
+    """From the later of claim and observation; not without an observation, and not after the fault was cleared."""
+    assert only(trial()).recovered_s == pytest.approx(4.0)
+    late = only(trial(injections=[injection(world=T0 + 6)]))
+    assert (late.recovered_s, late.difference_s, late.claimed_early) == (pytest.approx(6.0), pytest.approx(-2.0), True)
+    for unconfirmed in (injection(world_seen=False, world=None), injection(world=None), injection(world=T0 + 21)):
+        verdict = only(trial(injections=[unconfirmed]))
+        assert (verdict.claimed_s, verdict.recovered_s, verdict.by_action) == (pytest.approx(4.0), None, False)
+        assert verdict.ended_by == ACTION
+
+
+def test_disagreements_in_both_directions() -> None:
+    """PHM says that a fault is over and the world does not, or the other way round."""
+    assert only(trial(injections=[injection(world=None)])).claimed_wrongly
+    assert not only(trial(injections=[injection(world=None, world_seen=False)])).claimed_wrongly
+    silent = only(trial(alarms=[alarm(0.4)], acts=[]))
+    assert (silent.unnoticed, silent.claimed_wrongly) == (True, False)
+    agreed = only(trial())
+    assert (agreed.unnoticed, agreed.claimed_wrongly, agreed.claimed_early) == (False, False, False)
+
+
+def test_the_definitions_of_the_paper() -> None:
+    """Detection ends with the last step of the response in the log; response with a report that lists the fault."""
+    reports_made = [
+        Summary(3, T0 - 1, [NODE], T0 + 0.3),
+        Summary(4, T0 + 1, [NODE], T0 + 1.2),
+        Summary(3, T0 + 1, [], T0 + 1.5),
+        Summary(3, T0 + 2, [NODE], T0 + 2.5),
+    ]
+    verdict = only(trial(summaries=reports_made))
+    assert (verdict.detected_s, verdict.logged_s) == (pytest.approx(0.4), pytest.approx(4.0))
+    assert (verdict.response_s, verdict.published_s) == (pytest.approx(0.9), pytest.approx(2.5))
+    reported_only = only(trial(acts=[], alarms=[alarm(0.4)]))
+    assert (reported_only.logged_s, reported_only.published_s) == (pytest.approx(0.4), None)
+
+
+def test_a_fault_explained_by_another_counts_as_reported() -> None:
+    """One alarm at the cause reports both faults of an agent, and the explained one ends with it; its own alarm is one
+    too many.
+    """
+    killed = injection(fault="container_killed", unit="container/ros_app", condition="exited")
+    node = injection(explained_by="container_killed")
+    raised = alarm(0.2, killed.unit, conditions=["exited"], closed=T0 + 5, outcome="resolved", by="start")
+    made = trial(injections=[node, killed], alarms=[raised], acts=[verified(5.0, killed.unit, action="start")])
+    explained, cause = judge(made).verdicts
+    assert (explained.expected, explained.count, explained.missed, explained.right) == (0, 0, False, True)
+    assert (explained.detected_s, explained.through_cause) == (None, True)
+    assert (explained.claimed_s, explained.ended_by, explained.by_action) == (pytest.approx(5.0), ACTION, True)
+    assert (cause.expected, cause.count, cause.through_cause) == (1, 1, False)
+    made.alarms.append(alarm(0.4))
+    explained, _ = judge(made).verdicts
+    assert (explained.expected, explained.count) == (0, 1)
+    made.alarms.clear()
+    assert [each.missed for each in judge(made).verdicts] == [True, True]
+
+
+def test_an_action_that_did_not_help_is_counted() -> None:
+    """Verified: it helped. Followed by the next one, or failed: it did not. Ended by the campaign: neither."""
+
+    def outcomes(*acts: Act) -> list[bool | None]:
+        return [attempt.helped for attempt in attempts(trial(acts=list(acts)))]
+
+    assert outcomes(started(1.0), verified(4.0)) == [True]
+    assert outcomes(started(1.0), started(2.0), verified(4.0)) == [False, True]
+    assert outcomes(started(1.0), Act(3, NODE, "restart", "failed", T0 + 2, "")) == [False]
+    assert outcomes(started(1.0)) == [None]
+    assert outcomes(started(1.0), verified(21.0)) == [None], "the campaign has cleared the fault before"
+    assert outcomes(started(1.0), started(1.5, "network/ros_app"), verified(4.0)) == [True, None]

@@ -12,11 +12,16 @@ import pytest
 from hypothesis import given, strategies as st
 
 from sitl.campaign import plots
-from sitl.campaign.report import BEGIN, END, Setting, as_html, as_json, as_markdown, between_marks
+from sitl.campaign.report import BEGIN, END, as_html, as_json, as_markdown, between_marks
 from sitl.campaign.trial import Cost, Start, Trial, Warned, append, from_json, load, to_json
 from tests.fakes.campaign_trials import alarm, injection, trial
 
-SETTING = Setting(7, "x86_64, 2 cores", "2026-01-01", planned=20)
+SETTING = {"seed": 7, "commit": "0123abc", "planned": 20, "machine": "x86_64, 2 cores", "day": "2026-01-01"}
+
+
+def unwrapped(text: str) -> str:
+    """A document in one line."""
+    return " ".join(text.split())
 
 
 def full_trial() -> Trial:
@@ -28,7 +33,7 @@ def full_trial() -> Trial:
         received={1: 100},
         cost=[Cost(1, 2.0, 0.1, 70.0)],
         changed=["x"],
-        setting={"seed": 7},
+        setting=SETTING,
     )
 
 
@@ -97,7 +102,7 @@ class Page(HTMLParser):
 def test_the_page_is_self_contained() -> None:
     """No script, font or external resource; external text cannot become markup."""
     made = trial(injections=[injection(title="<script>alert(1)</script>")])
-    html = as_html([made], SETTING)
+    html = as_html([made])
     page = Page()
     page.feed(html)
     assert (page.foreign, "script" in page.tags, "svg" in page.tags) == ([], False, True)
@@ -108,28 +113,48 @@ def test_the_page_is_self_contained() -> None:
 
 def test_reports_can_be_made_of_empty_and_full_campaigns() -> None:
     """Each format can be made of an empty campaign, too, and states how many of the planned trials were made."""
-    for trials in ([], [full_trial()], [full_trial(), trial(number=2, alarms=[], acts=[], lines=[], well_after=None)]):
-        assert json.loads(as_json(trials, SETTING))["setting"]["seed"] == 7
-        assert "Table 2" in as_html(trials, SETTING)
-        text = as_markdown(trials, SETTING)
-        assert f"{len(trials)} of 20 planned trials" in text
-        assert "14.82 s" in text
+    full = full_trial()
+    for trials in ([full], [full, trial(number=2, alarms=[], acts=[], lines=[], well_after=None, setting=SETTING)]):
+        assert json.loads(as_json(trials))["groups"][0]["seeds"] == [7]
+        for text in (as_html(trials), unwrapped(as_markdown(trials))):
+            assert f"{len(trials)} of 20 planned trials" in text
+            assert "commit 0123abc" in text
+            assert "14.82 s" in text
+    assert json.loads(as_json([]))["groups"] == []
+    assert "No trial was run." in as_html([])
+    assert "No trial was run." in as_markdown([])
+
+
+def test_each_profile_and_load_has_a_column() -> None:
+    """One record may hold several campaigns; the differences of each from what is shipped are listed."""
+    differences = [{"of": "configuration", "key": "recovery.budget", "shipped": 5, "here": 100}]
+    trials = [
+        trial(setting={**SETTING, "profile": "tuned", "load": "quiet", "differences": differences}),
+        trial(setting={**SETTING, "profile": "shipped", "load": "busy"}),
+        trial(setting={**SETTING, "profile": "shipped", "load": "quiet"}),
+    ]
+    text = as_markdown(trials)
+    assert "| metric | paper, Table 2 | shipped, quiet | tuned, quiet | shipped, busy |" in text
+    assert "| tuned, quiet | configuration | recovery.budget | 5 | 100 |" in text
+    assert "- shipped, busy: node killed: 1" in text, "it was injected fewer than three times"
 
 
 def test_a_missed_fault_is_in_every_report() -> None:
     """It is named with its trial and agent, in JSON, HTML and Markdown."""
     bad = [trial(number=4, alarms=[alarm(0.4, "network/ros_app")], acts=[], lines=[])]
-    sentence = "trial 4, node_killed on A03: reported at network/ros_app, expected at nodes/agent_3/node_1"
-    assert sentence in json.loads(as_json(bad, SETTING))["short"]
-    assert sentence in as_html(bad, SETTING)
-    assert sentence in as_markdown(bad, SETTING)
+    sentence = (
+        "campaign: seed 1, trial 4, node_killed on A03: reported at network/ros_app, expected at nodes/agent_3/node_1"
+    )
+    assert sentence in json.loads(as_json(bad))["problems"]
+    assert sentence in as_html(bad)
+    assert sentence in unwrapped(as_markdown(bad))
 
 
 def test_markdown_tables_are_well_formed() -> None:
     """A bar or a line break in a summary does not break a table; every row has as many cells as its header."""
     bad = trial(injections=[injection(title="a|b\nc")])
     columns: int | None = None
-    for line in as_markdown([bad], SETTING).splitlines():
+    for line in as_markdown([bad]).splitlines():
         if not line.startswith("|"):
             columns = None
             continue

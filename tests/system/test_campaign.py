@@ -48,7 +48,7 @@ def test_a_campaign_detects_and_recovers_one_fault_of_each_layer(name: str, tmp_
     ]
     assert len(record.read_bytes().splitlines()) == len(trials), "a trial was made twice"
     assert sorted(fault.fault for trial in trials[2:] for fault in trial.injections) == sorted(FAULTS)
-    short = json.loads(data.read_text("utf-8"))["short"]
+    short = json.loads(data.read_text("utf-8"))["problems"]
     assert judge(trials[0]).false == [], short
     assert trials[1].changed == [], short
     for trial in trials[2:]:
@@ -59,5 +59,5 @@ def test_a_campaign_detects_and_recovers_one_fault_of_each_layer(name: str, tmp_
             assert (verdict.missed, verdict.wrong) == (False, ""), short
             assert verdict.response_s is not None, short
             if fault.healable or fault.passes:
-                assert verdict.healed_s is not None, short
+                assert verdict.claimed_s is not None, short
     assert "Table 2" in page.read_text("utf-8")

@@ -1,0 +1,83 @@
+"""Writes the result of a campaign into the project: the record, the page of results, and the figures of the README."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from sitl.campaign.groups import Group, groups
+from sitl.campaign.report import as_markdown, between_marks, wrapped
+from sitl.campaign.targets import percent
+from sitl.campaign.trial import Trial, load
+from sitl.harness.compose_stack import ROOT
+
+PAGE = Path("docs/development/results.md")
+RECORD = Path("docs/development/results/campaign.jsonl.gz")
+README = Path("README.md")
+BEGIN, END = (
+    "<!-- campaign figures: begin, written by scripts/campaign --markdown -->",
+    "<!-- campaign figures: end -->",
+)
+DIGITS = 3
+"""Milliseconds are enough."""
+
+
+def publish(trials: Sequence[Trial], root: Path = ROOT) -> None:
+    """Write the compressed record, then page and README from what was written, so that they can be reproduced."""
+    record = root / RECORD
+    record.parent.mkdir(exist_ok=True)
+    record.write_bytes(compressed(trials))
+    written = load(record)
+    page, readme = root / PAGE, root / README
+    page.write_text(between_marks(page.read_text("utf-8"), as_markdown(written)), "utf-8")
+    readme.write_text(between_marks(readme.read_text("utf-8"), for_readme(written), BEGIN, END), "utf-8")
+
+
+def compressed(trials: Sequence[Trial]) -> bytes:
+    """The record with times in milliseconds; the same trials give the same bytes."""
+    lines = [json.dumps(_rounded(asdict(trial)), allow_nan=False, separators=(",", ":")) for trial in trials]
+    return gzip.compress("".join(f"{line}\n" for line in lines).encode("ascii"), mtime=0)
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, DIGITS)
+    if isinstance(value, dict):
+        return {key: _rounded(each) for key, each in value.items()}
+    return [_rounded(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def for_readme(trials: Sequence[Trial]) -> str:
+    """The paragraph of the README about the first profile and load."""
+    found = groups(trials)
+    return wrapped(_paragraph(found[0]) if found else "No campaign was run.")
+
+
+def _paragraph(group: Group) -> str:
+    detection, response = group.mean(lambda f: f.detection.mean), group.mean(lambda f: f.response.mean)
+    logged, published = group.mean(lambda f: f.logged.mean), group.mean(lambda f: f.published.mean)
+    by_action, alarms = group.mean(lambda f: f.by_action), group.mean(lambda f: f.alarms_per_fault)
+    sentences = [
+        f"In a campaign of {group.all.injected} faults of every layer in a simulated swarm of {group.all.agents} agents "
+        f"({_named(group)}; {len(group.seeds)} seeds), PHM detected a fault after "
+        f"{_seconds(detection)} on average and reported it on the ground after {_seconds(response)}.",
+        f"By the definitions of a published prototype, detection took {_seconds(logged)} (prototype: 5.2 s) and response "
+        f"{_seconds(published)} (14.82 s).",
+        f"An action of PHM ended {'-' if by_action is None else percent(by_action.mean)} of the faults, confirmed from "
+        "outside (16.6 %).",
+        f"There were {'-' if alarms is None else f'{alarms.mean:.2f}'} alarms per fault and {group.all.false} false alarms.",
+    ]
+    return " ".join(sentences)
+
+
+def _named(group: Group) -> str:
+    words = [f"{group.profile} configuration" if group.profile else "", f"{group.load} machine" if group.load else ""]
+    return ", ".join(word for word in words if word) or "one configuration"
+
+
+def _seconds(found: Any) -> str:
+    return "-" if found is None else f"{found.mean:.2f} s"

@@ -1,0 +1,182 @@
+"""The times of one fault, by the definitions of docs/development/campaign.md, and what has ended it. Pure."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from sitl.campaign.trial import OFF, Alarm, Injection, Line, Start, Summary, Trial, Warned
+from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PEERS, PHM, Verdict, places
+
+OWN_RESTART, OWN_GUARD, NOTHING = "its own restart", "its own guard", "itself"
+STEPS = ("advised", "refused", "done", "failed", "verified", "escalated")
+"""Phases with which a step of PHM's response to a fault is complete."""
+
+
+def measure(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned]) -> None:
+    """Set all times of the verdict. `first`: alarms or warnings at the fault's own unit. A fault that explains others
+    must be measured before them.
+    """
+    fault = verdict.injection
+    begun = fault.moment or 0.0
+    until = fault.cleared if fault.cleared is not None else math.inf
+    if fault.unit:
+        _reported(verdict, trial, first, begun)
+        if trial.kind != OFF:
+            _claim(verdict, trial, begun, until)
+    else:
+        _restarted(verdict, trial, begun, until)
+    _logged(verdict, trial, begun, until)
+    _published(verdict, trial, begun)
+    if fault.world is not None and fault.world <= until:
+        verdict.world_s = max(0.0, fault.world - begun)
+    if verdict.claimed_s is not None:
+        verdict.ended_by = _ended_by(verdict, trial, begun)
+
+
+def _reported(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned], begun: float) -> None:
+    if not first:
+        return
+    verdict.detected_s = max(0.0, first[0].mono - begun)
+    lines = [
+        line.mono for line in trial.lines if line.mono >= begun and reports(line, verdict.injection, first[0].slot)
+    ]
+    verdict.response_s = min(lines) - begun if lines else None
+
+
+def _restarted(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
+    """PHM itself was down: its next run reports by its first line, and is complete with its first complete report."""
+    agent = verdict.injection.agent
+    start = next((each for each in trial.starts if each.agent == agent and each.mono >= begun), None)
+    if start is None:
+        return
+    verdict.detected_s = start.mono - begun
+    lines = [line.mono for line in trial.lines if line.system == agent and line.mono >= start.mono]
+    verdict.response_s = min(lines) - begun if lines else None
+    _complete_again(verdict, start, begun, until)
+
+
+def _complete_again(verdict: Verdict, start: Start, begun: float, until: float) -> None:
+    if start.report is not None and start.report <= until:
+        verdict.claimed_s, verdict.by = start.report - begun, OWN_RESTART
+
+
+def _claim(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
+    """By PHM's record it was over before it was cleared: verified by an action, or closed as resolved, at all its
+    units. A fault that another one explains is over with that one.
+    """
+    fault, ends, by = verdict.injection, [], []
+    back = [each for each in trial.starts if each.agent == fault.agent and each.mono >= begun and each.report]
+    if fault.phm and back:
+        _complete_again(verdict, back[0], begun, until)
+        return
+    if fault.phm and verdict.detected_s is not None:
+        verdict.claimed_s, verdict.by = verdict.detected_s, OWN_GUARD
+        return
+    if verdict.through_cause and verdict.cause is not None:
+        cause = verdict.cause
+        if cause.claimed_s is not None:
+            verdict.claimed_s = max(0.0, (cause.injection.moment or begun) + cause.claimed_s - begun)
+            verdict.by = cause.by
+        return
+    for unit in places(fault):
+        found = _end(verdict, trial, unit, begun, until)
+        if found is None:
+            return
+        ends.append(found[0])
+        by.append(found[1])
+    verdict.claimed_s, verdict.by = max(ends) - begun, ", ".join(dict.fromkeys(by))
+
+
+def _end(verdict: Verdict, trial: Trial, unit: str, begun: float, until: float) -> tuple[float, str] | None:
+    """When the unit was OK again by PHM's record, and by what."""
+    agent = verdict.injection.agent
+    proofs = [
+        (act.mono, act.action)
+        for act in trial.acts
+        if act.phase == "verified" and (act.agent, act.unit) == (agent, unit) and begun <= act.mono <= until
+    ]
+    closes = [
+        (alarm.closed, alarm.by)
+        for alarm in verdict.alarms
+        if (alarm.agent, alarm.unit, alarm.outcome) == (agent, unit, "resolved")
+        and alarm.closed is not None
+        and alarm.closed <= until
+    ]
+    warns = [
+        (each.ended, NOTHING)
+        for each in trial.warned
+        if (each.agent, each.unit) == (agent, unit) and each.mono >= begun
+        if each.ended is not None and each.ended <= until
+    ]
+    return min(proofs or closes or warns, default=None)
+
+
+def _ended_by(verdict: Verdict, trial: Trial, begun: float) -> str:
+    """Which of ENDINGS. An action counts only where nothing else can have ended the fault."""
+    fault, by = verdict.injection, verdict.by
+    if fault.phm or not fault.unit or by in (OWN_RESTART, OWN_GUARD):
+        return PHM
+    if fault.passes:
+        return INJECTOR
+    if NOTHING not in by.split(", ") and not _restored_before(verdict, trial, begun):
+        return ACTION
+    return DOCKER if fault.unit.startswith("container/") else ITSELF
+
+
+def _restored_before(verdict: Verdict, trial: Trial, begun: float) -> bool:
+    """Whether the world was observed to be restored before PHM's first action on the agent began."""
+    fault = verdict.injection
+    started = [
+        act.mono for act in trial.acts if act.phase == "started" and act.agent == fault.agent and act.mono >= begun
+    ]
+    return fault.world is not None and bool(started) and fault.world < min(started)
+
+
+def _logged(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
+    """The last step of PHM's response was in its log; the alarm alone where PHM took no step."""
+    fault = verdict.injection
+    if verdict.detected_s is None:
+        return
+    steps = [
+        act.mono - begun
+        for act in trial.acts
+        if act.phase in STEPS and act.agent == fault.agent and act.unit in places(fault) and begun <= act.mono <= until
+    ]
+    own = [verdict.claimed_s] if fault.phm and verdict.claimed_s is not None else []
+    verdict.logged_s = max([verdict.detected_s, *steps, *own])
+
+
+def _published(verdict: Verdict, trial: Trial, begun: float) -> None:
+    """The first periodic report that lists the fault was complete; of a PHM that was down, its first report."""
+    fault = verdict.injection
+    if verdict.detected_s is None:
+        return
+    known = begun + verdict.detected_s
+    if not fault.unit:
+        done = [
+            each.report for each in trial.starts if each.agent == fault.agent and each.report and each.mono >= known
+        ]
+    else:
+        done = [each.mono for each in trial.summaries if _lists(each, fault) and each.mono and each.mono >= known]
+    verdict.published_s = min(done) - begun if done else None
+
+
+def _lists(summary: Summary, fault: Injection) -> bool:
+    return summary.agent == fault.agent and any(unit in summary.bad for unit in places(fault))
+
+
+def reports(line: Line, fault: Injection, slot: int) -> bool:
+    """Whether a line reports a bad state of this agent in that slot: a change, or the refresh; from itself or another
+    agent.
+    """
+    who = f"A{fault.agent:02d}"
+    words = "FAIL|GAVE UP|WARN" if fault.level == "WARN" else "FAIL|GAVE UP"
+    if re.match(rf"{who} ({words}) (?:[01-]{{8}} )?{slot}\b", line.text):
+        return True
+    if re.match(rf"{who} no GCS radio", line.text):
+        return fault.layer == "link"
+    return (
+        fault.unit.startswith(PEERS) and re.search(rf" (FAIL|WARN) 12 .*\b({who}|split|alone)\b", line.text) is not None
+    )

@@ -1,0 +1,159 @@
+"""What is known about one injected fault after scoring. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from sitl.campaign.trial import Alarm, Injection, Trial
+
+BESIDE = "host/"
+"""All agents share one machine: any of them may report its load."""
+PEERS = "peers/"
+"""Every other agent keeps the same unit about an agent that it misses; together they are one alarm."""
+
+ACTION, PHM, DOCKER, INJECTOR, ITSELF = (
+    "action of PHM",
+    "restart or watchdog of PHM",
+    "restart policy of Docker",
+    "timer of the injector",
+    "itself",
+)
+ENDINGS = (ACTION, PHM, DOCKER, INJECTOR, ITSELF)
+"""What can end a fault before the campaign clears it."""
+EARLY_S = 1.0
+"""PHM's claim may be this much earlier than the observation from outside, which looks about once a second."""
+
+
+@dataclass
+class Verdict:
+    """One injected fault. Seconds since its injection was complete; None: it did not happen."""
+
+    trial: int
+    kind: str
+    injection: Injection
+    expected: int
+    alarms: list[Alarm] = field(default_factory=list)
+    detected_s: float | None = None
+    response_s: float | None = None
+    logged_s: float | None = None
+    """Detection as the paper defines it: PHM's response was complete and in its log."""
+    published_s: float | None = None
+    """Response as the paper defines it: a periodic report that lists the fault was published."""
+    claimed_s: float | None = None
+    """PHM's record says that the fault is over."""
+    world_s: float | None = None
+    """The injector observed that the world is restored."""
+    by: str = ""
+    """What PHM's record says has ended it: an action, or words."""
+    ended_by: str = ""
+    """One of ENDINGS; empty: PHM's record does not say that it is over."""
+    wrong: str = ""
+    """Why the reported cause is wrong, in words; empty: it is right, or nothing was reported."""
+    cause: Verdict | None = None
+    """The fault on the same agent that explains this one: one alarm, at the cause, reports both."""
+
+    @property
+    def missed(self) -> bool:
+        if self.cause is not None and not self.alarms:
+            return self.cause.missed
+        return self.detected_s is None and not self.alarms
+
+    @property
+    def right(self) -> bool:
+        if self.cause is not None and not self.alarms:
+            return self.cause.right
+        return not self.missed and not self.wrong
+
+    @property
+    def through_cause(self) -> bool:
+        """It was reported by the alarm of the fault that explains it alone, so it has no times of detection."""
+        return self.cause is not None and self.detected_s is None and not self.cause.missed
+
+    @property
+    def count(self) -> int:
+        """The number of alarms; reports of several agents about the same peer count once."""
+        return counted(self.alarms)
+
+    @property
+    def observed(self) -> bool:
+        """The injector could observe the world."""
+        return self.injection.world_seen
+
+    @property
+    def recovered_s(self) -> float | None:
+        """PHM's claim, confirmed from outside: the later of the two."""
+        if self.claimed_s is None or self.world_s is None:
+            return None
+        return max(self.claimed_s, self.world_s)
+
+    @property
+    def by_action(self) -> bool:
+        """Self-resolved as the paper counts it: an action of PHM ended the fault, confirmed from outside."""
+        return self.ended_by == ACTION and self.recovered_s is not None
+
+    @property
+    def difference_s(self) -> float | None:
+        """Seconds from the observation to PHM's claim; negative: PHM said so first."""
+        if self.claimed_s is None or self.world_s is None:
+            return None
+        return self.claimed_s - self.world_s
+
+    @property
+    def claimed_wrongly(self) -> bool:
+        """PHM says that the fault is over; the world says that it is not."""
+        return self.observed and self.claimed_s is not None and self.world_s is None
+
+    @property
+    def claimed_early(self) -> bool:
+        difference_s = self.difference_s
+        return difference_s is not None and difference_s < -EARLY_S
+
+    @property
+    def unnoticed(self) -> bool:
+        """The world is restored before the fault was cleared; PHM does not say so."""
+        return self.world_s is not None and self.claimed_s is None
+
+
+@dataclass
+class Judged:
+    """A trial: its faults, the alarms that belong to none of them, those about the shared machine that its measured
+    load confirms, and those that clearing has caused: a fault that was not recovered is mostly cleared by a restart.
+    """
+
+    trial: Trial
+    verdicts: list[Verdict]
+    false: list[Alarm]
+    beside: list[Alarm]
+    clearing: list[Alarm]
+
+
+def counted(alarms: Sequence[Alarm]) -> int:
+    """The number of alarms that an operator sees."""
+    own = sum(not alarm.unit.startswith(PEERS) for alarm in alarms)
+    reported = Counter((alarm.unit, alarm.agent) for alarm in alarms if alarm.unit.startswith(PEERS))
+    most: dict[str, int] = {}
+    for (unit, _), number in reported.items():
+        most[unit] = max(most.get(unit, 0), number)
+    return own + sum(most.values())
+
+
+def places(injection: Injection) -> list[str]:
+    """Units at which an alarm is expected."""
+    return [unit for unit in (injection.unit, *injection.also) if unit]
+
+
+def due(injection: Injection) -> int:
+    """The number of alarms that a fault is expected to raise: none for a warning, and none where another explains it."""
+    if injection.explained_by:
+        return 0
+    units = set(places(injection) if injection.level == "ERROR" else ()) | {injection.others}
+    return len(units - {""})
+
+
+def expects(injection: Injection, alarm: Alarm) -> bool:
+    """Whether the fault is expected to raise this alarm: on its agent, or on the others."""
+    if alarm.agent == injection.agent:
+        return alarm.unit in places(injection)
+    return bool(injection.others) and alarm.unit == injection.others
