@@ -110,7 +110,7 @@ def _with_beacon(agent: str, plan: NodePlan) -> tuple[list[str], dict[str, str]]
 
 def _as_found(agent: str, plan: NodePlan) -> tuple[list[str], dict[str, str]]:
     """Command and environment of a node that was made without PHM in mind: it has no beacon, and as with a node whose
-    name is in its program, the command line does not tell which one it is.
+    name is in its program, the command line does not show which one it is.
     """
     return [*NODE], {OPTIONS_VARIABLE: json.dumps([*_node_options(agent, plan), "--no-beacon"])}
 

@@ -33,9 +33,8 @@ def text(options: Options, number: int, changes: Mapping[str, str] | None = None
     plans = graph(options)
     tree["ros"]["nodes"] = [*(_node(agent, plan) for plan in plans), *_beyond(tree["ros"]["nodes"])]
     tree["ros"]["topics"] = _topics(agent, plans)
-    tree["containers"].append(
-        {"name": f"{options.name}-{number}-{ROUTER}-1", "alias": ROUTER, "recover": True, "healthcheck": "ignore"}
-    )
+    router: dict[str, Any] = {"name": f"{options.name}-{number}-{ROUTER}-1", "alias": ROUTER, "recover": True}
+    tree["containers"].append({**router, "healthcheck": "ignore"} if options.profile == "tuned" else router)
     tree["mavlink"]["endpoints"] = endpoints(options, number)
     tree["mavlink"]["autopilot"] = True
     tree["swarm"]["agents"] = list(range(1, options.agents + 1))

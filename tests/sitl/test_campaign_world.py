@@ -1,0 +1,165 @@
+"""What a campaign observes from outside during a trial: the world, and the cost of the sidecars; and how it waits between."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+from unittest.mock import Mock
+
+import pytest
+from docker.errors import APIError
+
+from sitl.campaign.cost_meter import CostMeter, cpu_of
+from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
+from sitl.campaign.world import WorldObserver, observe
+from sitl.faults.base import Agent, Fault
+from tests.fakes.campaign_trials import injection, trial, verified
+
+LIMIT_S = 20.0
+
+
+class Observed(Fault):
+    """A fault whose observations are given."""
+
+    name, title, unit, condition, layer, cause = "observed", "observed", "nodes/a", "node_missing", "ros", "a test"
+    answers: ClassVar[list[bool | Exception | None]] = []
+
+    def __init__(self, *answers: bool | Exception | None) -> None:
+        self.given, self.asked = list(answers), 0
+        self.agents: list[Agent] = []
+
+    def inject(self, agent: Agent) -> float:
+        return time.monotonic()
+
+    def restored(self, agent: Agent) -> bool | None:
+        self.agents.append(agent)
+        answer = self.given[min(self.asked, len(self.given) - 1)]
+        self.asked += 1
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+def until(wanted: Callable[[], bool]) -> None:
+    end = time.monotonic() + LIMIT_S
+    while not wanted():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_restored_counts_from_the_last_unbroken_series() -> None:
+    """A world that breaks again was not restored; one that cannot be observed says nothing."""
+    made = injection()
+    observe(made, None, 1.0)
+    assert (made.world_seen, made.world_broken, made.world) == (False, None, None)
+    for mono, restored in enumerate((True, False, True, True, False, True, True), 2):
+        observe(made, restored, float(mono))
+    assert (made.world_seen, made.world_broken, made.world) == (True, 3.0, 7.0)
+
+
+def test_the_world_is_observed_from_the_injection_on() -> None:
+    """Not before it; with a Docker client of its own; until the observer is stopped. An error of Docker is not an answer."""
+    fault, clients = Observed(False, APIError("busy"), True), [Mock(), Mock()]
+    agent = Agent("p", "agent_3", docker=Mock(), number=3)
+    observer = WorldObserver({"observed": fault}, {3: agent}, iter(clients).__next__)
+    made = injection(fault="observed", moment=None)
+    observer.start([made])
+    assert fault.asked == 0
+    made.moment = time.monotonic()
+    until(lambda: made.world is not None)
+    observer.stop()
+    asked = fault.asked
+    assert made.world_broken is not None
+    assert made.world is not None
+    assert made.moment <= made.world_broken < made.world
+    assert {each.docker for each in fault.agents} == {clients[0]}
+    clients[0].close.assert_called_once_with()
+    assert fault.asked == asked
+
+
+def test_a_fault_that_was_not_injected_is_not_observed() -> None:
+    """Its observer ends by itself."""
+    fault = Observed(True)
+    made = injection(fault="observed", moment=None, error="RuntimeError: refused")
+    observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
+    observer.start([made])
+    until(lambda: not any(thread.name == "world observed" for thread in threading.enumerate()))
+    assert (fault.asked, made.world_seen) == (0, False)
+
+
+def cgroup(folder: Path, cpu_s: float) -> None:
+    folder.mkdir(exist_ok=True)
+    (folder / "cpuacct.usage").write_text(f"{cpu_s * 1e9:.0f}\n", "ascii")
+    (folder / "cgroup.procs").write_text(f"{threading.get_native_id()}\n", "ascii")
+
+
+def test_the_cost_of_a_restarted_sidecar_is_complete(tmp_path: Path) -> None:
+    """CPU time from before the trial does not count; after a restart the counter begins at 0 again."""
+    asked = threading.Semaphore(0)
+
+    def find(number: int) -> Path:
+        asked.release()
+        return tmp_path / str(number)
+
+    cgroup(tmp_path / "1", 100.0)
+    meter = CostMeter({1: Mock()}, find)
+    meter.begin()
+    assert asked.acquire(timeout=LIMIT_S)
+    until(lambda: bool(meter._meters[1].rss))
+    cgroup(tmp_path / "1", 102.0)
+    until(lambda: meter._meters[1].used_s == 2.0)
+    cgroup(tmp_path / "1", 0.5)
+    until(lambda: meter._meters[1].used_s == 2.5)
+    cgroup(tmp_path / "1", 0.75)
+    (cost,) = meter.costs()
+    assert cost.cpu_s == 2.75
+    assert cost.pss_mb is not None
+    assert 0 < cost.rss_mb <= (cost.peak_mb or 0)
+
+
+def test_a_sidecar_that_never_ran_has_no_cost() -> None:
+    """It is left out, instead of counted as free."""
+
+    def find(_: int) -> Path:
+        raise LookupError("it does not run")
+
+    meter = CostMeter({1: Mock()}, find)
+    meter.begin()
+    assert meter.costs() == []
+
+
+def test_cpu_time_of_both_versions_of_cgroups(tmp_path: Path) -> None:
+    """Version 1 counts nanoseconds, version 2 microseconds."""
+    (tmp_path / "cpu.stat").write_text("usage_usec 1500000\nuser_usec 7\n", "ascii")
+    assert cpu_of(tmp_path) == 1.5
+    cgroup(tmp_path, 2.5)
+    assert cpu_of(tmp_path) == 2.5
+    with pytest.raises(OSError, match="No such file"):
+        cpu_of(tmp_path / "gone")
+
+
+def test_a_unit_rests_after_its_fault() -> None:
+    """Other units do not wait for it."""
+    pacing = Pacing(None)
+    pacing.ended(3, "nodes/a", 100.0)
+    assert pacing.ready_at([(3, "nodes/a")], 110.0) == 100.0 + LASTING_S
+    assert pacing.ready_at([(3, "nodes/b"), (4, "nodes/a")], 110.0) == 110.0
+    assert pacing.ready_at([], 110.0) == 110.0
+
+
+def test_an_agent_waits_for_its_budget() -> None:
+    """With at most two actions in the window, a third one makes it wait until the first has left the window."""
+    acts = [verified(after) for after in (0.0, 50.0, 80.0)]
+    for act in acts:
+        act.phase = "started"
+    pacing, free = Pacing(2), Pacing(None)
+    for each in (pacing, free):
+        each.note(trial(acts=acts))
+    first = acts[0].mono
+    assert pacing.ready_at([(3, "files/a")], first + 100) == first + WINDOW_S
+    assert pacing.ready_at([(4, "files/a")], first + 100) == first + 100
+    assert pacing.ready_at([(3, "files/a")], first + WINDOW_S) == first + WINDOW_S
+    assert free.ready_at([(3, "files/a")], first + 100) == first + 100
