@@ -44,7 +44,7 @@ FAULTS = (
     "alarms",
     "remarks",
 )
-EVIDENCE = ("fault", "earliest evidence", "after", "detected", "ratio", "explanation")
+EVIDENCE = ("fault", "earliest evidence", "at the latest after", "detected", "ratio", "explanation")
 DIFFERENCES = ("profile and load", "of", "key", "shipped", "here")
 LEAST = 3
 """Injections of each class."""
@@ -193,7 +193,7 @@ def remarks(each: Judged, verdict: Verdict) -> list[str]:
         found.append(verdict.wrong)
     if verdict.count > verdict.expected:
         extra = [alarm.unit for alarm in verdict.alarms if alarm.unit not in (fault.unit, *fault.also)]
-        found.append(f"{verdict.count} alarms for {verdict.expected}: {', '.join(extra) or 'reported again'}")
+        found.append(f"alarms: {verdict.count}, expected {verdict.expected}: {', '.join(extra) or 'reported again'}")
     if each.trial.kind == "trial":
         found += _recovery_remarks(verdict)
     if each.trial.well_after is None:

@@ -54,6 +54,10 @@ class Figures:
     """Detection as the paper defines it."""
     published: Stats
     """Response as the paper defines it."""
+    published_due: int
+    """Of these, reports that were due after the end of the trial."""
+    listed: Stats
+    """Until a periodic report listed the fault as bad."""
     recovery: Stats
     """By an action of PHM, confirmed from outside."""
     recovery_other: Stats
@@ -132,6 +136,8 @@ def figures(trials: Sequence[Trial]) -> Figures:
         response=stats(verdict.response_s for verdict in verdicts),
         logged=stats(verdict.logged_s for verdict in verdicts),
         published=stats(verdict.published_s for verdict in verdicts),
+        published_due=sum(verdict.published_due for verdict in verdicts),
+        listed=stats(verdict.listed_s for verdict in verdicts),
         recovery=stats(verdict.recovered_s for verdict in verdicts if verdict.by_action),
         recovery_other=stats(verdict.claimed_s for verdict in verdicts if not verdict.by_action),
         by_action=_part(verdicts, lambda each: each.by_action),

@@ -109,7 +109,7 @@ def _group(group: Group, others: Sequence[Group]) -> dict[str, Any]:
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
-    names = ("detected_s", "logged_s", "response_s", "published_s", "claimed_s", "world_s", "recovered_s")
+    names = ("detected_s", "logged_s", "response_s", "published_s", "listed_s", "claimed_s", "world_s", "recovered_s")
     return {
         "fault": verdict.injection.fault,
         "agent": verdict.injection.agent,

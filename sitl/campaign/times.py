@@ -6,10 +6,12 @@ import math
 import re
 from collections.abc import Sequence
 
-from sitl.campaign.trial import OFF, Alarm, Injection, Line, Start, Summary, Trial, Warned
+from sitl.campaign.trial import OFF, Alarm, Injection, Line, Start, Trial, Warned
 from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PEERS, PHM, Verdict, places
 
 OWN_RESTART, OWN_GUARD, NOTHING = "its own restart", "its own guard", "itself"
+INTERVAL_S = 20.0
+"""Between two periodic reports, where the trial does not say it."""
 STEPS = ("advised", "refused", "done", "failed", "verified", "escalated")
 """Phases with which a step of PHM's response to a fault is complete."""
 
@@ -149,22 +151,21 @@ def _logged(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
 
 
 def _published(verdict: Verdict, trial: Trial, begun: float) -> None:
-    """The first periodic report that lists the fault was complete; of a PHM that was down, its first report."""
+    """The next periodic report after the detection, and the first one that lists the fault."""
     fault = verdict.injection
     if verdict.detected_s is None:
         return
     known = begun + verdict.detected_s
-    if not fault.unit:
-        done = [
-            each.report for each in trial.starts if each.agent == fault.agent and each.report and each.mono >= known
-        ]
-    else:
-        done = [each.mono for each in trial.summaries if _lists(each, fault) and each.mono and each.mono >= known]
-    verdict.published_s = min(done) - begun if done else None
-
-
-def _lists(summary: Summary, fault: Injection) -> bool:
-    return summary.agent == fault.agent and any(unit in summary.bad for unit in places(fault))
+    complete = [each for each in trial.summaries if each.agent == fault.agent and each.mono is not None]
+    later = [(each.mono or 0.0, each) for each in complete if each.mono is not None and each.mono >= known]
+    listed = [mono for mono, each in later if any(unit in each.bad for unit in places(fault))]
+    verdict.listed_s = min(listed) - begun if listed else None
+    if later:
+        verdict.published_s = min(mono for mono, _ in later) - begun
+    elif complete:
+        period_s = float(trial.setting.get("interval_s", INTERVAL_S))
+        verdict.published_s = max(verdict.detected_s, max(each.mono or 0.0 for each in complete) + period_s - begun)
+        verdict.published_due = True
 
 
 def reports(line: Line, fault: Injection, slot: int) -> bool:

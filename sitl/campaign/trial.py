@@ -222,6 +222,8 @@ _PARTS = {
     "starts": Start,
     "lines": Line,
     "cost": Cost,
+    "summaries": Summary,
+    "machine": Load,
 }
 
 

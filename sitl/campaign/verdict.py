@@ -23,7 +23,7 @@ ACTION, PHM, DOCKER, INJECTOR, ITSELF = (
 ENDINGS = (ACTION, PHM, DOCKER, INJECTOR, ITSELF)
 """What can end a fault before the campaign clears it."""
 EARLY_S = 1.0
-"""PHM's claim may be this much earlier than the observation from outside, which looks about once a second."""
+"""PHM's claim may be this much earlier than the observation from outside, which takes time, too."""
 
 
 @dataclass
@@ -40,7 +40,11 @@ class Verdict:
     logged_s: float | None = None
     """Detection as the paper defines it: PHM's response was complete and in its log."""
     published_s: float | None = None
-    """Response as the paper defines it: a periodic report that lists the fault was published."""
+    """Response as the paper defines it: the next periodic report after the detection was published."""
+    published_due: bool = False
+    """That report came after the end of the trial, and `published_s` is when it was due."""
+    listed_s: float | None = None
+    """A periodic report that lists the fault as bad was published."""
     claimed_s: float | None = None
     """PHM's record says that the fault is over."""
     world_s: float | None = None

@@ -308,7 +308,7 @@ def test_disagreements_in_both_directions() -> None:
 
 
 def test_the_definitions_of_the_paper() -> None:
-    """Detection ends with the last step of the response in the log; response with a report that lists the fault."""
+    """Detection ends with the last step of the response in the log; response with the next periodic report."""
     reports_made = [
         Summary(3, T0 - 1, [NODE], T0 + 0.3),
         Summary(4, T0 + 1, [NODE], T0 + 1.2),
@@ -317,9 +317,19 @@ def test_the_definitions_of_the_paper() -> None:
     ]
     verdict = only(trial(summaries=reports_made))
     assert (verdict.detected_s, verdict.logged_s) == (pytest.approx(0.4), pytest.approx(4.0))
-    assert (verdict.response_s, verdict.published_s) == (pytest.approx(0.9), pytest.approx(2.5))
+    assert (verdict.response_s, verdict.published_s) == (pytest.approx(0.9), pytest.approx(1.5))
+    assert (verdict.published_due, verdict.listed_s) == (False, pytest.approx(2.5))
     reported_only = only(trial(acts=[], alarms=[alarm(0.4)]))
     assert (reported_only.logged_s, reported_only.published_s) == (pytest.approx(0.4), None)
+
+
+def test_a_report_after_the_trial_counts_when_it_was_due() -> None:
+    """Leaving it out would make the mean too small: only early reports would be in it."""
+    before = [Summary(3, T0 - 6, [], T0 - 5)]
+    verdict = only(trial(summaries=before, setting={"interval_s": 20.0}))
+    assert (verdict.published_s, verdict.published_due, verdict.listed_s) == (pytest.approx(15.0), True, None)
+    overdue = only(trial(summaries=[Summary(3, T0 - 31, [], T0 - 30)], setting={"interval_s": 20.0}))
+    assert overdue.published_s == overdue.detected_s
 
 
 def test_a_fault_explained_by_another_counts_as_reported() -> None:

@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 
 from sitl.campaign import plots
 from sitl.campaign.report import BEGIN, END, as_html, as_json, as_markdown, between_marks
-from sitl.campaign.trial import Cost, Start, Trial, Warned, append, from_json, load, to_json
+from sitl.campaign.trial import Cost, Load, Start, Summary, Trial, Warned, append, from_json, load, to_json
 from tests.fakes.campaign_trials import alarm, injection, trial
 
 SETTING = {"seed": 7, "commit": "0123abc", "planned": 20, "machine": "x86_64, 2 cores", "day": "2026-01-01"}
@@ -32,6 +32,8 @@ def full_trial() -> Trial:
         blind=[(3, 1.0, 2.0)],
         received={1: 100},
         cost=[Cost(1, 2.0, 0.1, 70.0)],
+        summaries=[Summary(3, 3.0, ["nodes/a"], 3.5)],
+        machine=[Load(4.0, 99.0, 40.0, 30.0, 0.0)],
         changed=["x"],
         setting=SETTING,
     )
