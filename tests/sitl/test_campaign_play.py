@@ -1,0 +1,102 @@
+"""The sequence of a campaign's runs, with a runner that injects nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sitl.campaign import play
+from sitl.campaign.arguments import parser
+from sitl.campaign.plan import TrialPlan
+from sitl.campaign.schedule import schedule
+from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Trial, load
+from tests.fakes.campaign_trials import injection, trial
+
+WORDS = ["--commit", "0123456789" * 4, "--trials", "2", "--seeds", "2"]
+
+
+class Runner:
+    """Its trials succeed, until `stop_at` of them were made: then it is interrupted."""
+
+    swarm = None
+
+    def __init__(self, stop_at: int = 99) -> None:
+        self.setting: dict[str, Any] = {}
+        self._left = stop_at
+
+    def _made(self, kind: str, number: int, **more: Any) -> Trial:
+        if not self._left:
+            raise KeyboardInterrupt
+        self._left -= 1
+        return trial(kind=kind, number=number, setting=dict(self.setting), **more)
+
+    def nominal(self, seconds: float) -> Trial:
+        return self._made(NOMINAL, 0, injections=[], alarms=[])
+
+    def off(self, seed: int) -> Trial:
+        return self._made(OFF, 0)
+
+    def trial(self, plan: TrialPlan) -> Trial:
+        return self._made(
+            TRIAL, plan.number, injections=[injection(fault=draw.fault, agent=draw.agent) for draw in plan.draws]
+        )
+
+
+def run(file: Path, runner: Runner, *more: str) -> tuple[bool, list[str]]:
+    asked = parser().parse_args([*WORDS, *more])
+    said: list[str] = []
+    return play._Sequence(runner, schedule(asked), file, said.append, asked).run(), said  # type: ignore[arg-type]
+
+
+@pytest.fixture(autouse=True)
+def differences(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There are no containers to compare."""
+    monkeypatch.setattr(
+        play, "of_swarm", lambda swarm: [{"of": "configuration", "key": "a.b", "shipped": 1, "here": 2}]
+    )
+
+
+def test_all_seeds_are_run_in_sequence_and_resumed(tmp_path: Path) -> None:
+    """A campaign that was interrupted in the second seed continues there. Each trial has its seed, commit, profile and load,
+    and the differences from what is shipped.
+    """
+    file = tmp_path / "trials.jsonl"
+    with pytest.raises(KeyboardInterrupt):
+        run(file, Runner(6))
+    assert len(load(file)) == 6
+    whole, said = run(file, Runner(2))
+    assert whole
+    assert [words.partition("[/]")[0] for words in said if "seed" in words] == [
+        "[bold]seed 2 of 2, trial 1 of 2",
+        "[bold]seed 2 of 2, trial 2 of 2",
+    ]
+    made = load(file)
+    assert [(each.setting["index"], each.kind, each.number) for each in made] == [
+        (index, kind, number) for index in (0, 1) for kind, number in ((NOMINAL, 0), (OFF, 0), (TRIAL, 1), (TRIAL, 2))
+    ]
+    assert len({each.setting["seed"] for each in made}) == 2
+    for each in made:
+        assert (each.setting["profile"], each.setting["load"]) == ("shipped", "quiet")
+        assert (each.setting["commit"], each.setting["planned"]) == ("0123456789" * 4, 2)
+        assert each.setting["differences"][0]["key"] == "a.b"
+        assert "memory_full" in each.setting["excluded"]
+    assert run(file, Runner(0))[0], "nothing is left to do"
+
+
+def test_another_profile_has_trials_of_its_own(tmp_path: Path) -> None:
+    """In the same record, with the same seeds."""
+    file = tmp_path / "trials.jsonl"
+    run(file, Runner())
+    run(file, Runner(), "--profile", "as-found")
+    run(file, Runner(), "--load", "busy")
+    assert len(load(file)) == 3 * 8
+    assert len({each.campaign for each in load(file)}) == 6
+
+
+def test_no_run_begins_after_the_time_is_over(tmp_path: Path) -> None:
+    """`--stop-after`: the rest is made by the next call."""
+    file = tmp_path / "trials.jsonl"
+    assert not run(file, Runner(), "--stop-after", "-1")[0]
+    assert load(file) == []
