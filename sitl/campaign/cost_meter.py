@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from docker import DockerClient
@@ -86,20 +87,20 @@ class CostMeter:
 
     def _run(self, ending: threading.Event, meters: Mapping[int, _Meter]) -> None:
         client = None if self._find else DockerClient.from_env()  # a thread's own: they are not safe to share
-        find = self._find or (lambda number: self._sidecar(number, client))
+        find = self._find or partial(self._sidecar, client)
         count = 0
         while True:
             for number, meter in meters.items():
-                _sample(meter, lambda number=number: find(number), pss=count % PSS_EVERY == 0)
+                _sample(meter, partial(find, number), pss=count % PSS_EVERY == 0)
             count += 1
             if ending.wait(PERIOD_S):
                 break
         for number, meter in meters.items():  # to the very end
-            _sample(meter, lambda number=number: find(number), pss=False)
+            _sample(meter, partial(find, number), pss=False)
         if client is not None:
             client.close()
 
-    def _sidecar(self, number: int, client: DockerClient | None) -> Path:
+    def _sidecar(self, client: DockerClient | None, number: int) -> Path:
         agent = self._agents[number]
         mine = Agent(agent.project, agent.name, client or agent.docker)
         return cgroup(mine.sidecar, "cpuacct")

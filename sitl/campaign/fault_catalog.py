@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 from sitl.campaign.plan import Class, Pair
 from sitl.campaign.profiles import Profile, beyond_naming
@@ -48,7 +48,7 @@ _PAIRS: Collection[Pair] = (
 Never together: two faults that the same restart recovers, such as those of two nodes; and anything with a fault of PHM or of
 the link to the ground, which hides both until it ends.
 """
-WANTED: Collection[Pair] = (("engine", "container"), ("network", "nodes"), ("nodes", "load"), ("container", "nodes"))
+WANTED: Sequence[Pair] = (("engine", "container"), ("network", "nodes"), ("nodes", "load"), ("container", "nodes"))
 """Pairs that every campaign has to inject."""
 EXPLAINS: Mapping[str, frozenset[str]] = {
     "container": frozenset({"nodes", "topics", "health"}),
