@@ -10,16 +10,28 @@ FLOOR_S = 0.1
 """A shorter limit, e.g. of an event of the kernel, counts as this: a ratio of milliseconds says nothing."""
 RATIO = 2.0
 """A class above this needs an explanation."""
+_DATA_PATH = (
+    "all nodes of the container must be silent for 1 s and again 0.4 s later (3 s without beacons): one lost message "
+    "or a busy machine is not a blocked network"
+)
+_FIVE_PERIODS = "five periods without a message, measured once a second: fewer would raise alarms for lost samples"
+_HEARTBEATS = "two heartbeats more than were ever missed must be missing: one lost frame is not a fault"
 EXPLANATIONS = {
-    "autopilot_silent": "two heartbeats more than were ever missed must be missing: one lost frame is not a fault",
+    "address_silent": _DATA_PATH,
+    "autopilot_silent": _HEARTBEATS,
     "cpu_hog": "two seconds of full use: shorter peaks are normal",
+    "disk_full": "the free share is read once a second",
     "gcs_radio_cut": "the radio reports the loss of the other one 3.4 s after its last packet (SiK firmware)",
     "memory_full": "measured from the order to fill it, and filling 2 GB takes most of the time",
+    "network_blocked": _DATA_PATH,
+    "node_duplicate": "a restarted node may overlap with the old one for 2 s, unless both send beacons",
     "node_never_started": "the time in which the other nodes started",
-    "peer_lost": "heartbeats of all peers, one every 2 s: one lost frame is not a fault",
-    "peer_split": "heartbeats of all peers, one every 2 s: one lost frame is not a fault",
-    "topic_silent": "five or more periods of 5 Hz: fewer would raise alarms for lost samples",
-    "topic_slow": "five or more periods of 5 Hz: fewer would raise alarms for lost samples",
+    "peer_lost": _HEARTBEATS,
+    "peer_split": _HEARTBEATS,
+    "phm_killed": "nothing of PHM runs until Docker has restarted its container and Python has started",
+    "topic_silent": _FIVE_PERIODS,
+    "topic_slow": "a rate must be wrong in two measurements, made once a second: jitter is not a fault",
+    "transport_blocked": _DATA_PATH,
 }
 """Why a class is detected later than twice its limit."""
 UNEXPLAINED = "unexplained"
