@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 from unittest.mock import Mock
 
 import pytest
@@ -14,6 +14,7 @@ from docker.errors import APIError
 
 from sitl.campaign.cost_meter import CostMeter, cpu_of
 from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
+from sitl.campaign.trial import Injection
 from sitl.campaign.world import WorldObserver, observe
 from sitl.faults.base import Agent, Fault
 from tests.fakes.campaign_trials import injection, trial, verified
@@ -43,6 +44,11 @@ class Observed(Fault):
         return answer
 
 
+def unseen(**more: Any) -> Injection:
+    """The world was not observed yet."""
+    return injection(**{"world_seen": False, "world_broken": None, "world": None, **more})
+
+
 def until(wanted: Callable[[], bool]) -> None:
     end = time.monotonic() + LIMIT_S
     while not wanted():
@@ -52,7 +58,7 @@ def until(wanted: Callable[[], bool]) -> None:
 
 def test_restored_counts_from_the_last_unbroken_series() -> None:
     """A world that breaks again was not restored; one that cannot be observed says nothing."""
-    made = injection()
+    made = unseen()
     observe(made, None, 1.0)
     assert (made.world_seen, made.world_broken, made.world) == (False, None, None)
     for mono, restored in enumerate((True, False, True, True, False, True, True), 2):
@@ -65,7 +71,7 @@ def test_the_world_is_observed_from_the_injection_on() -> None:
     fault, clients = Observed(False, APIError("busy"), True), [Mock(), Mock()]
     agent = Agent("p", "agent_3", docker=Mock(), number=3)
     observer = WorldObserver({"observed": fault}, {3: agent}, iter(clients).__next__)
-    made = injection(fault="observed", moment=None)
+    made = unseen(fault="observed", moment=None)
     observer.start([made])
     assert fault.asked == 0
     made.moment = time.monotonic()
@@ -83,7 +89,7 @@ def test_the_world_is_observed_from_the_injection_on() -> None:
 def test_a_fault_that_was_not_injected_is_not_observed() -> None:
     """Its observer ends by itself."""
     fault = Observed(True)
-    made = injection(fault="observed", moment=None, error="RuntimeError: refused")
+    made = unseen(fault="observed", moment=None, error="RuntimeError: refused")
     observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
     observer.start([made])
     until(lambda: not any(thread.name == "world observed" for thread in threading.enumerate()))
