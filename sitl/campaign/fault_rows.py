@@ -150,7 +150,9 @@ def trials(judged_trials: Sequence[Judged]) -> Rows:
             _run(each),
             f"A{verdict.injection.agent:02d}",
             verdict.injection.title,
-            *(number(value) for value in (verdict.detected_s, verdict.response_s, verdict.recovered_s)),
+            number(verdict.detected_s),
+            number(verdict.response_s),
+            _recovered(verdict),
             verdict.by,
             str(verdict.count),
             "; ".join(remarks(each, verdict)),
@@ -158,6 +160,13 @@ def trials(judged_trials: Sequence[Judged]) -> Rows:
         for each in judged_trials
         for verdict in each.verdicts
     ]
+
+
+def _recovered(verdict: Verdict) -> str:
+    """The confirmed time, or PHM's claim and that nothing confirms it."""
+    if verdict.recovered_s is None and verdict.claimed_s is not None:
+        return f"{number(verdict.claimed_s)} (not confirmed)"
+    return number(verdict.recovered_s)
 
 
 def faults(group: Group) -> Rows:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import psutil
 
+from sitl.campaign.host_load import BEFORE_S
 from sitl.campaign.trial import Load
 
 PERIOD_S = 1.0
@@ -15,34 +16,46 @@ IO_PRESSURE = Path("/proc/pressure/io")
 
 
 class MachineMeter:
-    """Samples once a second between `begin` and `end`, in a thread."""
+    """Samples once a second between `start` and `stop`, in a thread."""
 
     def __init__(self, io_pressure: Path = IO_PRESSURE) -> None:
         self._io_pressure = io_pressure
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
         self._samples: list[Load] = []
 
-    def begin(self) -> None:
-        """Start; samples of an earlier run are dropped."""
-        self.end()
-        self._ending, self._samples = threading.Event(), []
-        arguments = (self._ending, self._samples)
-        self._thread = threading.Thread(target=self._run, args=arguments, name="machine-load", daemon=True)
-        self._thread.start()
+    def start(self) -> None:
+        """Start the thread; a second start does nothing."""
+        if self._thread is None:
+            self._ending.clear()
+            self._thread = threading.Thread(target=self._run, name="machine-load", daemon=True)
+            self._thread.start()
 
-    def end(self) -> list[Load]:
-        """Stop; return the samples since `begin`."""
+    def stop(self) -> None:
+        """Stop the thread; the samples remain."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join(2 * PERIOD_S)
             self._thread = None
-        return list(self._samples)
 
-    def _run(self, ending: threading.Event, samples: list[Load]) -> None:
+    def begin(self) -> None:
+        """A trial begins: drop what is too old to matter for it."""
+        since = time.monotonic() - BEFORE_S
+        with self._lock:
+            self._samples = [each for each in self._samples if each.mono >= since]
+
+    def samples(self) -> list[Load]:
+        """Since shortly before `begin`: an alarm at the beginning may be about the load before it."""
+        with self._lock:
+            return list(self._samples)
+
+    def _run(self) -> None:
         psutil.cpu_percent()
-        while not ending.wait(PERIOD_S):
-            samples.append(sample(self._io_pressure))
+        while not self._ending.wait(PERIOD_S):
+            found = sample(self._io_pressure)
+            with self._lock:
+                self._samples.append(found)
 
 
 def sample(io_pressure: Path = IO_PRESSURE) -> Load:

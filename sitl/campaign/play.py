@@ -146,7 +146,7 @@ class _Sequence:
             _, agent, title, seen, reported, recovered, by, alarms, remarks = row
             colour = "red" if remarks else "green"
             self._progress(
-                f"  [{colour}]{agent} {title}[/]: detected {seen} s, reported {reported} s, recovered {recovered} s {by}; {alarms} alarms {remarks}"
+                f"  [{colour}]{agent} {title}[/]: detected {seen} s, reported {reported} s, recovered {recovered} {by}; {alarms} alarms {remarks}"
             )
         for each in trial.injections:
             if each.error:

@@ -77,6 +77,7 @@ class Runner:
         undone.
         """
         self.watch.ear.start()
+        self.watch.machine.start()
         self._keep_busy()
         left = [
             agent
@@ -100,6 +101,7 @@ class Runner:
     def stop(self) -> None:
         self.injector.stop()
         self.watch.ear.stop()
+        self.watch.machine.stop()
         if self.busy is not None:
             self.busy.stop()
 

@@ -72,13 +72,13 @@ class SwarmWatcher:
         self.levels = {agent: Levels() for agent in records}
         self.usual: dict[int, dict[str, str]] = {agent: {} for agent in records}
         self._trial: Trial | None = None
-        self._machine = MachineMeter()
+        self.machine = MachineMeter()
 
     def begin(self, trial: Trial) -> None:
         """From now on everything is recorded in this trial."""
         self.update()
         self.ear.begin()
-        self._machine.begin()
+        self.machine.begin()
         self._trial = trial
 
     def end(self) -> None:
@@ -86,7 +86,7 @@ class SwarmWatcher:
         self.update()
         if self._trial is not None:
             self._trial.ended = time.monotonic()
-            self._trial.machine = self._machine.end()
+            self._trial.machine = self.machine.samples()
             self.ear.fill(self._trial)
         self._trial = None
 
