@@ -20,6 +20,10 @@ QUIET_S = 2.5
 START_S = 30.0
 """Router, radio and autopilot are switched on together with the companion computer and may take this long to start: until then, a
 device that was never received does not count as missing."""
+REBOOTING_S = 30.0
+"""An autopilot that acknowledged a reboot is back within this time. Measured, ArduCopter without a sensor calibration: 6 to 7 s."""
+OBEYS_S = 3.0
+"""It falls silent within this time after the acknowledgement, or the command was for something else."""
 
 
 class HopState(Enum):
@@ -144,6 +148,13 @@ def link_of(world: api.World, name: str) -> api.LinkFact | None:
 def silent(link: api.LinkFact | None) -> bool:
     """Whether the endpoint is open but receives nothing at all."""
     return link is not None and link.open and (link.rx_age_s is None or link.rx_age_s >= QUIET_S)
+
+
+def reboots_on_command(fact: api.AutopilotFact | None) -> bool:
+    """Whether the autopilot reboots on command, as far as is known. ArduPilot refuses that while armed."""
+    if fact is None or fact.rebooting_s is None or fact.rebooting_s > REBOOTING_S or fact.armed:
+        return False
+    return fact.rebooting_s < OBEYS_S or fact.age_s > fact.rebooting_s - OBEYS_S
 
 
 def routed(world: api.World, entry: api.EndpointSettings) -> bool:

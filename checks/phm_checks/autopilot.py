@@ -7,7 +7,18 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._command_path import all_closed, link_id, link_of, routed, silent, starting, target_of, to_autopilot
+from phm_checks._command_path import (
+    REBOOTING_S,
+    all_closed,
+    link_id,
+    link_of,
+    reboots_on_command,
+    routed,
+    silent,
+    starting,
+    target_of,
+    to_autopilot,
+)
 from phm_checks._text import StableNumber, brief, span
 
 REPORT_S = 30.0
@@ -30,6 +41,8 @@ class Autopilot(api.Check):
         self._settings = settings
         self._links = to_autopilot(settings)
         self._age = StableNumber(share=1.0)
+        self._lost_at: int | None = None
+        """The reboots that were known when it was lost; None: it has not been lost since it was last OK."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -49,6 +62,8 @@ class Autopilot(api.Check):
         fact, limits = world.links.autopilot(), self._settings.mavlink
         if fact is None and not limits.autopilot:
             return api.bypass("no autopilot heartbeat received, and none is expected (mavlink.autopilot)")
+        if fact is not None and reboots_on_command(fact):
+            return self._awaited(fact)
         if (fact is None or fact.overdue or fact.silent_s > limits.autopilot_timeout) and all_closed(
             world, self._links
         ):
@@ -60,12 +75,15 @@ class Autopilot(api.Check):
         if fact.overdue and self._certain(world, fact):
             return self._lost(world, fact, early=True)
         self._age.forget("age")
-        values = _values(fact)
+        ended_by = "reboot" if self._lost_at is not None and fact.reboots > self._lost_at else ""
         if fact.rebooted_s is not None and fact.rebooted_s <= REPORT_S:
             # The autopilot's own messages show the reboot, so no other component can be the cause.
-            return replace(_rebooted(fact, fact.rebooted_s, values), settle_s=0.0)
+            found = replace(_rebooted(fact, fact.rebooted_s, _values(fact)), settle_s=0.0)
+            return found.with_evidence(api.Evidence(ended_by=ended_by))
+        self._lost_at = None
         flying = "armed" if fact.armed else "disarmed"
-        return api.ok(f"last autopilot heartbeat {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}", **values)
+        words = f"last autopilot heartbeat {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}"
+        return api.ok(words, **_values(fact)).with_evidence(api.Evidence(ended_by=ended_by))
 
     def _certain(self, world: api.World, fact: api.AutopilotFact) -> bool:
         """Whether no link, router or radio on the way can be the cause."""
@@ -83,7 +101,22 @@ class Autopilot(api.Check):
             one.age_s + SAMPLED_S < quiet_s for one in link.senders if (one.system, one.component) != own
         )
 
+    def _awaited(self, fact: api.AutopilotFact) -> api.Result:
+        """It reboots on command: neither lost nor known to be OK."""
+        self._lost_at = fact.reboots if self._lost_at is None else self._lost_at
+        found = api.warn(
+            f"the autopilot acknowledged a command to reboot {span(fact.rebooting_s or 0.0)} ago, expected to be back within "
+            f"{span(REBOOTING_S)}",
+            brief="autopilot rebooting",
+            condition="autopilot_rebooted",
+            target="",
+            **_values(fact),
+        )
+        return replace(found, settle_s=0.0)
+
     def _lost(self, world: api.World, fact: api.AutopilotFact | None, *, early: bool = False) -> api.Result:
+        if fact is not None:
+            self._lost_at = fact.reboots if self._lost_at is None else self._lost_at
         limit_s = self._settings.mavlink.autopilot_timeout
         if early and fact is not None and fact.due_s is not None:
             limit_s = fact.due_s
@@ -95,11 +128,15 @@ class Autopilot(api.Check):
             when, shown = "since PHM's start", ""
         else:
             when, shown = f"for {span(fact.age_s)}", f" {self._age.show('age', fact.age_s):.0f} s"
-        armed = " It was armed at its last heartbeat." if fact is not None and fact.armed else ""
+        more_words = ""
+        if fact is not None and fact.armed:
+            more_words = " It was armed at its last heartbeat."
+        elif fact is not None and fact.age_s < REBOOTING_S:
+            more_words = " It was disarmed and may be rebooting, which takes some seconds."
         more = f"nothing else is received on {name} either" if nothing else "other frames are still received"
         found = api.error(
             f"no autopilot heartbeat {when}, expected one within {span(limit_s)}, and {more}: check its power and the "
-            f"cable to it.{armed}",
+            f"cable to it.{more_words}",
             brief=brief("autopilot:", f"no heartbeat{shown}"),
             condition="autopilot_silent",
             target=target_of(name) if nothing else "",
@@ -110,7 +147,7 @@ class Autopilot(api.Check):
 
 def _rebooted(fact: api.AutopilotFact, ago_s: float, values: dict[str, api.Value]) -> api.Result:
     """ERROR if it was armed, WARN on the ground."""
-    words = f"the autopilot rebooted: its time since boot restarted {span(ago_s)} ago"
+    words = f"the autopilot rebooted {span(ago_s)} ago, as its own messages show"
     if fact.rebooted_armed:
         return api.error(
             f"{words}, while it was armed: check the vehicle and the autopilot's power supply",

@@ -8,7 +8,17 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._command_path import kind, link_id, link_of, named, routed, starting, target_of, ways
+from phm_checks._command_path import (
+    kind,
+    link_id,
+    link_of,
+    named,
+    reboots_on_command,
+    routed,
+    starting,
+    target_of,
+    ways,
+)
 from phm_checks._text import StableNumber, brief, clean, joined, last, listed, span
 
 SETTLE_S = 2.0
@@ -89,7 +99,8 @@ class Link(api.Check):
     # ------------------------------------------------------------ closed
 
     def _closed(self, world: api.World, link: api.LinkFact) -> api.Result:
-        """ERROR, or WARN while another endpoint reaches the same peers: then only redundancy is lost."""
+        """ERROR; WARN while another endpoint reaches the same peers, so that only redundancy is lost, and while the autopilot
+        reboots on command."""
         missing = self.entry.serial and not self._there(world, link)
         if missing and self._device_unit:
             # Not as a dependency: a fault of another device of that container would then hide faults of this link.
@@ -101,7 +112,9 @@ class Link(api.Check):
             why, short = self._port(world, link) if self.entry.serial else self._connection(link)
         spare = self._spare(world)
         more = "; its peers are reachable through another endpoint meanwhile" if spare else ""
-        make = api.warn if spare else api.error
+        rebooting = self.entry.to_autopilot and reboots_on_command(world.links.autopilot())
+        more += "; the autopilot has acknowledged a command to reboot" if rebooting else ""
+        make = api.warn if spare or rebooting else api.error
         found = make(
             f"MAVLink endpoint {clean(link.name, 80)} is closed: {why}{more}. PHM reopens it as soon as possible",
             brief=brief(f"{self._label}:", short),

@@ -94,6 +94,7 @@ class Evidence:
     file:         path of the faulty file inside the container.
     broken_hop:   name of the first broken hop on the command path.
     rising:       the newest measurement is above the limit, but not for long enough to report it yet.
+    ended_by:     what ended the earlier failure of the unit, as observed, e.g. ``reboot``: no action is credited for it.
     """
 
     generation: str = ""
@@ -104,6 +105,7 @@ class Evidence:
     file: str = ""
     broken_hop: str = ""
     rising: bool = False
+    ended_by: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +155,11 @@ class Result:
     age_s: float = 0.0
     evidence: Evidence = Evidence()
     readings: HostReadings | None = None
+
+    @property
+    def ends_fault(self) -> bool:
+        """Whether the earlier failure is over: OK, or a WARN about something else that states what ended it."""
+        return self.level is Level.OK or (self.level is Level.WARN and bool(self.evidence.ended_by))
 
     def with_evidence(self, evidence: Evidence) -> Result:
         """Return a copy of this result with `evidence`."""
@@ -215,7 +222,8 @@ class Outcome(str, Enum):
 class Fault:
     """One failure of one unit, from its transition to ERROR until it is closed.
 
-    by:               ``itself`` or the name of the action that ended it.
+    by:               ``itself``, the name of the action that ended it, or what ended it as its check observed
+                      (`Evidence.ended_by`).
     blocks:           units that are STALE because of it, in the order in which they were found.
     consequences:     names of the checks that cannot be OK while it lasts, from the dependency graph. Known as soon as the
                       fault opens.

@@ -49,7 +49,7 @@ class AutopilotFact:
     boot_s: float | None = None
     """How long it has been running, from the newest time since boot that it reported; None: it reports none."""
     reboots: int = 0
-    """How often that time was seen to restart."""
+    """How often it was seen to reboot: by its time since boot, by the state BOOT in its HEARTBEAT, or by its message."""
     rebooted_s: float | None = None
     """Since the last of these reboots was seen; None: never."""
     rebooted_armed: bool = False
@@ -71,6 +71,8 @@ class AutopilotFact:
     """How long its heartbeats have reported disarmed only, without a pause; None: the newest one reports armed."""
     not_counted_s: float = 0.0
     """As in `GcsFact`."""
+    rebooting_s: float | None = None
+    """Since it acknowledged a command to reboot; None: it has not, or it was seen to reboot since."""
 
     @property
     def silent_s(self) -> float:

@@ -1,8 +1,10 @@
-"""The vehicle's autopilot from its heartbeats, and its reboots from the time since boot that it reports. Pure.
+"""The vehicle's autopilot from its heartbeats, and its reboots. Pure.
 
-A reboot shows as `time_boot_ms` going back, in SYSTEM_TIME or in another message that contains it, as ArduPilot
-recommends for ground stations. The heartbeats alone are not sufficient: an autopilot that reboots within seconds leaves
-no gap in them.
+A reboot shows as the first of
+- HEARTBEAT.system_status BOOT (or UNINIT) after another state: what a copter sends until its sensors are ready;
+- the time since boot going back, in SYSTEM_TIME, TIMESYNC or another message that contains it, as ArduPilot recommends for
+  ground stations. By default ArduPilot sends a companion only TIMESYNC, every 10 s;
+- the text "ArduPilot Ready" at the end of its start, for vehicles without the state BOOT.
 """
 
 from __future__ import annotations
@@ -24,6 +26,9 @@ TWINS, TWINS_S = 4, 6.0
 FLIPS, FLIPS_S = 4, 10.0
 """No operator arms and disarms so often in so short a time: two autopilots contradict each other."""
 KEPT = 16
+BOOTING = frozenset({mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT})
+START_S = 30.0
+"""An autopilot starts within this time: other evidence in that time is of the same start."""
 ALIVE_S = 1.0
 """While its other frames arrive, its heartbeats are late or lost, but the autopilot is not lost."""
 
@@ -47,6 +52,13 @@ class AutopilotState:
         self._boot: tuple[float, float] | None = None
         """When the newest time since boot was received, and that time in seconds."""
         self._seen: deque[float] = deque(maxlen=TWINS)
+        self._booting = False
+        """It starts, according to its newest heartbeat, or it rebooted since."""
+        self._first: float | None = None
+        self._before_pause: float | None = None
+        """Its last heartbeat before the newest silence that is longer than the timeout."""
+        self._commanded: float | None = None
+        """When it acknowledged a command to reboot."""
         self.reboots = 0
         self._rebooted_armed = False
 
@@ -65,6 +77,14 @@ class AutopilotState:
         self.broke(now)
 
     def heartbeat(self, now: float, message: Any, link: str) -> None:
+        self._first = now if self._first is None else self._first
+        if self._beat is not None and now - self._beat[0] > self._timeout_s:
+            self._before_pause = self._beat[0]
+        booting = message.system_status in BOOTING
+        if booting and not self._booting and self._beat is not None:
+            self._reboot(now, armed=self._armed[-1][1])
+            self._boot = None
+        self._booting = booting
         late_s = 0.0 if self._beat is None else self._late_s(self._beat[0], None)
         self._beat, self._spoke = (now, message, link), now
         self._cadence.beat(now, late_s)
@@ -85,11 +105,22 @@ class AutopilotState:
         old_s = self._boot[1] if self._boot is not None else 0.0
         wrapped = old_s > WRAPS_AT_S - WRAP_S and new_s < WRAP_S
         if new_s < old_s - BACK_S and not wrapped:
-            self._seen.append(now)
-            self._cadence.broke(now)
-            self.reboots += 1
-            self._rebooted_armed = self._armed_at(now - new_s)
+            self._reboot(now, armed=self._armed_at(now - new_s))
         self._boot = (now, new_s)
+
+    def ready(self, now: float) -> None:
+        """It says that it has started. After other evidence of the same start, or just after PHM's, that is nothing new."""
+        self._spoke = now
+        recent = [at for at in (self._first, *self._seen) if at is not None and now - at < START_S]
+        if self._first is None or self._booting or recent:
+            return
+        silent = self._before_pause is not None and now - self._before_pause < START_S
+        self._reboot(now, armed=self._armed_at(self._before_pause if silent and self._before_pause else now))
+        self._boot = None
+
+    def commanded(self, now: float) -> None:
+        """It has acknowledged a command to reboot."""
+        self._spoke = self._commanded = now
 
     def boot_s(self, now: float) -> float | None:
         """How long it has been running, in seconds; None: unknown."""
@@ -132,7 +163,15 @@ class AutopilotState:
             None if self._boot is None else now - self._boot[0],
             None if self._disarmed_from is None else now - self._disarmed_from,
             max(min(unread_s, self._timeout_s), self._late_s(heard, self._timeout_s)),
+            None if self._commanded is None else now - self._commanded,
         )
+
+    def _reboot(self, now: float, *, armed: bool) -> None:
+        self._seen.append(now)
+        self._cadence.broke(now)
+        self._booting, self._commanded = True, None
+        self.reboots += 1
+        self._rebooted_armed = armed
 
     def _overdue(self, read_at: float | None) -> bool:
         speaks = read_at is not None and read_at - self._spoke < ALIVE_S

@@ -12,6 +12,7 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import MavlinkSettings
 from phm.facts import AutopilotFact, GcsFact, LinkFact, RadioFact
+from phm.probes import boot_time
 from phm.probes.adaptive_timeout import UNEVEN_S
 from phm.probes.autopilot_state import AutopilotState
 from phm.probes.blocking_call import BlockingCallWorker
@@ -23,7 +24,7 @@ from phm.probes.unexpected_senders import UnexpectedSenders
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_endpoint import IDLE_S
-from phm.transport.priority import default_periods
+from phm.transport.priority import MessagePriority, default_periods
 
 DOUBLES = 2
 """So many heartbeats of another sender within DOUBLE_S are a duplicate: a late echo may come once."""
@@ -35,15 +36,6 @@ GONE, GONE_REFUSED = 4, 2
 USERS_S = 1.0
 """Deadline for determining which program uses a port."""
 STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS
-BOOTED = (
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-    mavlink.MAVLINK_MSG_ID_TIMESYNC,
-)
-"""Messages of an autopilot that contain its time since boot."""
-LONGEST_MS = 2**32
-"""A TIMESYNC above the range of `time_boot_ms` is of a clock that does not start at boot."""
 
 
 class Links:
@@ -67,6 +59,7 @@ class Links:
         self._pilot = AutopilotState(self._settings.autopilot_timeout, clock.late_s)
         self._pilot_links = frozenset(entry.key for entry in self._settings.endpoints if entry.to_autopilot)
         self._strays = UnexpectedSenders()
+        self._boot_time = boot_time.BootTimeRequests(agent) if settings.request_boot_time else None
         self._sampled: float | None = None
         self._ground = frozenset(entry.key for entry in self._settings.endpoints if entry.to_ground)
         self._radios: dict[str, RadioState] = {}
@@ -77,7 +70,8 @@ class Links:
         self._lock = threading.RLock()
         hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
         hub.listen(self._hear_radio, (STATUS,))
-        hub.listen(self._hear_time, BOOTED)
+        hub.listen(self._hear_time, boot_time.TIMES)
+        hub.listen(self._hear_reboot, boot_time.REBOOTS)
         hub.watch(self._sample)
         self._shown = self._picture()
 
@@ -189,6 +183,9 @@ class Links:
                 self._pilot.broke(now)
             for name, traffic in self._hub.traffic().items():
                 self._flows.setdefault(name, LinkStats(own, self._clock.late_s)).sample(now, traffic)
+            link, request = self._pilot.link, self._boot_time and self._boot_time.due(now, self._pilot.fact(now))
+        if request is not None:
+            self._hub.send(request, MessagePriority.REQUEST, key="boot time", link=link)
         self.look()
 
     def _picture(self) -> tuple[object, ...]:
@@ -197,7 +194,7 @@ class Links:
         flying = None
         if pilot is not None:
             lost = (pilot.silent_s > limits.autopilot_timeout, pilot.overdue)
-            flying = (lost, pilot.armed, pilot.reboots)
+            flying = (lost, pilot.armed, pilot.reboots, pilot.rebooting_s is None)
         ground = None if gcs is None else (gcs.silent_s > limits.gcs_timeout, gcs.overdue, gcs.left)
         heard = self.radios()
         unreachable = self._gcs_unreachable(self._fact(self._any_gcs), heard)
@@ -263,7 +260,7 @@ class Links:
         self.look()
 
     def _hear_time(self, message: Any, link: str) -> None:
-        boot_ms = _boot_ms(message)
+        boot_ms = boot_time.boot_ms(message)
         if boot_ms is not None and self._is_pilot(message):
             with self._lock:
                 if link not in self._pilot_links:
@@ -275,21 +272,19 @@ class Links:
             if rebooted:
                 self.look()
 
+    def _hear_reboot(self, message: Any, link: str) -> None:
+        if link not in self._pilot_links or not self._is_pilot(message):
+            return
+        with self._lock:
+            if boot_time.has_started(message):
+                self._pilot.ready(self._clock.mono())
+            elif boot_time.will_reboot(message):
+                self._pilot.commanded(self._clock.mono())
+        self.look()
+
     def _is_pilot(self, message: Any) -> bool:
         own = message.get_srcSystem() == self._system
         return bool(own and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1)
-
-
-def _boot_ms(message: Any) -> int | None:
-    """How long the sender has been running, in seconds; None if the message does not contain it.
-
-    A TIMESYNC request has its sender's clock in `ts1`, a response in `tc1`, in nanoseconds; with ArduPilot and PX4 that
-    is the time since boot.
-    """
-    if message.get_msgId() != mavlink.MAVLINK_MSG_ID_TIMESYNC:
-        return int(message.time_boot_ms)
-    boot_ms = (message.tc1 or message.ts1) // 1_000_000
-    return int(boot_ms) if 0 < boot_ms < LONGEST_MS else None
 
 
 def _gone(link: LinkFact) -> bool:

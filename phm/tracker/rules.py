@@ -59,12 +59,12 @@ def decide(record: UnitRecord, view: TrackerView, now: float) -> Decision | None
 
 
 def recovered(context: RuleContext) -> Decision | None:
-    """1. OK is published immediately and closes the unit's fault.
+    """1. OK is published immediately and closes the unit's fault. So is a WARN that states what ended that (`Result.ends_fault`).
 
     Except while recovery works on its own fault: then it counts once the recovery is verified, dependents included; if that
     failed, once the dependents are back or `UnitRecord.unverified_until` has passed.
     """
-    if context.result.level is not Level.OK:
+    if context.result.level is not Level.OK and not (context.result.ends_fault and context.record.fault is not None):
         return None
     return NO_CHANGE if _unverified(context.record, context) else Decision(context.result)
 

@@ -60,9 +60,9 @@ class Tracker:
         return self._units[unit].started
 
     def found_ok(self, unit: str, mono: float) -> bool:
-        """Whether a run that began after `mono` found the unit OK, published or not."""
+        """Whether a run that began after `mono` found the unit OK, or its failure ended, published or not."""
         record = self._units[unit]
-        return record.latest is not None and record.latest.level is Level.OK and record.started >= mono
+        return record.latest is not None and record.latest.ends_fault and record.started >= mono
 
     def newest(self, unit: str, mono: float) -> Result | None:
         """The newest result, published or not, if its run began after `mono`."""
@@ -317,7 +317,7 @@ class Tracker:
             return
         if decision.blocked_by:
             self._attribute(record, decision.publish, decision.blocked_by, now, effects)
-        elif decision.publish.level is Level.OK:
+        elif decision.publish.level is Level.OK or (decision.publish.ends_fault and record.fault is not None):
             self._recovered(record, decision.publish, now, effects)
         else:
             self._publish(record, decision.publish, now, effects)
@@ -344,16 +344,25 @@ class Tracker:
         recovered = record.had_error or record.published.level is Level.ERROR or bool(record.published.blocked_by)
         record.had_error = False
         record.clear_given_up()
+        if result.level is Level.OK:
+            self._count_ok(record, now)
+            self._publish(record, result, now, effects)
+        if record.fault is not None:
+            by = result.evidence.ended_by or record.fault.by or ITSELF
+            self._faults.close(record, Outcome.RESOLVED, by, now, effects)
+        if result.level is not Level.OK:  # another problem, reported after the end of the first
+            self._publish(record, result, now, effects)
+        if recovered:
+            # Problems of its dependents meanwhile, published or not, may follow from it.
+            self._give_grace(self.graph.downstream(record.id), now, effects)
+
+    @staticmethod
+    def _count_ok(record: UnitRecord, now: Stamp) -> None:
+        """It is OK: its grace ends once that has lasted."""
         record.ok_since = now.mono if record.ok_since is None else record.ok_since
         if now.mono - record.ok_since >= max(GRACE_ENDS_AFTER_OK_S, record.spec.unit.memory_s):
             record.grace_until = min(record.grace_until, now.mono)
             record.symptom_grace_until = min(record.symptom_grace_until, now.mono)
-        self._publish(record, result, now, effects)
-        if record.fault is not None:
-            self._faults.close(record, Outcome.RESOLVED, record.fault.by or ITSELF, now, effects)
-        if recovered:
-            # Problems of its dependents meanwhile, published or not, may follow from it.
-            self._give_grace(self.graph.downstream(record.id), now, effects)
 
     def _attribute(self, record: UnitRecord, result: Result, cause: str, now: Stamp, effects: Effects) -> None:
         self._faults.close(record, Outcome.REATTRIBUTED, cause, now, effects)

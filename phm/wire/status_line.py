@@ -50,6 +50,7 @@ PAST_VERBS: Mapping[str, str] = {
     "reopen": "reopened",
     "free_disk": "freed",
     "relieve": "relieved",
+    "reboot": "rebooted",
 }
 """What happened to a unit that is OK again, by what ended its fault."""
 ARRAY_SLOTS = tuple(Slot)[:8]

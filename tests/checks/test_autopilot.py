@@ -140,3 +140,47 @@ def test_behind_a_router_that_may_be_silent_the_full_timeout_applies() -> None:
 def test_a_reboot_is_reported_immediately() -> None:
     """The autopilot's own uptime proves it."""
     assert run(check(), changed(rebooted_s=0.1, reboots=1)).settle_s == 0.0
+
+
+def test_a_reboot_ends_the_fault_of_the_silence_before() -> None:
+    """The six silent seconds of a real one are a loss, since no one can know more; then the reboot is what ended it."""
+    one = check()
+    lost = run(one, changed(age_s=4.0))
+    assert (lost.level, lost.condition) == (api.Level.ERROR, "autopilot_silent")
+    assert "may be rebooting" in lost.summary
+    back = run(one, changed(rebooted_s=0.2, reboots=1))
+    assert (back.level, back.evidence.ended_by, back.ends_fault) == (api.Level.WARN, "reboot", True)
+    assert run(one, changed(rebooted_s=31.0, reboots=1)).evidence.ended_by == "reboot"
+    assert run(one, changed(rebooted_s=32.0, reboots=1)).evidence.ended_by == ""
+
+
+def test_an_earlier_reboot_does_not_end_a_later_silence() -> None:
+    one = check()
+    assert run(one, changed(rebooted_s=2.0, reboots=1)).evidence.ended_by == ""
+    run(one, changed(age_s=4.0, rebooted_s=10.0, reboots=1))
+    assert run(one, changed(rebooted_s=12.0, reboots=1)).evidence.ended_by == ""
+
+
+def test_a_reboot_while_armed_ends_no_fault() -> None:
+    """The vehicle may be falling."""
+    one = check()
+    run(one, changed(age_s=4.0, armed=True))
+    result = run(one, changed(rebooted_s=0.2, reboots=1, rebooted_armed=True))
+    assert (result.level, result.ends_fault) == (api.Level.ERROR, False)
+
+
+def test_a_commanded_reboot_is_no_loss() -> None:
+    """Known at once where PHM receives the acknowledgement, also while the link is closed."""
+    one = check()
+    for link in (OPEN, api.LinkFact("fc", open=False)):
+        result = run(one, changed(age_s=5.0, rebooting_s=5.2), link)
+        assert (result.level, result.brief) == (api.Level.WARN, "autopilot rebooting")
+    back = run(one, changed(rebooted_s=0.2, reboots=1))
+    assert back.brief == "autopilot rebooted"
+
+
+def test_a_commanded_reboot_that_does_not_happen_is_not_believed() -> None:
+    """It stays away, it continues to send (the command was for the companion), or it is armed."""
+    assert run(check(), changed(age_s=31.0, rebooting_s=31.0)).condition == "autopilot_silent"
+    assert run(check(), changed(age_s=0.5, rebooting_s=10.0)).level is api.Level.OK
+    assert run(check(), changed(age_s=5.0, rebooting_s=5.0, armed=True)).level is api.Level.ERROR

@@ -64,6 +64,15 @@ def test_a_closed_endpoint_is_an_error_without_recovery() -> None:
     assert TCP in result.summary
 
 
+def test_a_port_that_closes_while_the_autopilot_reboots_on_command_is_a_warning() -> None:
+    """It is a USB port, or the TCP port of a simulation; not where the autopilot is elsewhere."""
+    rebooting = testing.FakeLinks(autopilot=api.AutopilotFact(4.0, False, link="ground", rebooting_s=4.2))
+    result = run(check(), CLOSED, rebooting)
+    assert (result.level, result.condition) == (api.Level.WARN, "link_closed")
+    assert "acknowledged a command to reboot" in result.summary
+    assert run(check(leads_to="ground"), CLOSED, rebooting).level is api.Level.ERROR
+
+
 def test_the_peer_of_an_endpoint_may_start_after_phm() -> None:
     """An endpoint that was never open gets some time first; one that was open and is lost does not."""
     link_check = check()

@@ -66,6 +66,8 @@ def test_a_recovery_line_names_its_cause() -> None:
     assert status_line.recovered(1, Slot.NODES, *node) == "A01 OK 6 node_1 restarted"
     assert status_line.recovered(1, Slot.NODES, "node_1 dead", "itself", "node_1") == "A01 OK 6 node_1 recovered"
     assert status_line.recovered(1, Slot.COMPANION, "GCS: lost", "reopen") == "A01 OK 1 reopened: GCS: lost"
+    silent = "autopilot: no heartbeat 4 s"
+    assert status_line.recovered(1, Slot.AUTOPILOT, silent, "reboot") == f"A01 OK 10 rebooted: {silent}"
     assert status_line.recovered(1, Slot.USER_1, "low", "my_action") == "A01 OK 13 fixed by my_action: low"
     assert status_line.recovered(1, Slot.HOST, "disk / 88%") == "A01 OK 9 cleared: disk / 88%"
 

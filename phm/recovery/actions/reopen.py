@@ -60,9 +60,9 @@ class Reopen(Action):
         if not self._prompt:
             return "no data arrived soon after it was opened, so the other side has recovered by itself"
         before = self._pilot
-        if before is None or before.boot_s is None or before.link != target.key:
+        if before is None or before.link != target.key:
             return ""
-        return self._behind(before, before.boot_s, context)
+        return self._behind(before, context)
 
     def _answers(self, link: str, within_s: float, context: ActionContext) -> bool:
         opened = context.clock.mono()
@@ -72,18 +72,25 @@ class Reopen(Action):
                 return True
         return False
 
-    def _behind(self, before: AutopilotFact, boot_s: float, context: ActionContext) -> str:
-        """Compares the autopilot's time since boot with its expected value, once it has reported it."""
+    def _behind(self, before: AutopilotFact, context: ActionContext) -> str:
+        """Compares the autopilot's time since boot with its expected value, once it has reported it. Without that nothing
+        shows that the autopilot ran all the time."""
         end = context.clock.mono() + BOOT_S
         while context.clock.mono() < end:
             now, elapsed_s = context.autopilot(), context.clock.mono() - self._began
+            if now is not None and now.reboots > before.reboots:
+                ran = f", and has been running for {now.boot_s:.0f} s" if now.boot_s is not None else ""
+                return f"the autopilot has rebooted{ran}"
+            if before.boot_s is None:
+                return ""
             if now is not None and now.boot_s is not None and (now.boot_age_s or 0.0) < elapsed_s:
-                if now.reboots > before.reboots:
-                    return f"the autopilot has rebooted, and has been running for {now.boot_s:.0f} s"
-                behind_s = boot_s + elapsed_s - now.boot_s
+                behind_s = before.boot_s + elapsed_s - now.boot_s
                 return f"the autopilot did not run for {behind_s:.0f} s" if behind_s > BEHIND_S else ""
             context.clock.wait(threading.Event(), POLL_S)
-        return ""
+        return (
+            f"the autopilot has not reported its time since boot for {BOOT_S:g} s, so it may have hung or rebooted "
+            "(see mavlink.request_boot_time)"
+        )
 
 
 def _prompt_s(fault: Fault, context: ActionContext) -> float:

@@ -259,8 +259,13 @@ def test_the_period_of_a_radio_adapts() -> None:
 # ---------------------------------------------------------------- reboots of the autopilot
 
 
-def receive_heartbeat(pilot: AutopilotState, at: float, *, armed: bool = False) -> None:
-    pilot.heartbeat(at, heartbeat(5, kind=2, autopilot=3, base_mode=81 | (ARMED if armed else 0)), "fc")
+STANDBY, BOOT = mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT
+
+
+def receive_heartbeat(pilot: AutopilotState, at: float, *, armed: bool = False, status: int = STANDBY) -> None:
+    message = heartbeat(5, kind=2, autopilot=3, base_mode=81 | (ARMED if armed else 0))
+    message.system_status = status
+    pilot.heartbeat(at, message, "fc")
 
 
 def fact_of(pilot: AutopilotState, now: float) -> Any:
@@ -324,6 +329,72 @@ def test_a_reboot_after_landing_is_not_in_flight() -> None:
     pilot.booted(9.0, 600)
     fact = fact_of(pilot, 9.0)
     assert (fact.reboots, fact.rebooted_armed) == (1, False)
+
+
+def test_a_reboot_is_recognized_by_the_state_boot() -> None:
+    """As recorded from an ArduPilot with default streams: heartbeats with BOOT, the text, then STANDBY. One reboot."""
+    pilot = AutopilotState()
+    for at in range(40):
+        receive_heartbeat(pilot, float(at))
+    for at in (46.0, 47.0):
+        receive_heartbeat(pilot, at, status=BOOT)
+    pilot.ready(47.5)
+    receive_heartbeat(pilot, 48.0)
+    pilot.booted(55.0, 10_000)
+    fact = fact_of(pilot, 56.0)
+    assert (fact.reboots, fact.rebooted_s, fact.rebooted_armed) == (1, 10.0, False)
+
+
+@pytest.mark.parametrize("time_first", [True, False])
+def test_several_signs_of_one_reboot_count_once(time_first: bool) -> None:
+    """The time since boot may arrive before or after the first heartbeat."""
+    pilot = AutopilotState()
+    for at in range(40):
+        receive_heartbeat(pilot, float(at), armed=True)
+        pilot.booted(at + 0.1, 90_000 + 1000 * at)
+    if time_first:
+        pilot.booted(45.9, 900)
+    receive_heartbeat(pilot, 46.0, status=BOOT)
+    pilot.booted(46.1, 1_100)
+    pilot.ready(47.5)
+    receive_heartbeat(pilot, 48.0)
+    fact = fact_of(pilot, 48.0)
+    assert (fact.reboots, fact.rebooted_armed) == (1, True)
+    receive_heartbeat(pilot, 90.0, status=BOOT)
+    assert fact_of(pilot, 90.0).reboots == 2
+
+
+def test_an_autopilot_that_starts_together_with_phm_has_not_rebooted() -> None:
+    """Its first heartbeats say BOOT, and the text follows."""
+    pilot = AutopilotState()
+    receive_heartbeat(pilot, 0.0, status=BOOT)
+    receive_heartbeat(pilot, 1.0, status=mavlink.MAV_STATE_CALIBRATING)
+    pilot.ready(1.5)
+    receive_heartbeat(pilot, 2.0)
+    assert fact_of(pilot, 3.0).reboots == 0
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_the_text_shows_a_reboot_without_the_state_boot(armed: bool) -> None:
+    """A plane says CALIBRATING meanwhile. It was armed if it was so before the silence."""
+    pilot = AutopilotState()
+    for at in range(40):
+        receive_heartbeat(pilot, float(at), armed=armed)
+    receive_heartbeat(pilot, 46.0, status=mavlink.MAV_STATE_CALIBRATING)
+    pilot.ready(50.0)
+    pilot.booted(52.0, 10_000)
+    fact = fact_of(pilot, 53.0)
+    assert (fact.reboots, fact.rebooted_s, fact.rebooted_armed) == (1, 3.0, armed)
+
+
+def test_an_acknowledged_reboot_is_known_until_it_has_happened() -> None:
+    pilot = AutopilotState()
+    receive_heartbeat(pilot, 0.0)
+    pilot.commanded(1.0)
+    receive_heartbeat(pilot, 1.1)
+    assert fact_of(pilot, 5.0).rebooting_s == 4.0
+    receive_heartbeat(pilot, 7.0, status=BOOT)
+    assert fact_of(pilot, 8.0).rebooting_s is None
 
 
 def test_a_pause_resets_the_time_since_disarming() -> None:

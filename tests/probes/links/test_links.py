@@ -314,6 +314,68 @@ def test_a_reboot_wakes_the_checks() -> None:
     assert fact.boot_s == pytest.approx(0.9)
 
 
+def test_announcements_of_a_reboot_wake_the_checks() -> None:
+    """By the acknowledgement of the command where PHM receives it, and by the text at the end of the start."""
+    scene = Scene()
+    scene.receive(7, 1, pilot())
+    accepted = mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 0)
+    denied = mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 2)
+    armed = mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)
+    scene.clock.advance(40.0)
+    scene.receive(7, 1, pilot())
+    assert [scene.receive(7, 1, message) for message in (denied, armed)] == [0, 0]
+    assert scene.receive(7, 191, accepted) == 0
+    assert scene.receive(7, 1, accepted, "ground") == 0
+    assert scene.receive(7, 1, accepted) == 1
+    ready = mavlink.MAVLink_statustext_message(6, b"ArduPilot Ready")
+    assert scene.receive(7, 193, ready) == 0
+    assert scene.receive(7, 1, ready) == 1
+    fact = scene.links.autopilot()
+    assert fact is not None
+    assert (fact.reboots, fact.rebooting_s) == (1, None)
+
+
+def requests(scene: Scene) -> list[tuple[Any, str]]:
+    """Commands that were sent, with their link."""
+    sent: list[tuple[Any, str]] = []
+    scene.hub.send = lambda message, *more, link="", **others: sent.append((message, link))  # type: ignore[method-assign]
+    return sent
+
+
+def test_the_time_since_boot_is_requested_only_where_configured() -> None:
+    """By default PHM sends the autopilot nothing."""
+    scene = Scene()
+    sent = requests(scene)
+    scene.receive(7, 1, pilot())
+    scene.links._sample()
+    assert sent == []
+
+
+def test_a_missing_time_since_boot_is_requested() -> None:
+    """SYSTEM_TIME once a second, from the vehicle's autopilot on its link, also after a reboot; not while it arrives."""
+    scene = Scene(request_boot_time=True)
+    sent = requests(scene)
+    scene.links._sample()
+    assert sent == []
+    scene.receive(7, 1, pilot())
+    scene.links._sample()
+    ((message, link),) = sent
+    assert (message.target_system, message.target_component, link) == (7, 1, "radio")
+    assert (message.command, message.param1, message.param2) == (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 2, 1e6)
+    for second in range(20):
+        scene.receive(7, 1, pilot())
+        scene.receive(7, 1, boot(60_000 + second * 1000))
+        scene.clock.advance(1.0)
+        scene.links._sample()
+    assert len(sent) == 1
+    scene.clock.advance(6.0)
+    scene.links._sample()
+    assert len(sent) == 1
+    scene.receive(7, 1, pilot())
+    scene.links._sample()
+    assert len(sent) == 2
+
+
 def test_two_autopilots_with_our_system_id_are_reported() -> None:
     """Their uptimes alternate; it is a configuration mistake, not a reboot."""
     scene = Scene()

@@ -1,0 +1,57 @@
+"""A check that observed what ended its unit's failure: the fault closes, and no action is credited."""
+
+from __future__ import annotations
+
+from phm.api import Evidence, Level, warn
+from phm.core.model import FaultClosed, Outcome, Transition
+from tests.fakes.tracker_bench import BAD, OK, Bench, unit
+
+REBOOT = Evidence(ended_by="reboot")
+REBOOTED = warn("rebooted", brief="rebooted", condition="rebooted").with_evidence(REBOOT)
+
+
+def failing(target: str = "") -> Bench:
+    bench = Bench([unit("pilot", target=target)])
+    bench.later(10)
+    bench.all_well()
+    bench.now += 1
+    bench.see("pilot", BAD)
+    bench.later(3)
+    assert bench.opened == ["pilot"]
+    return bench
+
+
+def test_a_warning_that_states_the_end_closes_the_fault_first() -> None:
+    """Two lines in this order: the failure is over, and something else is to be known."""
+    bench = failing()
+    bench.see("pilot", REBOOTED)
+    assert bench.closed == [("pilot", Outcome.RESOLVED, "reboot")]
+    assert bench.level("pilot") is Level.WARN
+    newest = [type(event) for event in bench.events][-2:]
+    assert newest == [FaultClosed, Transition]
+
+
+def test_any_other_warning_leaves_the_fault_open() -> None:
+    bench = failing()
+    bench.see("pilot", warn("weak", brief="weak", condition="weak"))
+    bench.later(3)
+    assert bench.closed == []
+
+
+def test_an_ok_that_states_the_end_names_it() -> None:
+    bench = failing()
+    bench.see("pilot", OK.with_evidence(REBOOT))
+    assert bench.closed == [("pilot", Outcome.RESOLVED, "reboot")]
+
+
+def test_an_action_that_ran_meanwhile_is_not_credited() -> None:
+    """The end counts as the unit's recovery for the verification, and is published when that is over."""
+    bench = failing("link")
+    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, proving=True))
+    bench.now += 1
+    bench.see("pilot", REBOOTED)
+    assert bench.closed == []
+    assert bench.tracker.found_ok("pilot", bench.now)
+    bench.take(bench.tracker.end_action("link", bench.stamp(), worked=True))
+    assert bench.closed == [("pilot", Outcome.RESOLVED, "reboot")]
+    assert bench.level("pilot") is Level.WARN
