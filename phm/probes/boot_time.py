@@ -40,7 +40,7 @@ def boot_ms(message: Any) -> int | None:
 
 def has_started(message: Any) -> bool:
     """Whether it is the text that ArduPilot sends at the end of its start."""
-    return message.get_msgId() == mavlink.MAVLINK_MSG_ID_STATUSTEXT and message.text == READY
+    return bool(message.get_msgId() == mavlink.MAVLINK_MSG_ID_STATUSTEXT and message.text == READY)
 
 
 def will_reboot(message: Any) -> bool:

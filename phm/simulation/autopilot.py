@@ -5,7 +5,8 @@
 `phm.simulation.autopilot_model` defines what it sends and which commands it executes. It forwards frames between its
 links unchanged, by ArduPilot's rules, as measured on a real one: a link gets forwarded frames only after it has sent a
 packet; frames that claim to be from the autopilot are dropped; messages to the autopilot and a radio's RADIO_STATUS are
-not forwarded.
+not forwarded. A reboot closes its TCP connections for six seconds. After a hang it processes everything that has arrived meanwhile
+in one burst.
 """
 
 from __future__ import annotations
@@ -25,13 +26,24 @@ from phm.simulation.mavlink_port import Port
 
 class SimulatedAutopilot:
     """Runs in one thread: `run` until `stop`. `armed` and `hung` may be set from outside; while it is hung its ports
-    stay open, and nothing is sent or forwarded. Raises OSError when a port is in use.
+    stay open, and nothing is read, sent or forwarded. reboot_s: silence of a commanded reboot. stream_hz: as in
+    `AutopilotModel`. Raises OSError when a port is in use.
     """
 
-    def __init__(self, system_id: int, companion: str, ground: str, *, armed: bool = False) -> None:
+    def __init__(
+        self,
+        system_id: int,
+        companion: str,
+        ground: str,
+        *,
+        armed: bool = False,
+        reboot_s: float = BOOT_S,
+        stream_hz: float = 0.0,
+    ) -> None:
         self.system_id = system_id
         self.companion, self.ground = Port(companion), Port(ground)
-        self._pilot = AutopilotModel(system_id, time.monotonic(), armed=armed)
+        self._pilot = AutopilotModel(system_id, time.monotonic(), armed=armed, reboot_s=reboot_s, stream_hz=stream_hz)
+        self._interrupted = False
         self._routes: dict[tuple[int, int], Port] = {}
         self._stopping = threading.Event()
 
@@ -51,8 +63,9 @@ class SimulatedAutopilot:
     def hung(self, hung: bool) -> None:
         self._pilot.hung = hung
 
-    def reboot(self, boot_s: float = BOOT_S) -> None:
-        """Keep the ports, be silent for `boot_s`, and forget routes, arming and the time since boot."""
+    def reboot(self, boot_s: float | None = None) -> None:
+        """Close TCP connections, be silent for `boot_s` (default: `reboot_s`), and forget routes, streams, arming and the time
+        since boot."""
         self._pilot.reboot(time.monotonic(), boot_s)
 
     def stop(self) -> None:
@@ -67,8 +80,10 @@ class SimulatedAutopilot:
             self.ground.close()
 
     def _turn(self) -> None:
-        if self._pilot.booted(time.monotonic()):
-            self._routes.clear()
+        self._follow_reboot()
+        if self._pilot.hung:
+            time.sleep(0.05)
+            return
         ports = {sock: port for port in (self.companion, self.ground) for sock in port.sockets()}
         readable, _, _ = select.select(list(ports), [], [], 0.05)
         for sock in readable:
@@ -77,6 +92,20 @@ class SimulatedAutopilot:
                 if not self._pilot.dumb:
                     self._take(port, peer, message)
         self._send(self._pilot.due(time.monotonic()))
+        for port in (self.companion, self.ground):
+            for frame in self._pilot.due_on(time.monotonic(), port):
+                port.send(frame)
+
+    def _follow_reboot(self) -> None:
+        if self._pilot.booted(time.monotonic()):
+            self._routes.clear()
+            self.companion.resume()
+            self.ground.resume()
+            self._interrupted = False
+        elif self._pilot.rebooting and not self._interrupted:
+            self._interrupted = True
+            self.companion.interrupt()
+            self.ground.interrupt()
 
     def _take(self, port: Port, peer: Hashable, message: Any) -> None:
         source = (message.get_srcSystem(), message.get_srcComponent())
@@ -97,10 +126,11 @@ class SimulatedAutopilot:
                 other.send(frame, spoken_only=True, but=peer if other is port else None)
 
     def _obey(self, port: Port, message: Any) -> None:
-        answers = self._pilot.obey(time.monotonic(), message)
-        for frame in answers[:1]:
-            port.send(frame)
-        self._send(answers[1:])
+        for answer in self._pilot.obey(time.monotonic(), message, port):
+            if answer.everyone:
+                self._send([answer.frame])
+            else:
+                port.send(answer.frame)
 
     def _send(self, frames: list[bytes]) -> None:
         for frame in frames:
@@ -114,9 +144,22 @@ def main(arguments: list[str] | None = None) -> int:
     words.add_argument("--companion", default="udpin:0.0.0.0:14550", metavar="URL", help="where PHM connects")
     words.add_argument("--ground", default="tcpin:0.0.0.0:5760", metavar="URL", help="where ground stations connect")
     words.add_argument("--armed", action="store_true", help="begin armed")
+    words.add_argument(
+        "--reboot", type=float, default=BOOT_S, metavar="SECONDS", help="silence of a reboot (%(default)g)"
+    )
+    words.add_argument(
+        "--streams", type=float, default=0.0, metavar="HZ", help="send position, attitude and time unrequested (off)"
+    )
     chosen = words.parse_args(arguments)
     try:
-        pilot = SimulatedAutopilot(chosen.id, chosen.companion, chosen.ground, armed=chosen.armed)
+        pilot = SimulatedAutopilot(
+            chosen.id,
+            chosen.companion,
+            chosen.ground,
+            armed=chosen.armed,
+            reboot_s=chosen.reboot,
+            stream_hz=chosen.streams,
+        )
     except OSError as error:
         print(f"phm.simulation.autopilot: {error}", file=sys.stderr)
         return 1

@@ -103,6 +103,8 @@ class Port:
         self.scheme, _, rest = url.partition(":")
         self.peers: dict[Hashable, RemoteSystem] = {}
         self.lost = False
+        self._address: Any = None
+        """The listening address while it is interrupted."""
         self._main: Any
         if self.scheme == "pty":
             self._main = Pty(rest)
@@ -126,6 +128,24 @@ class Port:
             raise OSError(f"{url!r}: use udpin:, udpout:, tcpin: or tcp: with a host and a port, or pty:PATH")
         self._main.setblocking(False)
 
+    def interrupt(self) -> None:
+        """As in a reboot: TCP connections close, new ones are refused until `resume`, and no peer has sent a frame."""
+        for key in list(self.peers):
+            if self.scheme == "tcpin":
+                self._drop(key)
+            else:
+                self.peers[key].spoken = False
+        if self.scheme == "tcpin" and self._address is None:
+            self._address = self._main.getsockname()
+            self._main.close()
+
+    def resume(self) -> None:
+        """End `interrupt`. Raises OSError when the port is in use by now."""
+        if self._address is not None:
+            self._main = socket.create_server(self._address[:2])
+            self._main.setblocking(False)
+            self._address = None
+
     @property
     def bound_port(self) -> int:
         """The port that was actually bound, for port 0 in the URL."""
@@ -133,6 +153,8 @@ class Port:
 
     def sockets(self) -> list[Any]:
         """The sockets to select on."""
+        if self._address is not None:
+            return []
         clients = [peer.sock for peer in self.peers.values() if peer.sock is not self._main]
         return [self._main, *clients]
 

@@ -93,7 +93,7 @@ class Vehicle:
             self._on_board.partner_at = self._below.partner_at = now
         if self.pilot is not None:
             self.pilot.booted(now)
-            for raw in self.pilot.due(now):
+            for raw in (*self.pilot.due(now), *self.pilot.due_on(now)):
                 self._from_pilot(raw)
         for frame in self.up.arrived(now):
             self.out.append(("ground", frame.raw))
@@ -188,8 +188,8 @@ class Vehicle:
             self._into_air(frame)
         elif place == "pilot" and self.pilot is not None:
             if not self.pilot_off and frame.target_system == self.number and frame.target_component in (0, AUTOPILOT):
-                for raw in self.pilot.obey(self._now, frame.message):
-                    self._from_pilot(raw)
+                for answer in self.pilot.obey(self._now, frame.message):
+                    self._from_pilot(answer.frame)
         elif place == "phm" or not self.pilot_off:
             self.out.append((place, frame.raw))
 

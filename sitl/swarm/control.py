@@ -52,7 +52,7 @@ class LinkEmulatorClient:
         self._ask("split", groups=[list(group) for group in groups])
 
     def autopilot(self, agent: int, what: str, **how: float) -> None:
-        """``hang``, ``resume``, ``reboot`` (silent for ``boot_s``, default 1 s, disarmed after), ``arm``, ``disarm``.
+        """``hang``, ``resume``, ``reboot`` (silent for ``boot_s``, default 6 s, disarmed after), ``arm``, ``disarm``.
         Simulated autopilots alone."""
         self._ask("autopilot", agent=agent, order=what, values=how)
 

@@ -169,7 +169,7 @@ def test_a_reboot_while_armed_ends_no_fault() -> None:
     assert (result.level, result.ends_fault) == (api.Level.ERROR, False)
 
 
-def test_a_commanded_reboot_is_no_loss() -> None:
+def test_a_commanded_reboot_is_not_a_loss() -> None:
     """Known at once where PHM receives the acknowledgement, also while the link is closed."""
     one = check()
     for link in (OPEN, api.LinkFact("fc", open=False)):
@@ -179,7 +179,7 @@ def test_a_commanded_reboot_is_no_loss() -> None:
     assert back.brief == "autopilot rebooted"
 
 
-def test_a_commanded_reboot_that_does_not_happen_is_not_believed() -> None:
+def test_a_commanded_reboot_that_does_not_happen_is_a_loss_or_nothing() -> None:
     """It stays away, it continues to send (the command was for the companion), or it is armed."""
     assert run(check(), changed(age_s=31.0, rebooting_s=31.0)).condition == "autopilot_silent"
     assert run(check(), changed(age_s=0.5, rebooting_s=10.0)).level is api.Level.OK

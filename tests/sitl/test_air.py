@@ -145,7 +145,7 @@ def heartbeat(system: int, component: int) -> Frame:
 
 
 def vehicle(*, pilot: bool = False) -> Vehicle:
-    return Vehicle(3, 0.0, random.Random(1), AutopilotModel(3, 0.0) if pilot else None)
+    return Vehicle(3, 0.0, random.Random(1), AutopilotModel(3, 0.0, stream_hz=4.0) if pilot else None)
 
 
 def kinds(one: Vehicle, place: str) -> list[int]:

@@ -35,7 +35,8 @@ class Flight:
         self.ground.start()
 
     def _pilot(self) -> SimulatedAutopilot:
-        pilot = SimulatedAutopilot(7, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self.ground_port}")
+        companion, ground = (f"tcpin:127.0.0.1:{port}" for port in (self.companion, self.ground_port))
+        pilot = SimulatedAutopilot(7, companion, ground, reboot_s=1.0, stream_hz=4.0)
         self._thread = threading.Thread(target=pilot.run, daemon=True)
         self._thread.start()
         return pilot

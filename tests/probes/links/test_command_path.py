@@ -27,7 +27,8 @@ class Flight:
         self.port, self.far, self.companion = str(folder / "ttyRADIO"), free_port(), free_port()
         self._spare = free_port()
         self.radio, self._radio_thread = self._switch_on()
-        self.pilot = SimulatedAutopilot(7, f"tcpin:127.0.0.1:{self.companion}", f"tcpin:127.0.0.1:{self._spare}")
+        companion, ground = (f"tcpin:127.0.0.1:{port}" for port in (self.companion, self._spare))
+        self.pilot = SimulatedAutopilot(7, companion, ground, stream_hz=4.0)
         self._pilot_thread = threading.Thread(target=self.pilot.run, daemon=True)
         self._pilot_thread.start()
         self.ground = self.new_ground()
@@ -130,7 +131,7 @@ def test_a_radio_without_power_is_reported_once(flight: Flight) -> None:
     flight.radio.near.off = False
     until(flight.settled, "all units to be OK")
     assert [alarm.partition(":")[0] for alarm in flight.alarms()] == ["radio/ground radio"]
-    assert len(flight.over()) == 1
+    assert len(until(flight.over, "the end of the fault")) == 1
 
 
 def test_radios_without_contact_lose_the_ground_station(flight: Flight) -> None:
