@@ -48,10 +48,12 @@ from phm.facts.pressure import (
 )
 from phm.facts.ros import (
     BeaconFact as BeaconFact,
+    DataFact as DataFact,
     DiagnosticFact as DiagnosticFact,
     EndpointFact as EndpointFact,
     NameFact as NameFact,
     NeighbourFact as NeighbourFact,
+    OutsideFact as OutsideFact,
     RateFact as RateFact,
     RosFact as RosFact,
     RosProbe as RosProbe,

@@ -68,10 +68,46 @@ class RateFact:
 
 
 @dataclass(frozen=True, slots=True)
+class OutsideFact:
+    """A field with values outside of its range. value: the newest of them, as text: it may be NaN."""
+
+    field: str
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class DataFact:
+    """What the messages of one topic contain, from the few that are examined (`ros.topics[].data`). With several publishers,
+    each number is that of the worst."""
+
+    conditions: tuple[str, ...] = ()
+    """The limits that are exceeded now: `data_stamp`, `data_order`, `data_frozen`, `data_range`, `data_gaps`."""
+    samples: int = 0
+    """Messages examined so far."""
+    problem: str = ""
+    """Why something configured cannot be examined: wrong type, unknown field, message too large; empty: all is examined."""
+    age_s: float | None = None
+    """Reception of the newest message minus its stamp, by the system clock of this machine; below 0: in the future."""
+    unset: bool = False
+    """The newest stamp is 0."""
+    backs: int = 0
+    """How many of the newest messages have an older stamp than the one before."""
+    back_s: float = 0.0
+    """The largest of these steps."""
+    frozen_s: float = 0.0
+    """How long messages have had the same content."""
+    lost_percent: float | None = None
+    """Share of the counter's values that were not published."""
+    outside: tuple[OutsideFact, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class TopicFact:
     publishers: tuple[EndpointFact, ...] = ()
     subscribers: tuple[EndpointFact, ...] = ()
     rate: RateFact | None = None
+    data: DataFact | None = None
+    """None: not configured, or no message was examined yet."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ The first rule that matches decides:
 5. Starvation explains the condition: wait until it is over.
 6. The same failure `same_failure` times, or as many failures of an action on the entire container: give up.
 7. `recovery.patience` is not over: wait.
-8. Forbidden while armed, stopped by an operator, or mode advise: advise.
+8. Forbidden while armed, stopped by an operator, a condition that is only advised, or mode advise: advise.
 9. Budget used up, or back-off not over: wait.
 10. Else the step of the ladder that follows the number of failed attempts.
 
@@ -46,6 +46,10 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "qos_mismatch": ("restart",),
     "node_duplicate": ("restart",),
     "transport_blocked": ("restart",),
+    "data_frozen": ("restart",),
+    "data_stamp": ("restart",),
+    "data_gaps": ("restart",),
+    "data_range": ("restart",),
     "file_missing": ("restore_file",),
     "file_not_executable": ("restore_file",),
     "file_altered": ("restore_file",),
@@ -59,7 +63,20 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 """Built-in ladders by condition. Conditions that are not listed are only reported: `restarting` because the engine's
 own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,
 `not_received` because a restart does not open a transport that was never open."""
-PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_duplicate"})
+PATIENT = frozenset(
+    {
+        "silent",
+        "rate_low",
+        "publisher_lost",
+        "subscriber_lost",
+        "qos_mismatch",
+        "node_duplicate",
+        "data_frozen",
+        "data_stamp",
+        "data_gaps",
+        "data_range",
+    }
+)
 """Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
 create its endpoints again by itself, or be replaced by a copy that starts before it ends."""
 DOWN = frozenset({"exited", "oom", "created"})
@@ -73,9 +90,13 @@ OUTSIDE = frozenset({"network_missing"})
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
 """Conditions that only the first step of the ladder can end: a restart connects nothing. The next step is for what needs the unit
 and has not recovered although the unit itself has."""
-ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate"})
+ADVISED = frozenset({"data_gaps", "data_range"})
+"""Conditions for which the built-in ladder is only advised: the messages arrive and most of them are usable, and whether a restart
+helps depends on the sensor or input behind the node. A user's own ladder is carried out."""
+ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate", "data_frozen", "data_stamp"})
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
-namespace, a publisher that was created again, a second node started by an operator. Where the unit was OK in this generation,
+namespace, a publisher that was created again, a second node started by an operator, a source that repeats old data, a wrong
+clock on another computer. Where the unit was OK in this generation,
 a restart restores what the start had, and is tried once; where it never was, nothing is done. A user's own ladder is used
 unchanged."""
 ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0
@@ -199,6 +220,8 @@ def decide(
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
     if bound and stopped_by_hand:
         return Advise(action, "it was stopped by hand, recovery.on_manual_stop is advise")
+    if bound and condition in ADVISED and condition not in settings.ladders:
+        return Advise(action, "the topic still has data, and the cause may be outside of the container")
     if bound and settings.mode == "advise":
         return Advise(action, "recovery only advises")
     act = Act(action, len(same) + 1)

@@ -72,7 +72,7 @@ def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
     assert say(fault=fault("node_missing"), now=1000.0) == Act("relaunch", 1)
 
 
-ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate")
+ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate", "data_frozen", "data_stamp")
 
 
 def was_ok(condition: str, seconds: float) -> Fault:
@@ -108,6 +108,19 @@ def test_evidence_of_a_check_overrides_the_published_state(never: bool, seconds:
     known = was_ok("transport_blocked", seconds)
     known = replace(known, result=replace(known.result, evidence=Evidence(never_ok=never)))
     assert isinstance(say(fault=known), expected)
+
+
+@pytest.mark.parametrize("condition", ["data_gaps", "data_range"])
+def test_a_restart_for_wrong_values_is_only_advised(condition: str) -> None:
+    """Messages still arrive, and the sensor behind the node may be the cause. An operator may approve it, and a configured
+    ladder is carried out.
+    """
+    lasting = fault(condition, opened=900.0)
+    assert isinstance(say(fault=lasting), Advise)
+    assert say(fault=lasting, approved=True) == Act("restart", 1)
+    assert say(fault=lasting, settings=RecoverySettings(ladders={condition: ["restart"]})) == Act("restart", 1)
+    assert isinstance(say(fault=lasting, settings=RecoverySettings(ladders={condition: []})), Skip)
+    assert isinstance(say(fault=fault(condition), now=1001.0), Wait)
 
 
 def test_a_configured_ladder_applies_whether_or_not_the_unit_was_ok() -> None:

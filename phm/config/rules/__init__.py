@@ -24,6 +24,8 @@ from phm.config.rules.mavlink import endpoints_are_unique, flight_critical_needs
 from phm.config.rules.names import names_of_checks, names_of_recovery, needs_have_no_loop
 from phm.config.rules.ros import (
     diagnostics_are_known,
+    examined_fields_exist,
+    examined_topics_have_a_rate,
     own_topics_have_no_rate,
     relaunch_has_a_container,
     ros_names_are_unique,
@@ -54,6 +56,8 @@ RULES: tuple[Callable[[ConfigNode], None], ...] = (
     topic_nodes_exist,
     diagnostics_are_known,
     own_topics_have_no_rate,
+    examined_topics_have_a_rate,
+    examined_fields_exist,
     endpoints_are_unique,
     link_ids_are_unique,
     limits_are_in_order,

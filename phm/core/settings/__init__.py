@@ -32,6 +32,7 @@ from phm.core.settings.mavlink import EndpointSettings, MavlinkSettings, Signing
 from phm.core.settings.notify import NotifySettings
 from phm.core.settings.recovery import MaintenanceSettings, ManualStop, ManualStopSettings, RecoverySettings
 from phm.core.settings.ros import (
+    DataSettings,
     DiagnosticsSettings,
     NodeSettings,
     RosSettings,
@@ -47,6 +48,7 @@ __all__ = [
     "Celsius",
     "CheckSettings",
     "ContainerSettings",
+    "DataSettings",
     "DeviceSettings",
     "DiagnosticsSettings",
     "DockerSettings",

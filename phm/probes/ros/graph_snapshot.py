@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from phm.core.scheduling_delay import Late, never_late
 from phm.facts import RosFact, TopicFact
-from phm.facts.ros import NameFact, RateFact
+from phm.facts.ros import DataFact, NameFact, RateFact
 from phm.probes.ros.fact_codec import changer
 from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, SelfReportUpdate, Tick
 from phm.probes.ros.self_reports import SelfReports
@@ -121,10 +121,15 @@ def flow(rate: RateFact) -> tuple[float | None, bool, str]:
     return silent_s, rate.changed_s is not None, rate.problem
 
 
+def findings(data: DataFact | None) -> tuple[tuple[str, ...], str]:
+    """The properties of examined messages whose change wakes checks."""
+    return ((), "") if data is None else (data.conditions, data.problem)
+
+
 def _shape(graph: GraphMessage) -> object:
     """The properties whose change wakes checks: nodes, endpoints, and the flow of topics."""
     flows = {
-        name: (topic.publishers, topic.subscribers, topic.rate and flow(topic.rate))
+        name: (topic.publishers, topic.subscribers, topic.rate and flow(topic.rate), findings(topic.data))
         for name, topic in graph.topics.items()
     }
     return dict(graph.nodes), flows

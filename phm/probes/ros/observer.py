@@ -18,7 +18,7 @@ from phm.probes.ros.beacons import BeaconListener
 from phm.probes.ros.diagnostics import DiagnosticsListener
 from phm.probes.ros.graph import OWN, GraphReader
 from phm.probes.ros.graph_events import GraphEvents
-from phm.probes.ros.graph_snapshot import flow
+from phm.probes.ros.graph_snapshot import findings, flow
 from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, Publish, Tick, Wanted
 from phm.probes.ros.rates.topic_monitor import TopicMonitor
 from phm.probes.ros.second_look import Known, Scout
@@ -49,7 +49,7 @@ class Observer:
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
         self._number = number
-        self._states: dict[str, tuple[float | None, bool, str]] = {}
+        self._states: dict[str, object] = {}
 
     @property
     def events(self) -> int | None:
@@ -97,7 +97,8 @@ class Observer:
         rates: dict[str, RateFact] = {}
         for name, gauge in self._gauges.items():
             rates[name] = gauge.look(now_s, self._graph.publishers[name])
-        states = {name: flow(rate) for name, rate in rates.items()}
+        data = {name: gauge.data for name, gauge in self._gauges.items()}
+        states = {name: (flow(rate), findings(data[name])) for name, rate in rates.items()}
         up_s = round(now_s - self._began_s, 3)
         if not changed and states == self._states and now_s < self._next_full_s:
             return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()}, self._number, late_s)
@@ -105,7 +106,7 @@ class Observer:
         self._next_full_s = now_s + self._full_s
         graph = self._graph
         topics = {
-            name: TopicFact(publishers, graph.subscribers[name], rates.get(name))
+            name: TopicFact(publishers, graph.subscribers[name], rates.get(name), data.get(name))
             for name, publishers in graph.publishers.items()
         }
         self._number += 1

@@ -34,12 +34,41 @@ class ProtocolError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
+class WantedRange:
+    """Limits of one field; None: no limit."""
+
+    field: str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WantedData:
+    """What the messages of a topic must contain, as in DataSettings. hz: messages of each publisher examined per second."""
+
+    max_age_s: float | None = None
+    order: bool = False
+    frozen_s: float | None = None
+    counter: str = ""
+    gaps_percent: float = 5.0
+    ranges: tuple[WantedRange, ...] = ()
+    hz: float = 2.0
+
+    @property
+    def header(self) -> bool:
+        """Whether messages must begin with a header."""
+        return self.order or self.max_age_s is not None
+
+
+@dataclass(frozen=True, slots=True)
 class WantedTopic:
-    """rate_hz: the expected rate; 0 for a latched topic, None if not measured. silence_s: see RosSettings.silence."""
+    """rate_hz: the expected rate; 0 for a latched topic, None if not measured. silence_s: see RosSettings.silence. data: None:
+    its messages are not examined."""
 
     name: str
     rate_hz: float | None = None
     silence_s: float = 3.0
+    data: WantedData | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,11 +194,18 @@ def decode_wanted(line: bytes | str) -> Wanted:
     """Raises ProtocolError."""
     try:
         data = _parsed(line)
-        topics = tuple(WantedTopic(**topic) for topic in data.pop("topics"))
+        topics = tuple(_topic(**topic) for topic in data.pop("topics"))
         listen, nodes, watch = (tuple(data.pop(name)) for name in ("listen", "nodes", "watch"))
         return Wanted(topics=topics, listen=listen, nodes=nodes, watch=watch, **data)
     except (AttributeError, KeyError, TypeError) as error:
         raise ProtocolError(f"not a configuration: {error}") from error
+
+
+def _topic(data: Any = None, **fields: Any) -> WantedTopic:
+    if data is None:
+        return WantedTopic(**fields)
+    ranges = tuple(WantedRange(**limits) for limits in data.pop("ranges"))
+    return WantedTopic(**fields, data=WantedData(ranges=ranges, **data))
 
 
 def encode(message: Message) -> bytes:

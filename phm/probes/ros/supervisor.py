@@ -20,7 +20,7 @@ from phm.core import threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.scheduling_delay import NOISE_S, ProcessStallMeter, SchedulingDelay
-from phm.core.settings import RosSettings
+from phm.core.settings import DataSettings, RosSettings
 from phm.facts import CannotTell, RosFact
 from phm.facts.ros import DiagnosticFact
 from phm.probes.ros.child_process import ChildProcess
@@ -38,6 +38,8 @@ from phm.probes.ros.protocol import (
     Sandbox,
     Tick,
     Wanted,
+    WantedData,
+    WantedRange,
     WantedTopic,
     decode,
     encode_order,
@@ -429,7 +431,12 @@ class RosSupervisor:
 def wanted(ros: RosSettings, agent: str) -> Wanted:
     """The configuration of the child: full names of topics, and which of their rates it measures."""
     topics = tuple(
-        WantedTopic(f"/{topic.name.lstrip('/')}", topic.rate, ros.silence if topic.silence is None else topic.silence)
+        WantedTopic(
+            f"/{topic.name.lstrip('/')}",
+            topic.rate,
+            ros.silence if topic.silence is None else topic.silence,
+            None if topic.data is None else _wanted_data(topic.data),
+        )
         for topic in ros.topics
     )
     names = [node.name for node in ros.nodes]
@@ -441,6 +448,18 @@ def wanted(ros: RosSettings, agent: str) -> Wanted:
         listen=tuple(f"/{name.lstrip('/')}" for name in ros.diagnostics.listen),
         nodes=tuple(dict.fromkeys(f"/{name.lstrip('/')}" for name in names)),
         watch=tuple(entry.name for entry in ros.diagnostics.watch),
+    )
+
+
+def _wanted_data(data: DataSettings) -> WantedData:
+    return WantedData(
+        max_age_s=data.max_age,
+        order=data.order,
+        frozen_s=data.frozen,
+        counter=data.counter or "",
+        gaps_percent=data.gaps,
+        ranges=tuple(WantedRange(name, low, high) for name, (low, high) in data.ranges.items()),
+        hz=data.sample,
     )
 
 
