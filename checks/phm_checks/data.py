@@ -27,10 +27,14 @@ class Data(api.Check):
     name, slot, layer = "data", Slot.RATES, Layer.ROS
     period_s = 1.0
 
-    def __init__(self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit]) -> None:
+    def __init__(
+        self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit], places: Mapping[str, str]
+    ) -> None:
+        """places: the key of each topic's `data` in the configuration, by its name."""
         self._topics = tuple((topic, topic.data) for topic in topics if topic.data is not None)
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
+        self._places = dict(places)
         self._numbers = StableNumber(share=0.1)
 
     @classmethod
@@ -46,7 +50,8 @@ class Data(api.Check):
             )
             for topic in topics
         ]
-        return [cls(topics, units)] if topics else []
+        places = {topic.name: f"ros.topics[{index}].data" for index, topic in enumerate(settings.ros.topics)}
+        return [cls(topics, units, places)] if topics else []
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -74,10 +79,12 @@ class Data(api.Check):
             return api.stale(f"no messages of {name} were examined yet")
         results = self._results(topic, data, found, simulated=_simulated(fact))
         if found.problem:
-            results.append(api.stale(f"{name}: not all of its data can be examined: {clean(found.problem, 400)}"))
+            where = self._places[topic.name]
+            results.append(api.stale(f"{name}: {where} cannot be examined completely: {clean(found.problem, 400)}"))
         values = _values(found)
         if not results:
-            self._numbers.forget(name)
+            for key in (name, f"{name} gaps"):
+                self._numbers.forget(key)
             return replace(api.ok(f"{name}: {_summary(data, found)}"), values=values)
         worst = api.worst(results)
         others = [result.summary for result in results if result is not worst]

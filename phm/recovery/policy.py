@@ -218,14 +218,20 @@ def decide(
     forbidden = forbids(action) if bound else ""
     if forbidden:
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
-    if bound and stopped_by_hand:
-        return Advise(action, "it was stopped by hand, recovery.on_manual_stop is advise")
-    if bound and condition in ADVISED and condition not in settings.ladders:
-        return Advise(action, "the topic still has data, and the cause may be outside of the container")
-    if bound and settings.mode == "advise":
-        return Advise(action, "recovery only advises")
+    advised = _only_advised(condition, settings, stopped_by_hand=stopped_by_hand) if bound else ""
+    if advised:
+        return Advise(action, advised)
     act = Act(action, len(same) + 1)
     return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted)
+
+
+def _only_advised(condition: str, settings: RecoverySettings, *, stopped_by_hand: bool) -> str:
+    """Why the action is only recommended; empty: it is carried out."""
+    if stopped_by_hand:
+        return "it was stopped by hand, recovery.on_manual_stop is advise"
+    if condition in ADVISED and condition not in settings.ladders:
+        return "the topic still has data, and the cause may be outside of the container"
+    return "recovery only advises" if settings.mode == "advise" else ""
 
 
 def _refused(

@@ -154,7 +154,8 @@ def test_a_mistake_in_the_configuration_is_not_a_fault_of_the_vehicle() -> None:
     """It is named, and the unit is not OK; what can be examined is."""
     problem = "geometry_msgs/Twist has no field 'foo'; it has linear, angular"
     result = Bench().see(problem=problem)
-    assert result.level is api.Level.STALE and problem in result.summary
+    assert result.level is api.Level.STALE
+    assert f"ros.topics[0].data cannot be examined completely: {problem}" in result.summary
     result = Bench().see("data_frozen", problem=problem, frozen_s=3.0)
     assert result.condition == "data_frozen" and problem in result.summary
 
