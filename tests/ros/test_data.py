@@ -44,9 +44,10 @@ def test_each_condition_of_a_real_publisher_is_reported_and_ends(bench: Bench) -
     source = bench.script("ros_stamped.py", "source", "20")
     probe = bench.probe([{"name": TOPIC, "rate": 20, "data": DATA}])
     fact = reported(probe)
-    assert fact.problem == "" and abs(fact.age_s or 9.0) < 1.0
+    assert fact.problem == "" and fact.age_s is not None and abs(fact.age_s) < 1.0
     make(source, "ahead")
-    assert reported(probe, "data_stamp").age_s == -3600 or abs((reported(probe, "data_stamp").age_s or 0) + 3600) < 1.0
+    fact = reported(probe, "data_stamp")
+    assert fact.age_s is not None and abs(fact.age_s + 3600) < 60.0
     make(source, "ahead frozen")
     assert reported(probe, "data_stamp", "data_frozen").frozen_s >= 1.0
     make(source, "lossy outside")

@@ -58,16 +58,16 @@ def load_decodable(name: str) -> Any:
     match = _NAME.fullmatch(name)
     if match is None:
         raise UnknownType(f"type unknown: {name!r} is not the name of a ROS type")
+    package, kind, short = match.groups()
     mounted = MountedPackages(os.environ.get(INSTALLS, "").split(os.pathsep))
-    reasons = []
-    for load in (
-        lambda: _installed(*match.groups(), mounted),
-        lambda: _from_application(name, mounted, *match.groups()),
-    ):
-        try:
-            return load()
-        except TypeUnavailable as reason:
-            reasons.append(str(reason))
+    try:
+        return _installed(package, kind, short, mounted)
+    except TypeUnavailable as reason:
+        reasons = [str(reason)]
+    try:
+        return _from_application(name, mounted, package, kind, short)
+    except TypeUnavailable as reason:
+        reasons.append(str(reason))
     raise UnknownType(f"type unknown: its fields cannot be read: {name} {'; '.join(reasons)}")
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.context import Context
@@ -49,7 +50,7 @@ class Observer:
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
         self._number = number
-        self._states: dict[str, object] = {}
+        self._states: Mapping[str, object] = {}
 
     @property
     def events(self) -> int | None:
