@@ -64,7 +64,10 @@ EXPLAINED: Mapping[str, Explanation] = {
     "subscriber_lost": _LEASE,
     "node_missing": Explanation(f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone"),
     "node_unreachable": _LEASE,
-    "node_hung": Explanation(f"{_LATE.evidence}; not where its process or container is stopped"),
+    "node_hung": Explanation(
+        f"{_LATE.evidence}; not where its process or container is stopped, or its executor was blocked for 15 s while "
+        "its beacon was in time"
+    ),
     "node_unanswering": _LATE,
     "node_busy": _LATE,
     "beacon_missing": _LATE,
