@@ -8,7 +8,7 @@ The first rule that matches decides:
 4. The container is on hold: wait for its end. Not decided whether an operator is stopping it: wait for that.
 5. Starvation explains the condition: wait until it is over.
 6. The same failure `same_failure` times, or as many failures of an action on the entire container: give up.
-7. `recovery.patience` is not over: wait.
+7. `patience_s` is not over: wait.
 8. Forbidden while armed, stopped by an operator, a condition that is only advised, or mode advise: advise.
 9. Budget used up, or back-off not over: wait.
 10. Else the step of the ladder that follows the number of failed attempts.
@@ -68,6 +68,10 @@ PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", 
 }
 """Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
 create its endpoints again by itself, or be replaced by a copy that starts before it ends."""
+LEARNED = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"})
+"""Of these, the ones whose pauses PHM knows after a while: see `patience_s`. A second node is started by somebody, at any time."""
+PAUSES = 2.0
+"""PHM waits so many times the longest pause after which a topic came back."""
 DOWN = frozenset({"exited", "oom", "created"})
 """Conditions of a container that does not run. A start makes nothing worse as long as its dependents are not restarted, so it
 is tried for as long as the container is down: a part of the budget is reserved for it, and when that is used up, or recovery
@@ -201,8 +205,9 @@ def decide(
     elsewhere = failures.of_the_action(action) if action in container_wide and condition not in DOWN else []
     if len(elsewhere) >= most:
         return GiveUp(action, _in_vain_elsewhere(action, len(elsewhere), fault.unit))
-    if condition in PATIENT and now < fault.opened.mono + settings.patience:
-        return Wait(fault.opened.mono + settings.patience, "it may come back by itself")
+    wait_s = patience_s(fault, settings)
+    if wait_s and now < fault.opened.mono + wait_s:
+        return Wait(fault.opened.mono + wait_s, "it may come back by itself")
     bound = action not in unrestricted and not approved
     forbidden = forbids(action) if bound else ""
     if forbidden:
@@ -221,6 +226,19 @@ def _only_advised(condition: str, settings: RecoverySettings, *, stopped_by_hand
     if condition in ADVISED and condition not in settings.ladders:
         return "the topic still has data, and the cause may be outside of the container"
     return "recovery only advises" if settings.mode == "advise" else ""
+
+
+def patience_s(fault: Fault, settings: RecoverySettings) -> float:
+    """For how many seconds the fault must have lasted before an action: a source may pause.
+
+    A topic that was OK for `verify` since its container started has shown how long its pauses are.
+    """
+    condition = fault.result.condition
+    if condition not in PATIENT:
+        return 0.0
+    if condition not in LEARNED or fault.ok_since_start_s < settings.verify:
+        return settings.patience
+    return min(settings.patience, max(settings.patience_min, PAUSES * fault.pause_s))
 
 
 def _refused(

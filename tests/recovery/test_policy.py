@@ -10,7 +10,7 @@ import pytest
 from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.recovery.history import AttemptRecord, History
-from phm.recovery.policy import Act, Advise, GiveUp, Skip, Wait, decide
+from phm.recovery.policy import Act, Advise, GiveUp, Skip, Wait, decide, patience_s
 from phm.recovery.target import Target
 
 APP = Target.of(ContainerSettings(name="app", recover=True))
@@ -70,6 +70,21 @@ def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
         assert early == Wait(1010.0, "it may come back by itself")
     assert say(fault=fault(condition), now=1010.0) == Act("relaunch", 1)
     assert say(fault=fault("node_missing"), now=1000.0) == Act("relaunch", 1)
+
+
+@pytest.mark.parametrize(
+    ("ok_s", "pause_s", "expected"),
+    [(29.0, 0.0, 10.0), (30.0, 0.0, 2.0), (30.0, 0.9, 2.0), (30.0, 3.0, 6.0), (30.0, 8.0, 10.0)],
+)
+def test_patience_follows_the_pauses_that_a_topic_has_had(ok_s: float, pause_s: float, expected: float) -> None:
+    """Short only after the topic was OK for `verify` in this run of the container; at least twice its longest pause."""
+    rules = replace_rules(patience=10.0, patience_min=2.0, verify=30.0)
+    known = replace(fault("silent"), ok_since_start_s=ok_s, pause_s=pause_s)
+    assert patience_s(known, rules) == expected
+    assert isinstance(say(fault=known, now=1000.0 + expected - 0.1, settings=rules), Wait)
+    assert say(fault=known, now=1000.0 + expected, settings=rules) == Act("relaunch", 1)
+    assert patience_s(replace(known, result=fault("node_duplicate").result), rules) == 10.0
+    assert patience_s(replace(known, result=fault("node_missing").result), rules) == 0.0
 
 
 ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate", "data_frozen", "data_stamp")
@@ -134,7 +149,7 @@ def test_a_configured_ladder_applies_whether_or_not_the_unit_was_ok() -> None:
 @pytest.mark.parametrize("condition", ["qos_mismatch", "node_duplicate"])
 def test_possibly_transient_failures_are_given_time(condition: str) -> None:
     """A node that replaces another overlaps with it for a moment."""
-    new = replace(fault(condition), ok_since_start_s=60.0)
+    new = replace(fault(condition), ok_since_start_s=20.0)
     assert say(fault=new, now=1009.0) == Wait(1010.0, "it may come back by itself")
     assert say(fault=new, now=1010.0) == Act("restart", 1)
 
