@@ -8,10 +8,10 @@ from typing import Any
 
 from sitl.campaign.metrics import Figures, figures
 from sitl.campaign.stats import Estimate, estimate
-from sitl.campaign.trial import BUSY, QUIET, Trial
+from sitl.campaign.trial import Trial
 
 ORDER = ("shipped", "tuned", "as-found", "")
-LOADS = (QUIET, BUSY, "")
+LOADS = ("quiet", "busy", "")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault
 
 
@@ -13,7 +12,6 @@ class Injection(Fault):
     condition = "rate_low"
     layer = "ros"
     cause = "a node does not keep up: every second message is missing"
-    evidence, evidence_s = "every second message is missing, at 5 Hz", 0.4
 
     _generation = ""
 
@@ -23,6 +21,3 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.renew_app(self._generation)
-
-    def restored(self, agent: Agent) -> bool | None:
-        return works(agent)
