@@ -53,6 +53,9 @@ HANG_S = 5.0
 """An executor that has not run for this long is hung if its process does not use the CPU. A shorter time could be a slow callback."""
 BLIND_HANG_S = 15.0
 """The same if it is unknown whether the process uses the CPU."""
+CERTAIN_HANG_S = 15.0
+"""A lack of CPU does not block an executor for this long while the beacon of the same process is on time: with 3 % of a core, executors
+ran more than twice a second."""
 LOST_S = 5.0
 """PHM waits this long for a node that left the graph while its process runs: on a machine short of CPU, leases expire."""
 GOODBYE_S = 0.3
@@ -100,7 +103,7 @@ class NodeVerdict:
     """How long the node has been alive but too busy to answer."""
     witnessed: bool = False
     """The node was in the graph or had a process in this container generation, and the engine reports that its process or its container
-    has ended or is stopped: a delay cannot look like that."""
+    has ended or is stopped, or the node reports that its executor has been blocked for CERTAIN_HANG_S: a delay cannot look like that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +136,8 @@ def fuse(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
     unanswered = case.says(Kind.BEACON, Observation.SILENT, Observation.LATE)
     busy_s = unanswered.lasted_s if state is NodeState.ALIVE and busy is not None and unanswered is not None else 0.0
     pieces = sorted(case.of.values(), key=lambda piece: (piece.kind is not decisive, piece.kind))
-    witnessed = state in (NodeState.DEAD, NodeState.HUNG) and decisive in (Kind.CONTAINER, Kind.PROCESS)
+    bad = state in (NodeState.DEAD, NodeState.HUNG)
+    witnessed = bad and (decisive in (Kind.CONTAINER, Kind.PROCESS) or _certainly_blocked(case))
     return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed)
 
 
@@ -196,6 +200,12 @@ def late_beacon(case: Findings) -> RuleResult:
     if case.says(Kind.TOPICS, Observation.ALIVE):
         return NodeState.ALIVE, Kind.TOPICS
     return _unanswering(case, beacon), Kind.BEACON
+
+
+def _certainly_blocked(case: Findings) -> bool:
+    """The process sends its beacons in time and uses no CPU, and its executor has not run for CERTAIN_HANG_S."""
+    late, process = case.says(Kind.BEACON, Observation.LATE), case.says(Kind.PROCESS, Observation.ALIVE)
+    return late is not None and late.lasted_s >= CERTAIN_HANG_S and process is not None and process.measured
 
 
 def _unanswering(case: Findings, beacon: Evidence) -> NodeState:

@@ -16,6 +16,7 @@ PATTERNS = {
     r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$": "a ROS name such as /agent_1/node_1: "
     "words of letters, digits and '_' that start with no digit, with '/' between",
     r"^/": "an absolute path, one that starts with '/'",
+    r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$": "the name of a field, e.g. twist.linear.x, without an index",
     r"^[^/]+$": "a name, or a pattern with '*' and '?', without '/'",
     r"^/[^:]*$": "an absolute path, one that starts with '/', without ':'",
     r"^[0-9a-fA-F]{64}$": "64 hexadecimal digits, as sha256sum prints",

@@ -1,4 +1,7 @@
-"""Reads a file and the environment into `Settings`, or raises every problem in them. Opens nothing but the file."""
+"""Reads a file and the environment into `Settings`, or raises every problem in them.
+
+Opens nothing but the file, and the definitions of installed message types that `ros.topics[].data` names fields of.
+"""
 
 from __future__ import annotations
 
@@ -120,7 +123,8 @@ def _validate(tree: Tree, file: str) -> tuple[Settings | None, list[Problem]]:
         found: list[Any] = list(error.errors(include_url=False))
     problems = []
     for entry in found:
-        path = tuple(entry["loc"])
+        # Pydantic marks a problem of a mapping's key.
+        path = tuple(part for part in entry["loc"] if part != "[key]")
         if any(path[:end] in tree.bad for end in range(1, len(path) + 1)):
             continue  # its cause is already reported
         problems.append(Problem(file, tree.line(path), dotted(path), sentence(entry)))

@@ -47,12 +47,13 @@ from phm.facts.pressure import (
     StallFact as StallFact,
 )
 from phm.facts.ros import (
-    AnswerFact as AnswerFact,
     BeaconFact as BeaconFact,
+    DataFact as DataFact,
     DiagnosticFact as DiagnosticFact,
     EndpointFact as EndpointFact,
     NameFact as NameFact,
     NeighbourFact as NeighbourFact,
+    OutsideFact as OutsideFact,
     RateFact as RateFact,
     RosFact as RosFact,
     RosProbe as RosProbe,

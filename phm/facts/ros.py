@@ -68,10 +68,46 @@ class RateFact:
 
 
 @dataclass(frozen=True, slots=True)
+class OutsideFact:
+    """A field with values outside of its range. value: the newest of them, as text: it may be NaN."""
+
+    field: str
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class DataFact:
+    """What the messages of one topic contain, from the few that are examined (`ros.topics[].data`). With several publishers,
+    each number is that of the worst."""
+
+    conditions: tuple[str, ...] = ()
+    """The limits that are exceeded now: `data_stamp`, `data_order`, `data_frozen`, `data_range`, `data_gaps`."""
+    samples: int = 0
+    """Messages examined so far."""
+    problem: str = ""
+    """Why something configured cannot be examined: wrong type, unknown field, message too large; empty: all is examined."""
+    age_s: float | None = None
+    """Reception of the newest message minus its stamp, by the system clock of this machine; below 0: in the future."""
+    unset: bool = False
+    """The newest stamp is 0."""
+    backs: int = 0
+    """How many of the newest messages have an older stamp than the one before."""
+    back_s: float = 0.0
+    """The largest of these steps."""
+    frozen_s: float = 0.0
+    """How long messages have had the same content."""
+    lost_percent: float | None = None
+    """Share of the counter's values that were not published."""
+    outside: tuple[OutsideFact, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class TopicFact:
     publishers: tuple[EndpointFact, ...] = ()
     subscribers: tuple[EndpointFact, ...] = ()
     rate: RateFact | None = None
+    data: DataFact | None = None
+    """None: not configured, or no message was examined yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,23 +190,6 @@ class DiagnosticFact:
 
 
 @dataclass(frozen=True, slots=True)
-class AnswerFact:
-    """What a service answers that PHM calls repeatedly: `get_state` of a lifecycle node, or a service of `ready.call`."""
-
-    answer: str = ""
-    """The newest answer of the current server: a lifecycle state, e.g. `active`; `true` or `false` of std_srvs/srv/Trigger.
-    Empty before the first one."""
-    detail: str = ""
-    """The text of that answer, from outside."""
-    served: bool = False
-    """Whether discovery lists the service."""
-    unanswered_s: float = 0.0
-    """How long the server has not answered, without time in which the ROS child did not run; 0.0: it answers."""
-    problem: str = ""
-    """Why it cannot be called; empty: there is no problem."""
-
-
-@dataclass(frozen=True, slots=True)
 class RosFact:
     """The newest snapshot of the ROS graph from the child process.
 
@@ -178,7 +197,7 @@ class RosFact:
     up_s:        how long this child has observed the graph without an interruption in which it did not run and leases may
                  have ended. A graph that has been observed for only a second does not prove absence.
     nodes:       full name -> how often it is listed.
-    topics:      configured topics, those of `ready.topics` too, by full name.
+    topics:      configured topics, by full name.
     beacons:     those received since this child started, by full node name.
     diagnostics: those received since this child started, by the name of the status.
     others:      topics that are not configured, by full name, a few seconds old; incomplete if there are very many.
@@ -187,9 +206,6 @@ class RosFact:
     lost_s:      since more beacons arrived than PHM reads; None: never. A beacon that has been silent for longer is left
                  out, because its silence proves nothing.
     listened_s:  how long this child has existed, interruptions included.
-    services:    how often discovery lists a server of each service of `ready.services`, by full name.
-    lifecycle:   states of the nodes with `ready.lifecycle`, by full name.
-    calls:       answers of the services of `ready.call`, by full name.
     """
 
     age_s: float
@@ -203,9 +219,6 @@ class RosFact:
     names_known: bool = True
     lost_s: float | None = None
     listened_s: float = 0.0
-    services: Mapping[str, int] = field(default_factory=dict)
-    lifecycle: Mapping[str, AnswerFact] = field(default_factory=dict)
-    calls: Mapping[str, AnswerFact] = field(default_factory=dict)
 
     @property
     def heard_for_s(self) -> float:

@@ -8,8 +8,8 @@ The first rule that matches decides:
 4. The container is on hold: wait for its end. Not decided whether an operator is stopping it: wait for that.
 5. Starvation explains the condition: wait until it is over.
 6. The same failure `same_failure` times, or as many failures of an action on the entire container: give up.
-7. `recovery.patience` is not over: wait.
-8. Forbidden while armed, stopped by an operator, or mode advise: advise.
+7. `patience_s` is not over: wait.
+8. Forbidden while armed, stopped by an operator, a condition that is only advised, or mode advise: advise.
 9. Budget used up, or back-off not over: wait.
 10. Else the step of the ladder that follows the number of failed attempts.
 
@@ -45,8 +45,11 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "subscriber_lost": ("restart",),
     "qos_mismatch": ("restart",),
     "node_duplicate": ("restart",),
-    "not_ready": ("restart",),
     "transport_blocked": ("restart",),
+    "data_frozen": ("restart",),
+    "data_stamp": ("restart",),
+    "data_gaps": ("restart",),
+    "data_range": ("restart",),
     "file_missing": ("restore_file",),
     "file_not_executable": ("restore_file",),
     "file_altered": ("restore_file",),
@@ -60,11 +63,15 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 """Built-in ladders by condition. Conditions that are not listed are only reported: `restarting` because the engine's
 own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,
 `not_received` because a restart does not open a transport that was never open."""
-PATIENT = frozenset(
-    {"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_duplicate", "not_ready"}
-)
+PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_duplicate"}) | {
+    condition for condition in LADDERS if condition.startswith("data_")
+}
 """Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
-create its endpoints again by itself, be activated again, or be replaced by a copy that starts before it ends."""
+create its endpoints again by itself, or be replaced by a copy that starts before it ends."""
+LEARNED = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"})
+"""Of these, the ones whose pauses PHM knows after a while: see `patience_s`. A second node is started by somebody, at any time."""
+PAUSES = 2.0
+"""PHM waits so many times the longest pause after which a topic came back."""
 DOWN = frozenset({"exited", "oom", "created"})
 """Conditions of a container that does not run. A start makes nothing worse as long as its dependents are not restarted, so it
 is tried for as long as the container is down: a part of the budget is reserved for it, and when that is used up, or recovery
@@ -76,9 +83,13 @@ OUTSIDE = frozenset({"network_missing"})
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
 """Conditions that only the first step of the ladder can end: a restart connects nothing. The next step is for what needs the unit
 and has not recovered although the unit itself has."""
-ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate", "not_ready"})
+ADVISED = frozenset({"data_gaps", "data_range"})
+"""Conditions for which the built-in ladder is only advised: the messages arrive and most of them are usable, and whether a restart
+helps depends on the sensor or input behind the node. A user's own ladder is carried out."""
+ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate", "data_frozen", "data_stamp"})
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
-namespace, a publisher that was created again, a second node started by an operator, a node that was deactivated. Where the unit was OK in this generation,
+namespace, a publisher that was created again, a second node started by an operator, a source that repeats old data, a wrong
+clock on another computer. Where the unit was OK in this generation,
 a restart restores what the start had, and is tried once; where it never was, nothing is done. A user's own ladder is used
 unchanged."""
 ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0
@@ -194,18 +205,40 @@ def decide(
     elsewhere = failures.of_the_action(action) if action in container_wide and condition not in DOWN else []
     if len(elsewhere) >= most:
         return GiveUp(action, _in_vain_elsewhere(action, len(elsewhere), fault.unit))
-    if condition in PATIENT and now < fault.opened.mono + settings.patience:
-        return Wait(fault.opened.mono + settings.patience, "it may come back by itself")
+    wait_s = patience_s(fault, settings)
+    if wait_s and now < fault.opened.mono + wait_s:
+        return Wait(fault.opened.mono + wait_s, "it may come back by itself")
     bound = action not in unrestricted and not approved
     forbidden = forbids(action) if bound else ""
     if forbidden:
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
-    if bound and stopped_by_hand:
-        return Advise(action, "it was stopped by hand, recovery.on_manual_stop is advise")
-    if bound and settings.mode == "advise":
-        return Advise(action, "recovery only advises")
+    advised = _only_advised(condition, settings, stopped_by_hand=stopped_by_hand) if bound else ""
+    if advised:
+        return Advise(action, advised)
     act = Act(action, len(same) + 1)
     return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted)
+
+
+def _only_advised(condition: str, settings: RecoverySettings, *, stopped_by_hand: bool) -> str:
+    """Why the action is only recommended; empty: it is carried out."""
+    if stopped_by_hand:
+        return "it was stopped by hand, recovery.on_manual_stop is advise"
+    if condition in ADVISED and condition not in settings.ladders:
+        return "the topic still has data, and the cause may be outside of the container"
+    return "recovery only advises" if settings.mode == "advise" else ""
+
+
+def patience_s(fault: Fault, settings: RecoverySettings) -> float:
+    """For how many seconds the fault must have lasted before an action: a source may pause.
+
+    A topic that was OK for `verify` since its container started has shown how long its pauses are.
+    """
+    condition = fault.result.condition
+    if condition not in PATIENT:
+        return 0.0
+    if condition not in LEARNED or fault.ok_since_start_s < settings.verify:
+        return settings.patience
+    return min(settings.patience, max(settings.patience_min, PAUSES * fault.pause_s))
 
 
 def _refused(

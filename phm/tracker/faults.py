@@ -8,6 +8,8 @@ from phm.core.model import Fault, FaultClosed, FaultOpened, Level, Outcome, Resu
 from phm.tracker.start_dedup import StartDedup
 from phm.tracker.units import NEVER, Effects, TrackerView, UnitRecord
 
+ITSELF = "itself"
+"""`Fault.by` of a fault that no action of PHM ended."""
 CONFIGURATION = "configuration"
 """`Fault.by` of a fault whose unit is no longer configured."""
 RESTORED = "restored after a restart of PHM"
@@ -62,6 +64,7 @@ class FaultRecords:
             ok_s=now.mono - record.published.since.mono if record.published.level is Level.OK else 0.0,
             ok_since_start_s=record.ok_since_start_s(now.mono),
             start_seen=record.container_started != NEVER,
+            pause_s=record.pause_s,
             generation=self._starts.newest(result.target) if result.target else "",
         )
         effects.events.append(FaultOpened(now, record.fault))
@@ -71,6 +74,8 @@ class FaultRecords:
             return
         closed = replace(record.fault, closed=now, outcome=outcome, by=by)
         record.fault = None
+        if outcome is Outcome.RESOLVED and by == ITSELF:
+            record.pause_s = max(record.pause_s, now.mono - closed.opened.mono)
         record.published = replace(record.published, fault="")
         effects.events.append(FaultClosed(now, closed))
 

@@ -53,6 +53,8 @@ _VIEWS = Explanation("the neighbours' beacons are late, or read late")
 EXPLAINED: Mapping[str, Explanation] = {
     "rate_low": _SLOW,
     "silent": Explanation(f"{_SLOW.evidence}; not where its executor ran 2 s after a message was due"),
+    "data_stamp": Explanation("messages wait before they are published; not where stamps differ by more than 10 s"),
+    "data_gaps": Explanation("its publisher does not read its input in time"),
     "not_received": Explanation("a publisher that is starved from its start has not sent yet"),
     "transport_blocked": Explanation("publishers that are starved from their start are found, and have not sent yet"),
     "topic_missing": _LEASE,
@@ -62,13 +64,13 @@ EXPLAINED: Mapping[str, Explanation] = {
     "subscriber_lost": _LEASE,
     "node_missing": Explanation(f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone"),
     "node_unreachable": _LEASE,
-    "node_hung": Explanation(f"{_LATE.evidence}; not where its process or container is stopped"),
+    "node_hung": Explanation(
+        f"{_LATE.evidence}; not where its process or container is stopped, or its executor was blocked for 15 s while "
+        "its beacon was in time"
+    ),
     "node_unanswering": _LATE,
     "node_busy": _LATE,
     "beacon_missing": _LATE,
-    "not_ready": Explanation(
-        "it answers late, or is dropped from the graph; not where its lifecycle state was observed"
-    ),
     "dissent": _VIEWS,
     "split": _VIEWS,
     "diagnostic_stale": Explanation("its publisher is not scheduled in time"),

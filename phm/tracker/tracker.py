@@ -8,12 +8,11 @@ from dataclasses import replace
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.tracker import starvation
-from phm.tracker.faults import FaultRecords
+from phm.tracker.faults import ITSELF, FaultRecords
 from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S, as_unknown, decide, in_grace
 from phm.tracker.start_dedup import StartDedup, StartSeen
 from phm.tracker.units import NEVER, ActionInProgress, Effects, TargetHold, TrackedUnit, TrackerView, UnitRecord
 
-ITSELF = "itself"
 ASK_AGAIN_S = 1.0
 """While a bad result waits for confirmation, its check and those of its dependencies run again this often."""
 SETTLING_RERUN_S = 0.15

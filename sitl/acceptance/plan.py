@@ -23,6 +23,7 @@ CAMPAIGN = (
     "autopilot_reboot", "autopilot_silent", "cpu_hog", "disk_full", "engine_restarted", "gcs_radio_cut", "memory_full",
     "network_blocked", "node_duplicate", "node_never_started", "peer_lost", "peer_split", "phm_killed", "phm_stopped",
     "qos_mismatch", "radio_lossy", "radio_saturated", "router_killed", "subscriber_lost", "transport_blocked",
+    "callback_blocked", "clock_stepped", "executor_deadlocked", "healthcheck_hangs", "memory_leak", "sigterm_ignored",
 )  # fmt: skip
 """Not played here: they are reported but not recovered, or need a swarm. `sitl.campaign` plays them; docs/development/sitl_faults.md."""
 STARVING = (

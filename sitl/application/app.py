@@ -7,7 +7,8 @@ Node i publishes topic_i and subscribes to the topic of the node before it, in t
 says, see `sitl.application.graph`.
 A dead node is left dead, so that PHM has something to find. Each node's process id is in
 `/tmp/nodes/<node>.pid`, so that a fault can be injected into that node alone. SIGUSR1 makes this process take
-memory until it is killed; SIGUSR2 makes it end without a word to its nodes, which the kernel ends with the container. A
+memory until it is killed; SIGUSR2 makes it end without a word to its nodes, which the kernel ends with the container;
+SIGRTMIN+1 makes it ignore SIGTERM from then on. A
 file `/tmp/broken_start` that is not empty makes the next start fail; a node whose name is in `/tmp/left_out` is not
 started, once.
 """
@@ -25,7 +26,8 @@ from pathlib import Path
 
 from sitl.application.graph import OPTIONS_VARIABLE, NodePlan, read, ring
 
-_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1, signal.SIGUSR2)
+IGNORE_TERM = signal.SIGRTMIN + 1
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1, signal.SIGUSR2, IGNORE_TERM)
 NODE = (sys.executable, "-m", "sitl.application.node")
 _FAREWELL_S = 3.0
 _BITE = 8 * 2**20
@@ -52,13 +54,16 @@ class App:
 
     def serve(self) -> None:
         """Until SIGTERM, SIGINT or SIGUSR2; dead nodes are reaped, and their pid files removed."""
+        ignored: set[int] = {signal.SIGCHLD}
         while True:
             number = signal.sigwait(_SIGNALS)
             if number == signal.SIGUSR1:
                 _leak()
             elif number == signal.SIGUSR2:
                 os._exit(0)
-            elif number != signal.SIGCHLD:
+            elif number == IGNORE_TERM:
+                ignored |= {IGNORE_TERM, signal.SIGTERM}
+            elif number not in ignored:
                 return
             self._reap()
 
@@ -128,12 +133,21 @@ def main(argv: list[str] | None = None) -> int:
     app = App(options.pids)
     left_out = options.left_out.read_text("ascii").split() if options.left_out.exists() else []
     options.left_out.unlink(missing_ok=True)  # the start that goes wrong now goes well the next time
-    for plan in read(json.loads(options.graph)) if options.graph else ring(options.nodes, options.rate):
+    for plan in _plans(options):
         if plan.name not in left_out:
             app.start(plan.name, *(_as_found if options.as_found else _with_beacon)(options.agent, plan))
     app.serve()
     app.stop()
     return 0
+
+
+def plans(argv: Sequence[str]) -> list[NodePlan]:
+    """The nodes that the application starts with these options."""
+    return _plans(_options(list(argv)))
+
+
+def _plans(options: argparse.Namespace) -> list[NodePlan]:
+    return read(json.loads(options.graph)) if options.graph else ring(options.nodes, options.rate)
 
 
 def _options(argv: list[str] | None) -> argparse.Namespace:

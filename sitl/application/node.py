@@ -4,10 +4,11 @@
 
 Signals change what it does, and a second one of the same kind changes it back; the process stays as it is. SIGUSR1 silences its
 topics, SIGUSR2 halves their rate, SIGHUP makes it give up its subscriptions, and SIGRTMIN+1 offer its topics as best
-effort, which a reliable subscription does not take.
+effort, which a reliable subscription does not take; `sitl.application.behaviour` has the others. What it receives is in a file, see
+`sitl.application.received`.
 
-It has a beacon, unless `--no-beacon` says otherwise. Imports rclpy, std_msgs, the one file phm/beacon.py and the standard
-library alone, so that it runs in any ROS image.
+It has a beacon, unless `--no-beacon` says otherwise. Imports rclpy, std_msgs, the one file phm/beacon.py, its own package and the
+standard library alone, so that it runs in any ROS image.
 """
 
 from __future__ import annotations
@@ -15,12 +16,8 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
-from types import FrameType
 from typing import Any
 
 import rclpy
@@ -31,48 +28,29 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from phm.beacon import Beacon
+from sitl.application.behaviour import Behaviour
+from sitl.application.reading import Reading
+from sitl.application.received import Record
 
 DEPTH = 10
 OPTIONS_VARIABLE = "SITL_NODE"
 """Environment variable with the options, a list in JSON, for a node that is started without any."""
-SIGNALS = {
-    signal.SIGUSR1: "silent",
-    signal.SIGUSR2: "halved",
-    signal.SIGHUP: "unsubscribed",
-    signal.SIGRTMIN + 1: "careless",
-}
 LOOK_S = 0.5
 """How often an idle node checks for a request to end."""
-
-
-@dataclass
-class Behaviour:
-    """What the node does; changed by signals."""
-
-    silent: bool = False
-    halved: bool = False
-    unsubscribed: bool = False
-    careless: bool = False
-
-    def listen(self) -> None:
-        """Take the signals. rclpy's own handlers are for SIGINT and SIGTERM alone."""
-        for number, name in SIGNALS.items():
-            signal.signal(number, partial(self._turn, name))
-
-    def _turn(self, name: str, number: int, frame: FrameType | None) -> None:
-        setattr(self, name, not getattr(self, name))
-
-    def speaks(self, tick: int) -> bool:
-        return not self.silent and not (self.halved and tick % 2)
 
 
 class Endpoints:
     """The node's publishers and subscriptions, recreated when its mood changes."""
 
     def __init__(
-        self, node: Node, publish: Sequence[tuple[str, float]], subscribe: Sequence[str], mood: Behaviour
+        self,
+        node: Node,
+        publish: Sequence[tuple[str, float]],
+        subscribe: Sequence[str],
+        mood: Behaviour,
+        record: Record,
     ) -> None:
-        self._node, self._mood = node, mood
+        self._node, self._mood, self._record = node, mood, record
         self._publish, self._subscribe = tuple(publish), tuple(subscribe)
         self._unsubscribed = self._careless = False
         self._subscriptions: list[Any] = []
@@ -95,7 +73,9 @@ class Endpoints:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         wanted = () if self._unsubscribed else self._subscribe
-        self._subscriptions = [self._node.create_subscription(String, topic, _ignore, DEPTH) for topic in wanted]
+        self._subscriptions = [
+            self._node.create_subscription(String, topic, self._record.listener(topic), DEPTH) for topic in wanted
+        ]
 
     def _offer(self) -> None:
         for publisher in self._publishers.values():
@@ -110,6 +90,7 @@ class Endpoints:
         def publish() -> None:
             nonlocal count
             count += 1
+            self._mood.fail()
             if self._mood.speaks(count):
                 self._publishers[topic].publish(String(data=f"{self._node.get_name()} {count}"))
 
@@ -140,7 +121,9 @@ def _work(options: argparse.Namespace) -> None:
             Beacon(node)
         mood = Behaviour()
         mood.listen()
-        ends = Endpoints(node, options.publish, options.subscribe, mood)
+        record = Record(options.name)
+        ends = Endpoints(node, options.publish, options.subscribe, mood, record)
+        reading = Reading(node, mood, record)
         # Not `spin`: a SIGTERM that comes just before it waits is lost on a node without timers, which then never ends.
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -149,6 +132,8 @@ def _work(options: argparse.Namespace) -> None:
         while rclpy.ok():
             executor.spin_once(timeout_sec=LOOK_S)
             ends.follow()
+            if record.due():
+                reading.follow()
     finally:
         node.destroy_node()
 
@@ -177,10 +162,6 @@ def topic_rate(text: str) -> tuple[str, float]:
     if not topic or not rate_hz > 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not TOPIC:HZ with a rate above zero, e.g. topic_1:10")
     return topic, rate_hz
-
-
-def _ignore(_: Any) -> None:
-    pass
 
 
 if __name__ == "__main__":

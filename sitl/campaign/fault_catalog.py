@@ -78,7 +78,7 @@ def kind(fault: Fault) -> str:
     """What fails, for the tables above: the check that reports it, with a few exceptions."""
     special = {"container/router": "router", "host/cpu": "load"}.get(fault.unit)
     check = fault.unit.partition("/")[0]
-    return special or ("topics" if check == "rates" else check or fault.layer)
+    return special or ("topics" if check in ("rates", "data") else check or fault.layer)
 
 
 def class_of(fault: Fault) -> Class:

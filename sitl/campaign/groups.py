@@ -8,10 +8,10 @@ from typing import Any
 
 from sitl.campaign.metrics import Figures, figures
 from sitl.campaign.stats import Estimate, estimate
-from sitl.campaign.trial import Trial
+from sitl.campaign.trial import BUSY, QUIET, Trial
 
 ORDER = ("shipped", "tuned", "as-found", "")
-LOADS = ("quiet", "busy", "")
+LOADS = (QUIET, BUSY, "")
 
 
 @dataclass(frozen=True)

@@ -22,15 +22,17 @@ DONE, SHORT, NOT_DONE = 0, 1, 75
 
 def show(trials: Sequence[Trial], asked: argparse.Namespace, console: Console, *, whole: bool) -> int:
     """Show and write what `asked` wants; return the exit code. `whole`: the caller has no trial left to run."""
+    if not trials:
+        console.print("the record has no trial yet, so no report was written", highlight=False)
+        return NOT_DONE
     found = groups(trials)
     console.print(description(found), markup=False, highlight=False)
-    if found:
-        for title, head, rows in (
-            ("beside the paper's Table 2", table.head("metric", found, "paper, Table 2"), table.table2(found)),
-            ("what ended the faults", table.head("ended by", found), table.endings(found)),
-            ("confirmed from outside", table.head("number of faults", found), table.outside(found)),
-        ):
-            console.print(_rich(title, head, rows))
+    for title, head, rows in (
+        ("beside the paper's Table 2", table.head("metric", found, "paper, Table 2"), table.table2(found)),
+        ("what ended the faults", table.head("ended by", found), table.endings(found)),
+        ("confirmed from outside", table.head("number of faults", found), table.outside(found)),
+    ):
+        console.print(_rich(title, head, rows))
     for sentence in problems(found):
         console.print(f"- {sentence}", markup=False, highlight=False)
     for path, make in ((asked.json, as_json), (asked.html, as_html)):
@@ -40,23 +42,23 @@ def show(trials: Sequence[Trial], asked: argparse.Namespace, console: Console, *
     if asked.markdown:
         publish(trials)
         console.print(f"written: {RECORD}, {PAGE}, {README}", highlight=False)
-    left = _left(trials)
-    if left or not whole or not trials:
-        console.print(f"{left or 'some'} of the planned trials are missing; call again to go on", highlight=False)
+    missing = left(trials)
+    if missing or not whole:
+        console.print(f"{missing or 'some'} of the planned trials are missing; call again to go on", highlight=False)
         return NOT_DONE
     return SHORT if short(found) else DONE
 
 
-def _left(trials: Sequence[Trial]) -> int:
+def left(trials: Sequence[Trial]) -> int:
     """Planned trials that are not in the record, those of seeds that were not begun included."""
     planned = {trial.campaign: int(trial.setting.get("planned", 0)) for trial in trials}
     seeds = {trial.campaign[:2]: int(trial.setting.get("seeds", 1)) for trial in trials}
     made = [trial.campaign for trial in trials if trial.kind == TRIAL]
-    left = sum(max(0, number - made.count(campaign)) for campaign, number in planned.items())
+    missing = sum(max(0, number - made.count(campaign)) for campaign, number in planned.items())
     for kind, wanted in seeds.items():
         begun = [number for campaign, number in planned.items() if campaign[:2] == kind]
-        left += max(0, wanted - len(begun)) * max(begun)
-    return left
+        missing += max(0, wanted - len(begun)) * max(begun)
+    return missing
 
 
 def _rich(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

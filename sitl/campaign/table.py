@@ -131,6 +131,7 @@ def left_out(groups: Sequence[Group]) -> Rows:
 
     wanted: list[tuple[str, Shown]] = [
         ("injection failed: in no figure", lambda f: str(f.not_injected)),
+        ("all times: faults of the runs with recovery off", lambda f: str(_without_recovery(f))),
         ("detection: missed", lambda f: str(sum(verdict.missed for verdict in f.verdicts))),
         ("detection: reported by the alarm of another fault of the agent", lambda f: str(f.through_cause)),
         ("detection: reported at another unit only", lambda f: str(_elsewhere(f))),
@@ -146,6 +147,10 @@ def left_out(groups: Sequence[Group]) -> Rows:
         ("uptime: run with recovery off", lambda f: f"{sum(each.trial.kind == OFF for each in f.judged)} runs"),
     ]
     return _rows(wanted, groups)
+
+
+def _without_recovery(found: Figures) -> int:
+    return sum(len(each.verdicts) for each in found.judged if each.trial.kind == OFF)
 
 
 def _elsewhere(found: Figures) -> int:

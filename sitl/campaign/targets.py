@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from sitl.campaign.groups import Group
 from sitl.campaign.metrics import Figures
 from sitl.campaign.stats import Estimate
+from sitl.campaign.trial import BUSY, QUIET
 
 Value = float | int | None
 
@@ -117,7 +118,7 @@ ALWAYS = {
     "Changed with recovery off": NONE,
 }
 """For every profile and load."""
-QUIET = {
+ON_QUIET = {
     "Alarms per fault": ONE,
     "By action, of the healable": Target("100 %", lambda value: value >= 1.0),
     "Self-resolved: by action, of all injected": at_least(0.65, percent),
@@ -137,16 +138,16 @@ TUNED = {
     "Response, mean": at_most(1.0, seconds),
 }
 AS_FOUND = {"Fault detection, p95": at_most(6.0, seconds)}
-BUSY = {"Alarms per fault": at_most(1.05, "{:.2f}".format), "Actions that did not help": NONE}
+ON_BUSY = {"Alarms per fault": at_most(1.05, "{:.2f}".format), "Actions that did not help": NONE}
 
 
 def targets(group: Group, quiet: Group | None) -> dict[str, Target]:
     """By name of the metric. `quiet`: the same profile on a quiet machine, which limits the times under load."""
-    if group.load == "busy":
+    if group.load == BUSY:
         means = {} if quiet is None else {name: quiet.mean(metric.value) for name, metric in _TIMES.items()}
         doubled = {name: at_most(2 * mean.mean, seconds) for name, mean in means.items() if mean is not None}
-        return {**ALWAYS, **BUSY, **doubled}
-    return {**ALWAYS, **QUIET, **{"tuned": TUNED, "as-found": AS_FOUND}.get(group.profile, SHIPPED)}
+        return {**ALWAYS, **ON_BUSY, **doubled}
+    return {**ALWAYS, **ON_QUIET, **{"tuned": TUNED, "as-found": AS_FOUND}.get(group.profile, SHIPPED)}
 
 
 _TIMES = {metric.name: metric for metric in METRICS if metric.name in TIMES}
@@ -154,7 +155,7 @@ _TIMES = {metric.name: metric for metric in METRICS if metric.name in TIMES}
 
 def evaluated(group: Group, others: Sequence[Group] = ()) -> list[Result]:
     """Every metric of the group with its target. `others`: all groups of the record."""
-    quiet = next((each for each in others if (each.profile, each.load) == (group.profile, "quiet")), None)
+    quiet = next((each for each in others if (each.profile, each.load) == (group.profile, QUIET)), None)
     known = targets(group, quiet)
     return [_result(metric, group, known.get(metric.name)) for metric in METRICS]
 

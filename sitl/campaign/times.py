@@ -116,13 +116,14 @@ def _end(verdict: Verdict, trial: Trial, unit: str, begun: float, until: float) 
 
 
 def _ended_by(verdict: Verdict, trial: Trial, begun: float) -> str:
-    """Which of ENDINGS. An action counts only where nothing else can have ended the fault."""
+    """Which of ENDINGS. An action counts only if the record has it, and nothing else can have ended the fault."""
     fault, by = verdict.injection, verdict.by
     if fault.phm or not fault.unit or by in (OWN_RESTART, OWN_GUARD):
         return PHM
     if fault.passes:
         return INJECTOR
-    if NOTHING not in by.split(", ") and not _restored_before(verdict, trial, begun):
+    actions = {act.action for act in trial.acts if act.agent == fault.agent}
+    if set(by.split(", ")) <= actions and not _restored_before(verdict, trial, begun):
         return ACTION
     return DOCKER if fault.unit.startswith("container/") else ITSELF
 

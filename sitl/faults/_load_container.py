@@ -35,5 +35,12 @@ def stop_load(agent: Agent) -> None:
         agent.docker.containers.get(_name(agent)).remove(force=True)
 
 
+def loaded(agent: Agent) -> bool:
+    """Whether it runs."""
+    with contextlib.suppress(NotFound):
+        return bool(agent.docker.containers.get(_name(agent)).attrs["State"]["Running"])
+    return False
+
+
 def _name(agent: Agent) -> str:
     return f"{agent.project}-burden-1"

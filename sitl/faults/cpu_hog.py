@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from sitl.faults._load_container import start_load, stop_load
+from sitl.faults._load_container import loaded, start_load, stop_load
 from sitl.faults.base import Agent, Fault
 
 SPIN = "import os\nfor _ in range({cores} - 1):\n    if not os.fork():\n        break\nwhile True:\n    pass\n"
@@ -19,6 +19,7 @@ class Injection(Fault):
     condition = "cpu_high"
     layer = "companion"
     cause = "a process beside the application computes without end"
+    evidence, evidence_s = "the counters of processor time have no idle time over one period", 1.0
     healable = False
     needs = frozenset({"alone"})
 
@@ -29,3 +30,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         stop_load(agent)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not loaded(agent)

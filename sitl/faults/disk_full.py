@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 
@@ -26,6 +27,8 @@ OLDER_THAN = "10s"
 """PHM knows an age only as far as it has watched the clock, and agents of a simulation are started just before."""
 LEFT = "0.03"
 """Share of the disk that is left free: below PHM's limit, 5 %."""
+ENOUGH = 0.1
+"""Share above which the disk is OK again."""
 
 
 class Injection(Fault):
@@ -36,6 +39,7 @@ class Injection(Fault):
     condition = "disk_full"
     layer = "companion"
     cause = "logs, bags or images have filled a disk"
+    evidence, evidence_s = "the last write, after which the free share is below the limit", 0.5
     needs = frozenset({"configuration"})
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
@@ -49,6 +53,13 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         self._run(agent, "rm", "-rf", FILLER, BAGS)
+
+    def restored(self, agent: Agent) -> bool | None:
+        state = agent.sidecar.attrs["State"]
+        if not state["Running"]:
+            return False
+        seen = os.statvfs(f"/proc/{state['Pid']}/root/tmp")
+        return seen.f_bavail > ENOUGH * seen.f_blocks
 
     @staticmethod
     def _run(agent: Agent, *argv: str) -> None:

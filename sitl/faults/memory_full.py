@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import psutil
 
-from sitl.faults._load_container import LASTS_S, start_load, stop_load
+from sitl.faults._load_container import LASTS_S, loaded, start_load, stop_load
 from sitl.faults.base import Agent, Fault
 
 WARN, ERROR, TAKEN = 0.04, 0.05, 0.08
@@ -23,6 +23,7 @@ class Injection(Fault):
     condition = "memory_high"
     layer = "companion"
     cause = "a process beside the application leaks memory"
+    evidence, evidence_s = "the available memory falls below the limit: the filling takes up to a second", 1.0
     healable = False
     needs = frozenset({"alone", "configuration"})
 
@@ -45,3 +46,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         stop_load(agent)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not loaded(agent)

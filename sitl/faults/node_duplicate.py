@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault
 
 PID = "/tmp/duplicate.pid"
@@ -16,6 +17,7 @@ class Injection(Fault):
     condition = "node_duplicate"
     layer = "ros"
     cause = "somebody started a node by hand, or two launch files have it"
+    evidence, evidence_s = "a second process of the node in the process list", 0.1
 
     _generation = ""
 
@@ -33,3 +35,6 @@ class Injection(Fault):
         """After a restart it is gone, and its number may be another's."""
         kill = f"kill $(cat {PID}) || true; " if agent.generation == self._generation else ""
         agent.run_in_app("sh", "-c", f"if [ -e {PID} ]; then {kill}rm {PID}; fi")
+
+    def restored(self, agent: Agent) -> bool | None:
+        return works(agent)

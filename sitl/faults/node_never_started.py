@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault, freeze, put
 from sitl.faults.container_created import copied
 
@@ -19,6 +20,7 @@ class Injection(Fault):
     condition = "node_missing"
     layer = "ros"
     cause = "the application came up without one of its nodes, which lost a race at the start"
+    evidence, evidence_s = "the process list after the start lacks it while the others are there", 1.0
 
     _generation = ""
 
@@ -46,3 +48,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.renew_app(self._generation)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return works(agent)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._application import works
 from sitl.faults._overload import end_overload, overload
 from sitl.faults.base import Agent, Fault, undoing
 
@@ -17,6 +18,7 @@ class Injection(Fault):
     condition = "node_missing"
     layer = "ros"
     cause = "a node crashed while other containers take all cores"
+    evidence, evidence_s = "the launcher's child has ended (SIGCHLD)", 0.1
     also = ("host/cpu",)
     needs = frozenset({"alone", "starvation"})
 
@@ -33,3 +35,6 @@ class Injection(Fault):
         end_overload(agent)
         if self._generation:
             agent.renew_app(self._generation)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return works(agent)

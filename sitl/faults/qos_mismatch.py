@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault
 
 CARELESS = "35"
@@ -16,6 +17,7 @@ class Injection(Fault):
     condition = "qos_mismatch"
     layer = "ros"
     cause = "a node was updated and offers less than its subscriber asks for"
+    evidence, evidence_s = "the new offer is in the ROS graph", 0.3
 
     _generation = ""
 
@@ -27,3 +29,6 @@ class Injection(Fault):
         if agent.generation == self._generation:
             agent.signal_node("node_1", CARELESS)
             self._generation = ""
+
+    def restored(self, agent: Agent) -> bool | None:
+        return works(agent)

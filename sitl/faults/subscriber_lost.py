@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault
 
 
@@ -12,6 +13,7 @@ class Injection(Fault):
     condition = "subscriber_lost"
     layer = "ros"
     cause = "a node gave up its subscription after an error, and goes on without it"
+    evidence, evidence_s = "the endpoint has left the ROS graph", 0.3
 
     _generation = ""
 
@@ -21,3 +23,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.renew_app(self._generation)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return works(agent)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault
 
 
@@ -12,6 +13,7 @@ class Injection(Fault):
     condition = "silent"
     layer = "ros"
     cause = "a node's source has stopped, the node itself is well"
+    evidence, evidence_s = "the next message is missing, at 5 Hz", 0.2
 
     _generation = ""
 
@@ -21,3 +23,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.renew_app(self._generation)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return works(agent)

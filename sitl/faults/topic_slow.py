@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault
 
 
@@ -12,6 +13,7 @@ class Injection(Fault):
     condition = "rate_low"
     layer = "ros"
     cause = "a node does not keep up: every second message is missing"
+    evidence, evidence_s = "every second message is missing, at 5 Hz", 0.4
 
     _generation = ""
 
@@ -21,3 +23,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.renew_app(self._generation)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return works(agent)

@@ -32,7 +32,7 @@ def text(options: Options, number: int, changes: Mapping[str, str] | None = None
     agent = f"agent_{number}"
     plans = graph(options)
     tree["ros"]["nodes"] = [*(_node(agent, plan) for plan in plans), *_beyond(tree["ros"]["nodes"])]
-    tree["ros"]["topics"] = _topics(agent, plans)
+    tree["ros"]["topics"] = [*_topics(agent, plans), *_added(tree["ros"]["topics"])]
     router: dict[str, Any] = {"name": f"{options.name}-{number}-{ROUTER}-1", "alias": ROUTER, "recover": True}
     tree["containers"].append({**router, "healthcheck": "ignore"} if options.profile == "tuned" else router)
     tree["mavlink"]["endpoints"] = endpoints(options, number)
@@ -67,6 +67,11 @@ def endpoints(options: Options, number: int) -> list[dict[str, Any]]:
 def _beyond(shipped: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Nodes that a change has added to the shipped ones."""
     return [node for node in shipped if node.get("container") != APP]
+
+
+def _added(shipped: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Topics that a change has added to the shipped ones, which are named by a variable."""
+    return [topic for topic in shipped if "${" not in topic["name"]]
 
 
 def _node(agent: str, plan: NodePlan) -> dict[str, Any]:

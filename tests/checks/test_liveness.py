@@ -10,6 +10,7 @@ import pytest
 from phm_checks._liveness import (
     BARE_S,
     BLIND_HANG_S,
+    CERTAIN_HANG_S,
     GOODBYE_S,
     HANG_S,
     LOST_S,
@@ -236,6 +237,29 @@ def test_a_node_that_unregistered_recently_is_not_reported_for_its_silent_beacon
     left = piece(Kind.NAME, Observation.GONE, lasted_s=GOODBYE_S / 2)
     assert state(left, piece(Kind.BEACON, Observation.SILENT, 0.7)) is NodeState.ALIVE
     assert state(UNLISTED, RUNS, piece(Kind.BEACON, Observation.SILENT, HANG_S)) is NodeState.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("evidence", "certain"),
+    [
+        ([RUNS, piece(Kind.BEACON, Observation.LATE, CERTAIN_HANG_S)], True),
+        ([RUNS, piece(Kind.BEACON, Observation.LATE, CERTAIN_HANG_S - 0.1)], False),
+        ([RUNS, piece(Kind.BEACON, Observation.SILENT, 60.0)], False),
+        ([piece(Kind.BEACON, Observation.LATE, 60.0)], False),
+        (
+            [
+                Evidence(Kind.PROCESS, Observation.ALIVE, "runs", measured=False),
+                piece(Kind.BEACON, Observation.LATE, 60.0),
+            ],
+            False,
+        ),
+    ],
+)
+def test_starvation_does_not_block_an_executor_whose_beacon_is_in_time(evidence: list[Evidence], certain: bool) -> None:
+    """For long: its process gets the CPU and does not use it. If the beacon is silent too, or its CPU use unknown, it may be starved."""
+    verdict = fuse([*evidence, LISTED, SILENT], NO_HISTORY)
+    assert verdict.state is NodeState.HUNG
+    assert verdict.witnessed is certain
 
 
 def test_the_text_has_how_long_a_busy_node_has_not_responded() -> None:

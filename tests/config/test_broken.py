@@ -38,32 +38,6 @@ def refused(text: str, **environ: str) -> tuple[Problem, ...]:
 ONE = "containers:\n  - name: app\n"
 
 BROKEN = [
-    # readiness
-    Broken("ready without a requirement", ONE + "    ready: {within: 5s}\n", 3, "containers[0].ready", ("services, topics",)),
-    Broken(
-        "lifecycle state of a container", ONE + "    ready: {lifecycle: active, services: [/a/s]}\n", 3,
-        "containers[0].ready.lifecycle", ("lifecycle", "services"),
-    ),
-    Broken(
-        "unknown lifecycle state", "ros: {nodes: [{name: /a/one, ready: {lifecycle: activ}}]}\n", 1,
-        "ros.nodes[0].ready.lifecycle", ("active",),
-    ),
-    Broken(
-        "ready topic that has a rate", "ros:\n  nodes: [{name: /a/one, ready: {topics: [/a/t]}}]\n  topics: [{name: a/t, rate: 5}]\n", 2,
-        "ros.nodes[0].ready.topics[0]", ("'ros.topics'", "remove it"),
-    ),
-    Broken(
-        "ready service twice", ONE + "    ready: {services: [/a/s, a/s]}\n", 3,
-        "containers[0].ready.services[1]", ("service 'a/s' is defined twice",),
-    ),
-    Broken(
-        "ready after the verification", ONE + "    ready: {services: [/a/s], within: 60s}\n", 3,
-        "containers[0].ready.within", ("'verify'", "30 or less"),
-    ),
-    Broken(
-        "verification before ready", ONE + "    ready: {services: [/a/s]}\nrecovery: {verify: 20s}\n", 4,
-        "recovery.verify", ("'within' which is 30", "30 or more"),
-    ),
     # diagnostics of the application
     Broken(
         "diagnostics of no container", ONE + "ros: {diagnostics: {watch: [{name: x, container: ap}]}}\n", 3,
@@ -84,6 +58,39 @@ BROKEN = [
     Broken(
         "diagnostics too impatient", "ros: {diagnostics: {watch: [{name: x, timeout: 0.1}]}}\n", 1,
         "ros.diagnostics.watch[0].timeout", ("0.5",),
+    ),
+    # what messages must contain
+    Broken(
+        "data without a rate", "ros:\n  topics:\n    - name: /a\n      data: {frozen: 2s}\n", 4, "ros.topics[0].data",
+        ("requires 'rate' above 0",),
+    ),
+    Broken(
+        "data of a latched topic", "ros:\n  topics:\n    - {name: /a, rate: 0Hz, data: {frozen: 2s}}\n", 3,
+        "ros.topics[0].data", ("requires 'rate' above 0",),
+    ),
+    Broken(
+        "data of nothing", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {sample: 1Hz}}\n", 3, "ros.topics[0].data",
+        ("examines nothing", "max_age, order, frozen, counter, ranges"),
+    ),
+    Broken(
+        "gaps of no counter", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {frozen: 1s, gaps: 1%}}\n", 3,
+        "ros.topics[0].data.gaps", ("never used without 'counter'",),
+    ),
+    Broken(
+        "range in the wrong order", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {ranges: {x: [5, -5]}}}\n", 3,
+        "ros.topics[0].data.ranges.x", ("is 5 to -5", "first number is the lowest"),
+    ),
+    Broken(
+        "range of one number", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {ranges: {x: [5]}}}\n", 3,
+        "ros.topics[0].data.ranges.x", ("2",),
+    ),
+    Broken(
+        "range of no field", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {ranges: {'x[0]': [0, 1]}}}\n", 3,
+        "ros.topics[0].data.ranges.x[0]", (),
+    ),
+    Broken(
+        "too many samples", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {frozen: 1s, sample: 100Hz}}\n", 3,
+        "ros.topics[0].data.sample", ("100Hz", "4 Hz"),
     ),
     # what recovery needs
     Broken("after unknown", ONE + "    after: [ap]\n", 3, "containers[0].after[0]", ("unknown container 'ap'", "did you mean 'app'?")),

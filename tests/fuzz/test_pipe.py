@@ -7,7 +7,7 @@ import json
 
 from hypothesis import strategies as st
 
-from phm.facts.ros import AnswerFact, BeaconFact, DiagnosticFact, NeighbourFact
+from phm.facts.ros import BeaconFact, DataFact, DiagnosticFact, NeighbourFact, OutsideFact, TopicFact
 from phm.probes.ros import protocol as pipe
 from phm.probes.ros.line_splitter import LineSplitter
 from tests.fuzz.hostile import messages
@@ -15,19 +15,23 @@ from tests.fuzz.targets import fuzzed
 
 BEACON = BeaconFact(0.0, 0.2, 0.0, "w.1", 5, {"/b": NeighbourFact(True, 0.4, 0.0)}, 3, "w")
 STATUS = DiagnosticFact(0.0, 1, "words", "board", {"a": "b"})
+EXAMINED = TopicFact(data=DataFact(("data_range",), 9, "", 0.1, False, 1, 2.0, 0.0, 5.0, (OutsideFact("x", "nan"),)))
+EXAMINE = pipe.WantedData(0.5, True, 2.0, "seq", 5.0, (pipe.WantedRange("x", None, 1.0),), 2.0)
 SENT = [
     *map(
         pipe.encode,
         (
             pipe.GraphMessage(1.0, {"/a": 1}, problems=("one",)),
+            pipe.GraphMessage(1.0, {"/a": 1}, {"/t": EXAMINED}),
             pipe.Tick(1.0, {"/t": 0.5, "/u": None}, 3),
             pipe.SelfReportUpdate({"/a": BEACON}, {"s": STATUS}, {"/b": 0.1}, 2),
-            pipe.ReadinessUpdate({"/s": 1}, {"/a": AnswerFact("active", "", True, 0.5)}),
             pipe.LogText("words"),
         ),
     ),
     pipe.encode_order(pipe.Publish(1.0, {"s": STATUS})),
-    pipe.encode_wanted(pipe.Wanted("agent_1", 3, (pipe.WantedTopic("/t", 10.0),))),
+    pipe.encode_wanted(
+        pipe.Wanted("agent_1", 3, (pipe.WantedTopic("/t", 10.0), pipe.WantedTopic("/u", 1.0, data=EXAMINE)))
+    ),
 ]
 STREAMS = st.sampled_from(SENT).flatmap(lambda line: messages(json.loads(line)))
 

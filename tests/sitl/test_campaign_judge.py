@@ -269,6 +269,7 @@ def test_a_lost_radio_is_reported_by_other_agents() -> None:
     [
         ({}, "restart", 3.5, ACTION),
         ({}, "itself", 3.5, ITSELF),
+        ({}, "configuration", 3.5, ITSELF),
         ({"unit": "container/ros_app"}, "itself", 3.5, DOCKER),
         ({"passes": True}, "restart", 3.5, INJECTOR),
         ({}, "restart", 0.5, ITSELF),
@@ -280,7 +281,7 @@ def test_what_ended_a_fault(fault: dict[str, Any], by: str, world: float, ended_
     the injector was running.
     """
     one = injection(world=T0 + world, **fault)
-    acts = [] if by == "itself" else [started(1.0, one.unit), verified(4.0, one.unit)]
+    acts = [] if by != "restart" else [started(1.0, one.unit), verified(4.0, one.unit)]
     closed = alarm(0.4, one.unit, closed=T0 + 4, outcome="resolved", by=by)
     verdict = only(trial(injections=[one], alarms=[closed], acts=acts))
     assert (verdict.ended_by, verdict.by_action) == (ended_by, ended_by == ACTION)

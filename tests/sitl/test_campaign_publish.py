@@ -11,6 +11,7 @@ import pytest
 from sitl.campaign import publish
 from sitl.campaign.main import main
 from sitl.campaign.report import BEGIN, END, as_markdown
+from sitl.campaign.show import left
 from sitl.campaign.trial import Trial, append, load
 from sitl.harness.compose_stack import ROOT
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
@@ -64,6 +65,25 @@ def test_the_command_reproduces_the_page(root: Path, monkeypatch: pytest.MonkeyP
     first = contents(root)
     assert main(["--report-only", "--record", str(root / publish.RECORD), "--markdown"]) in (0, 1)
     assert contents(root) == first
+
+
+def test_an_empty_record_changes_nothing(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrong `--record` must not replace the results by an empty page; the exit code says that trials are missing."""
+    monkeypatch.setattr(publish.publish, "__defaults__", (root,))
+    before = (root / publish.PAGE).read_bytes()
+    assert main(["--report-only", "--record", str(root / "none.jsonl"), "--markdown"]) == 75
+    assert (root / publish.PAGE).read_bytes() == before
+    assert not (root / publish.RECORD).exists()
+
+
+def test_planned_trials_that_are_missing_are_reported(root: Path) -> None:
+    """Trials of a seed that was begun, and seeds that were not begun."""
+    raw = root / "campaign.jsonl"
+    for each in campaign():
+        each.setting.update(planned=2, seeds=3)
+        append(raw, each)
+    assert left(load(raw)) == 1 + 1 + 2
+    assert main(["--report-only", "--record", str(raw)]) == 75
 
 
 def test_the_results_are_those_of_the_record() -> None:

@@ -85,6 +85,14 @@ def test_lines_of_the_shipped_configuration_can_be_changed() -> None:
         config.text(options, 1, {"no such line": ""})
 
 
+def test_a_fault_can_add_a_topic() -> None:
+    """In addition to those of the swarm's graph."""
+    line = '\n      subscribers: ["/${PHM_AGENT:-agent_1}/node_1"]'
+    more = {line: f"{line}\n    - {{name: /agent_1/reading, container: ros_app}}"}
+    names = [topic["name"] for topic in yaml.safe_load(config.text(Options(nodes=2), 1, more))["ros"]["topics"]]
+    assert names == ["/agent_1/topic_1", "/agent_1/topic_2", "/agent_1/reading"]
+
+
 def test_the_recovery_mode_applies_to_the_swarm() -> None:
     """`--mode off` lets a campaign prove that nothing changes without recovery."""
     assert settings(Options(mode="off"), 1).recovery.mode == "off"

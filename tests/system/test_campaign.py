@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from sitl.campaign.main import DONE, SHORT, main
+from sitl.campaign.main import main
 from sitl.campaign.scoring import judge
+from sitl.campaign.show import DONE, SHORT
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, load
 from sitl.swarm.options import Options
 from sitl.swarm.swarm import Swarm

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from phm.api import Layer, Level, Slot, Unit, error, stale, warn
 from phm.core.model import FaultClosed, FaultOpened, Outcome, Transition
 from phm.tracker import TrackedUnit
@@ -228,6 +230,26 @@ def test_stale_neither_opens_nor_closes() -> None:
     assert len(bench.tracker.open_faults()) == 1
     bench.see("container", OK)
     assert bench.closed == [("container", Outcome.RESOLVED, "itself")]
+
+
+def test_a_fault_states_the_longest_earlier_pause_of_its_unit() -> None:
+    """Only what ended without an action counts: an action ends a fault before the pause would have."""
+    bench = chain()
+    bench.all_well()
+    for seconds in (3.0, 1.0):
+        bench.see("container", BAD)
+        bench.later(seconds)
+        bench.see("container", OK)
+        bench.later(1)
+    bench.see("container", BAD)
+    bench.take(bench.tracker.begin_action("", "container", "restart", bench.stamp(), 60.0))
+    bench.later(20)
+    bench.see("container", OK)
+    bench.take(bench.tracker.end_action("", bench.stamp(), worked=True))
+    bench.later(60)
+    bench.see("container", BAD)
+    pauses = [event.fault.pause_s for event in bench.events if isinstance(event, FaultOpened)]
+    assert pauses == pytest.approx([0.0, 3.0, 3.0, 3.0])
 
 
 def test_a_warning_blocks_no_unit_and_opens_no_fault() -> None:

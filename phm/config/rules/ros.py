@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from phm.config.node import ConfigNode
 from phm.config.problems import unknown
 from phm.config.rules.common import bare, configured, container_key, report_duplicates
+from phm.core.message_fields import UnknownField, demand_counter, demand_number, has_header
+from phm.core.settings import Hertz
 
 
 def relaunch_has_a_container(root: ConfigNode) -> None:
@@ -67,3 +71,52 @@ def own_topics_have_no_rate(root: ConfigNode) -> None:
                 "cannot be measured while PHM publishes on /diagnostics itself: leave it out, or set ros.diagnostics.publish to "
                 "false; monitor the application's statuses with ros.diagnostics.watch"
             )
+
+
+def examined_topics_have_a_rate(root: ConfigNode) -> None:
+    """Messages are examined where their rate is measured, and a silent topic is reported there."""
+    for topic in root.get("ros", "topics").records():
+        data = topic.get("data")
+        if not data.given:
+            continue
+        if topic.get("rate").quantity(Hertz, 0.0) == 0.0:
+            data.add_problem("requires 'rate' above 0 for this topic: add it or remove this")
+        examined = [data.get(key).value for key in ("max_age", "order", "frozen", "counter", "ranges")]
+        if isinstance(data.value, dict) and not any(examined):
+            data.add_problem("examines nothing: give at least one of max_age, order, frozen, counter, ranges")
+        if data.get("gaps").given and not data.get("counter").given:
+            data.get("gaps").add_problem("is never used without 'counter': add it or remove this")
+        places = [limits for _, limits in data.get("ranges").items()]
+        for limits in places:
+            numbers = [number for number in limits.value if _number(number)] if isinstance(limits.value, list) else []
+            if len(numbers) == 2 and numbers[0] > numbers[1]:
+                limits.add_problem(f"is {numbers[0]:g} to {numbers[1]:g}: the first number is the lowest allowed value")
+
+
+def examined_fields_exist(root: ConfigNode) -> None:
+    """Where the type is known and installed beside PHM: it has the stamp and the fields that are to be examined."""
+    for topic in root.get("ros", "topics").records():
+        kind, data = topic.get("type").text, topic.get("data")
+        if not kind:
+            continue
+        for key in ("max_age", "order"):
+            if data.get(key).value and has_header(kind) is False:
+                data.get(key).add_problem(
+                    f"needs a stamp, but {kind} does not begin with a std_msgs/Header: remove this"
+                )
+        if data.get("counter").text:
+            _demand(demand_counter, kind, data.get("counter"), data.get("counter").text)
+        for name, limits in data.get("ranges").items():
+            if isinstance(name, str):
+                _demand(demand_number, kind, limits, name)
+
+
+def _demand(demand: Callable[[str, str], object], kind: str, place: ConfigNode, name: str) -> None:
+    try:
+        demand(kind, name)
+    except UnknownField as error:
+        place.add_problem(str(error))
+
+
+def _number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -30,9 +30,9 @@ from phm.core.settings.fleet import FleetEndpoint, FleetSettings, FleetTlsSettin
 from phm.core.settings.host import FreeDiskSettings, HostSettings, PressureSettings
 from phm.core.settings.mavlink import EndpointSettings, MavlinkSettings, SigningSettings
 from phm.core.settings.notify import NotifySettings
-from phm.core.settings.readiness import NodeReadySettings, ReadySettings
 from phm.core.settings.recovery import MaintenanceSettings, ManualStop, ManualStopSettings, RecoverySettings
 from phm.core.settings.ros import (
+    DataSettings,
     DiagnosticsSettings,
     NodeSettings,
     RosSettings,
@@ -48,6 +48,7 @@ __all__ = [
     "Celsius",
     "CheckSettings",
     "ContainerSettings",
+    "DataSettings",
     "DeviceSettings",
     "DiagnosticsSettings",
     "DockerSettings",
@@ -67,13 +68,11 @@ __all__ = [
     "ManualStopSettings",
     "MavlinkSettings",
     "Name",
-    "NodeReadySettings",
     "NodeSettings",
     "NotifySettings",
     "Percent",
     "PressureSettings",
     "ProcessSettings",
-    "ReadySettings",
     "RecoverySettings",
     "RosName",
     "RosSettings",

@@ -88,6 +88,9 @@ class RecoverySettings(Section):
     patience: Annotated[Seconds, Field(ge=0, le=600)] = 10.0
     """Seconds for which a topic must have been silent or slow, lost a publisher or subscriber or had incompatible ones while its
     nodes are alive, or a node must have been duplicate, before an action is taken."""
+    patience_min: Annotated[Seconds, Field(ge=0, le=600)] = 2.0
+    """What `patience` shrinks to, or twice the topic's longest pause if that is more, once the topic has been OK for `verify`
+    since its container started. The same as `patience`: it does not shrink."""
     approval: Annotated[Seconds, Field(ge=5, le=600)] = 60.0
     """Seconds for which an approval is valid; after that the action must be approved again."""
     on_manual_stop: ManualStop = ManualStopSettings()

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from phm.core.settings.base import Bytes, Hertz, Name, Percent, RosName, Seconds, Section
-from phm.core.settings.readiness import NodeReadySettings
 
 
 class NodeSettings(Section):
@@ -23,10 +22,33 @@ class NodeSettings(Section):
     """Command, word by word, that starts this node inside its container; tried before the container is restarted."""
     beacon: Literal["auto", "required"] = "auto"
     """`required`: it is an error when the node runs and no beacon (`phm.beacon`) is received from it."""
-    ready: NodeReadySettings | None = None
-    """What it must provide to be ready, e.g. its lifecycle state; default: readiness is not checked."""
     commands: bool = False
     """True: commands from the ground pass through this node to the autopilot, so it is part of the command path."""
+
+
+FieldName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$", max_length=255)]
+Bound = Annotated[float, Field(allow_inf_nan=False)] | None
+
+
+class DataSettings(Section):
+    """What the messages of a topic must contain. Few of them are examined; only what is configured is."""
+
+    max_age: Annotated[Seconds, Field(gt=0, le=3600)] | None = None
+    """Maximum difference of `header.stamp` to the system clock, in both directions; default: not checked."""
+    order: bool = False
+    """True: `header.stamp` must not go back."""
+    frozen: Annotated[Seconds, Field(gt=0, le=3600)] | None = None
+    """The content, without stamp and counter, must change within this time; default: not checked."""
+    counter: FieldName | None = None
+    """Field that its source increases by one for each message, e.g. `seq`; skipped numbers are gaps. Default: none."""
+    gaps: Percent = 5.0
+    """Share of the counter's numbers that may be missing; ERROR from twice as many."""
+    ranges: Annotated[
+        dict[FieldName, Annotated[list[Bound], Field(min_length=2, max_length=2)]], Field(max_length=16)
+    ] = Field(default_factory=dict)
+    """Lowest and highest value of fields, by name; null: no limit. Of an array, each element counts."""
+    sample: Annotated[Hertz, Field(gt=0, le=4)] = 2.0
+    """At most so many messages per second of each publisher are examined."""
 
 
 class TopicSettings(Section):
@@ -50,6 +72,8 @@ class TopicSettings(Section):
     """Nodes that must subscribe to it; default: none."""
     container: Name | None = None
     """The container it comes from; default: that of its first publisher, else the only configured one."""
+    data: DataSettings | None = None
+    """What its messages must contain; default: not examined."""
 
     @property
     def error_limit(self) -> float:

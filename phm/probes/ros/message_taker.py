@@ -17,9 +17,11 @@ _TAKE_FAILED = 401
 """RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message."""
 _KEPT_BYTES = 200_000
 """A buffer that a longer message has enlarged is released."""
+NO_SEQUENCE = 2**64 - 1
+"""RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED."""
 
 
-class _Info(ctypes.Structure):
+class MessageInfo(ctypes.Structure):
     """rmw_message_info_t since Galactic, with space for new fields."""
 
     _fields_ = (
@@ -77,32 +79,57 @@ class MessageTaker:
 
 def by_rcl(subscription: int) -> Callable[[], Taken | None] | None:
     """The same through the C function, with rcl's pointer; None if the libraries have another layout."""
-    try:
-        rcl, rcutils = ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so")
-        ask, begin, end = (
-            rcl.rcl_take_serialized_message,
-            rcutils.rcutils_uint8_array_init,
-            rcutils.rcutils_uint8_array_fini,
-        )
-        default = rcutils.rcutils_get_default_allocator
-    except (OSError, AttributeError):
-        return None
-    ask.restype, ask.argtypes = ctypes.c_int, (ctypes.c_void_p,) * 4
-    begin.argtypes, end.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p), (ctypes.c_void_p,)
-    default.restype = _Allocator
-    allocator = default()
-    message, info = _Message(), _Info()
-    if begin(ctypes.byref(message), 0, ctypes.byref(allocator)):
+    taker = RclTaker.opened(subscription)
+    if taker is None:
         return None
 
     def take() -> Taken | None:
-        code = ask(subscription, ctypes.byref(message), ctypes.byref(info), None)
-        if code:
+        taken = taker.take()
+        return None if taken is None else (taken[0], bytes(taken[1].gid), int(taken[1].received_ns))
+
+    return take
+
+
+class RclTaker:
+    """Takes messages through the C function. Its buffer is released by `close`, not before."""
+
+    def __init__(self, subscription: int, rcl: Any, rcutils: Any) -> None:
+        self._subscription = subscription
+        self._ask, self._release, self._begin = (
+            rcl.rcl_take_serialized_message,
+            rcutils.rcutils_uint8_array_fini,
+            rcutils.rcutils_uint8_array_init,
+        )
+        default = rcutils.rcutils_get_default_allocator
+        self._ask.restype, self._ask.argtypes = ctypes.c_int, (ctypes.c_void_p,) * 4
+        self._begin.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+        self._release.argtypes = (ctypes.c_void_p,)
+        default.restype = _Allocator
+        self._allocator = default()
+        self._message, self._info = _Message(), MessageInfo()
+
+    @classmethod
+    def opened(cls, subscription: int) -> RclTaker | None:
+        """For rcl's pointer; None if the libraries have another layout."""
+        try:
+            taker = cls(subscription, ctypes.CDLL("librcl.so"), ctypes.CDLL("librcutils.so"))
+        except (OSError, AttributeError):
+            return None
+        return taker if taker._empty() else None
+
+    def take(self) -> tuple[bytes, MessageInfo] | None:
+        """The oldest message in the queue, and its information, which the next call overwrites; None if it is empty."""
+        message = self._message
+        if self._ask(self._subscription, ctypes.byref(message), ctypes.byref(self._info), None):
             return None
         data = ctypes.string_at(message.buffer, message.length)
         if message.capacity > _KEPT_BYTES:
-            end(ctypes.byref(message))
-            begin(ctypes.byref(message), 0, ctypes.byref(allocator))
-        return data, bytes(info.gid), int(info.received_ns)
+            self.close()
+            self._empty()
+        return data, self._info
 
-    return take
+    def close(self) -> None:
+        self._release(ctypes.byref(self._message))
+
+    def _empty(self) -> bool:
+        return not self._begin(ctypes.byref(self._message), 0, ctypes.byref(self._allocator))

@@ -47,12 +47,34 @@ def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
     except TypeUnavailable as reason:
         reasons.append(f"it cannot be read by its name alone, as {reason}")
     try:
-        if name not in _mounted:
-            _mounted[name] = mounted.load(package, kind, short)
-        return _mounted[name]
+        return _from_application(name, mounted, package, kind, short)
     except TypeUnavailable as reason:
         reasons.append(str(reason))
     raise UnknownType(f"type unknown: {name} {'; '.join(reasons)}")
+
+
+def load_decodable(name: str) -> Any:
+    """The class of `package/msg/Type` for decoding messages: installed beside PHM, or in `ros.installs`. Raises UnknownType."""
+    match = _NAME.fullmatch(name)
+    if match is None:
+        raise UnknownType(f"type unknown: {name!r} is not the name of a ROS type")
+    package, kind, short = match.groups()
+    mounted = MountedPackages(os.environ.get(INSTALLS, "").split(os.pathsep))
+    try:
+        return _installed(package, kind, short, mounted)
+    except TypeUnavailable as reason:
+        reasons = [str(reason)]
+    try:
+        return _from_application(name, mounted, package, kind, short)
+    except TypeUnavailable as reason:
+        reasons.append(str(reason))
+    raise UnknownType(f"type unknown: its fields cannot be read: {name} {'; '.join(reasons)}")
+
+
+def _from_application(name: str, mounted: MountedPackages, package: str, kind: str, short: str) -> Any:
+    if name not in _mounted:
+        _mounted[name] = mounted.load(package, kind, short)
+    return _mounted[name]
 
 
 def _installed(package: str, kind: str, short: str, mounted: MountedPackages) -> Any:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.context import Context
@@ -18,10 +19,9 @@ from phm.probes.ros.beacons import BeaconListener
 from phm.probes.ros.diagnostics import DiagnosticsListener
 from phm.probes.ros.graph import OWN, GraphReader
 from phm.probes.ros.graph_events import GraphEvents
-from phm.probes.ros.graph_snapshot import flow
+from phm.probes.ros.graph_snapshot import findings, flow
 from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, Publish, Tick, Wanted
 from phm.probes.ros.rates.topic_monitor import TopicMonitor
-from phm.probes.ros.readiness import ReadinessReader
 from phm.probes.ros.second_look import Known, Scout
 from phm.probes.ros.self_reports import Own
 from phm.probes.ros.unconfigured_topics import UnconfiguredTopics
@@ -46,12 +46,11 @@ class Observer:
         self._names = UnconfiguredTopics(self._node, {topic.name for topic in wanted.topics})
         self._diagnostics = DiagnosticsListener(self._node, wanted.listen, Own(statuses=wanted.watch).is_status)
         self._beacons = BeaconListener(self._node, frozenset(wanted.nodes))
-        self._readiness = ReadinessReader(self._node, wanted)
         self._events = GraphEvents(self._node, self._context)
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
         self._number = number
-        self._states: dict[str, tuple[float | None, bool, str]] = {}
+        self._states: Mapping[str, object] = {}
 
     @property
     def events(self) -> int | None:
@@ -66,11 +65,7 @@ class Observer:
         if notified:
             self._events.take()
         message = self._graph_message(notified=notified, late_s=round(late_s, 3))
-        reports = [
-            *self._beacons.look(),
-            *self._diagnostics.look(),
-            *self._readiness.look(time.monotonic(), graph_changed=isinstance(message, GraphMessage)),
-        ]
+        reports = [*self._beacons.look(), *self._diagnostics.look()]
         others: list[Message] = [OtherTopics(self._names.names)] if self._names.look(time.monotonic()) else []
         return [*reports, *others, message]
 
@@ -103,7 +98,8 @@ class Observer:
         rates: dict[str, RateFact] = {}
         for name, gauge in self._gauges.items():
             rates[name] = gauge.look(now_s, self._graph.publishers[name])
-        states = {name: flow(rate) for name, rate in rates.items()}
+        data = {name: gauge.data for name, gauge in self._gauges.items()}
+        states = {name: (flow(rate), findings(data[name])) for name, rate in rates.items()}
         up_s = round(now_s - self._began_s, 3)
         if not changed and states == self._states and now_s < self._next_full_s:
             return Tick(up_s, {name: rate.silent_s for name, rate in rates.items()}, self._number, late_s)
@@ -111,7 +107,7 @@ class Observer:
         self._next_full_s = now_s + self._full_s
         graph = self._graph
         topics = {
-            name: TopicFact(publishers, graph.subscribers[name], rates.get(name))
+            name: TopicFact(publishers, graph.subscribers[name], rates.get(name), data.get(name))
             for name, publishers in graph.publishers.items()
         }
         self._number += 1

@@ -4,7 +4,7 @@ The daemon writes one `Wanted`, then any number of `Publish`, and closes the pip
 
 The child writes first `Sandbox`, or `Missing` without usable ROS. Then it writes `GraphMessage` after each change and at
 least once a second, `Tick` in between, `SelfReportUpdate` after beacons or diagnostics, `OtherTopics` when unconfigured
-topics appear or disappear, `ReadinessUpdate` where readiness is configured, and `LogText` for the log.
+topics appear or disappear, and `LogText` for the log.
 
 The child imports this module: standard library and facts only.
 """
@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, NoReturn
 
-from phm.facts.ros import AnswerFact, BeaconFact, DiagnosticFact, NameFact, TopicFact
+from phm.facts.ros import BeaconFact, DiagnosticFact, NameFact, TopicFact
 from phm.probes.ros.fact_codec import pack, value
 
 LINE_LIMIT = 1_000_000
@@ -34,12 +34,41 @@ class ProtocolError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
+class WantedRange:
+    """Limits of one field; None: no limit."""
+
+    field: str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WantedData:
+    """What the messages of a topic must contain, as in DataSettings. hz: messages of each publisher examined per second."""
+
+    max_age_s: float | None = None
+    order: bool = False
+    frozen_s: float | None = None
+    counter: str = ""
+    gaps_percent: float = 5.0
+    ranges: tuple[WantedRange, ...] = ()
+    hz: float = 2.0
+
+    @property
+    def header(self) -> bool:
+        """Whether messages must begin with a header."""
+        return self.order or self.max_age_s is not None
+
+
+@dataclass(frozen=True, slots=True)
 class WantedTopic:
-    """rate_hz: the expected rate; 0 for a latched topic, None if not measured. silence_s: see RosSettings.silence."""
+    """rate_hz: the expected rate; 0 for a latched topic, None if not measured. silence_s: see RosSettings.silence. data: None:
+    its messages are not examined."""
 
     name: str
     rate_hz: float | None = None
     silence_s: float = 3.0
+    data: WantedData | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +77,7 @@ class Wanted:
     graph messages.
 
     listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of the configured nodes and of the nodes
-    named in topics. watch: patterns of the configured statuses. services: those of `ready.services`. lifecycle: nodes with
-    `ready.lifecycle`. calls: services of `ready.call`. All names are full.
+    named in topics. watch: patterns of the configured statuses.
     """
 
     agent: str
@@ -60,9 +88,6 @@ class Wanted:
     listen: tuple[str, ...] = ()
     nodes: tuple[str, ...] = ()
     watch: tuple[str, ...] = ()
-    services: tuple[str, ...] = ()
-    lifecycle: tuple[str, ...] = ()
-    calls: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,15 +143,6 @@ class OtherTopics:
 
 
 @dataclass(frozen=True, slots=True)
-class ReadinessUpdate:
-    """Servers, lifecycle states and answers of what `Wanted` names, complete. See RosFact."""
-
-    services: Mapping[str, int] = field(default_factory=dict)
-    lifecycle: Mapping[str, AnswerFact] = field(default_factory=dict)
-    calls: Mapping[str, AnswerFact] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
 class LogText:
     """A sentence for the log."""
 
@@ -156,14 +172,13 @@ class Publish:
     statuses: Mapping[str, DiagnosticFact] = field(default_factory=dict)
 
 
-Message = GraphMessage | Tick | SelfReportUpdate | OtherTopics | ReadinessUpdate | LogText | Missing | Sandbox
+Message = GraphMessage | Tick | SelfReportUpdate | OtherTopics | LogText | Missing | Sandbox
 
 _KINDS: Mapping[str, type[Message]] = {
     "graph": GraphMessage,
     "tick": Tick,
     "self_reports": SelfReportUpdate,
     "other_topics": OtherTopics,
-    "readiness": ReadinessUpdate,
     "log": LogText,
     "missing": Missing,
     "sandbox": Sandbox,
@@ -179,12 +194,18 @@ def decode_wanted(line: bytes | str) -> Wanted:
     """Raises ProtocolError."""
     try:
         data = _parsed(line)
-        topics = tuple(WantedTopic(**topic) for topic in data.pop("topics"))
-        for key in ("listen", "nodes", "watch", "services", "lifecycle", "calls"):
-            data[key] = tuple(data[key])
-        return Wanted(topics=topics, **data)
+        topics = tuple(_topic(**topic) for topic in data.pop("topics"))
+        listen, nodes, watch = (tuple(data.pop(name)) for name in ("listen", "nodes", "watch"))
+        return Wanted(topics=topics, listen=listen, nodes=nodes, watch=watch, **data)
     except (AttributeError, KeyError, TypeError) as error:
         raise ProtocolError(f"not a configuration: {error}") from error
+
+
+def _topic(data: Any = None, **fields: Any) -> WantedTopic:
+    if data is None:
+        return WantedTopic(**fields)
+    ranges = tuple(WantedRange(**limits) for limits in data.pop("ranges"))
+    return WantedTopic(**fields, data=WantedData(ranges=ranges, **data))
 
 
 def encode(message: Message) -> bytes:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+from phm.probes.ros.message_taker import NO_SEQUENCE, RclTaker
 from phm.probes.ros.message_types import UnknownType, load_type
 from phm.probes.ros.rates.publisher_stats import Sample
 
@@ -23,12 +24,29 @@ class Quality:
     latched: bool = False
 
 
+class RawMessage(NamedTuple):
+    """A serialized message. writer: identity of its publisher; None: unknown. received_ns: by the system clock of this machine.
+    sequence: number of the publication; None if the middleware gives none."""
+
+    data: bytes
+    writer: bytes | None
+    received_ns: int
+    sequence: int | None
+
+
 class Reader:
     """Opened for a type, closed by `close`. Raises only UnknownType for an unexpected type."""
 
-    def __init__(self, node: Any, topic: str, type_name: str, quality: Quality) -> None:
-        """Raises UnknownType."""
+    identified = True
+    """Whether rclpy gives the identity of publishers (from Kilted on), as far as is known."""
+
+    def __init__(self, node: Any, topic: str, type_name: str, quality: Quality, *, keep: bool = False) -> None:
+        """keep: the messages of the newest look are kept. Raises UnknownType."""
         self.quality = quality
+        self.messages: list[RawMessage] = []
+        self._keep = keep
+        self._rcl: RclTaker | None = None
+        self._tried = False
         self._node = node
         try:
             publishers = node.get_publishers_info_by_topic(topic)
@@ -39,20 +57,57 @@ class Reader:
             self._subscription = node.create_subscription(message, topic, _never_called, _profile(quality), raw=True)
         except Exception as error:  # rclpy raises its own and pybind's exceptions for broken type support
             raise UnknownType(f"type unknown: {type_name} cannot be subscribed to ({error})") from error
+        if keep and not Reader.identified:
+            with self._subscription.handle:
+                self._identify()
         # Not in Humble.
         self._count = getattr(self._subscription, "get_publisher_count", None)
 
     def take(self, now_s: float) -> list[Sample]:
         """Samples since the last look, oldest first."""
         samples = []
+        self.messages = []
         handle = self._subscription.handle
         with handle:
             for _ in range(self.quality.depth):
-                taken = handle.take_message(self._subscription.msg_type, True)
+                taken = handle.take_message(self._subscription.msg_type, True) if self._rcl is None else self._by_rcl()
                 if taken is None:
                     break
-                samples.append(_sample(taken, now_s))
+                sample = _sample(taken, now_s)
+                samples.append(sample)
+                if self._keep:
+                    self._keep_message(taken, sample)
         return samples
+
+    def _identify(self) -> None:
+        self._tried = True
+        self._rcl = RclTaker.opened(self._subscription.handle.pointer)
+
+    def _by_rcl(self) -> tuple[bytes, dict[str, Any]] | None:
+        """In rclpy's form; the identity apart, because the rate of a topic must not depend on whether its data are examined."""
+        assert self._rcl is not None
+        taken = self._rcl.take()
+        if taken is None:
+            return None
+        data, info = taken
+        sequence = int(info.publication)
+        return data, {
+            "source_timestamp": int(info.source_ns),
+            "received_timestamp": int(info.received_ns),
+            "publication_sequence_number": None if sequence == NO_SEQUENCE else sequence,
+            "writer": bytes(info.gid),
+        }
+
+    def _keep_message(self, taken: tuple[bytes, Any], sample: Sample) -> None:
+        data, info = taken
+        writer = sample.writer or info.get("writer")
+        if writer is None and not self._tried:
+            Reader.identified = False
+            self._identify()
+            if self._rcl is not None:
+                return  # it would count as one of another publisher than those that follow
+        received_ns = int(info.get("received_timestamp") or time.time_ns())
+        self.messages.append(RawMessage(data, writer, received_ns, sample.sequence))
 
     @property
     def matched(self) -> int | None:
@@ -60,6 +115,8 @@ class Reader:
         return None if self._count is None else self._count()
 
     def close(self) -> None:
+        if self._rcl is not None:
+            self._rcl.close()
         self._node.destroy_subscription(self._subscription)
 
 

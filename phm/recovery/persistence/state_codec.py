@@ -237,6 +237,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "ok_s": fault.ok_s,
         "ok_since_start_s": fault.ok_since_start_s,
         "start_seen": fault.start_seen,
+        "pause_s": fault.pause_s,
         "result": {
             "summary": result.summary[:MAX_TEXT],
             "brief": result.brief[:MAX_TEXT],
@@ -260,6 +261,7 @@ def _read_fault(body: Any, opened: Stamp) -> Fault:
         ok_s=float(body.get("ok_s", 0.0)),
         ok_since_start_s=float(body.get("ok_since_start_s", 0.0)),
         start_seen=bool(body.get("start_seen", False)),
+        pause_s=float(body.get("pause_s", 0.0)),
     )
 
 

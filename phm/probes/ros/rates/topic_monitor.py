@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from phm.facts.ros import EndpointFact, RateFact
+from phm.facts.ros import DataFact, EndpointFact, RateFact
+from phm.probes.ros.data.data_monitor import DataMonitor
 from phm.probes.ros.message_types import UnknownType
 from phm.probes.ros.protocol import WantedTopic
 from phm.probes.ros.rates.estimator import Listening, RateEstimator
@@ -43,6 +44,7 @@ class TopicMonitor:
         self._expected_hz = topic.rate_hz
         self._tick_s = tick_s
         self._estimator = RateEstimator(topic.rate_hz, topic.silence_s)
+        self._data = DataMonitor(topic.data, topic.rate_hz) if topic.data is not None else None
         self._reader: Reader | None = None
         self._type = ""
         self._unknown = ""
@@ -61,6 +63,9 @@ class TopicMonitor:
         listened = self._reader is not None
         self._follow(now_s, publishers, several)
         samples = self._take(now_s)
+        if self._data is not None and self._reader is not None:
+            pause_s = PAUSE_S if self._large else 0.0
+            self._data.look(now_s, self._type, self._reader.messages, pause_s=pause_s, mixed=several)
         matched = self._reader.matched if self._reader is not None else None
         listening = Listening(
             publishers=len(publishers),
@@ -76,6 +81,11 @@ class TopicMonitor:
             self._complete = True
             self._shut_window(now_s, samples, fact)
         return fact
+
+    @property
+    def data(self) -> DataFact | None:
+        """What the messages contain; None if they are not examined, or none was received yet."""
+        return None if self._data is None else self._data.fact
 
     def _take(self, now_s: float) -> list[Sample]:
         if self._reader is None:
@@ -129,7 +139,7 @@ class TopicMonitor:
 
     def _open(self, quality: Quality) -> None:
         try:
-            self._reader = Reader(self._node, self._name, self._type, quality)
+            self._reader = Reader(self._node, self._name, self._type, quality, keep=self._data is not None)
         except UnknownType as error:
             self._unknown = str(error)
         if self._counted:

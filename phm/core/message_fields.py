@@ -1,0 +1,100 @@
+"""Fields of installed ROS message types, read from the text of their Python modules: no code of a package is executed.
+
+`phm validate` uses it, in a process without ROS. The classes that rosidl generates contain their fields as a literal.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+HEADER = "std_msgs/Header"
+INTEGER_BITS: Mapping[str, int] = {f"{sign}int{bits}": bits for sign in ("", "u") for bits in (8, 16, 32, 64)}
+NUMBERS = frozenset({*INTEGER_BITS, "float", "double", "boolean"})
+COUNTERS = frozenset({*INTEGER_BITS, "float", "double"})
+MAX_BYTES = 1_000_000
+"""Longest module that is read; those of common types have about 10 kB."""
+_LISTED = 12
+
+FieldsOf = Callable[[str], Mapping[str, str] | None]
+"""The fields of `package/msg/Type` with their types, in order, as rosidl writes them; None: unknown."""
+
+_TYPE = re.compile(r"([a-z][a-z0-9_]*)/(?:msg/)?([A-Z][A-Za-z0-9]*)")
+_LITERAL = re.compile(r"^    _fields_and_field_types = (\{.*?^    \})", re.DOTALL | re.MULTILINE)
+_ARRAY = re.compile(r"(?:sequence<(.+?)(?:, \d+)?>|(.+)\[\d+\])")
+_WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+
+
+class UnknownField(ValueError):
+    """A message type has no such field, or one of the wrong type; the text says what it has."""
+
+
+def fields_of(type_name: str) -> Mapping[str, str] | None:
+    """Implements `FieldsOf` for types installed beside PHM."""
+    match = _TYPE.fullmatch(type_name)
+    if match is None:
+        return None
+    package, short = match.groups()
+    try:
+        spec = importlib.util.find_spec(package)
+        folders = (spec.submodule_search_locations if spec else None) or ()
+        for folder in folders:
+            module = Path(folder, "msg", f"_{_WORD_START.sub('_', short).lower()}.py")
+            if module.is_file() and module.stat().st_size <= MAX_BYTES:
+                return _fields(module.read_text(encoding="utf-8"))
+    except (OSError, ImportError, ValueError, SyntaxError):
+        return None
+    return None
+
+
+def has_header(type_name: str, of: FieldsOf = fields_of) -> bool | None:
+    """Whether the type begins with std_msgs/Header; None: unknown."""
+    fields = of(type_name)
+    return None if fields is None else next(iter(fields.values()), "") == HEADER
+
+
+def field_type(type_name: str, name: str, of: FieldsOf = fields_of) -> str | None:
+    """Type of the field `a.b.c`; None if a type on the way is not installed. Raises UnknownField."""
+    current = type_name
+    for part in name.split("."):
+        if _ARRAY.fullmatch(current):
+            raise UnknownField(
+                f"{part!r} is a field of the elements of an array: only arrays of numbers can be examined"
+            )
+        fields = of(current)
+        if fields is None:
+            if "/" not in current:
+                raise UnknownField(f"has no field {part!r}: it is of type {current}")
+            return None
+        if part not in fields:
+            more = f" and {len(fields) - _LISTED} more" if len(fields) > _LISTED else ""
+            raise UnknownField(f"{current} has no field {part!r}; it has {', '.join(list(fields)[:_LISTED])}{more}")
+        current = fields[part]
+    return current
+
+
+def demand_number(type_name: str, name: str, of: FieldsOf = fields_of) -> None:
+    """Raises UnknownField if the field is known not to be a number or an array of numbers."""
+    found = field_type(type_name, name, of)
+    array = _ARRAY.fullmatch(found or "")
+    if found is not None and (array[1] or array[2] if array else found) not in NUMBERS:
+        raise UnknownField(f"{name} of {type_name} is of type {found}, not a number")
+
+
+def demand_counter(type_name: str, name: str, of: FieldsOf = fields_of) -> int | None:
+    """Bits of an integer counter; None for a floating-point number, or if unknown. Raises UnknownField."""
+    found = field_type(type_name, name, of)
+    if found is not None and found not in COUNTERS:
+        raise UnknownField(f"{name} of {type_name} is of type {found}, not an integer")
+    return INTEGER_BITS.get(found or "")
+
+
+def _fields(module: str) -> Mapping[str, str] | None:
+    match = _LITERAL.search(module)
+    found = ast.literal_eval(match[1]) if match else None
+    if isinstance(found, dict) and all(isinstance(text, str) for pair in found.items() for text in pair):
+        return found
+    return None

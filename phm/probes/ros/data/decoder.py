@@ -1,0 +1,108 @@
+"""Decodes messages of one type for their configured fields. Raises only `Undecodable`, whatever a message contains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from phm.core.message_fields import FieldsOf, UnknownField, demand_counter, demand_number, has_header
+from phm.probes.ros.message_types import UnknownType, load_decodable
+from phm.probes.ros.protocol import WantedData
+
+MAX_DECODED = 200_000
+"""Longest message in bytes that is decoded; Python needs about 10 ms for the worst of this length."""
+MAX_TEXT = 40
+
+
+class Undecodable(ValueError):
+    """A message, or all of this type, cannot be decoded; the text says why."""
+
+
+class Decoder:
+    """For one type. problem: why a configured part cannot be examined for any message of it; empty if all can."""
+
+    def __init__(self, wanted: WantedData, type_name: str) -> None:
+        self._wanted = wanted
+        self._message: Any = None
+        self._serialize: Any = None
+        self._deserialize: Any = None
+        self.counter_bits: int | None = None
+        self.problem = ""
+        if wanted.counter or wanted.ranges:
+            try:
+                self._prepare(type_name)
+            except (UnknownType, UnknownField) as error:
+                self._message, self.problem = None, str(error)
+
+    def _prepare(self, type_name: str) -> None:
+        from rclpy.serialization import deserialize_message, serialize_message
+        from rclpy.type_support import check_for_type_support
+
+        found = load_decodable(type_name)
+        check_for_type_support(found)
+        for limits in self._wanted.ranges:
+            demand_number(type_name, limits.field, class_fields)
+        if self._wanted.counter:
+            self.counter_bits = demand_counter(type_name, self._wanted.counter, class_fields)
+        self._message, self._serialize, self._deserialize = found, serialize_message, deserialize_message
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is anything to decode."""
+        return self._message is not None
+
+    def read(self, data: bytes) -> tuple[float | None, Mapping[str, str], bytes]:
+        """The counter, the fields outside of their range, and the message with its counter set to 0. Raises Undecodable."""
+        if len(data) > MAX_DECODED:
+            raise Undecodable(
+                f"messages of more than {MAX_DECODED // 1000} kB are not decoded, this one has {len(data)} bytes"
+            )
+        try:
+            message = self._deserialize(data, self._message)
+            outside = {
+                limits.field: text
+                for limits in self._wanted.ranges
+                if (text := _outside(_value(message, limits.field), limits.low, limits.high))
+            }
+            if not self._wanted.counter:
+                return None, outside, data
+            counter = _value(message, self._wanted.counter)
+            if self._wanted.frozen_s is not None:
+                owner, _, name = self._wanted.counter.rpartition(".")
+                setattr(_value(message, owner) if owner else message, name, type(counter)(0))
+                data = self._serialize(message)
+        except Exception as error:  # exceptions of rclpy and pybind: what was sent is not such a message
+            raise Undecodable(f"a message cannot be decoded: {str(error)[:200]}") from error
+        return counter if math.isfinite(counter) else None, outside, data
+
+
+def class_fields(type_name: str) -> Mapping[str, str] | None:
+    """Implements `FieldsOf` with the classes that this process can load; None: not installed, and not in `ros.installs`."""
+    package, _, short = type_name.rpartition("/")
+    try:
+        found = load_decodable(f"{package.removesuffix('/msg')}/msg/{short}")
+    except UnknownType:
+        return None
+    fields: Mapping[str, str] = found.get_fields_and_field_types()
+    return fields
+
+
+def begins_with_header(type_name: str, of: FieldsOf = class_fields) -> bool | None:
+    """None: the type is known by its name alone."""
+    return has_header(type_name, of)
+
+
+def _value(message: Any, name: str) -> Any:
+    for part in name.split("."):
+        message = getattr(message, part)
+    return message
+
+
+def _outside(value: Any, low: float | None, high: float | None) -> str:
+    """The number, or the first element, that is not within the limits, as text; NaN never is. Empty: all are."""
+    least, most = -math.inf if low is None else low, math.inf if high is None else high
+    values: Sequence[Any] = value if hasattr(value, "__len__") else (value,)
+    # Elements of numpy arrays would be compared much more slowly.
+    values = values.tolist() if hasattr(values, "tolist") else values
+    return next((f"{found:.6g}"[:MAX_TEXT] for found in values if not least <= found <= most), "")

@@ -1,0 +1,137 @@
+"""Fields of real message types: what is decoded, and what is refused without an exception."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from phm.core.message_fields import fields_of
+from phm.probes.ros.data.decoder import MAX_DECODED, Decoder, Undecodable, begins_with_header, class_fields
+from phm.probes.ros.data.raw_message import digest, stamp_ns
+from phm.probes.ros.protocol import WantedData, WantedRange
+
+# The parser in ROS's generated messages imports a module that Python has deprecated.
+pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
+
+TWIST = "geometry_msgs/msg/TwistStamped"
+
+
+def serialized(x: float = 1.0, seconds: int = 7, frame: str = "base") -> bytes:
+    from geometry_msgs.msg import TwistStamped
+    from rclpy.serialization import serialize_message
+
+    message = TwistStamped()
+    message.header.stamp.sec, message.header.frame_id = seconds, frame
+    message.twist.linear.x = x
+    return bytes(serialize_message(message))
+
+
+def decoder(type_name: str = TWIST, counter: str = "", **ranges: tuple[float | None, float | None]) -> Decoder:
+    limits = tuple(WantedRange(name.replace("__", "."), *pair) for name, pair in ranges.items())
+    return Decoder(WantedData(frozen_s=1.0, counter=counter, ranges=limits), type_name)
+
+
+def outside(x: float, low: float | None, high: float | None) -> Mapping[str, str]:
+    return decoder(twist__linear__x=(low, high)).read(serialized(x))[1]
+
+
+def test_the_stamp_is_that_of_a_real_message() -> None:
+    """Whatever follows it, and with any frame."""
+    for frame in ("", "a", "odom", "größer"):
+        assert stamp_ns(serialized(seconds=12, frame=frame)) == 12_000_000_000
+
+
+@pytest.mark.parametrize(
+    "name", [TWIST, "geometry_msgs/msg/PoseWithCovariance", "diagnostic_msgs/msg/KeyValue", "std_msgs/msg/Empty"]
+)
+def test_the_text_of_a_module_has_the_fields_of_its_class(name: str) -> None:
+    """`phm validate` and the child agree."""
+    assert fields_of(name) == class_fields(name)
+
+
+def test_types_with_and_without_a_header_are_known() -> None:
+    assert [begins_with_header(f"{name}") for name in (TWIST, "std_msgs/msg/String", "absent_msgs/msg/X")] == [
+        True,
+        False,
+        None,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("x", "low", "high", "text"),
+    [
+        (5.0, -5.0, 5.0, ""),
+        (5.5, -5.0, 5.0, "5.5"),
+        (-6.0, None, 5.0, ""),
+        (6.0, None, 5.0, "6"),
+        (float("inf"), 0.0, None, ""),
+        (float("inf"), 0.0, 1e300, "inf"),
+        (float("nan"), None, None, "nan"),
+    ],
+)
+def test_a_value_is_compared_with_its_range(x: float, low: float | None, high: float | None, text: str) -> None:
+    """The limits belong to the range; NaN never does."""
+    assert outside(x, low, high) == ({"twist.linear.x": text} if text else {})
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "value", "text"),
+    [
+        ("PoseWithCovariance", "covariance", [0.0] * 35 + [-1.0], "-1"),
+        ("PoseWithCovariance", "covariance", [0.0] * 36, ""),
+        ("PolygonStamped", "polygon.points", None, None),
+    ],
+)
+def test_each_element_of_an_array_counts(name: str, field: str, value: Any, text: str | None) -> None:
+    """Of numbers; an array of messages is refused."""
+    import geometry_msgs.msg
+    from rclpy.serialization import serialize_message
+
+    found = Decoder(WantedData(ranges=(WantedRange(field, 0.0, None),)), f"geometry_msgs/msg/{name}")
+    if text is None:
+        assert "not a number" in found.problem and not found.usable
+        return
+    message = getattr(geometry_msgs.msg, name)(**{field: value})
+    assert found.read(bytes(serialize_message(message)))[1] == ({field: text} if text else {})
+
+
+def test_a_counter_is_not_content() -> None:
+    """It is set to 0 before the content is compared, also a nested one; the rest remains."""
+    found = decoder(counter="twist.linear.x")
+    contents = {digest(found.read(serialized(number))[2], header=True) for number in range(5)}
+    assert found.read(serialized(4.0))[0] == 4.0 and len(contents) == 1
+    assert digest(found.read(serialized(1.0, frame="other"))[2], header=True) not in contents
+    assert found.read(serialized(float("nan")))[0] is None
+
+
+@pytest.mark.parametrize(
+    ("type_name", "counter", "words"),
+    [
+        (TWIST, "twist.linear.seq", "geometry_msgs/Vector3 has no field 'seq'; it has x, y, z"),
+        (TWIST, "header.frame_id", "is of type string, not an integer"),
+        ("absent_msgs/msg/X", "seq", "its fields cannot be read: absent_msgs/msg/X is not installed beside PHM"),
+    ],
+)
+def test_a_field_that_does_not_exist_is_a_problem(type_name: str, counter: str, words: str) -> None:
+    """A text for the operator, and nothing is decoded."""
+    found = decoder(type_name, counter)
+    assert words in found.problem and not found.usable
+
+
+def test_hostile_messages_are_refused() -> None:
+    """Random, truncated and too long ones: an error, never another exception, and never an endless time."""
+    source, found = random.Random(3), decoder("diagnostic_msgs/msg/DiagnosticArray", counter="header.stamp.sec")
+    real = serialized()
+    cases = [real[:length] for length in range(len(real))]
+    cases += [source.randbytes(source.randrange(200)) for _ in range(500)]
+    cases += [real[:16] + b"\xff\xff\xff\xff" + real[20:], bytes(MAX_DECODED + 1), b"\0\1\0\0" + b"\xff" * MAX_DECODED]
+    for case in cases:
+        try:
+            found.read(case)
+        except Undecodable:
+            continue
+    with pytest.raises(Undecodable, match="more than 200 kB"):
+        found.read(bytes(MAX_DECODED + 1))

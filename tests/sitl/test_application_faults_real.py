@@ -1,0 +1,113 @@
+"""Faults of the demo application, on the real container with its ROS nodes: each breaks it, seen without PHM, and clearing ends that."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator
+
+import pytest
+from docker import DockerClient
+
+from sitl.faults import all_faults, clock_stepped, healthcheck_hangs, memory_leak, sigterm_ignored
+from sitl.faults._application import works
+from sitl.faults._node_signal import NodeSignal
+from sitl.faults._reading import ReadingFault
+from sitl.faults.base import Agent
+from tests.fakes.until import until
+
+APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
+SIGNALS = [name for name, fault in all_faults().items() if isinstance(fault, NodeSignal)]
+
+
+@pytest.fixture(scope="module")
+def agent() -> Iterator[Agent]:
+    """An agent of the application alone. Its tests leave it working."""
+    client = DockerClient.from_env(timeout=60)
+    project = f"phm-test-{uuid.uuid4().hex[:8]}"
+    network = client.networks.create(project, labels={"phm.test": "1"})
+    found = Agent(project, "agent_1", client)
+    try:
+        client.containers.run(
+            APP_IMAGE,
+            ["python", "-m", "sitl.application.app"],
+            name=f"{project}-ros_app-1",
+            detach=True,
+            network=project,
+            labels={"com.docker.compose.project": project, "com.docker.compose.service": "ros_app", "phm.test": "1"},
+            environment={"ROS_DOMAIN_ID": str(10 + uuid.uuid4().int % 80)},
+            mem_limit="500m",
+            memswap_limit="500m",
+        )
+        until(lambda: works(found), "the application's start")
+        yield found
+    finally:
+        for container in client.containers.list(all=True, filters={"label": f"com.docker.compose.project={project}"}):
+            container.remove(force=True)
+        network.remove()
+        client.close()
+
+
+@pytest.mark.parametrize("name", [*SIGNALS, "node_duplicate"])
+def test_a_fault_breaks_the_application_and_clearing_ends_that(agent: Agent, name: str) -> None:
+    """As the application's own nodes record it."""
+    fault = all_faults()[name]
+    if isinstance(fault, ReadingFault):
+        fault.prepare(agent)
+    until(lambda: fault.restored(agent), "the application")
+    fault.inject(agent)
+    until(lambda: not fault.restored(agent), "its effect")
+    fault.clear(agent)
+    until(lambda: fault.restored(agent), "its end")
+    if isinstance(fault, ReadingFault):
+        fault.dismantle(agent)
+
+
+def test_a_leak_ends_one_node_and_not_the_container(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel ends the node that leaks, since it is the largest process."""
+    monkeypatch.setattr(memory_leak, "LASTS_S", 2.0)
+    fault, generation = memory_leak.Injection(), agent.generation
+    fault.inject(agent)
+    until(lambda: not fault.restored(agent), "its effect")
+    nodes = agent.processes(agent.app, "sitl.application.node")
+    assert (len(nodes), agent.generation) == (2, generation)
+    fault.clear(agent)
+    until(lambda: works(agent), "the application")
+
+
+def test_an_application_that_ignores_sigterm_is_killed_after_its_timeout(agent: Agent) -> None:
+    """The next run obeys again."""
+    fault = sigterm_ignored.Injection()
+    fault.inject(agent)
+    until(lambda: not fault.restored(agent), "its effect")
+    assert _stop_code(agent, timeout_s=1) == 137
+    agent.app.start()
+    until(lambda: works(agent), "the application")
+    assert _stop_code(agent, timeout_s=60) == 0
+    agent.app.start()
+    until(lambda: works(agent), "the application")
+
+
+def _stop_code(agent: Agent, timeout_s: int) -> int:
+    agent.app.stop(timeout=timeout_s)
+    return int(agent.app.attrs["State"]["ExitCode"])
+
+
+def test_a_health_check_hangs_until_the_next_start(agent: Agent) -> None:
+    """Its process does not return; the next run of the container has one that does."""
+    fault = healthcheck_hangs.Injection()
+    fault.inject(agent)
+    until(lambda: agent.processes(agent.app, "sleep 3600"), "a health check that hangs")
+    agent.app.restart(timeout=3)
+    until(lambda: fault.restored(agent), "a health check that returns")
+    fault.clear(agent)
+
+
+def test_the_clock_of_the_application_is_stepped(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its nodes go on; what they log has the other time until that is cleared."""
+    monkeypatch.setattr(Agent, "sidecar", Agent.app)
+    fault = clock_stepped.Injection()
+    fault.inject(agent)
+    assert works(agent)
+    fault.clear(agent)
+    assert works(agent)
