@@ -15,12 +15,15 @@ _DATA_PATH = (
     "or a busy machine is not a blocked network"
 )
 _FIVE_PERIODS = "five periods without a message, measured once a second: fewer would raise alarms for lost samples"
+_EXECUTOR = "an executor must not have run for 5 s while its process uses no CPU: a long callback is not a fault"
 _HEARTBEATS = "two heartbeats more than were ever missed must be missing: one lost frame is not a fault"
 EXPLANATIONS = {
     "address_silent": _DATA_PATH,
     "autopilot_silent": _HEARTBEATS,
+    "callback_blocked": _EXECUTOR,
     "cpu_hog": "two seconds of full use: shorter peaks are normal",
     "disk_full": "the free share is read once a second",
+    "executor_deadlocked": _EXECUTOR,
     "gcs_radio_cut": "the radio reports the loss of the other one 3.4 s after its last packet (SiK firmware)",
     "memory_full": "measured from the order to fill it, and filling 2 GB takes most of the time",
     "network_blocked": _DATA_PATH,
