@@ -27,7 +27,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from phm.core.model import Evidence, HostReadings, Layer, Level, Result, Slot, Value
+from phm.core.model import Evidence, HostReadings, Layer, Level, NodeVotes, Result, Slot, Value
 from phm.core.settings import (
     ContainerSettings,
     DataSettings,
@@ -116,6 +116,7 @@ __all__ = [
     "NameFact",
     "NeighbourFact",
     "NodeSettings",
+    "NodeVotes",
     "NotPermitted",
     "OutsideFact",
     "PeerFact",

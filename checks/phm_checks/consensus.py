@@ -1,15 +1,18 @@
 """Slot 6: the nodes agree on which nodes are alive, and the nodes are not split into groups.
 
-The check `nodes` reports dead and hung nodes. This check reports what only the nodes themselves can observe.
+The check `nodes` reports dead and hung nodes by PHM's own evidence. This check reports what only the nodes themselves can observe,
+also a node that most of them do not receive while PHM still considers it alive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._node_consensus import Agreement, Verdict, agree
+from phm_checks._node_consensus import PHM, Agreement, Opinion, Verdict, agree
+from phm_checks._quorum import SETTLE_S as QUORUM_SETTLE_S, DeadNodes, ended
 from phm_checks._text import brief, joined, last, listed, span
 
 OLD_SNAPSHOT_S = 5.0
@@ -40,7 +43,10 @@ class Consensus(api.Check):
         self._grace_s = settings.ros.grace
         self._nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes]
         self._required = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes if node.beacon == "required"]
-        keys = list(dict.fromkeys(filter(None, (settings.container_of_node(node) for node in self._nodes))))
+        self._open_faults = settings.ros.consensus.open_faults
+        self._dead = DeadNodes(self._nodes)
+        self._containers = {node: settings.container_of_node(node) for node in self._nodes}
+        keys = list(dict.fromkeys(filter(None, self._containers.values())))
         needs = [f"{check}/{key}" for key in keys for check in ("container", "network")]
         needs += [f"nodes/{api.topic_id(node)}" for node in self._nodes]
         target = keys[0] if len(keys) == 1 else ""
@@ -58,32 +64,51 @@ class Consensus(api.Check):
     def wakes(self) -> frozenset[str]:
         return frozenset({"ros"})
 
-    def run(self, world: api.World) -> api.Result:
-        try:
-            fact = world.ros.look()
-        except api.CannotTell as reason:
-            return api.stale(str(reason))
+    @staticmethod
+    def _unknown(fact: api.RosFact) -> api.Result | None:
+        """STALE without a current snapshot with all beacons."""
         if fact.age_s > OLD_SNAPSHOT_S:
             return api.stale(f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate")
         if fact.lost_s is not None and fact.lost_s <= CROWDED_S:
             return api.stale(
                 "more messages arrive on /phm/beacon than PHM can read: which nodes are reachable is unknown"
             )
-        beacons = {
+        return None
+
+    def _beacons(self, fact: api.RosFact) -> dict[str, api.BeaconFact]:
+        """Those of the configured nodes; not one that was closed long ago, unless its node is reported as dead."""
+        return {
             name: fact.beacons[name]
             for name in self._nodes
-            if name in fact.beacons and fact.beacons[name].age_s <= FORGET_S
+            if name in fact.beacons and (fact.beacons[name].age_s <= FORGET_S or name in self._dead.reported)
         }
-        lacking = self._lacking(fact, beacons)
-        if lacking is not None:
-            return lacking
-        if not beacons:
-            return self._none_received(fact)
-        copied = _copied(fact, beacons)
-        if copied is not None:
-            return copied
+
+    def run(self, world: api.World) -> api.Result:
+        now = world.clock.mono()
+        try:
+            fact = world.ros.look()
+        except api.CannotTell as reason:
+            self._dead.clear()
+            return api.stale(str(reason))
+        self._dead.list(fact.nodes, now)
+        beacons = self._beacons(fact)
+        result = self._unknown(fact) or self._lacking(fact, beacons) or (None if beacons else self._none_received(fact))
+        if result is not None:
+            self._dead.clear()
+            return result
+        closed = [
+            name
+            for name, beacon in beacons.items()
+            if ended(beacon, fact.age_s)
+            and (receives(fact, name, self._nodes) or self._dead.restarted(name, beacon, now))
+        ]
+        for name in closed:
+            del beacons[name]
         others = {name: receives(fact, name, self._nodes) for name in self._nodes if name not in beacons}
-        return self._judge(agree(beacons, others, fact.age_s), fact, beacons)
+        agreement = agree(beacons, others, fact.age_s)
+        dead = self._dead.look(agreement, beacons, now)
+        result = None if dead and self._open_faults else _copied(fact, beacons)
+        return replace(result or self._judge(agreement, dead, fact, beacons), votes=_votes(agreement))
 
     def _lacking(self, fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result | None:
         """The result for required beacons that are missing although their node is listed; None when there are none."""
@@ -116,7 +141,13 @@ class Consensus(api.Check):
             )
         return api.bypass("No beacon received from the configured nodes: PHM is their only observer")
 
-    def _judge(self, agreement: Agreement, fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result:
+    def _judge(
+        self,
+        agreement: Agreement,
+        dead: Sequence[Opinion],
+        fact: api.RosFact,
+        beacons: Mapping[str, api.BeaconFact],
+    ) -> api.Result:
         hung = [item.node for item in agreement.opinions if item.verdict is Verdict.HUNG]
         values: dict[str, api.Value] = {
             "nodes": len(self._nodes),
@@ -128,14 +159,11 @@ class Consensus(api.Check):
         }
         if len(agreement.observers) == 1:
             return api.stale("no beacon received at the moment: no peers left for consensus")
+        if dead and self._open_faults:
+            return self._quorum_dead(agreement, dead, values)
         if agreement.split:
-            sides = sorted(agreement.sides, key=len, reverse=True)
-            count = "|".join(str(len(side)) for side in sides)
-            words = [
-                f"the nodes are split: {' | '.join(map(_names, sides))} do not receive each other, while PHM receives "
-                f"all of them: {REMEDY}",
-                *_dissents(agreement),
-            ]
+            count = "|".join(str(len(side)) for side in _sides(agreement))
+            words = [f"{_split(agreement)}: {REMEDY}", *_dissents(agreement)]
             return api.Result(Level.WARN, joined(words), brief("nodes split", count), "split", "", values)
         dissents = _dissents(agreement)
         if dissents:
@@ -144,6 +172,29 @@ class Consensus(api.Check):
             return api.Result(Level.WARN, joined([*dissents, REMEDY]), short, "dissent", "", values)
         stuck = f"; the executor of {_names(hung)} is blocked" if hung else ""
         return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", **values)
+
+    def _quorum_dead(
+        self, agreement: Agreement, dead: Sequence[Opinion], values: Mapping[str, api.Value]
+    ) -> api.Result:
+        """ERROR for nodes that the majority has not received for long. Without a target if PHM does not receive the node
+        either: then `nodes` knows a reason why it may be alive, such as a process that uses the CPU."""
+        received = [item for item in dead if PHM in item.heard_by]
+        words = [
+            f"{_names([item.node])} is dead by majority: it is not received by {_names(item.not_heard_by)}"
+            + (f", but is received by {_names(item.heard_by)}" if item.heard_by else "")
+            for item in dead
+        ]
+        words.append(_split(agreement) if agreement.split else "")
+        step = REMEDY if received else "check its log and `docker top`; PHM restarts nothing for this"
+        return api.Result(
+            Level.ERROR,
+            f"{joined(filter(None, words))}: {step}",
+            brief(last(dead[0].node), "dead by quorum"),
+            "quorum_dead",
+            self._containers[received[0].node] if received else "",
+            values,
+            settle_s=0.0 if received else QUORUM_SETTLE_S,
+        )
 
 
 def _copied(fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result | None:
@@ -186,6 +237,27 @@ def _alone(agreement: Agreement, beacons: Mapping[str, api.BeaconFact]) -> str:
     unobserved = [item.node for item in agreement.opinions if item.node not in beacons and not item.heard_by]
     words = f"; {_names(observed)} without a beacon, observed by PHM only" if observed else ""
     return words + (f"; no observer for {_names(unobserved)}" if unobserved else "")
+
+
+def _sides(agreement: Agreement) -> list[tuple[str, ...]]:
+    return sorted(agreement.sides, key=len, reverse=True)
+
+
+def _split(agreement: Agreement) -> str:
+    sides = " | ".join(map(_names, _sides(agreement)))
+    return f"the nodes are split: {sides} do not receive each other, while PHM receives all of them"
+
+
+def _votes(agreement: Agreement) -> tuple[api.NodeVotes, ...]:
+    return tuple(
+        api.NodeVotes(
+            api.topic_id(item.node),
+            item.verdict.value,
+            tuple(map(api.topic_id, item.heard_by)),
+            tuple(map(api.topic_id, item.not_heard_by)),
+        )
+        for item in agreement.opinions
+    )
 
 
 def _dissents(agreement: Agreement) -> list[str]:

@@ -175,8 +175,8 @@ class Pipeline:
         with self._lock:
             return self._tracker.active_pressure(unit)
 
-    def newest(self, unit: str, mono: float) -> Result | None:
-        """The unit's newest result, published or not, if its run began after `mono`."""
+    def newest(self, unit: str, mono: float = float("-inf")) -> Result | None:
+        """The unit's newest result, published or not, if its run began after `mono`; None, too, if there is no such unit."""
         with self._lock:
             return self._tracker.newest(unit, mono)
 

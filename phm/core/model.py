@@ -123,6 +123,19 @@ class HostReadings:
 
 
 @dataclass(frozen=True, slots=True)
+class NodeVotes:
+    """The consensus about one ROS node: the verdict of the majority, and who votes how, by full node name, `PHM` last.
+
+    verdict: alive, hung, dead or undecided.
+    """
+
+    node: str
+    verdict: str
+    alive: tuple[str, ...] = ()
+    dead: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """Result of one run of a check for one unit (see `phm.api.Unit`).
 
@@ -141,6 +154,7 @@ class Result:
     age_s:     age of the evidence if the check could not get newer evidence: Docker runs health checks on its own schedule.
     evidence:  what tracker and recovery need to know besides level and condition.
     readings:  measurements of the companion computer, from checks that make them.
+    votes:     the consensus about each ROS node, from the check that determines it.
     """
 
     level: Level
@@ -155,6 +169,7 @@ class Result:
     age_s: float = 0.0
     evidence: Evidence = Evidence()
     readings: HostReadings | None = None
+    votes: tuple[NodeVotes, ...] = ()
 
     @property
     def ends_fault(self) -> bool:

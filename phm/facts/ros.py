@@ -9,6 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
+DIAGNOSTICS, CONSENSUS = "/diagnostics", "/phm/consensus"
+"""Topics on which PHM publishes diagnostic_msgs/DiagnosticArray."""
+
 
 @dataclass(frozen=True, slots=True)
 class EndpointFact:

@@ -39,6 +39,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "sidecar_disconnected": ("join_network",),
     "node_missing": ("relaunch", "restart"),
     "node_hung": ("restart",),
+    "quorum_dead": ("restart",),
     "silent": ("relaunch", "restart"),
     "rate_low": ("relaunch", "restart"),
     "publisher_lost": ("restart",),
@@ -86,10 +87,10 @@ and has not recovered although the unit itself has."""
 ADVISED = frozenset({"data_gaps", "data_range"})
 """Conditions for which the built-in ladder is only advised: the messages arrive and most of them are usable, and whether a restart
 helps depends on the sensor or input behind the node. A user's own ladder is carried out."""
-ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate", "data_frozen", "data_stamp"})
+ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate", "quorum_dead", "data_frozen", "data_stamp"})
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
-namespace, a publisher that was created again, a second node started by an operator, a source that repeats old data, a wrong
-clock on another computer. Where the unit was OK in this generation,
+namespace, a publisher that was created again, a second node started by an operator, a node that its neighbours no longer
+receive, a source that repeats old data, a wrong clock on another computer. Where the unit was OK in this generation,
 a restart restores what the start had, and is tried once; where it never was, nothing is done. A user's own ladder is used
 unchanged."""
 ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0

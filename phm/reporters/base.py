@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 from phm.core.clock import Clock
-from phm.core.model import Event, Fault, UnitState
+from phm.core.model import Event, Fault, Result, UnitState
 from phm.core.settings import Settings
 from phm.facts import LinkFact
-from phm.facts.ros import DiagnosticFact
+from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.facts.swarm import SwarmProbe
 from phm.transport.priority import MessagePriority
 
@@ -49,9 +49,9 @@ class MavlinkSender(Protocol):
 
 
 class DiagnosticsPublisher(Protocol):
-    """The way to /diagnostics (`phm.probes.ros.supervisor.RosSupervisor`)."""
+    """The way to /diagnostics and /phm/consensus (`phm.probes.ros.supervisor.RosSupervisor`)."""
 
-    def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
+    def publish(self, statuses: Mapping[str, DiagnosticFact], topic: str = DIAGNOSTICS) -> int:
         """Publish these statuses by name; never blocks. Returns how many times in a row that failed."""
 
 
@@ -60,6 +60,7 @@ class ReporterContext:
     """What a reporter may use. Reporters are plug-ins and may read any section of the configuration, so `settings` is all of it.
 
     states: the units as the tracker publishes them, in configuration order.
+    newest: the newest result of a unit, published or not; None: there is none, or the unit does not exist.
     alive:  False when the check scheduler hangs; then a reporter must not report that all is OK.
     health: a snapshot of PHM's own condition for `phm status` (JSON-able).
     swarm:  the other agents. armed: whether the autopilot is armed; None: unknown. pilot: whether this agent's autopilot is received.
@@ -84,6 +85,7 @@ class ReporterContext:
     holds: Callable[[], list[dict[str, Any]]] = list
     open_faults: Callable[[], tuple[Fault, ...]] = tuple
     given_up: Callable[[], tuple[Fault, ...]] = tuple
+    newest: Callable[[str], Result | None] = lambda unit: None
 
 
 class Reporter(ABC):

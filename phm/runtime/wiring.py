@@ -209,6 +209,7 @@ class Components:
             radio=radio_received,
             open_faults=pipeline.open_faults,
             given_up=pipeline.given_up,
+            newest=pipeline.newest,
             holds=self.holds.snapshot,
         )
 

@@ -73,6 +73,7 @@ EXPLAINED: Mapping[str, Explanation] = {
     "beacon_missing": _LATE,
     "dissent": _VIEWS,
     "split": _VIEWS,
+    "quorum_dead": _VIEWS,
     "diagnostic_stale": Explanation("its publisher is not scheduled in time"),
     "unhealthy": Explanation(
         "the probe of the health check takes longer than its time-out, or cannot be started", WAITING | {"pids_limit"}

@@ -64,9 +64,9 @@ class Tracker:
         return record.latest is not None and record.latest.ends_fault and record.started >= mono
 
     def newest(self, unit: str, mono: float) -> Result | None:
-        """The newest result, published or not, if its run began after `mono`."""
-        record = self._units[unit]
-        return record.latest if record.started >= mono else None
+        """The newest result, published or not, if its run began after `mono`; None, too, if there is no such unit."""
+        record = self._units.get(unit)
+        return record.latest if record is not None and record.started >= mono else None
 
     def confirmed_bad(self, unit: str, mono: float) -> bool:
         """Whether the unit is ERROR and a run that began after `mono` confirmed it: a run of its own check with the published

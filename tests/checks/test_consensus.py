@@ -321,3 +321,120 @@ def test_while_beacons_are_lost_the_consensus_makes_no_statement() -> None:
     result = evaluate({}, lost_s=1.0)
     assert result.level is api.Level.STALE and "more messages arrive on /phm/beacon than PHM can read" in result.summary
     assert evaluate(matrix(A, B, C), lost_s=60.0).level is api.Level.OK
+
+
+# ---------------------------------------------------------------- dead by majority
+
+
+class Quorum:
+    """The check over time, every second."""
+
+    def __init__(self, *names: str, **ros: Any) -> None:
+        self.check = Consensus(
+            testing.settings(
+                containers=[{"name": "ros_app"}], ros={"nodes": [{"name": name} for name in names or (A, B, C)], **ros}
+            )
+        )
+        self.clock, self.ros = testing.FakeClock(), testing.FakeRos(nodes=dict.fromkeys(ALL, 1))
+
+    def after(self, seconds: float, beacons: Mapping[str, api.BeaconFact], **ros: Any) -> api.Result:
+        """The result after this state has lasted for so many seconds."""
+        for _ in range(int(seconds) + 1):
+            self.ros.change(beacons=beacons, **ros)
+            result = self.check.run(testing.world(clock=self.clock, ros=self.ros))
+            self.clock.advance(1.0)
+        assert isinstance(result, api.Result)
+        return result
+
+
+UNSEEN = ((A, C), (B, C))
+
+
+def test_a_node_that_most_nodes_do_not_receive_is_an_error() -> None:
+    """PHM receives it, its neighbours do not: after 10 s it is dead by majority, and recovery may act on its container."""
+    quorum, beacons = Quorum(), matrix(A, B, C, not_received=UNSEEN)
+    early = quorum.after(9, beacons)
+    assert (early.level, early.condition) == (api.Level.WARN, "dissent")
+    result = quorum.after(2, beacons)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "quorum_dead", "ros_app")
+    assert (result.brief, result.settle_s) == ("c dead by quorum", 0.0)
+    assert result.summary.startswith(
+        "agent_1/c is dead by majority: it is not received by agent_1/a, agent_1/b, but is received by PHM"
+    )
+    assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
+    assert quorum.after(0, matrix(A, B, C)).level is api.Level.OK
+
+
+def test_a_split_with_a_majority_is_an_error_that_names_the_sides() -> None:
+    """The nodes of the smaller side are dead by majority; without a majority it stays a split."""
+    quorum = Quorum(*ALL)
+    result = quorum.after(11, matrix(*ALL, not_received=both((A, B), (A, C), (A, D))))
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "quorum_dead", "a dead by quorum")
+    assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not receive each other" in result.summary
+    halves = matrix(*ALL, not_received=both((A, C), (A, D), (B, C), (B, D)))
+    result = Quorum(*ALL).after(60, halves)
+    assert (result.level, result.condition) == (api.Level.WARN, "split")
+
+
+def test_a_node_that_no_observer_receives_is_left_to_the_nodes_check_first() -> None:
+    """For 20 s; then it is an error without a target: `nodes` has a reason why it may be alive."""
+    quorum, beacons = Quorum(), {**matrix(A, B, C, not_received=UNSEEN), C: beacon({}, age_s=5.0, witness=C)}
+    assert quorum.after(19, beacons).level is api.Level.OK
+    result = quorum.after(2, beacons)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "quorum_dead", "")
+    assert result.settle_s == 5.0 and "PHM restarts nothing for this" in result.summary
+    beacons[C] = beacon({}, age_s=300.0, witness=C)
+    assert quorum.after(0, beacons).condition == "quorum_dead", "it does not end because the silence is long"
+
+
+def test_a_closed_beacon_is_not_a_dead_node() -> None:
+    """Data arrives from the node, or it has started again since its last heartbeat: it has no beacon any more."""
+    silent = {**matrix(A, B, C, not_received=UNSEEN), C: beacon({}, age_s=8.0, witness=C)}
+    result = Quorum().after(40, silent, topics=active_topic(C))
+    assert result.level is api.Level.OK and result.summary.endswith("agent_1/c without a beacon, observed by PHM only")
+    quorum = Quorum()
+    quorum.after(1, matrix(A, B, C))
+    quorum.after(1, silent, nodes={A: 1, B: 1})
+    restarted = {**silent, C: beacon({}, age_s=30.0, witness=C)}
+    quorum.after(0, silent, nodes=dict.fromkeys(ALL, 1))
+    result = quorum.after(40, {**restarted, C: beacon({}, age_s=45.0, witness=C)})
+    assert result.level is api.Level.OK and result.summary.endswith("; no observer for agent_1/c")
+
+
+def test_a_restarted_node_is_another_case() -> None:
+    """Its neighbours need time to discover the new process."""
+    quorum, beacons = Quorum(), matrix(A, B, C, not_received=UNSEEN)
+    quorum.after(8, beacons)
+    restarted = {**beacons, C: beacon({A: True, B: True}, witness="new", birth="new.1")}
+    assert quorum.after(8, restarted).level is api.Level.WARN
+    assert quorum.after(3, restarted).condition == "quorum_dead"
+
+
+def test_phm_alone_is_not_a_majority() -> None:
+    """No node has an opinion on a node that started a moment ago."""
+    beacons = {A: beacon({}, witness=A, heartbeats=5), B: beacon({}, age_s=5.0, witness=B, heartbeats=5)}
+    assert Quorum(A, B).after(60, beacons).condition != "quorum_dead"
+
+
+def test_an_unknown_consensus_ends_the_verdict() -> None:
+    """The time counts from the beginning again."""
+    quorum, beacons = Quorum(), matrix(A, B, C, not_received=UNSEEN)
+    quorum.after(9, beacons)
+    assert quorum.after(0, beacons, age_s=6.0).level is api.Level.STALE
+    assert quorum.after(9, beacons, age_s=0.1).condition == "dissent"
+
+
+def test_the_error_can_be_switched_off() -> None:
+    """ros.consensus.open_faults: false leaves a warning."""
+    result = Quorum(consensus={"open_faults": False}).after(60, matrix(A, B, C, not_received=UNSEEN))
+    assert (result.level, result.condition) == (api.Level.WARN, "dissent")
+
+
+def test_the_result_contains_the_votes() -> None:
+    """Of each node: verdict, and who votes alive and dead; for `/phm/consensus`."""
+    result = evaluate(matrix(A, B, not_received=((A, B),)), topics=active_topic(C))
+    assert result.votes == (
+        api.NodeVotes("agent_1/a", "alive", ("agent_1/b", "PHM"), ()),
+        api.NodeVotes("agent_1/b", "undecided", ("PHM",), ("agent_1/a",)),
+        api.NodeVotes("agent_1/c", "alive", ("PHM",), ()),
+    )

@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import itertools
+import json
 import os
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -150,6 +152,24 @@ class Bench:
 
     def close(self) -> None:
         self._closing.close()
+
+
+class Listener:
+    """A real subscriber of diagnostic arrays; `heard` is the newest of each status, as [level, message, hardware id, values]."""
+
+    def __init__(self, bench: Bench, topic: str = "/diagnostics") -> None:
+        self.heard: dict[str, list[Any]] = {}
+        self.frames: dict[str, str] = {}
+        process = bench.script("ros_status.py", "hear", "monitor", topic)
+        threading.Thread(target=self._read, args=(process,), daemon=True).start()
+
+    def _read(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None
+        with contextlib.suppress(ValueError):  # at the end of the test the pipe is closed, in the middle of a line
+            for line in process.stdout:
+                frame, statuses = json.loads(line)
+                self.heard.update({name: rest for name, *rest in statuses})
+                self.frames.update({name: frame for name, *_ in statuses})
 
 
 def seen(probe: RosSupervisor, condition: Callable[[RosFact], Any], what: str, limit_s: float = 60.0) -> Any:

@@ -1,10 +1,11 @@
 """A real node that sends or receives diagnostics, in the format of diagnostic_updater.
 
     python tests/fakes/ros_status.py say NAME < lines of JSON
-    python tests/fakes/ros_status.py hear NAME > lines of JSON
+    python tests/fakes/ros_status.py hear NAME [TOPIC] > lines of JSON
 
 `say`: each line is a list of `[name, level, message, hardware_id, {key: value}]` and is published ten times a second, replacing
 the previous line, as one array, reliable and with a queue of one. `hear` prints each array it gets: `[frame_id, [...as above]]`.
+TOPIC: /diagnostics by default.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from rclpy.node import Node
 PERIOD_S = 0.1
 
 
-def main(role: str, name: str) -> None:
+def main(role: str, name: str, topic: str = "/diagnostics") -> None:
     rclpy.init(args=[])
     node = rclpy.create_node(name, namespace="/agent_1")
-    say(node) if role == "say" else hear(node)
+    say(node) if role == "say" else hear(node, topic)
 
 
 def say(node: Node) -> None:
@@ -44,7 +45,7 @@ def _status(name: str, level: int, message: str, hardware_id: str, values: dict[
     return DiagnosticStatus(name=name, level=bytes([level]), message=message, hardware_id=hardware_id, values=pairs)
 
 
-def hear(node: Node) -> None:
+def hear(node: Node, topic: str) -> None:
     def take(array: DiagnosticArray) -> None:
         statuses = [
             [s.name, s.level[0], s.message, s.hardware_id, {pair.key: pair.value for pair in s.values}]
@@ -53,7 +54,7 @@ def hear(node: Node) -> None:
         sys.stdout.write(json.dumps([array.header.frame_id, statuses]) + "\n")
         sys.stdout.flush()
 
-    node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
+    node.create_subscription(DiagnosticArray, topic, take, 10)
     rclpy.spin(node)
 
 

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import signal
 import subprocess
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from phm import api, testing
+from phm.core.clock import SystemClock
+from phm.core.settings import Settings
+from phm.facts.ros import CONSENSUS
 from phm.probes.ros.supervisor import RosSupervisor
+from phm.reporters.consensus import ConsensusReporter
+from phm_checks import _quorum
 from phm_checks.consensus import Consensus
-from tests.fakes.ros_bench import Bench, seen, until
+from tests.fakes.records import context
+from tests.fakes.ros_bench import Bench, Listener, seen, until
 
 NAMES = ("a", "b", "c")
 SCRIPT = "ros_beaconed.py"
@@ -88,6 +96,39 @@ def test_a_split_names_its_sides(scene: Scene, bench: Bench) -> None:
     assert result.level is api.Level.WARN
     assert result.brief == "nodes split 2|1"
     assert "agent_1/a, agent_1/b | agent_1/c do not receive each other" in result.summary
+
+
+def test_the_verdict_topic_shows_a_node_that_the_majority_declares_dead(
+    scene: Scene, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A real subscriber receives verdicts and votes; the check reports the same node, which PHM itself receives, as an error."""
+    monkeypatch.setattr(_quorum, "RECEIVED_S", 1.0)
+    settings = Settings.model_validate({"ros": {"nodes": [{"name": "/agent_1/a"}]}})
+    port = replace(
+        context(settings, clock=SystemClock()), ros=scene.probe, newest=lambda unit: scene.run() if unit else None
+    )
+    reporter, listener = ConsensusReporter.build(port), Listener(bench, CONSENSUS)
+    assert reporter is not None
+
+    def received(name: str, verdict: str) -> Any:
+        reporter.tick()
+        level, message, agent, values = listener.heard.get(f"phm/agent_1/consensus: agent_1/{name}", [0, "", "", {}])
+        return values.get("verdict") == verdict and (level, message, agent, values)
+
+    for name in NAMES:
+        until(lambda name=name: received(name, "alive"), f"the verdict on {name}")
+    scene.nodes["c"].kill()
+    bench.script(SCRIPT, "c", "--hello", "/elsewhere")
+    result = scene.wait(2, "quorum_dead", observers=4)
+    assert result.level is api.Level.ERROR and result.brief == "c dead by quorum"
+    assert until(lambda: received("c", "dead"), "the verdict on c") == (
+        2,
+        "dead: 1 alive, 2 dead",
+        "agent_1",
+        {"node": "agent_1/c", "verdict": "dead", "alive": "PHM", "dead": "agent_1/a, agent_1/b"},
+    )
+    reporter.close()
+    until(lambda: listener.heard["phm/agent_1/consensus: agent_1/a"][:2] == [3, "PHM has stopped"], "the end")
 
 
 def test_a_node_without_a_beacon_is_observed_by_its_topic(bench: Bench) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
 import sys
-import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, encode
 from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
 from phm.probes.ros.supervisor import RosSupervisor
 from phm.wire import json_log
-from tests.fakes.ros_bench import ROOT, Bench, seen, until
+from tests.fakes.ros_bench import ROOT, Bench, Listener, seen, until
 
 FREQUENCY = "camera: Frequency"
 FINE = [FREQUENCY, 0, "fine", "cam-07", {"fps": "30.0"}]
@@ -34,24 +32,6 @@ class Speaker:
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(statuses).encode() + b"\n")
         self.process.stdin.flush()
-
-
-class Listener:
-    """A real subscriber of /diagnostics; `heard` is the newest of each status, as [level, message, hardware id, values]."""
-
-    def __init__(self, bench: Bench) -> None:
-        self.heard: dict[str, list[Any]] = {}
-        self.frames: dict[str, str] = {}
-        process = bench.script("ros_status.py", "hear", "monitor")
-        threading.Thread(target=self._read, args=(process,), daemon=True).start()
-
-    def _read(self, process: subprocess.Popen[bytes]) -> None:
-        assert process.stdout is not None
-        with contextlib.suppress(ValueError):  # at the end of the test the pipe is closed, in the middle of a line
-            for line in process.stdout:
-                frame, statuses = json.loads(line)
-                self.heard.update({name: rest for name, *rest in statuses})
-                self.frames.update({name: frame for name, *_ in statuses})
 
 
 def received(fact: RosFact, name: str = FREQUENCY) -> DiagnosticFact | None:

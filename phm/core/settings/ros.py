@@ -107,6 +107,15 @@ class DiagnosticsSettings(Section):
     """Statuses that must exist and be OK."""
 
 
+class ConsensusSettings(Section):
+    """The consensus of the nodes about each other, from their beacons."""
+
+    publish: bool = True
+    """True: PHM publishes it on /phm/consensus, once a node has a beacon."""
+    open_faults: bool = True
+    """True: a node that most nodes do not receive is ERROR `quorum_dead`, also while PHM itself receives it. False: WARN `dissent`."""
+
+
 class RosSettings(Section):
     """The ROS graph of this agent."""
 
@@ -118,6 +127,8 @@ class RosSettings(Section):
     """Topics that must have data."""
     diagnostics: DiagnosticsSettings = DiagnosticsSettings()
     """ROS diagnostics, out and in."""
+    consensus: ConsensusSettings = ConsensusSettings()
+    """The consensus of the nodes about each other."""
     grace: Annotated[Seconds, Field(ge=0, le=120)] = 8.0
     """Seconds after a start or restart in which an incomplete graph is not yet a fault."""
     silence: Annotated[Seconds, Field(gt=0, le=60)] = 3.0

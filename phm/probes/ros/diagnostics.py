@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from phm.facts.ros import DiagnosticFact
+from phm.facts.ros import CONSENSUS, DIAGNOSTICS, DiagnosticFact
 from phm.probes.ros.protocol import LogText, Message, Publish, SelfReportUpdate
 
-TOPIC = "/diagnostics"
 OWN = "phm/"
 """Statuses with this prefix are PHM's, of this agent or another."""
 MAX_TAKES = 50
@@ -48,9 +47,9 @@ class DiagnosticsListener:
         self._log_texts: list[Message] = []
         self._said: set[str] = set()
         self._readers: dict[str, Any] = {}
-        self._publisher: Any = None
-        self._published: dict[str, tuple[DiagnosticFact, Any]] = {}
-        """The newest array, by status name: most are unchanged, and a message costs more than a comparison."""
+        self._publishers: dict[str, Any] = {}
+        self._published: dict[str, dict[str, tuple[DiagnosticFact, Any]]] = {}
+        """The newest array of each topic, by status name: most are unchanged, and a message costs more than a comparison."""
         self._kinds: Any = None
         self._missing = False
         if listen and self._load():
@@ -70,11 +69,11 @@ class DiagnosticsListener:
 
     def publish(self, order: Publish) -> None:
         """Publish PHM's own state, reliable and with a queue of one, as diagnostic_updater does."""
-        if not self._load():
+        if order.topic not in (DIAGNOSTICS, CONSENSUS) or not self._load():
             return
-        if self._publisher is None:
-            self._publisher = self._node.create_publisher(self._kinds.DiagnosticArray, TOPIC, 1)
-        self._publisher.publish(self._array(order))
+        if order.topic not in self._publishers:
+            self._publishers[order.topic] = self._node.create_publisher(self._kinds.DiagnosticArray, order.topic, 1)
+        self._publishers[order.topic].publish(self._array(order))
 
     def _load(self) -> bool:
         if self._kinds is None and not self._missing:
@@ -137,13 +136,14 @@ class DiagnosticsListener:
         array.header.stamp.sec = seconds
         array.header.stamp.nanosec = int((order.utc_s - seconds) * 1e9)
         array.header.frame_id = _FRAME.decode()
-        before, self._published = self._published, {}
+        before = self._published.get(order.topic, {})
+        newest = self._published[order.topic] = {}
         for name, fact in order.statuses.items():
             known = before.get(name)
             if known is None or known[0] != fact:
                 known = (fact, self._status(name, fact))
-            self._published[name] = known
-        array.status = [message for _, message in self._published.values()]
+            newest[name] = known
+        array.status = [message for _, message in newest.values()]
         return array
 
     def _status(self, name: str, fact: DiagnosticFact) -> Any:

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, NoReturn
 
-from phm.facts.ros import BeaconFact, DiagnosticFact, NameFact, TopicFact
+from phm.facts.ros import DIAGNOSTICS, BeaconFact, DiagnosticFact, NameFact, TopicFact
 from phm.probes.ros.fact_codec import pack, value
 
 LINE_LIMIT = 1_000_000
@@ -166,10 +166,11 @@ class Sandbox:
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """From the daemon: publish on /diagnostics. utc_s: stamp of the array. statuses: by name; their ages are ignored."""
+    """From the daemon: publish on `topic`. utc_s: stamp of the array. statuses: by name; their ages are ignored."""
 
     utc_s: float
     statuses: Mapping[str, DiagnosticFact] = field(default_factory=dict)
+    topic: str = DIAGNOSTICS
 
 
 Message = GraphMessage | Tick | SelfReportUpdate | OtherTopics | LogText | Missing | Sandbox

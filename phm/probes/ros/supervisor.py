@@ -22,7 +22,7 @@ from phm.core.clock import Clock
 from phm.core.scheduling_delay import NOISE_S, ProcessStallMeter, SchedulingDelay
 from phm.core.settings import DataSettings, RosSettings
 from phm.facts import CannotTell, RosFact
-from phm.facts.ros import DiagnosticFact
+from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.probes.ros.child_process import ChildProcess
 from phm.probes.ros.graph_snapshot import GraphSnapshot, again_s
 from phm.probes.ros.protocol import (
@@ -157,8 +157,8 @@ class RosSupervisor:
         self._lock = threading.Lock()
         self._view = self._blank
         self._late = SchedulingDelay()
-        self._post = b""
-        self._unsent = 0
+        self._posts: dict[str, bytes] = {}
+        self._unsent: dict[str, int] = {}
         self._log_texts: set[str] = set()
         self._dropped_s: float | None = None
         self._why = "the ROS child has not been started yet"
@@ -214,19 +214,19 @@ class RosSupervisor:
         now_s = self._clock.mono()
         return (*found, *(words for words, at in times.items() if at is not None and now_s - at < REPORTED_S))
 
-    def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
-        """Let the child publish these on /diagnostics, by name. Never blocks. Ignored while no child responds.
+    def publish(self, statuses: Mapping[str, DiagnosticFact], topic: str = DIAGNOSTICS) -> int:
+        """Let the child publish these on `topic`, by name. Never blocks. Ignored while no child responds.
 
-        Returns how many in a row the child has not taken: a waiting array is replaced by a newer one.
+        Returns how many in a row the child has not taken: a waiting array is replaced by a newer one of its topic.
         """
-        line = encode_order(Publish(self._clock.utc(), statuses))
+        line = encode_order(Publish(self._clock.utc(), statuses, topic))
         with self._lock:
             if self._view.graph is None or self._closing:
                 return 0
-            self._unsent = self._unsent + 1 if self._post else 0
-            self._post = line
+            self._unsent[topic] = self._unsent.get(topic, 0) + 1 if topic in self._posts else 0
+            self._posts[topic] = line
             self._poke()
-            return self._unsent
+            return self._unsent[topic]
 
     def renew(self, reason: str) -> None:
         """Replace the child intentionally: its network changed. Returns immediately."""
@@ -368,9 +368,9 @@ class RosSupervisor:
 
     def _send_post(self, child: ChildProcess) -> None:
         with self._lock:
-            if self._post and not child.writing:
-                child.send(self._post)
-                self._post = b""
+            if self._posts and not child.writing:
+                child.send(b"".join(self._posts.values()))
+                self._posts.clear()
 
     def _take(self, message: Message, now_s: float) -> None:
         with self._lock:
@@ -400,7 +400,8 @@ class RosSupervisor:
     def _lose(self, sentence: str) -> None:
         with self._lock:
             had_one = self._view.graph is not None
-            self._view, self._post = self._blank, b""
+            self._view = self._blank
+            self._posts.clear()
             self._why = sentence
         if had_one and not self._closing:
             self._on_change()

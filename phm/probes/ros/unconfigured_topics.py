@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Any
 
-from phm.facts.ros import NameFact
+from phm.facts.ros import CONSENSUS, NameFact
 from phm.probes.ros.graph import NOT_UTF8, endpoints
 from phm.probes.ros.raw_names import undecodable
 
@@ -23,7 +23,7 @@ MAX_COUNTED = 2000
 MAX_READS = 50
 """Topics whose endpoints are read per look; the others follow in the next one."""
 _UNREAD = (-1, -1)
-_EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello")
+_EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello", CONSENSUS)
 
 
 class UnconfiguredTopics:
