@@ -17,6 +17,7 @@ import dataclasses
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import Any
 
 from phm.core.clock import Clock, ClockSteps
@@ -41,6 +42,7 @@ from phm.facts import (
     HostProbe,
     LinkFact,
     LinkProbe,
+    OtherContainer,
     PressureFact,
     PressureProbe,
     ProcessFact,
@@ -220,6 +222,8 @@ class FakeDocker(_Fake):
         self.me = me
         self.version = version
         self.silent: set[str] = set()
+        self.unknown: list[OtherContainer] = []
+        """Containers that run and are not configured."""
         self.lists: dict[str, tuple[ProcessFact, ...]] = {}
         self.listings = 0
         """How often a list of processes was asked for."""
@@ -256,6 +260,10 @@ class FakeDocker(_Fake):
     def myself(self) -> ContainerFact | None:
         self._asked()
         return self.me
+
+    def others(self) -> tuple[OtherContainer, ...]:
+        self._asked()
+        return tuple(self.unknown)
 
     def network_id(self, name: str) -> str:
         self._asked()
@@ -315,6 +323,11 @@ class FakeDevices(_Fake):
         if open_it:
             self.opened.append(path)
         return self.devices.get(path)
+
+    def matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
+        self._asked()
+        facts = {fact.path: fact for path, fact in self.devices.items() if any(fnmatchcase(path, p) for p in patterns)}
+        return tuple(facts[path] for path in sorted(facts))
 
     def serial_ports(self) -> tuple[DeviceFact, ...]:
         self._asked()

@@ -18,6 +18,7 @@ PATTERNS = {
     r"^/": "an absolute path, one that starts with '/'",
     r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$": "the name of a field, e.g. twist.linear.x, without an index",
     r"^[^/]+$": "a name, or a pattern with '*' and '?', without '/'",
+    r"^/dev/([^*?/]+/)*[^/]+$": "a path below /dev, with '*' and '?' only in its last part",
     r"^/[^:]*$": "an absolute path, one that starts with '/', without ':'",
     r"^[0-9a-fA-F]{64}$": "64 hexadecimal digits, as sha256sum prints",
     r"^(image|/.*)$": "'image', or an absolute path that PHM sees",

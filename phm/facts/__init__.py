@@ -20,6 +20,7 @@ from phm.facts.docker import (
     EventStreamFact as EventStreamFact,
     HealthcheckFact as HealthcheckFact,
     Mount as Mount,
+    OtherContainer as OtherContainer,
     ProcessFact as ProcessFact,
 )
 from phm.facts.errors import CannotTell as CannotTell, NotPermitted as NotPermitted

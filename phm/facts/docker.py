@@ -151,6 +151,14 @@ class ProcessFact:
     """Time since it was started, in full seconds, rounded down; None when unknown."""
 
 
+@dataclass(frozen=True, slots=True)
+class OtherContainer:
+    """A container that runs and is not configured. image: as the engine lists it; both are foreign data."""
+
+    name: str
+    image: str
+
+
 class DockerProbe(Protocol):
     def engine(self) -> str:
         """Return the version of the engine. Raises CannotTell if it does not answer in time."""
@@ -170,6 +178,9 @@ class DockerProbe(Protocol):
 
     def myself(self) -> ContainerFact | None:
         """Return PHM's own container; None if PHM does not run in a container."""
+
+    def others(self) -> tuple[OtherContainer, ...]:
+        """Return the containers that run, sorted by name, except the configured ones and PHM's own. Raises CannotTell."""
 
     def network_id(self, name: str) -> str:
         """Return the id of the network; empty if it does not exist."""

@@ -72,6 +72,11 @@ class DeviceFact:
     """For serial ports, the description from pyserial: product, manufacturer, serial number, USB ids."""
     inode: int = 0
     """Inode of the device file, which changes when the device was removed and is back; 0 when unknown."""
+    block: bool = False
+    """A block device, such as a USB stick."""
+
+
+MAX_MATCHES = 100
 
 
 class DeviceProbe(Protocol):
@@ -80,6 +85,12 @@ class DeviceProbe(Protocol):
 
         If `open_it` is false, only the permission bits are checked: opening an idle serial port raises
         DTR, which resets some autopilots and radios.
+        """
+
+    def matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
+        """Return the character and block devices that exist, by patterns of their paths with `*` and `?` in the last part.
+
+        Sorted, each once, links followed, at most MAX_MATCHES.
         """
 
     def serial_ports(self) -> tuple[DeviceFact, ...]:

@@ -5,7 +5,7 @@ Once a container is disconnected, the engine forgets its aliases and its fixed a
 
 from __future__ import annotations
 
-from phm.facts import Attachment, ContainerFact, DockerProbe, ProcessFact
+from phm.facts import Attachment, ContainerFact, DockerProbe, OtherContainer, ProcessFact
 
 
 class AttachmentCache:
@@ -33,6 +33,9 @@ class AttachmentCache:
 
     def myself(self) -> ContainerFact | None:
         return self._inner.myself()
+
+    def others(self) -> tuple[OtherContainer, ...]:
+        return self._inner.others()
 
     def network_id(self, name: str) -> str:
         return self._inner.network_id(name)

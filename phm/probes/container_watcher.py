@@ -41,7 +41,8 @@ class ContainerWatcher:
     """Two threads: one follows the stream, one compares.
 
     `on_event` is called from both, one call at a time; `on_turn` when the stream broke, could not be opened, or is open
-    again, usually because the engine stopped or started.
+    again, usually because the engine stopped or started; `on_other` when a container that is not configured was started,
+    ended or renamed.
     """
 
     def __init__(
@@ -52,8 +53,10 @@ class ContainerWatcher:
         clock: Clock,
         on_event: Callable[[DockerEvent], None],
         on_turn: Callable[[], None] = lambda: None,
+        on_other: Callable[[], None] = lambda: None,
     ) -> None:
         self._engine, self._clock, self._on_event, self._on_turn = engine, clock, on_event, on_turn
+        self._on_other = on_other
         self._containers = {entry.key: entry for entry in containers}
         self._decoder = EventDecoder(containers, clock)
         self._compare_s = settings.compare
@@ -144,9 +147,12 @@ class ContainerWatcher:
             self._turned()
             self._compare_now.set()
             for raw in stream:
+                others = self._decoder.others
                 event = self._decoder.decode(raw)
                 if event is not None:
                     self._publish(event)
+                if self._decoder.others != others:
+                    self._notify(self._on_other)
 
     def _since_opened(self, now: float) -> str:
         """From when to replay events if none has arrived yet: since the stream was first open. Empty: it never was."""
@@ -202,10 +208,13 @@ class ContainerWatcher:
         return count, ExpectedState.of(fact)
 
     def _turned(self) -> None:
+        self._notify(self._on_turn)
+
+    def _notify(self, listener: Callable[[], None]) -> None:
         if self._stopping.is_set():
             return
         try:
-            self._on_turn()
+            listener()
         except Exception:  # a defect of the listener must not end the thread
             logger.exception("the listener of the event stream failed")
 

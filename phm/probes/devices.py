@@ -10,7 +10,8 @@ import errno
 import os
 import stat
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 
 from serial.tools.list_ports_linux import SysFS
@@ -18,6 +19,7 @@ from serial.tools.list_ports_linux import SysFS
 from phm.core.clock import Clock
 from phm.core.settings import HostSettings
 from phm.facts import CannotTell, DeviceFact
+from phm.facts.files import MAX_MATCHES
 from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.inotify import FileWatcher
 
@@ -48,7 +50,7 @@ class Devices:
     """A `phm.facts.DeviceProbe`. Thread-safe; one call at a time.
 
     changed: called when a device that was looked at, or a link on the path to it, may have appeared, disappeared or
-    changed.
+    changed. matching_changed: the same for the patterns of `matching`.
     """
 
     def __init__(
@@ -57,9 +59,11 @@ class Devices:
         clock: Clock,
         notices: FileWatcher | None = None,
         changed: Callable[[], None] = lambda: None,
+        matching_changed: Callable[[], None] = lambda: None,
     ) -> None:
-        self._changed = changed
+        self._changed, self._matching_changed = changed, matching_changed
         self._watch = notices.on(changed) if notices is not None else lambda directory, name: False
+        self._watch_pattern = notices.on(matching_changed) if notices is not None else lambda directory, name: False
         self._root = Path(settings.dev_root)
         self._clock = clock
         self._worker = BlockingCallWorker("devices")
@@ -73,6 +77,35 @@ class Devices:
     def serial_ports(self) -> tuple[DeviceFact, ...]:
         return self._worker.call(self._serial_ports, LOOK_S)
 
+    def matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
+        return self._worker.call(lambda: self._matching(patterns), LOOK_S)
+
+    def _matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
+        self._check_root()
+        fresh = [self._watch_folders(PurePosixPath(pattern)) for pattern in patterns]
+        if any(fresh):
+            self._matching_changed()  # it may have changed between the start of the watch and an earlier look
+        found: dict[str, DeviceFact] = {}
+        for pattern in map(PurePosixPath, patterns):
+            for name in sorted(_names(self._place(pattern.parent))):
+                fact = (
+                    self._look(str(pattern.parent / name), open_it=False) if fnmatchcase(name, pattern.name) else None
+                )
+                if fact is not None and (fact.character or fact.block) and len(found) < MAX_MATCHES:
+                    found[fact.path] = fact
+        return tuple(found[path] for path in sorted(found))
+
+    def _watch_folders(self, pattern: PurePosixPath) -> bool:
+        """Watch the pattern in its folder, and each folder on the path to it. True if something was not watched before."""
+        steps = [step for step in (pattern, *pattern.parents) if step != _DEV and step.is_relative_to(_DEV)]
+        return sum(self._watch_pattern(str(self._place(step.parent)), step.name) for step in steps) > 0
+
+    def _check_root(self) -> None:
+        if not self._root.is_dir():
+            raise CannotTell(
+                f"the host's /dev is not at {self._root}: mount it there, read-only, or correct host.dev_root"
+            )
+
     def _look_and_watch(self, path: str, open_it: bool) -> DeviceFact | None:
         steps: list[PurePosixPath] = []
         fact = self._look(path, open_it, steps)
@@ -83,10 +116,7 @@ class Devices:
 
     def _look(self, path: str, open_it: bool, steps: list[PurePosixPath] | None = None) -> DeviceFact | None:
         """The device; each step of the path to it is added to `steps`."""
-        if not self._root.is_dir():
-            raise CannotTell(
-                f"the host's /dev is not at {self._root}: mount it there, read-only, or correct host.dev_root"
-            )
+        self._check_root()
         real = self._resolve(PurePosixPath(os.path.normpath(path)), [] if steps is None else steps)
         if real is None:
             return None
@@ -98,7 +128,9 @@ class Devices:
         except OSError as error:
             raise CannotTell(f"{path} cannot be inspected: {error.strerror or error}") from error
         if not stat.S_ISCHR(seen.st_mode):
-            return DeviceFact(str(real), False, 0, 0, None, reason=_kind(seen.st_mode))
+            return DeviceFact(
+                str(real), False, 0, 0, None, reason=_kind(seen.st_mode), block=stat.S_ISBLK(seen.st_mode)
+            )
         openable, reason = self._usable(place, seen, open_it)
         if reason == _GONE:
             return None
@@ -172,6 +204,13 @@ class Devices:
             text = _port_words(name)
             self._described[name] = (now, text)
             return text
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)
+    except OSError:
+        return []
 
 
 _GONE = "gone"

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, DockerSettings
-from phm.facts import CannotTell, ContainerFact, ProcessFact
+from phm.facts import CannotTell, ContainerFact, OtherContainer, ProcessFact
 from phm.probes import ping
-from phm.probes.docker_facts import TimeBudget, container_fact, find
+from phm.probes.docker_facts import TimeBudget, container_fact, find, is_configured, other_container
 from phm.probes.docker_processes import Processes
 from phm.transport.docker import DockerEngine, EngineMissing
 
@@ -79,6 +79,16 @@ class Docker:
 
     def myself(self) -> ContainerFact | None:
         return self._shared(_MYSELF, self._find_myself, FRESH_S)
+
+    def others(self) -> tuple[OtherContainer, ...]:
+        me = self.myself()
+        found = [
+            other_container(entry)
+            for entry in self._engine.running()
+            if (me is None or entry.get("Id") != me.id)
+            and not any(is_configured(wanted, entry) for wanted in self._containers.values())
+        ]
+        return tuple(sorted(found, key=lambda other: other.name))
 
     def network_id(self, name: str) -> str:
         try:

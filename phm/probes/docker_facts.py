@@ -9,7 +9,16 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.maintenance import LABEL
 from phm.core.settings import ContainerSettings
-from phm.facts import Attachment, CannotTell, ContainerFact, DeviceMapping, HealthcheckFact, Mount, ros_variables
+from phm.facts import (
+    Attachment,
+    CannotTell,
+    ContainerFact,
+    DeviceMapping,
+    HealthcheckFact,
+    Mount,
+    OtherContainer,
+    ros_variables,
+)
 from phm.transport.docker import DockerEngine, EngineMissing
 
 _OUTPUT_CHARS = 200
@@ -61,6 +70,19 @@ def _by_label(engine: DockerEngine, label: str, budget: TimeBudget) -> str:
 
 def _name(summary: Mapping[str, Any]) -> str:
     return str((summary.get("Names") or [summary.get("Id", "?")])[0]).lstrip("/")
+
+
+def is_configured(entry: ContainerSettings, summary: Mapping[str, Any]) -> bool:
+    """Whether a container of the engine's list is the configured one."""
+    if entry.name:
+        return f"/{entry.name}" in _texts(summary, "Names")
+    label, has_value, value = (entry.label or "").partition("=")
+    labels = _part(summary, "Labels")
+    return label in labels and (not has_value or _text(labels[label]) == value)
+
+
+def other_container(summary: Mapping[str, Any]) -> OtherContainer:
+    return OtherContainer(_name(summary), _text(summary.get("Image"))[:_OUTPUT_CHARS])
 
 
 def container_fact(answer: Mapping[str, Any]) -> ContainerFact:

@@ -27,6 +27,9 @@ REPLACES = "com.docker.compose.replace"
 """Label by which Compose marks a container that it makes to take the place of another (seen with Compose 2.26)."""
 
 
+OTHERS = ("start", "die", "rename")
+
+
 class EventDecoder:
     """Thread-safe.
 
@@ -39,6 +42,8 @@ class EventDecoder:
         self._networks = {name for entry in containers for name in entry.networks}
         self.since = ""
         """Time after the newest event, as the engine writes it; empty: there was none."""
+        self.others = 0
+        """Counts events after which another set of containers that are not configured may run."""
         self._expected: dict[str, ExpectedState] = {}
         self._stops: dict[str, tuple[int, float | None]] = {}
         """By which signal each container is stopped, and how long it asks to be waited for."""
@@ -71,6 +76,7 @@ class EventDecoder:
         if key and action in ENDINGS and self._is_replaced(key, container_id):
             return None
         if not key:
+            self.others += action in OTHERS
             replaced = self._replaced(attributes) if action == "create" else ""
             return DockerEvent("container", replaced, "replace", "", self._clock.stamp()) if replaced else None
         with self._lock:

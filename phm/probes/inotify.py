@@ -16,6 +16,7 @@ import struct
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 
 from phm.core import threads
 from phm.core.backoff import Backoff
@@ -25,7 +26,8 @@ logger = logging.getLogger(__name__)
 
 Notify = Callable[[], None]
 Watch = Callable[[str, str], bool]
-"""Watch the entry of this name in this directory. True if it was not watched before: earlier observations may be old.
+"""Watch the entry of this name, or of names by a pattern with `*` and `?`, in this directory. True if it was not
+watched before: earlier observations may be old.
 """
 
 MOST_DIRECTORIES = 128
@@ -196,7 +198,13 @@ class FileWatcher:
             # Its path now names another directory, or none: the next look watches that.
             self._forget(number, directory, gone=bool(mask & _IGNORED))
             return everybody
-        return [listener for listener in directory.wanted.get(name, ()) if listener.mask & mask]
+        wanted = [
+            listener
+            for pattern, some in directory.wanted.items()
+            if pattern == name or (_is_pattern(pattern) and fnmatchcase(name, pattern))
+            for listener in some
+        ]
+        return [listener for listener in wanted if listener.mask & mask]
 
     def _forget(self, number: int, directory: _Directory, *, gone: bool) -> None:
         del self._directories[number]
@@ -222,3 +230,7 @@ class FileWatcher:
                 listener.pause.next_s()
             listener.due, listener.last = None, now
             listener.notify()
+
+
+def _is_pattern(name: str) -> bool:
+    return "*" in name or "?" in name

@@ -61,6 +61,8 @@ def calls(settings: Settings) -> list[AllowedCall]:
     me = CallSubject("containers", str(settings.docker.container), "me")
     made = [AllowedCall("events", "GET", r"/events" + exact(_events()) + r"(?:&since=[0-9.]+)?")]
     made += _container(me, "PHM itself")
+    if settings.docker.unknown_containers.level != "off":
+        made.append(AllowedCall("which containers run (docker.unknown_containers)", "GET", "/containers/json"))
     acted_on = [me.name]
     for number, entry in enumerate(settings.containers):
         subject = me if entry.name == me.name else CallSubject("containers", str(entry.name), f"c{number}")

@@ -162,8 +162,16 @@ def build_probes(
         docker_event(event)
 
     watch = (
-        ContainerWatcher(engine, settings.containers, settings.docker, clock, happened, lambda: wake("engine"))
-        if settings.containers
+        ContainerWatcher(
+            engine,
+            settings.containers,
+            settings.docker,
+            clock,
+            happened,
+            lambda: wake("engine"),
+            lambda: wake("other_container"),
+        )
+        if settings.containers or settings.docker.unknown_containers.level != "off"
         else None
     )
     pulse = (
@@ -194,7 +202,7 @@ def build_probes(
         clock=clock,
         docker=docker,
         files=Files(docker, engine, settings.docker, clock, notices, lambda: wake("file")),
-        devices=Devices(settings.host, clock, notices, lambda: wake("device")),
+        devices=Devices(settings.host, clock, notices, lambda: wake("device"), lambda: wake("other_device")),
         host=Host(settings.host, clock),
         ros=probe,
         links=links,

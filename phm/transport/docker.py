@@ -85,6 +85,16 @@ class DockerEngine(DockerSession):
 
         return self.call(ask, deadline_s=deadline_s, what="list containers")
 
+    def running(self) -> Sequence[Answer]:
+        """Summaries of the running containers."""
+
+        def ask(client: APIClient) -> Sequence[Answer]:
+            response = client.get(f"{client.base_url}/v{client.api_version}/containers/json", timeout=client.timeout)
+            _raise_for_status(response)
+            return [mapping(entry) for entry in response.json()]
+
+        return self.call(ask, what="list running containers")
+
     def inspect(self, ref: str, *, deadline_s: float | None = None) -> Answer:
         """All data of one container."""
         return self._ask(lambda client: client.inspect_container(ref), deadline_s, f"inspect {ref}")

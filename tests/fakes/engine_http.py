@@ -176,7 +176,8 @@ class Handler(BaseHTTPRequestHandler):
         found = []
         for entry in list(self.fake.containers.values()):
             labels = entry["Config"]["Labels"]
-            if all(label in labels or label in [f"{k}={v}" for k, v in labels.items()] for label in wanted):
+            shown = self.query.get("all") == "1" or entry["State"]["Status"] in ("running", "paused")
+            if shown and all(label in labels or label in [f"{k}={v}" for k, v in labels.items()] for label in wanted):
                 found.append(
                     {"Id": entry["Id"], "Names": [entry["Name"]], "Labels": labels, "State": entry["State"]["Status"]}
                 )

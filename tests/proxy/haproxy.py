@@ -101,9 +101,11 @@ class Proxies:
         self._ends.append(engine.close)
         return engine
 
-    def behind(self, **yaml_like: object) -> tuple[DockerEngine, Settings]:
+    def behind(
+        self, *, docker: Mapping[str, object] | None = None, **yaml_like: object
+    ) -> tuple[DockerEngine, Settings]:
         """Settings as in `phm.yaml`, and PHM's client behind their proxy."""
-        made = settings(**{**yaml_like, "docker": self.docker()})
+        made = settings(**{**yaml_like, "docker": {**(docker or {}), **self.docker()}})
         return self.client(made), made
 
     def end(self) -> None:

@@ -24,6 +24,7 @@ NEEDED = {
     "calling",
     "close",
     "version",
+    "running",
     "inspect",
     "inspect_network",
     "stats",
@@ -91,6 +92,16 @@ def test_the_rules_allow_only_what_the_configuration_needs() -> None:
     assert "PUT" not in looked_at
     restored = made(containers=[{"name": "app", "recover": True, "files": [{"path": "/a/b", "restore": "/golden"}]}])
     assert "PUT" in restored
+
+
+def test_the_running_containers_are_listed_only_where_requested() -> None:
+    """The list shows all containers of the computer, so the configuration must ask for unknown ones."""
+    entry = {"containers": [{"name": "app"}]}
+    assert "/containers/json" not in made(**entry)
+    for level in ("warn", "error"):
+        text = made(**entry, docker={**DOCKER, "unknown_containers": {"level": level}})
+        (rule,) = re.findall(r"http-request allow.*/containers/json.*", text)
+        assert "method GET" in rule and "empty" in rule
 
 
 def test_the_rules_have_both_sockets() -> None:

@@ -339,6 +339,19 @@ def test_without_recovery_no_action_is_allowed(real: Any, proxies: Proxies) -> N
         client.disconnect(net.name, str(made.docker.container))
 
 
+def test_containers_are_listed_only_where_unknown_ones_are_requested(real: Any, proxies: Proxies) -> None:
+    """Only the running ones, without any parameter: the list of all containers has a parameter."""
+    app, other = real.container(), real.container()
+    entry: dict[str, Any] = {"containers": [{"name": app.name}]}
+    client, _ = proxies.behind(**entry)
+    with pytest.raises(EngineRefused):
+        client.running()
+    client, _ = proxies.behind(**entry, docker={"unknown_containers": {"level": "warn"}})
+    assert {f"/{app.name}", f"/{other.name}"} <= {name for one in client.running() for name in one["Names"]}
+    with pytest.raises(EngineRefused):
+        client.list()
+
+
 def test_a_refusal_is_logged_and_reported_to_phm(place: Place) -> None:
     """The operator finds the request in the proxy's log, and PHM's message says where to look."""
     with pytest.raises(EngineRefused, match="phm proxy-rules"):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
@@ -73,6 +73,10 @@ RosName = Annotated[str, Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-
 
 
 AbsolutePath = Annotated[str, Field(pattern=r"^/", max_length=4096)]
+
+
+UnexpectedLevel = Literal["off", "warn", "error"]
+"""How something that is not in the configuration is reported."""
 
 
 class Section(BaseModel):

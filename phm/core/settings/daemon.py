@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
-from phm.core.settings.base import AbsolutePath, Bytes, Name, Seconds, Section
+from phm.core.settings.base import AbsolutePath, Bytes, Name, Seconds, Section, UnexpectedLevel
 
 
 def _sync(value: Any) -> Any:
@@ -35,6 +35,17 @@ class LogSettings(Section):
     second, faults and reports immediately (wears SD cards); `never`: by the system, mostly within 30 s."""
 
 
+class UnknownContainersSettings(Section):
+    """Containers that run on this engine and are not in the configuration."""
+
+    level: UnexpectedLevel = "off"
+    """How they are reported. `off`: they are not looked for; `error` opens a fault, which PHM never acts on."""
+    ignore: Annotated[list[Annotated[str, Field(min_length=1, max_length=255)]], Field(max_length=100)] = Field(
+        default_factory=list
+    )
+    """Names of containers that may run as well, with `*` and `?`."""
+
+
 class DockerSettings(Section):
     """The Docker Engine."""
 
@@ -46,6 +57,8 @@ class DockerSettings(Section):
     """Seconds between comparisons of the container list, in case the event stream lost an event."""
     container: Name | None = None
     """PHM's own container; default: detected."""
+    unknown_containers: UnknownContainersSettings = UnknownContainersSettings()
+    """Containers that run on this engine and are not in the configuration."""
 
 
 class ProcessSettings(Section):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from phm.core.settings.base import AbsolutePath, Celsius, FaultLimit, Limit, Seconds, Section
+from phm.core.settings.base import AbsolutePath, Celsius, FaultLimit, Limit, Seconds, Section, UnexpectedLevel
 
 
 class FreeDiskSettings(Section):
@@ -18,6 +18,22 @@ class FreeDiskSettings(Section):
     """Names, or patterns with `*` and `?`, of the files that may be deleted, in the directory and below."""
     older_than: Annotated[Seconds, Field(ge=10)] = 600.0
     """Seconds since the last change of a file before it may be deleted; PHM must have monitored the clock for as long."""
+
+
+DevicePattern = Annotated[str, Field(pattern=r"^/dev/([^*?/]+/)*[^/]+$", max_length=255)]
+
+
+class UnexpectedDevicesSettings(Section):
+    """Devices of the host that are not in the configuration."""
+
+    level: UnexpectedLevel = "off"
+    """How they are reported. `off`: they are not looked for; `error` opens a fault, which PHM never acts on."""
+    watch: Annotated[list[DevicePattern], Field(min_length=1, max_length=32)] = Field(
+        default_factory=lambda: ["/dev/ttyUSB*", "/dev/ttyACM*", "/dev/video*", "/dev/sd*"]
+    )
+    """Which devices are looked for: paths on the host, with `*` and `?` in the last part."""
+    ignore: Annotated[list[DevicePattern], Field(max_length=100)] = Field(default_factory=list)
+    """Which of them may exist, besides those of `containers[].devices` and `mavlink.endpoints`; written as in `watch`."""
 
 
 class HostSettings(Section):
@@ -43,6 +59,8 @@ class HostSettings(Section):
     """Degrees Celsius for ERROR."""
     clock_step: Annotated[Seconds, Field(gt=0)] = 2.0
     """A jump of the UTC clock by more than this is a WARN."""
+    unexpected_devices: UnexpectedDevicesSettings = UnexpectedDevicesSettings()
+    """Devices of the host that are not in the configuration."""
     dev_root: AbsolutePath = "/dev"
     """Where the host's /dev is mounted in PHM's container (docker/compose.yaml: /host/dev)."""
 

@@ -77,6 +77,28 @@ def test_other_containers_and_exec_events_are_ignored(
     assert events.texts() == ["app pause"]
 
 
+def test_a_start_or_end_of_an_unconfigured_container_is_reported_without_an_event(fake: FakeEngine) -> None:
+    """Only that something happened: PHM publishes no events of containers that it does not know."""
+    fake.containers["db"] = container("db")
+    events, happened = EventList(), threading.Event()
+    engine = DockerEngine(fake.url, timeout_s=2)
+    chosen = settings()
+    made = ContainerWatcher(
+        engine, chosen.containers, chosen.docker, SystemClock(), events.append, on_other=happened.set
+    )
+    made.start()
+    assert fake.wait(lambda server: server.streams == 1)
+    fake.emit_for("db", "kill", signal="1")
+    for action in ("start", "die"):
+        assert not happened.is_set()
+        fake.emit_for("db", action)
+        assert happened.wait(20.0)
+        happened.clear()
+    made.stop()
+    engine.close()
+    assert not events
+
+
 def test_a_renamed_container_is_still_known(
     fake: FakeEngine, watch: Callable[..., tuple[ContainerWatcher, EventList]]
 ) -> None:

@@ -319,3 +319,14 @@ def test_a_name_instead_of_an_address_is_an_error(ask: DockerEngine) -> None:
     """A name is not resolved: that would need its own deadline."""
     with pytest.raises(CannotTell, match="not an IP address"):
         probe(ask).reachable("ros_app")
+
+
+def test_others_are_the_running_containers_that_are_not_configured(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Configured ones are known by name or label, PHM's own by its id; stopped ones do not count."""
+    for name in ("app", "db", "me", "zed", "alone"):
+        fake.containers[name] = container(name)
+    fake.containers["db"]["Config"]["Labels"] = {"role": "db"}
+    fake.containers["alone"]["State"]["Status"] = "exited"
+    chosen = settings(containers=[{"name": "app"}, {"label": "role=db"}], docker={"container": "me"})
+    made = Docker(ask, chosen.containers, chosen.docker, FakeClock())
+    assert [other.name for other in made.others()] == ["zed"]

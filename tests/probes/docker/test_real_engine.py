@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from phm import testing
 from phm.core.clock import SystemClock
+from phm.core.model import Level, Result
 from phm.facts import CannotTell, ContainerFact
 from phm.probes.container_watcher import ContainerWatcher
 from phm.probes.docker import Docker
@@ -17,6 +20,7 @@ from phm.probes.docker_event import DockerEvent
 from phm.probes.files import Files
 from phm.testing import settings
 from phm.transport.docker import DockerEngine, EngineConflict, EngineError, EngineMissing
+from phm_checks.unknown_containers import UnknownContainers
 from sitl.faults.address_silent import LINKS, set_link
 from tests.fakes.until import until
 
@@ -239,6 +243,39 @@ def test_the_own_container_is_found_from_inside(real: Any, engine: DockerEngine,
     me = Docker(engine, [], settings().docker, SystemClock(), proc=tmp_path).myself()
     assert me is not None
     assert me.id == made.id
+
+
+def test_a_real_unknown_container_is_reported_until_it_ends(real: Any, engine: DockerEngine) -> None:
+    """Its start and its end wake the check. Configured and ignored containers are not unknown."""
+    app, tool = real.container(), real.container(name=f"tool-{real.name()}")
+    chosen = settings(
+        containers=[{"name": app.name}],
+        docker={"compare": 60.0, "unknown_containers": {"level": "warn", "ignore": ["tool-*"]}},
+    )
+    (check,) = UnknownContainers.build(chosen)
+    world = testing.world(docker=Docker(engine, chosen.containers, chosen.docker, SystemClock()))
+    woken = threading.Event()
+    watch = ContainerWatcher(
+        engine, chosen.containers, chosen.docker, SystemClock(), lambda event: None, on_other=woken.set
+    )
+    watch.start()
+    until(watch.healthy, "the watcher to connect")
+
+    def named(name: str) -> bool:
+        return any(other.name == name for other in world.docker.others())
+
+    woken.clear()
+    unknown = real.container()
+    assert woken.wait(30.0)
+    until(lambda: named(unknown.name), "the unknown container")
+    result = check.run(world)
+    assert isinstance(result, Result) and (result.level, result.condition) == (Level.WARN, "container_unknown")
+    assert not named(app.name) and named(tool.name) and f"{tool.name} (" not in result.summary
+    woken.clear()
+    unknown.kill()
+    assert woken.wait(30.0)
+    until(lambda: not named(unknown.name), "its end")
+    watch.stop()
 
 
 def test_a_label_finds_a_real_container(real: Any, engine: DockerEngine) -> None:

@@ -7,6 +7,7 @@ import os
 import pty
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from phm.core.clock import SystemClock
 from phm.facts import CannotTell
 from phm.probes import devices as module
 from phm.probes.devices import Devices
+from phm.probes.inotify import FileWatcher
 
 
 def probe(root: Path | str = "/dev") -> Devices:
@@ -162,3 +164,41 @@ def test_a_directory_with_the_name_of_a_port_is_not_listed(tmp_path: Path) -> No
     """Docker creates such directories; they would mislead a user who searches for the device."""
     (tmp_path / "ttyACM0").mkdir()
     assert probe(tmp_path).serial_ports() == ()
+
+
+def test_devices_are_found_by_patterns() -> None:
+    """Character devices of this machine, each once and sorted; other files and folders are left out."""
+    found = probe().matching(["/dev/nul?", "/dev/n*ll", "/dev/zero", "/dev/pts", "/dev/nothing/*"])
+    assert [fact.path for fact in found] == ["/dev/null", "/dev/zero"]
+
+
+def test_broken_links_and_plain_files_are_no_devices(tmp_path: Path) -> None:
+    """Also in folders such as /dev/serial/by-id."""
+    (tmp_path / "by-id").mkdir()
+    (tmp_path / "by-id" / "loop").symlink_to("loop")
+    (tmp_path / "by-id" / "file").write_text("", encoding="ascii")
+    assert not probe(tmp_path).matching(["/dev/by-id/*"])
+
+
+def test_a_new_device_that_matches_is_reported(tmp_path: Path) -> None:
+    """Its folder, too, may appear later."""
+    changed = threading.Event()
+    notices = FileWatcher()
+    made = Devices(
+        testing.settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), notices, matching_changed=changed.set
+    )
+    made.matching(["/dev/serial/by-id/*"])
+    changed.clear()
+    (tmp_path / "serial" / "by-id").mkdir(parents=True)
+    assert changed.wait(20.0)
+    made.matching(["/dev/serial/by-id/*"])
+    changed.clear()
+    (tmp_path / "serial" / "by-id" / "usb-1").symlink_to("../../ttyUSB0")
+    assert changed.wait(20.0)
+    notices.close()
+
+
+def test_patterns_need_the_hosts_devices(tmp_path: Path) -> None:
+    """Without the mount nothing is known."""
+    with pytest.raises(CannotTell, match=r"host\.dev_root"):
+        probe(tmp_path / "none").matching(["/dev/*"])

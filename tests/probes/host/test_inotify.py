@@ -82,6 +82,15 @@ def test_another_entry_of_the_directory_is_not_reported(notices: FileWatcher, tm
     assert listener.silent()
 
 
+def test_a_new_entry_that_matches_a_pattern_is_reported(notices: FileWatcher, tmp_path: Path) -> None:
+    """Its name need not be known before; other names do not count."""
+    listener, _ = watching(notices, tmp_path, "ttyUSB*")
+    (tmp_path / "ttyACM0").touch()
+    assert listener.silent()
+    (tmp_path / "ttyUSB7").touch()
+    assert listener.called()
+
+
 def test_new_content_is_reported_to_listeners_for_content(notices: FileWatcher, tmp_path: Path) -> None:
     """A device that is opened and closed has not changed; a file that was written has."""
     (tmp_path / "file").write_text("a")
