@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
+from phm_checks._application_hop import ApplicationHop
 from phm_checks._command_path import (
     Hop,
     HopState,
@@ -27,15 +28,12 @@ from phm_checks._command_path import (
     ways,
     with_radio,
 )
-from phm_checks._text import last, span
 from phm_checks.autopilot import Autopilot
 from phm_checks.gcs import Gcs
 from phm_checks.link import Link
 from phm_checks.radio import Radio
 
-OLD_S = 5.0
-"""Older snapshots of the graph are not evaluated."""
-HANG_S = 5.0
+UNCLEAR = "the application is not part of it: set mavlink.application"
 
 
 class CommandPath(api.Check):
@@ -55,7 +53,7 @@ class CommandPath(api.Check):
         self._gcs, self._autopilot = Gcs(settings), Autopilot(settings)
         self._links = {entry.key: Link(entry, settings) for entry in settings.mavlink.endpoints}
         self._radio = {entry.key: Radio(entry, settings) for entry in self._radios}
-        self._nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes if node.commands]
+        self._application = ApplicationHop(settings)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -68,7 +66,7 @@ class CommandPath(api.Check):
             *(radio_id(entry) for entry in self._radios),
             "gcs",
             "autopilot",
-            *(f"nodes/{api.topic_id(node)}" for node in self._nodes),
+            *self._application.needs,
         ]
         return (api.Unit("path", needs=tuple(needs)),)
 
@@ -85,7 +83,7 @@ class CommandPath(api.Check):
         if broken is None and found[0].state is HopState.UNKNOWN and found[-1].state is HopState.UNUSED:
             return api.bypass(f"neither a ground station nor an autopilot received yet: {words}", **values)
         if broken is None:
-            return api.ok(f"no broken hop detected on the command path: {words}", **values)
+            return api.ok(f"no broken hop detected on the command path: {words}{self._unclear}", **values)
         result = api.stale(f"the command path is broken at {broken.name}: {words}", brief="", **values)
         return result.with_evidence(api.Evidence(broken_hop=broken.name))
 
@@ -99,7 +97,7 @@ class CommandPath(api.Check):
             *(hop(radios[one.key], self._radio[one.key].run(world), [self._name(one)]) for one in self._radios),
             *(self._link(world, entry) for entry in self._ground),
             Hop("companion", HopState.OK),
-            *([self._application(world)] if self._nodes else []),
+            *([self._application.look(world)] if self._application.exists else []),
             *(self._link(world, entry) for entry in beyond),
             hop("autopilot", self._autopilot.run(world), [self._name(entry) for entry in self._flight]),
         ]
@@ -113,25 +111,9 @@ class CommandPath(api.Check):
         closed = found.state is HopState.UNKNOWN and link is not None and not link.open
         return replace(found, state=HopState.BROKEN) if closed else found
 
-    def _application(self, world: api.World) -> Hop:
-        """The hop of the configured nodes, from the graph and the beacons. Other faults of the nodes block this unit as well
-        and are reported by the check `nodes`."""
-        try:
-            fact = world.ros.look()
-        except api.CannotTell:
-            return Hop("application", HopState.UNKNOWN, "the ROS graph is unknown")
-        if fact.age_s > OLD_S:
-            return Hop("application", HopState.UNKNOWN, f"the ROS graph snapshot is {span(fact.age_s)} old")
-        for node in self._nodes:
-            beacon = fact.beacons.get(node)
-            if not fact.nodes.get(node):
-                known = fact.up_s > self._settings.ros.grace
-                return Hop(
-                    "application", HopState.BROKEN if known else HopState.UNKNOWN, f"{last(node)} not in the graph"
-                )
-            if beacon is not None and max(beacon.late_s, beacon.silent_s - fact.age_s) > HANG_S:
-                return Hop("application", HopState.BROKEN, f"{last(node)} does not answer")
-        return Hop("application", HopState.OK)
+    @property
+    def _unclear(self) -> str:
+        return f"; {UNCLEAR}" if self._application.unclear else ""
 
 
 def _ground(result: api.Result, behind: Sequence[str]) -> Hop:

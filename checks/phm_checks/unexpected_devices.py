@@ -13,7 +13,7 @@ SETTLE_S = 1.0
 
 
 class UnexpectedDevices(api.Check):
-    """One unit for all of them. PHM never opens these devices."""
+    """Devices of the host that are not in the configuration, as one unit. PHM never opens them."""
 
     name, slot, layer = "unexpected_devices", Slot.DEVICES, api.Layer.DOCKER
     period_s = 10.0

@@ -13,7 +13,7 @@ SETTLE_S = 2.0
 
 
 class UnknownContainers(api.Check):
-    """One unit for all of them. PHM takes no action on containers that are not configured."""
+    """Running containers that are not in the configuration, as one unit. PHM takes no action on them."""
 
     name, slot, layer = "unknown_containers", Slot.CONTAINER, api.Layer.DOCKER
     period_s = 10.0

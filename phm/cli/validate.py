@@ -55,7 +55,21 @@ def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None 
 
 
 def _warnings(good: Configuration) -> list[str]:
-    """What is allowed, but does not work here."""
+    """What is allowed, but does not work here or is incomplete."""
+    return [*_loopback(good), *_unclear_path(good)]
+
+
+def _unclear_path(good: Configuration) -> list[str]:
+    settings = good.settings
+    if not settings.command_path_unclear or not any(entry.to_autopilot for entry in settings.mavlink.endpoints):
+        return []
+    return [
+        f"{good.file}: mavlink.application: several containers may pass commands to the autopilot, so the application is not part "
+        "of the unit `path`. Name one, set `commands: true` at a node of `ros.nodes`, or write none"
+    ]
+
+
+def _loopback(good: Configuration) -> list[str]:
     from phm.transport.own_network import is_loopback, is_private
 
     loopback = [entry.url for entry in good.settings.mavlink.endpoints if is_loopback(entry.url)]

@@ -34,6 +34,9 @@ def endpoints_are_unique(root: ConfigNode) -> None:
     for entry in endpoints:
         if entry.get("container").text:
             configured(entry.get("container"), known)
+    application = root.get("mavlink", "application")
+    if application.text not in ("", "auto", "none"):
+        configured(application, known)
     autopilot = root.get("mavlink", "autopilot")
     if autopilot.value is True and not root.get("mavlink", "endpoints").value:
         autopilot.add_problem("is true, but there are no endpoints to receive it on: add one to 'mavlink.endpoints'")

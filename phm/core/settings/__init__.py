@@ -6,6 +6,7 @@ of the JSON schema. Import all models from this package.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 from pydantic import Field
@@ -134,6 +135,37 @@ class Settings(Section):
             if node.name.lstrip("/") == wanted and node.container:
                 return node.container
         return self.containers[0].key if len(self.containers) == 1 else ""
+
+    @property
+    def command_container(self) -> str:
+        """Key of the container through which commands pass to the autopilot; empty when it cannot be known, or there is none."""
+        found = self._command_containers()
+        return found[0] if len(found) == 1 else ""
+
+    @property
+    def command_path_unclear(self) -> bool:
+        """Whether several containers may be the one through which commands pass, and the configuration does not name it."""
+        return not any(node.commands for node in self.ros.nodes) and len(self._command_containers()) > 1
+
+    def _command_containers(self) -> list[str]:
+        """The containers that may pass commands on: not those at the other end of an endpoint, such as a router's. A rule that
+        none or all of them follow does not decide."""
+        if self.mavlink.application not in ("auto", "none"):
+            return [self.mavlink.application]
+        if self.mavlink.application == "none":
+            return []
+        routers = [entry for entry in self.containers if entry.key in {end.container for end in self.mavlink.endpoints}]
+        found = [entry for entry in self.containers if entry not in routers]
+        with_nodes = {self.container_of_node(node.name) for node in self.ros.nodes}
+        networks = {name for entry in routers for name in entry.networks}
+        rules: tuple[Callable[[ContainerSettings], bool], ...] = (
+            lambda entry: entry.flight_critical,
+            lambda entry: entry.key in with_nodes,
+            lambda entry: bool(networks.intersection(entry.networks)),
+        )
+        for rule in rules:
+            found = [entry for entry in found if rule(entry)] or found
+        return [entry.key for entry in found]
 
     def container_of_topic(self, topic: TopicSettings) -> str:
         """Key of the container that the topic comes from, or empty when it cannot be known."""

@@ -93,6 +93,9 @@ class MavlinkSettings(Section):
     pilots: Annotated[list[Annotated[int, Field(ge=1, le=255)]], Field(max_length=16)] = Field(default_factory=list)
     """System ids of the ground stations whose loss is reported. Default: every ground station but `phm gcs`, which counts only if
     it is listed or runs with --pilot."""
+    application: Name = "auto"
+    """Key of the container through which commands pass to the autopilot, so that it is part of the command path. `auto`: inferred
+    unless `ros.nodes[].commands` names nodes; `none`: there is none."""
     autopilot: bool = False
     """True: an autopilot must be received on these endpoints; else it is a fault."""
     autopilot_timeout: Annotated[Seconds, Field(ge=2, le=60)] = 3.5
