@@ -64,25 +64,6 @@ class Consensus(api.Check):
     def wakes(self) -> frozenset[str]:
         return frozenset({"ros"})
 
-    @staticmethod
-    def _unknown(fact: api.RosFact) -> api.Result | None:
-        """STALE without a current snapshot with all beacons."""
-        if fact.age_s > OLD_SNAPSHOT_S:
-            return api.stale(f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate")
-        if fact.lost_s is not None and fact.lost_s <= CROWDED_S:
-            return api.stale(
-                "more messages arrive on /phm/beacon than PHM can read: which nodes are reachable is unknown"
-            )
-        return None
-
-    def _beacons(self, fact: api.RosFact) -> dict[str, api.BeaconFact]:
-        """Those of the configured nodes; not one that was closed long ago, unless its node is reported as dead."""
-        return {
-            name: fact.beacons[name]
-            for name in self._nodes
-            if name in fact.beacons and (fact.beacons[name].age_s <= FORGET_S or name in self._dead.reported)
-        }
-
     def run(self, world: api.World) -> api.Result:
         now = world.clock.mono()
         try:
@@ -109,6 +90,25 @@ class Consensus(api.Check):
         dead = self._dead.look(agreement, beacons, now)
         result = None if dead and self._open_faults else _copied(fact, beacons)
         return replace(result or self._judge(agreement, dead, fact, beacons), votes=_votes(agreement))
+
+    @staticmethod
+    def _unknown(fact: api.RosFact) -> api.Result | None:
+        """STALE without a current snapshot with all beacons."""
+        if fact.age_s > OLD_SNAPSHOT_S:
+            return api.stale(f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate")
+        if fact.lost_s is not None and fact.lost_s <= CROWDED_S:
+            return api.stale(
+                "more messages arrive on /phm/beacon than PHM can read: which nodes are reachable is unknown"
+            )
+        return None
+
+    def _beacons(self, fact: api.RosFact) -> dict[str, api.BeaconFact]:
+        """Those of the configured nodes; not one that was closed long ago, unless its node is reported as dead."""
+        return {
+            name: fact.beacons[name]
+            for name in self._nodes
+            if name in fact.beacons and (fact.beacons[name].age_s <= FORGET_S or name in self._dead.reported)
+        }
 
     def _lacking(self, fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Result | None:
         """The result for required beacons that are missing although their node is listed; None when there are none."""

@@ -298,6 +298,10 @@ BROKEN = [
            "host.free_disk[0].older_than", ("is 1", "10 or more")),
     Broken("link to no container", ONE + "mavlink:\n  endpoints:\n  - {url: 'tcp:a:5760', container: rooter}\n", 5,
            "mavlink.endpoints[0].container", ("unknown container 'rooter'",)),
+    Broken("commands through no container", ONE + "mavlink: {application: ap}\n", 3, "mavlink.application",
+           ("unknown container 'ap', did you mean 'app'?",)),
+    Broken("devices by folder", "host:\n  unexpected_devices: {watch: [/dev/*/by-id/x]}\n", 2,
+           "host.unexpected_devices.watch[0]", ("is '/dev/*/by-id/x'", "a path below /dev")),
     # names of parts
     Broken("check", "checks:\n  nods: {}\n", 2, "checks.nods", ("unknown check 'nods', did you mean 'nodes'?",)),
     Broken("need", "checks:\n  host:\n    needs: [hots]\n", 3, "checks.host.needs[0]", ("unknown need 'hots'", "'host'")),

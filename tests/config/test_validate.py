@@ -48,6 +48,17 @@ def test_an_invalid_file_ends_with_78_and_every_problem(file: Path) -> None:
     assert lines[3] == "3 problems"
 
 
+def test_an_application_that_cannot_be_inferred_is_a_warning(file: Path) -> None:
+    """Several containers may pass commands on. Without a link to the autopilot there is no path."""
+    both = "containers: [{name: app}, {name: other}]\n"
+    link = "mavlink: {endpoints: [{url: 'udpin:0.0.0.0:14550'}]%s}\n"
+    for text, warned in ((both, False), (both + link % "", True), (both + link % ", application: app", False)):
+        file.write_text(text)
+        done = CliRunner().invoke(command, [str(file)])
+        assert done.exit_code == 0
+        assert ("mavlink.application: several containers may pass commands" in done.stderr) is warned
+
+
 def test_json_has_the_same_contents(file: Path) -> None:
     """With --json everything goes to stdout as one object, valid or not."""
     good = json.loads(CliRunner().invoke(command, ["--json", str(file)]).stdout)
