@@ -188,7 +188,7 @@ class Consensus(api.Check):
         step = REMEDY if received else "check its log and `docker top`; PHM restarts nothing for this"
         return api.Result(
             Level.ERROR,
-            f"{joined(filter(None, words))}: {step}",
+            f"{joined([one for one in words if one])}: {step}",
             brief(last(dead[0].node), "dead by quorum"),
             "quorum_dead",
             self._containers[received[0].node] if received else "",

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from phm.core.clock import SystemClock
 from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
-from phm.facts.ros import DiagnosticFact
+from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.reporters.base import ReporterContext
 from phm.reporters.diagnostics import DiagnosticsReporter
 from phm.testing import settings
@@ -92,7 +92,7 @@ class _Pipe:
     def __init__(self) -> None:
         self.statuses: Mapping[str, DiagnosticFact] = {}
 
-    def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
+    def publish(self, statuses: Mapping[str, DiagnosticFact], topic: str = DIAGNOSTICS) -> int:
         self.statuses = statuses
         return 0
 

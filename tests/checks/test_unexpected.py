@@ -67,7 +67,7 @@ def test_unknown_containers_are_named() -> None:
 
 
 def test_hostile_names_stay_one_line() -> None:
-    """The image of a container is chosen by whoever made it."""
+    """The name of an image is foreign text."""
     result = containers(("x" * 300, "a\nb\u202e\x1b[31m" + "y" * 300))
     assert result.summary.isprintable() and len(result.summary) < 400 and len(result.brief) <= 38
 

@@ -32,7 +32,7 @@ class Scene:
         (self._check,) = Consensus.build(testing.settings(ros={"nodes": nodes}))
         self.nodes = {name: bench.script(SCRIPT, name) for name in NAMES}
         self.probe: RosSupervisor = bench.probe(nodes=nodes)
-        self._world = testing.world(ros=self.probe)
+        self._world = testing.world(clock=SystemClock(), ros=self.probe)
 
     def run(self) -> api.Result:
         result = self._check.run(self._world)

@@ -198,7 +198,7 @@ def test_invalid_requests_are_ignored() -> None:
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
-        input=b'[1,{}]\nnonsense\n{"a":1}\n' + b"x" * 2_000_000 + b"\n[2,{}]\n[3,{}",
+        input=b'[1,{},"/diagnostics"]\nnonsense\n{"a":1}\n' + b"x" * 2_000_000 + b'\n[2,{},"/diagnostics"]\n[3,{}',
         capture_output=True,
         timeout=60,
         check=True,
