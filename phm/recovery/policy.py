@@ -87,7 +87,9 @@ and has not recovered although the unit itself has."""
 ADVISED = frozenset({"data_gaps", "data_range"})
 """Conditions for which the built-in ladder is only advised: the messages arrive and most of them are usable, and whether a restart
 helps depends on the sensor or input behind the node. A user's own ladder is carried out."""
-ONCE_WELL = frozenset({"transport_blocked", "qos_mismatch", "node_duplicate", "quorum_dead", "data_frozen", "data_stamp"})
+ONCE_WELL = frozenset(
+    {"transport_blocked", "qos_mismatch", "node_duplicate", "quorum_dead", "data_frozen", "data_stamp"}
+)
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
 namespace, a publisher that was created again, a second node started by an operator, a node that its neighbours no longer
 receive, a source that repeats old data, a wrong clock on another computer. Where the unit was OK in this generation,
