@@ -16,6 +16,10 @@ _DATA_PATH = (
 )
 _FIVE_PERIODS = "five periods without a message, measured once a second: fewer would raise alarms for lost samples"
 _EXECUTOR = "an executor must not have run for 5 s while its process uses no CPU: a long callback is not a fault"
+_PROCESS = (
+    "PHM asks the engine for the processes when more than two heartbeats of a beacon, one every 0.2 s, are missing: it "
+    "is not informed of their end"
+)
 _HEARTBEATS = "two heartbeats more than were ever missed must be missing: one lost frame is not a fault"
 EXPLANATIONS = {
     "address_silent": _DATA_PATH,
@@ -26,12 +30,17 @@ EXPLANATIONS = {
     "executor_deadlocked": _EXECUTOR,
     "gcs_radio_cut": "the radio reports the loss of the other one 3.4 s after its last packet (SiK firmware)",
     "memory_full": "measured from the order to fill it, and filling 2 GB takes most of the time",
+    "memory_leak": _PROCESS,
     "network_blocked": _DATA_PATH,
     "node_duplicate": "a restarted node may overlap with the old one for 2 s, unless both send beacons",
+    "node_killed": _PROCESS,
     "node_never_started": "the time in which the other nodes started",
+    "node_stopped": _PROCESS,
+    "overload_node_killed": _PROCESS,
     "peer_lost": _HEARTBEATS,
     "peer_split": _HEARTBEATS,
     "phm_killed": "nothing of PHM runs until Docker has restarted its container and Python has started",
+    "sigterm_ignored": _PROCESS,
     "topic_silent": _FIVE_PERIODS,
     "topic_slow": "a rate must be wrong in two measurements, made once a second: jitter is not a fault",
     "transport_blocked": _DATA_PATH,
