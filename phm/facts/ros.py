@@ -90,7 +90,8 @@ class DataFact:
     problem: str = ""
     """Why something configured cannot be examined: wrong type, unknown field, message too large; empty: all is examined."""
     age_s: float | None = None
-    """Reception of the newest message minus its stamp, by the system clock of this machine; below 0: in the future."""
+    """Reception of the newest message minus its stamp, by the system clock of this machine; below 0: in the future. While
+    `data_stamp` lasts: of the newest message with a wrong stamp."""
     unset: bool = False
     """The newest stamp is 0."""
     backs: int = 0

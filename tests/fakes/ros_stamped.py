@@ -3,7 +3,7 @@
     python tests/fakes/ros_stamped.py NAME HZ
 
 Node /agent_1/NAME publishes geometry_msgs PointStamped on /agent_1/odom: x is random, y within -1 and 1, z a counter. Each line of
-standard input is the new behaviour, `well` or some of: `ahead` (an hour), `back` (each stamp older than the one before), `frozen`,
+standard input is the new behaviour, `well` or some of: `ahead` (an hour), `back` (up to 3 s late, each by another time), `frozen`,
 `lossy` (every second number is not published), `outside` (y is NaN).
 """
 
@@ -13,11 +13,12 @@ import random
 import sys
 import threading
 import time
+from itertools import count
 
 import rclpy
 from geometry_msgs.msg import PointStamped
 
-HOUR_NS = 3600 * 1_000_000_000
+HOUR_NS, LATE_NS = 3600 * 1_000_000_000, 3 * 1_000_000_000
 
 
 class Source:
@@ -29,12 +30,13 @@ class Source:
         for line in sys.stdin:
             self.wrong = frozenset(line.split()) - {"well"}
 
-    def message(self, began_ns: int) -> PointStamped:
+    def message(self) -> PointStamped:
         wrong = self.wrong
         self._counter += 2 if "lossy" in wrong else 1
         self._x = self._x if "frozen" in wrong else random.random()
         now_ns = time.time_ns()
-        stamp_ns = 2 * began_ns - now_ns if "back" in wrong else now_ns + HOUR_NS * ("ahead" in wrong)
+        stamp_ns = now_ns + HOUR_NS * ("ahead" in wrong)
+        stamp_ns -= random.randrange(LATE_NS) if "back" in wrong else 0
         message = PointStamped()
         message.header.frame_id = "odom"
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
@@ -49,10 +51,10 @@ def main(name: str, hz: float) -> None:
     publisher = node.create_publisher(PointStamped, "odom", 10)
     source = Source()
     threading.Thread(target=source.obey, daemon=True).start()
-    began_ns = time.time_ns()
-    while True:
-        publisher.publish(source.message(began_ns))
-        time.sleep(1 / hz)
+    began_s = time.monotonic()
+    for number in count(1):
+        publisher.publish(source.message())
+        time.sleep(max(0.0, began_s + number / hz - time.monotonic()))
 
 
 if __name__ == "__main__":

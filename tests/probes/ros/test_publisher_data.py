@@ -62,6 +62,21 @@ def test_an_age_at_its_limit_does_not_flap() -> None:
     assert bench.each("age_s", [0.6] * 3).conditions == ()
 
 
+def test_the_reported_age_is_that_of_a_wrong_stamp() -> None:
+    """Until right stamps have lasted, a right one says nothing about what is reported."""
+    bench = Bench(max_age_s=0.5)
+    assert bench.each("age_s", [9.0, 9.0, 9.0, 0.1]).age_s == 9.0
+    assert bench.each("age_s", [0.1, 0.2]).age_s == 0.2
+
+
+def test_the_return_of_a_wrong_clock_is_in_order() -> None:
+    """Its stamps were reported as wrong; that they are right again is not a second fault."""
+    bench = Bench(max_age_s=0.5, order=True)
+    for hour in (0, 3600, 3600, 3600, 0, 0, 0):
+        fact = bench.add(age_s=-float(hour), stamp_ns=round((bench.at_s + hour) * 1e9))
+    assert fact.conditions == () and fact.backs == 0
+
+
 def test_stamps_that_go_back_count_for_a_while() -> None:
     """Among the newest messages, with the largest step; equal stamps are in order."""
     bench = Bench(order=True)

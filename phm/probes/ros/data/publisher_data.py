@@ -52,6 +52,9 @@ class PublisherData:
         self._first_same: Examined | None = None
         self._repeats = 0
         self._stamps = _Lasting()
+        self._wrong_stamp = False
+        self._age_s: float | None = None
+        """Of the newest message, or of the newest with a wrong stamp while that is reported."""
         self._backs: deque[float] = deque(maxlen=KEPT)
         self._outside: deque[Mapping[str, str]] = deque(maxlen=KEPT)
         self._losses: deque[tuple[float, float]] = deque(maxlen=KEPT)
@@ -76,7 +79,7 @@ class PublisherData:
 
     def fact(self) -> DataFact:
         """Without `samples` and `problem`, which are the topic's."""
-        age_s = self.last.age_s if self.last is not None else None
+        age_s = self._age_s
         backs = [step_s for step_s in self._backs if step_s > 0.0]
         lost_percent = self._lost_percent
         named = {
@@ -100,12 +103,17 @@ class PublisherData:
     # ---- stamps
 
     def _add_stamp(self, last: Examined | None, message: Examined) -> None:
+        back_from_wrong = self._wrong_stamp
         limit_s = self._wanted.max_age_s
         if limit_s is not None and message.age_s is not None:
-            share = STAY if self._stamps.bad else 1.0
-            self._stamps.add(message.at_s, bad=abs(message.age_s) > limit_s * share)
+            self._wrong_stamp = abs(message.age_s) > limit_s * (STAY if self._stamps.bad else 1.0)
+            self._stamps.add(message.at_s, bad=self._wrong_stamp)
+            if self._wrong_stamp or not self._stamps.bad:
+                self._age_s = message.age_s
         if last is not None and last.stamp_ns is not None and message.stamp_ns is not None:
-            self._backs.append((last.stamp_ns - message.stamp_ns) / 1e9)
+            step_s = (last.stamp_ns - message.stamp_ns) / 1e9
+            # The return of a wrong clock is the end of one condition, not the begin of another.
+            self._backs.append(0.0 if back_from_wrong else step_s)
 
     # ---- content
 
