@@ -57,6 +57,8 @@ EXPLAINS: Mapping[str, frozenset[str]] = {
 """A fault of the kind on the left causes or blocks the symptoms of those on the right, and its recovery may restart them: its
 alarm may report both.
 """
+_SOLE = frozenset({"clock_stepped", "memory_leak", "network_lost_together", "phm_killed_in_restart", "power_loss"})
+"""Faults that affect PHM as well as what they are named for, or whose injection takes more than a minute."""
 _RANK = {
     "load": 0,
     "host": 0,
@@ -86,7 +88,7 @@ def class_of(fault: Fault) -> Class:
     found = kind(fault)
     lasting = found in ("container", "network", "nodes", "topics", "health") and not (fault.healable or fault.passes)
     # A fault that brings containers or nodes of its own changes what its partners would be.
-    entangled = "configuration" in fault.needs and found not in ("engine", "host")
+    entangled = ("configuration" in fault.needs and found not in ("engine", "host")) or fault.name in _SOLE
     partners = frozenset() if lasting or entangled or fault.others else _partners(found)
     return Class(fault.name, found, partners, "alone" in fault.needs or bool(fault.others), _RANK.get(found, 0))
 

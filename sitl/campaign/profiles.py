@@ -37,7 +37,7 @@ NAMING = re.compile(
 class Profile:
     """changes: of the shipped configuration of all agents. unseen: faults that its configuration cannot detect, and why.
     not_healed: faults that PHM may only report. seen_limit_s: a fault that was not reported for so long after its
-    injection is missed. actions: most actions of PHM on an agent within `recovery.window` before its next fault; None: any
+    first evidence is missed. actions: most actions of PHM on an agent within `recovery.window` before its next fault; None: any
     number.
     """
 

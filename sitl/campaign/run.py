@@ -229,10 +229,11 @@ class Runner:
             fault, begun = verdict.injection, verdict.injection.moment or now
             if verdict.claimed_s is not None or (fault.explained_by and fault.world is not None):
                 continue
-            if verdict.detected_s is None and now - begun <= self.profile.seen_limit_s:
+            expected = now - begun <= self.profile.seen_limit_s + (fault.evidence_s or 0.0)
+            if verdict.detected_s is None and expected:
                 return False
             if fault.others and not any(alarm.unit == fault.others for alarm in verdict.alarms):
-                if now - begun <= self.profile.seen_limit_s:
+                if expected:
                     return False
             elif (fault.healable or fault.passes) and verdict.detected_s is not None:
                 return False

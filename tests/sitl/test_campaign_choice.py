@@ -74,7 +74,15 @@ def test_several_faults_on_one_agent_are_independent_or_explained() -> None:
     assert fits(one, [other])
     assert fits(class_of(faults["engine_restarted"]), [class_of(faults["container_killed"])])
     assert fits(class_of(faults["network_disconnected"]), [other])
-    for name in ("phm_killed", "gcs_radio_cut", "crash_loop", "peer_lost", "cpu_limited", "topic_silent"):
+    for name in (
+        "phm_killed",
+        "gcs_radio_cut",
+        "crash_loop",
+        "peer_lost",
+        "cpu_limited",
+        "topic_silent",
+        "memory_leak",
+    ):
         assert not fits(class_of(faults[name]), [other]), name
     agents = [Agent("p", f"agent_{number}", docker=Mock(), number=number) for number in (1, 2)]
     found = [
