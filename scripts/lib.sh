@@ -127,3 +127,14 @@ install_locked() {
   done
   "$python" -m pip install --quiet --quiet --require-hashes --use-pep517 --no-build-isolation "${requirements[@]}"
 }
+
+# For a second Docker Engine, in new namespaces: not the machine's sockets and PID files; not the shared memory of ROS processes in
+# another network namespace; the network interfaces of this one, with the control groups of before.
+own_mounts() {
+  mount -t tmpfs -o mode=755 tmpfs /run
+  mount -t tmpfs -o mode=1777 tmpfs /dev/shm
+  mkdir -- /run/cgroup
+  mount --rbind /sys/fs/cgroup /run/cgroup
+  mount -t sysfs sysfs /sys
+  mount --move /run/cgroup /sys/fs/cgroup
+}

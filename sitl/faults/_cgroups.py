@@ -58,3 +58,10 @@ def throttle(folder: Path, device: str, bytes_s: int) -> None:
         return
     for name in V1_FILES:
         (folder / name).write_text(f"{device} {bytes_s}\n", "ascii")
+
+
+def throttled(folder: Path, device: str) -> bool:
+    """Whether `throttle` limits reads or writes of a cgroup on the disk."""
+    files = [folder / "io.max"] if (folder / "io.max").exists() else [folder / name for name in V1_FILES]
+    limits = (line.split() for file in files for line in file.read_text("ascii").splitlines())
+    return any(words[0] == device and not {"0", "rbps=max"} & set(words[1:]) for words in limits)

@@ -29,7 +29,7 @@ def end(agent: Agent, mark: str) -> None:
     TimeoutError when some are left after 20 s.
     """
     until_s = time.monotonic() + END_LIMIT_S
-    while pids := _processes(agent, mark):
+    while pids := processes(agent, mark):
         if time.monotonic() > until_s:
             raise TimeoutError(f"{len(pids)} processes of {mark} in {agent.app.name} do not end")
         for pid in pids:
@@ -38,8 +38,9 @@ def end(agent: Agent, mark: str) -> None:
         time.sleep(POLL_S)
 
 
-def _processes(agent: Agent, mark: str) -> list[int]:
+def processes(agent: Agent, mark: str) -> list[int]:
+    """Process ids on this machine of what has `mark` in its command line; none where the container does not run."""
     try:
         return agent.processes(agent.app, mark)
-    except APIError:  # it does not run, so nothing in it does
+    except APIError:
         return []

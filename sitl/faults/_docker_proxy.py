@@ -91,6 +91,16 @@ def block(path: Path, seconds: float) -> None:
     beside(path, "shut").write_text(f"{time.time() + seconds}\n", "ascii")
 
 
+def responds(path: Path) -> bool:
+    """Whether the engine answers through it."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(START_LIMIT_S / 10)
+        client.connect(str(path))
+        client.sendall(b"GET /_ping HTTP/1.0\r\n\r\n")
+        return client.recv(CHUNK).startswith(b"HTTP/1.0 200")
+    return False
+
+
 def stop(path: Path) -> None:
     """End it and remove its files. Doing it twice is harmless."""
     pid = _pid(path)

@@ -6,6 +6,7 @@ import contextlib
 import os
 
 from docker.errors import APIError, NotFound
+from docker.models.containers import Container
 
 from sitl.faults.base import Agent, undoing
 
@@ -54,8 +55,17 @@ def overload(
 
 def end_overload(agent: Agent) -> None:
     """End it. Doing it twice is harmless."""
+    for container in _hogs(agent):
+        with contextlib.suppress(NotFound, APIError):
+            container.remove(force=True)
+
+
+def overloaded(agent: Agent) -> bool:
+    """Whether a container of it is left."""
+    return bool(_hogs(agent))
+
+
+def _hogs(agent: Agent) -> list[Container]:
     prefix = f"{agent.project}-overload-"
-    for container in agent.docker.containers.list(all=True, filters={"name": prefix}, ignore_removed=True):
-        if str(container.name).startswith(prefix):
-            with contextlib.suppress(NotFound, APIError):
-                container.remove(force=True)
+    found = agent.docker.containers.list(all=True, filters={"name": prefix}, ignore_removed=True)
+    return [container for container in found if str(container.name).startswith(prefix)]

@@ -8,6 +8,7 @@ import struct
 import time
 from pathlib import Path
 
+from sitl.faults._world import answers, app_runs
 from sitl.faults.base import STOP_S, Agent, Fault
 
 LINKS = Path("/sys/class/net")
@@ -22,6 +23,7 @@ class Injection(Fault):
     condition = "address_silent"
     layer = "container"
     cause = "the virtual cable between the container and its network is down, while the engine believes it connected"
+    evidence, evidence_s = "the first message of a topic of 10 Hz that does not arrive", 0.2
 
     _link = ""
 
@@ -37,6 +39,9 @@ class Injection(Fault):
             set_link(self._link, up=True)
             # Nodes that were cut off for longer than their lease do not find each other again.
             agent.app.restart(timeout=STOP_S)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent) and answers(agent.app)
 
 
 def up(link: str) -> bool:

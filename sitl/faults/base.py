@@ -41,6 +41,9 @@ class Air(Protocol):
     def autopilot(self, agent: int, what: str) -> None:
         """``hang``, ``resume`` or ``reboot``."""
 
+    def traffic(self) -> dict[int, dict[str, int]]:
+        """Counters of bytes and frames, by the agent's number."""
+
     def state(self) -> dict[str, Any]:
         """``agents``: what is so now, by the agent's number."""
 

@@ -6,6 +6,7 @@ import time
 
 from docker.models.containers import Container
 
+from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault
 
 
@@ -19,6 +20,7 @@ class Injection(Fault):
     condition = "created"
     layer = "container"
     cause = "an image was updated and its container recreated but not started"
+    evidence, evidence_s = "the engine's events of renaming and removing", 0.1
 
     def inject(self, agent: Agent) -> float:
         old = agent.app
@@ -31,6 +33,9 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.app.start()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent)
 
 
 def copied(agent: Agent, old: Container) -> Container:

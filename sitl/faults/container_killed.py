@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault, died
 
 
@@ -12,6 +13,7 @@ class Injection(Fault):
     condition = "exited"
     layer = "container"
     cause = "the application's first process crashed or was killed"
+    evidence, evidence_s = "the engine's event that the container has ended", 0.1
 
     def inject(self, agent: Agent) -> float:
         app = agent.app
@@ -21,3 +23,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.app.start()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault, died
 
 
@@ -15,6 +16,7 @@ class Injection(Fault):
     condition = "oom"
     layer = "container"
     cause = "the application leaks memory, and the kernel ends it at the limit of its container"
+    evidence, evidence_s = "the engine's event that the container has ended", 0.1
 
     def inject(self, agent: Agent) -> float:
         app = agent.app
@@ -24,3 +26,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.app.start()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent)

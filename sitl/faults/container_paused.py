@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault, freeze
 
 
@@ -14,6 +15,7 @@ class Injection(Fault):
     condition = "paused"
     layer = "container"
     cause = "somebody froze the container's processes"
+    evidence, evidence_s = "the engine's event that the container is paused", 0.5
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -24,3 +26,6 @@ class Injection(Fault):
         app = agent.app
         if app.status == "paused":
             app.unpause()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent)

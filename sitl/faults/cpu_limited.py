@@ -21,6 +21,7 @@ class Injection(Fault):
     cause = "the application's CPU limit is far below what it needs"
     healable = False
     needs = frozenset({"starvation"})
+    evidence, evidence_s = "the first period of 0.1 s in which the kernel stops the container", 0.3
 
     _restore: list[str] = []
 
@@ -41,3 +42,7 @@ class Injection(Fault):
         if self._restore:
             update(agent.app, *self._restore)
             self._restore = []
+
+    def restored(self, agent: Agent) -> bool | None:
+        host = agent.app.attrs["HostConfig"]
+        return host["NanoCpus"] != SHARE * 1e9 and host["CpuQuota"] != int(SHARE * PERIOD_US)

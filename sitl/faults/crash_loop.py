@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault, died
 
 MARKER = "/tmp/broken_start"
@@ -16,6 +17,7 @@ class Injection(Fault):
     layer = "container"
     cause = "the application ends at every start, for a cause of its own"
     healable = False
+    evidence, evidence_s = "the engine's event that the container has ended", 0.1
 
     def inject(self, agent: Agent) -> float:
         app = agent.app
@@ -27,3 +29,6 @@ class Injection(Fault):
     def clear(self, agent: Agent) -> None:
         agent.write_in_app(MARKER, b"")
         agent.app.start()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent)

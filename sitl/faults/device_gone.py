@@ -15,6 +15,7 @@ class Injection(Fault):
     layer = "container"
     cause = "a cable came off or a device lost its power"
     healable = False
+    evidence, evidence_s = "the kernel's event of a change in /dev", 0.05
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -23,3 +24,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.make_device()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return agent.device.exists()

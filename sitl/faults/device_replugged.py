@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 
+from sitl.faults._world import app_runs
 from sitl.faults.base import NULL, ZERO, Agent, Fault
 
 GONE_S = 2.0
@@ -18,6 +19,7 @@ class Injection(Fault):
     condition = "device_replugged"
     layer = "container"
     cause = "a cable had a loose contact: the device comes back with other numbers than the container was given"
+    evidence, evidence_s = "the kernel's event of a change in /dev", 0.05
 
     def inject(self, agent: Agent) -> float:
         numbers = agent.device.stat().st_rdev
@@ -31,3 +33,11 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.make_device()
+
+    def restored(self, agent: Agent) -> bool | None:
+        if not agent.device.exists() or not app_runs(agent):
+            return False
+        numbers = agent.device.stat().st_rdev
+        look = f"stat -c '%t %T' {agent.device} && : <{agent.device}"
+        code, output = agent.app.exec_run(["sh", "-c", look])
+        return bool(code == 0 and output.decode().split() == [f"{os.major(numbers):x}", f"{os.minor(numbers):x}"])

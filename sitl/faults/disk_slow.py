@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import time
 
-from sitl.faults._cgroups import cgroup, disk, throttle
-from sitl.faults._container_process import end, start
+from sitl.faults._cgroups import cgroup, disk, throttle, throttled
+from sitl.faults._container_process import end, processes, start
 from sitl.faults.base import Agent, Fault, undoing
 
 BYTES_S = 256 * 1024
@@ -27,6 +27,7 @@ class Injection(Fault):
     cause = "an SD card stalls, or others use up what the disk can do"
     healable = False
     needs = frozenset({"starvation"})
+    evidence, evidence_s = "the first write that the kernel delays", 1.0
 
     def inject(self, agent: Agent) -> float:
         device = self._device(agent)
@@ -43,6 +44,9 @@ class Injection(Fault):
         end(agent, FILE)
         if agent.app.status == "running":
             agent.run_in_app("rm", "-f", *(f"{FILE}_{number}" for number in WRITERS))
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not throttled(cgroup(agent.app, "blkio"), self._device(agent)) and processes(agent, FILE) == []
 
     @staticmethod
     def _device(agent: Agent) -> str:

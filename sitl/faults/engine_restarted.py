@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from sitl.faults._docker_proxy import block, start, stop
+from sitl.faults._docker_proxy import block, responds, start, stop
 from sitl.faults.base import Agent, Fault
 
 AWAY_S = 15.0
@@ -27,6 +27,7 @@ class Injection(Fault):
     healable = False
     passes = True
     needs = frozenset({"configuration"})
+    evidence, evidence_s = "the engine closes the connection of PHM's event stream", 0.3
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
         return {"\n  socket: ${PHM_ENGINE:-unix:///var/run/docker.sock}": f"\n  socket: unix:///var/log/phm/{SOCKET}"}
@@ -44,6 +45,9 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         block(self._door(agent), 0.0)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return responds(self._door(agent))
 
     @staticmethod
     def _door(agent: Agent) -> Path:

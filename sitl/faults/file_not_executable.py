@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from sitl.faults.base import Agent, Fault
-from sitl.faults.file_deleted import CRITICAL, put_back
+from sitl.faults.file_deleted import CRITICAL, critical_file_is_whole, put_back
 
 
 class Injection(Fault):
@@ -15,6 +15,7 @@ class Injection(Fault):
     condition = "file_not_executable"
     layer = "container"
     cause = "a file came without its execute bits, as a copy over FAT or a wrong umask leaves it"
+    evidence, evidence_s = "the kernel's event of a change in the folder, once `docker exec` has begun", 0.5
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -23,3 +24,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         put_back(agent)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return critical_file_is_whole(agent)

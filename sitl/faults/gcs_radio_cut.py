@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._world import link
 from sitl.faults.base import Agent, Fault
 
 
@@ -16,6 +17,7 @@ class Injection(Fault):
     cause = "out of range, behind a hill, or the radio on the ground is off"
     healable = False
     needs = frozenset({"air"})
+    evidence, evidence_s = "the first HEARTBEAT of the ground station, one a second, that does not arrive", 1.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -24,3 +26,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.links.reset(agent.number)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not link(agent, "ground")["cut"]

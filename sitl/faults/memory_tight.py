@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from sitl.faults._cgroups import update
-from sitl.faults._container_process import end, start
+from sitl.faults._container_process import end, processes, start
 from sitl.faults.base import Agent, Fault, undoing
 
 MIB = 2**20
@@ -38,6 +38,7 @@ class Injection(Fault):
     cause = "the application has outgrown its memory limit, and the kernel reclaims its pages all the time"
     healable = False
     needs = frozenset({"starvation"})
+    evidence, evidence_s = "the first page that the kernel takes from the container to stay below its limit", 1.0
 
     _restore: list[str] = []
 
@@ -69,3 +70,8 @@ class Injection(Fault):
         end(agent, FILE)
         if agent.app.status == "running":
             agent.run_in_app("rm", "-f", FILE)
+
+    def restored(self, agent: Agent) -> bool | None:
+        if not self._restore:
+            return processes(agent, FILE) == []
+        return str(agent.app.attrs["HostConfig"]["Memory"]) == self._restore[1] and processes(agent, FILE) == []

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from docker.errors import NotFound
 
+from sitl.faults._world import app_runs, network_namespace, runs
 from sitl.faults.base import Agent, Fault, died
 
 NODE = "node_4"
@@ -25,6 +26,7 @@ class Injection(Fault):
     layer = "container"
     cause = "a container died in whose network namespace another one lives"
     needs = frozenset({"configuration"})
+    evidence, evidence_s = "the engine's event that the container has ended", 0.1
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
         graph, topics = "\n# The ROS graph of this agent.\n", "\n  # Topics that must have data, a list."
@@ -69,6 +71,16 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.app.start()
+
+    def restored(self, agent: Agent) -> bool | None:
+        dependant = agent.docker.containers.get(self._dependant(agent))
+        owned = str(dependant.attrs["HostConfig"]["NetworkMode"]) == f"container:{agent.app.id}"
+        return (
+            app_runs(agent)
+            and owned
+            and runs(dependant)
+            and network_namespace(dependant) == network_namespace(agent.app)
+        )
 
     @staticmethod
     def _dependant(agent: Agent) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from sitl.faults._firewall import clear, drop
+from sitl.faults._world import answers, app_runs
 from sitl.faults.base import STOP_S, Agent, Fault
 
 
@@ -16,6 +17,7 @@ class Injection(Fault):
     condition = "address_silent"
     layer = "container"
     cause = "a firewall or a policy of the network swallows all that the application sends and gets"
+    evidence, evidence_s = "the first message of a topic of 10 Hz that does not arrive", 0.2
 
     _generation = ""
 
@@ -30,3 +32,6 @@ class Injection(Fault):
         if agent.generation == self._generation:
             # Nodes that were cut off for longer than their lease do not find each other again.
             agent.app.restart(timeout=STOP_S)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent) and answers(agent.app)

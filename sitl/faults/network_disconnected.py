@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._world import answers, app_runs, attached
 from sitl.faults.base import STOP_S, Agent, Fault
 
 
@@ -14,6 +15,7 @@ class Injection(Fault):
     condition = "disconnected"
     layer = "container"
     cause = "the container was taken off its network"
+    evidence, evidence_s = "the engine's event of the disconnection", 0.3
 
     _network = ""
 
@@ -30,3 +32,8 @@ class Injection(Fault):
             agent.docker.networks.get(self._network).connect(app, aliases=["ros_app"])
             # Nodes that were cut off for longer than their lease do not find each other again (seen: not in 90 s).
             app.restart(timeout=STOP_S)
+
+    def restored(self, agent: Agent) -> bool | None:
+        if not self._network:
+            return None
+        return app_runs(agent) and attached(agent, agent.app, self._network) and answers(agent.app)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 
-from sitl.faults._overload import end_overload, overload
+from sitl.faults._overload import end_overload, overload, overloaded
+from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault, died, undoing
 
 BEFORE_S = 10.0
@@ -19,6 +20,7 @@ class Injection(Fault):
     cause = "the application crashed while other containers take all cores"
     also = ("host/cpu",)
     needs = frozenset({"alone", "starvation"})
+    evidence, evidence_s = "the engine's event that the container has ended", 0.5
 
     def inject(self, agent: Agent) -> float:
         with undoing(lambda: end_overload(agent)):
@@ -32,3 +34,6 @@ class Injection(Fault):
     def clear(self, agent: Agent) -> None:
         end_overload(agent)
         agent.app.start()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent) and not overloaded(agent)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from sitl.faults._overload import end_overload, overload
+from sitl.faults._overload import end_overload, overload, overloaded
 from sitl.faults.base import Agent, Fault
 
 BEFORE_S = 20.0
@@ -20,6 +20,7 @@ class Injection(Fault):
     healable = False
     passes = True
     needs = frozenset({"alone", "starvation"})
+    evidence, evidence_s = "the machine's counters of processor time and of tasks that wait", 1.0
 
     def inject(self, agent: Agent) -> float:
         overload(agent, lasts_s=3 * BEFORE_S)
@@ -32,3 +33,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         end_overload(agent)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not overloaded(agent)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._world import link
 from sitl.faults.base import Agent, Fault
 
 
@@ -18,6 +19,7 @@ class Injection(Fault):
     others, others_condition = "peers/{id}", "peer_lost"
     needs = frozenset({"air", "peers"})
     least = 3
+    evidence, evidence_s = "the first heartbeats of the peers, every 2 s in a swarm of eight, that do not arrive", 2.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -26,3 +28,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.links.reset(agent.number)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not link(agent, "peers")["cut"]

@@ -18,6 +18,7 @@ class Injection(Fault):
     healable = False
     needs = frozenset({"air", "peers"})
     least = 4
+    evidence, evidence_s = "the first heartbeats of the peers, every 2 s in a swarm of eight, that do not arrive", 2.0
 
     def inject(self, agent: Agent) -> float:
         agents = sorted(int(number) for number in agent.links.state()["agents"])
@@ -29,3 +30,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.links.split([])
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not agent.links.state()["groups"]

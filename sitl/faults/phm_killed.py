@@ -23,16 +23,23 @@ class Injection(Fault):
     healable = False
     passes = True
     cause = "PHM crashed, or the kernel ended it for lack of memory"
+    evidence, evidence_s = "the kernel ends the process, and the engine reports the end of its container", 0.1
+
+    _pid = 0
 
     def inject(self, agent: Agent) -> float:
+        self._pid = daemon(agent)
         moment = time.monotonic()
-        os.kill(daemon(agent), signal.SIGKILL)
+        os.kill(self._pid, signal.SIGKILL)
         return moment
 
     def clear(self, agent: Agent) -> None:
         sidecar = agent.sidecar
         if sidecar.status != "running":
             sidecar.start()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return self._pid not in (pids := agent.processes(agent.sidecar, RUN)) and len(pids) == 1
 
 
 def daemon(agent: Agent) -> int:

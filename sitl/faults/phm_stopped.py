@@ -7,6 +7,8 @@ import os
 import signal
 import time
 
+import psutil
+
 from sitl.faults.base import Agent, Fault
 from sitl.faults.phm_killed import RUN, daemon
 
@@ -21,6 +23,7 @@ class Injection(Fault):
     healable = False
     passes = True
     cause = "PHM hangs as a whole: stopped, or held by a library that never returns"
+    evidence, evidence_s = "the kernel's state of the process, as its watchdog reads it every 0.25 s", 0.25
 
     _pid = 0
 
@@ -34,3 +37,6 @@ class Injection(Fault):
         if self._pid and self._pid in agent.processes(agent.sidecar, RUN):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGCONT)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return psutil.Process(self._pid).status() != psutil.STATUS_STOPPED if self._pid else None

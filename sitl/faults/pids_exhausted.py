@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from sitl.faults._cgroups import cgroup, update
-from sitl.faults._container_process import LASTS_S, end, start
+from sitl.faults._container_process import LASTS_S, end, processes, start
 from sitl.faults.base import Agent, Fault, undoing
 
 ROOM = 16
@@ -38,6 +38,7 @@ class Injection(Fault):
     cause = "the application leaks threads or processes up to the limit of its container"
     healable = False
     needs = frozenset({"starvation"})
+    evidence, evidence_s = "the first process that the kernel refuses", 0.1
 
     _restore: list[str] = []
 
@@ -63,3 +64,7 @@ class Injection(Fault):
         if self._restore:
             update(agent.app, *self._restore)
             self._restore = []
+
+    def restored(self, agent: Agent) -> bool | None:
+        as_before = not self._restore or str(agent.app.attrs["HostConfig"]["PidsLimit"] or -1) == self._restore[1]
+        return as_before and processes(agent, MARK) == []

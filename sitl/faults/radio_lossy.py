@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._world import link
 from sitl.faults.base import Agent, Fault
 
 LOSS, BURST = 0.5, 3.0
@@ -20,6 +21,7 @@ class Injection(Fault):
     healable = False
     level = "WARN"
     needs = frozenset({"air"})
+    evidence, evidence_s = "the next RADIO_STATUS, one for each HEARTBEAT of the autopilot", 1.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -28,3 +30,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.links.reset(agent.number)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return bool(link(agent, "ground")["loss"] < LOSS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._world import link
 from sitl.faults.base import Agent, Fault
 
 FILL_BPS = 64_000
@@ -20,6 +21,7 @@ class Injection(Fault):
     healable = False
     level = "WARN"
     needs = frozenset({"air"})
+    evidence, evidence_s = "the next RADIO_STATUS with a full transmit buffer", 1.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -28,3 +30,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.links.reset(agent.number)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return bool(link(agent, "ground")["fill_bps"] < FILL_BPS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._world import attached
 from sitl.faults.base import Agent, Fault
 
 
@@ -14,6 +15,7 @@ class Injection(Fault):
     condition = "sidecar_disconnected"
     layer = "container"
     cause = "PHM's own container was taken off the application's network"
+    evidence, evidence_s = "the engine's event of the disconnection", 0.3
 
     def inject(self, agent: Agent) -> float:
         phm, network = agent.container("phm"), self._network(agent)
@@ -25,6 +27,9 @@ class Injection(Fault):
         phm, network = agent.container("phm"), self._network(agent)
         if network not in phm.attrs["NetworkSettings"]["Networks"]:
             agent.docker.networks.get(network).connect(phm)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return attached(agent, agent.sidecar, self._network(agent))
 
     @staticmethod
     def _network(agent: Agent) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault
-from sitl.faults.file_deleted import CRITICAL, put_back
+from sitl.faults.file_deleted import CRITICAL, critical_file_is_whole, put_back
 
 
 class Injection(Fault):
@@ -14,6 +15,7 @@ class Injection(Fault):
     condition = "node_missing"
     layer = "container"
     cause = "two things that have nothing to do with each other break in the same moment"
+    evidence, evidence_s = "the kernel's events of a change in the folder and of the end of a process", 0.5
 
     _generation = ""
 
@@ -25,3 +27,6 @@ class Injection(Fault):
     def clear(self, agent: Agent) -> None:
         put_back(agent)
         agent.renew_app(self._generation)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return critical_file_is_whole(agent) and app_runs(agent)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from sitl.faults._world import app_runs, exists
 from sitl.faults.base import Agent, Fault
 
 MARKER = "/tmp/unhealthy"
@@ -16,6 +17,7 @@ class Injection(Fault):
     condition = "unhealthy"
     layer = "container"
     cause = "the application runs and says of itself that it does not work"
+    evidence, evidence_s = "the first run of the HEALTHCHECK that fails, every 3 s in a swarm", 3.2
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -24,3 +26,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         agent.run_in_app("rm", "-f", MARKER)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent) and not exists(agent.app, MARKER)

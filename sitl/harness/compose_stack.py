@@ -10,6 +10,7 @@ import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from sitl.faults._volumes import release
 from sitl.faults.base import Agent
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,6 +71,7 @@ class Stack:
         """Remove containers, networks and volumes of the project, the device and the log folder."""
         self._compose("down", "--volumes", "--remove-orphans", "--timeout", "3")
         self.device.unlink(missing_ok=True)
+        release(self.logs)
         if not keep_logs:
             shutil.rmtree(self.logs, ignore_errors=True)
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from docker import DockerClient
 
+from sitl.faults._volumes import release
 from sitl.faults.base import Agent
 from sitl.harness.config_overrides import write
 from sitl.swarm import config, engine, workspace
@@ -93,6 +94,7 @@ class Swarm:
             for device in engine.devices(self.name):
                 device.unlink(missing_ok=True)
             (self.folder / "swarm.json").unlink(missing_ok=True)
+            release(self.folder)
             if not keep_logs:
                 shutil.rmtree(self.folder, ignore_errors=True)
         return removed

@@ -51,8 +51,11 @@ def test_a_disk_is_throttled_and_released_on_version_2(tmp_path: Path) -> None:
     (tmp_path / "io.max").touch()
     _cgroups.throttle(tmp_path, "8:0", 1024)
     assert (tmp_path / "io.max").read_text() == "8:0 rbps=1024 wbps=1024\n"
+    assert _cgroups.throttled(tmp_path, "8:0")
+    assert not _cgroups.throttled(tmp_path, "8:16")
     _cgroups.throttle(tmp_path, "8:0", 0)
     assert (tmp_path / "io.max").read_text() == "8:0 rbps=max wbps=max\n"
+    assert not _cgroups.throttled(tmp_path, "8:0")
 
 
 def test_a_partition_is_throttled_by_its_disk(tmp_path: Path) -> None:

@@ -42,6 +42,26 @@ def test_a_fault_is_fully_defined(name: str) -> None:
     assert type(fault).clear is not Fault.clear
 
 
+NOT_STATED = {"cpu_hog", "disk_full", "host_overload", "memory_full"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name, fault in faults.all_faults().items()
+        if fault.layer in ("container", "companion") and name not in NOT_STATED
+    ],
+)
+def test_a_fault_states_its_evidence_and_observes_the_world(name: str) -> None:
+    """When it could be known at the earliest, by which event; and a way to see its end without PHM."""
+    fault = faults.all_faults()[name]
+    assert fault.evidence
+    assert fault.evidence_s is not None
+    assert fault.evidence_s >= 0
+    assert type(fault).restored is not Fault.restored
+
+
 def test_titles_differ() -> None:
     """No two rows of a table have the same title."""
     titles = [fault.title for fault in faults.all_faults().values()]

@@ -53,6 +53,7 @@ def test_a_fault_affects_its_link_of_one_agent_and_restores_it(name: str, emulat
     fault, agent = all_faults()[name], Agent("phm-test", "agent_2", mock.Mock(), number=2, air=emulator)
     before = links(emulator)
     fault.inject(agent)
+    assert fault.restored(agent) in (False, None)
     after = links(emulator)
     changed = [link for link in before[2] if before[2][link] != after[2][link]]
     assert changed == sorted(TOUCHED[name], key=list(before[2]).index)
@@ -62,6 +63,7 @@ def test_a_fault_affects_its_link_of_one_agent_and_restores_it(name: str, emulat
     fault.clear(agent)
     assert links(emulator) == before
     assert not emulator.state()["groups"]
+    assert fault.restored(agent) in (True, None)
 
 
 def test_a_disabled_router_affects_one_agent(emulator: LinkEmulatorClient) -> None:
@@ -79,13 +81,34 @@ def test_a_disabled_router_affects_one_agent(emulator: LinkEmulatorClient) -> No
 def test_a_killed_router_is_killed_in_its_container(monkeypatch: pytest.MonkeyPatch) -> None:
     """And restarted by `clear`, whether it runs or not."""
     container = mock.Mock(attrs={"State": {"FinishedAt": "0001-01-01T00:00:00Z"}})
-    agent = Agent("phm-test", "agent_2", mock.Mock(), number=2)
+    air = mock.Mock(**{"traffic.return_value": {2: {}}})
+    agent = Agent("phm-test", "agent_2", mock.Mock(), number=2, air=air)
     monkeypatch.setattr(Agent, "container", lambda self, service: {"router": container}[service])
     container.reload.side_effect = lambda: container.attrs["State"].update(FinishedAt="2026-01-01T00:00:00.5Z")
     all_faults()["router_killed"].inject(agent)
     container.kill.assert_called_once_with()
     all_faults()["router_killed"].clear(agent)
     container.start.assert_called_once_with()
+
+
+@pytest.mark.parametrize(
+    ("running", "connected", "bytes_now", "restored"),
+    [(True, 1, 700, True), (True, 1, 500, False), (True, 0, 700, False), (False, 1, 700, False)],
+)
+def test_a_router_is_restored_when_it_forwards(
+    monkeypatch: pytest.MonkeyPatch, running: bool, connected: int, bytes_now: int, restored: bool
+) -> None:
+    """It runs, is connected, and PHM's frames have reached the radio again."""
+    state = {"FinishedAt": "0001-01-01T00:00:00Z", "Running": running, "Paused": False, "Restarting": False}
+    container = mock.Mock(attrs={"State": state})
+    container.reload.side_effect = lambda: state.update(FinishedAt="2026-01-01T00:00:00.5Z")
+    air = mock.Mock()
+    air.traffic.side_effect = [{2: {"phm_to_ground": 500}}, {2: {"phm_to_ground": bytes_now}}]
+    air.state.return_value = {"agents": {2: {"router": {"connected": connected}}}}
+    agent, fault = Agent("phm-test", "agent_2", mock.Mock(), number=2, air=air), all_faults()["router_killed"]
+    monkeypatch.setattr(Agent, "container", lambda self, service: container)
+    fault.inject(agent)
+    assert fault.restored(agent) is restored
 
 
 def test_a_split_makes_two_groups(emulator: LinkEmulatorClient) -> None:

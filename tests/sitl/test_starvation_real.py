@@ -102,11 +102,13 @@ def test_a_cpu_limit_throttles_and_is_restored(made: Callable[..., Agent], limit
     fault.inject(agent)
     quota, period = _quota(agent.app)
     assert quota == pytest.approx(0.03 * period)
+    assert fault.restored(agent) is False
     agent.app.exec_run(["timeout", "60", "sh", "-c", "while :; do :; done"], detach=True)
     until(lambda: counter(agent.app, "cpu", ("cpu.stat", "nr_throttled ")) > 2, "throttling")
     for _ in range(2):
         fault.clear(agent)
         assert kernel(agent.app) == before
+        assert fault.restored(agent) is True
 
 
 def _quota(app: Container) -> tuple[int, int]:
@@ -127,6 +129,7 @@ def test_low_memory_is_reclaimed_and_nothing_is_killed(made: Callable[..., Agent
         return counter(agent.app, "memory", ("memory.stat", "workingset_refault_file "))
 
     fault.inject(agent)
+    assert fault.restored(agent) is False
     for _ in range(3):
         seen = refaults()
         until(lambda seen=seen: refaults() > seen, "reclaim")  # type: ignore[misc]
@@ -134,6 +137,7 @@ def test_low_memory_is_reclaimed_and_nothing_is_killed(made: Callable[..., Agent
     for _ in range(2):
         fault.clear(agent)
         assert kernel(agent.app) == before
+        assert fault.restored(agent) is True
     assert agent.processes(agent.app, memory_tight.FILE) == []
 
 
@@ -151,6 +155,7 @@ def test_a_slow_disk_makes_writers_wait(made: Callable[..., Agent]) -> None:
     agent, fault = made(), disk_slow.Injection()
     before = kernel(agent.app)
     fault.inject(agent)
+    assert fault.restored(agent) is False
     began = time.monotonic()
     agent.run_in_app("dd", "if=/dev/zero", "of=/tmp/probe", "bs=256k", "count=4", "conv=fsync")
     assert time.monotonic() - began > 2.0
@@ -158,6 +163,7 @@ def test_a_slow_disk_makes_writers_wait(made: Callable[..., Agent]) -> None:
     for _ in range(2):
         fault.clear(agent)
         assert kernel(agent.app) == before
+        assert fault.restored(agent) is True
     assert agent.processes(agent.app, disk_slow.FILE) == []
 
 
@@ -179,11 +185,13 @@ def test_no_process_starts_at_the_limit(made: Callable[..., Agent], limits: dict
     agent, fault = made(**limits), pids_exhausted.Injection()
     before = kernel(agent.app)
     fault.inject(agent)
+    assert fault.restored(agent) is False
     for _ in range(3):
         assert agent.app.exec_run(["sh", "-c", "true & wait $!"]).exit_code != 0
     for _ in range(2):
         fault.clear(agent)
         assert kernel(agent.app) == before
+        assert fault.restored(agent) is True
     assert agent.processes(agent.app, pids_exhausted.MARK) == []
     agent.run_in_app("true")
 

@@ -1,0 +1,183 @@
+"""The Docker Engine restarted for real, below a running agent: `scripts/proof-engine`.
+
+One agent with the shipped images runs on an engine of its own, which is stopped or killed and started again, with `live-restore` and
+without. Exit 0 only when each row holds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from sitl.acceptance.own_engine import OwnEngine
+from sitl.acceptance.plan import configuration
+from sitl.faults._world import answers, app_runs
+from sitl.harness.compose_stack import Stack
+from sitl.harness.config_overrides import write
+from sitl.harness.console import make_console
+from sitl.harness.log_follower import Event
+from sitl.harness.stack_monitor import StackMonitor
+
+PROJECT = "phm-proof-engine"
+AWAY_S = 10.0
+"""How long there is no engine."""
+AFTER_S = 12.0
+"""Watched after the agent is OK again, so that late alarms are caught."""
+START_LIMIT_S = 60.0
+ENGINE, APP = "engine", "container/ros_app"
+
+
+@dataclass(frozen=True)
+class Case:
+    """How the engine ends, and which alarms and actions are due.
+
+    survives: the containers go on. `alarms`: units at which one alarm each is due; PHM, where it ends with the engine, can only
+    report what it finds afterwards.
+    """
+
+    title: str
+    live_restore: bool
+    ends_by: signal.Signals
+    alarms: tuple[str, ...]
+    actions: tuple[str, ...] = ()
+
+    @property
+    def survives(self) -> bool:
+        return self.live_restore
+
+
+CASES = (
+    Case("stopped, live-restore", True, signal.SIGTERM, (ENGINE,)),
+    Case("killed, live-restore", True, signal.SIGKILL, (ENGINE,)),
+    Case("stopped", False, signal.SIGTERM, (APP,), ("start",)),
+    Case("killed", False, signal.SIGKILL, (ENGINE, APP), ("start",)),
+)
+
+
+@dataclass
+class Row:
+    """What happened in one case. `problems`: what is not as it must be."""
+
+    title: str
+    alarms: list[str] = field(default_factory=list)
+    actions: list[str] = field(default_factory=list)
+    starts: int = 0
+    detected_s: float | None = None
+    well_s: float | None = None
+    problems: list[str] = field(default_factory=list)
+
+
+def judged(case: Case, events: list[Event], began: float, *, same_run: bool, restored: bool) -> Row:
+    """The row of a case. same_run: the application container was not restarted. restored: it runs and its address answers."""
+    row = Row(case.title)
+    for event in events:
+        if event["event"] == "fault_opened":
+            row.alarms.append(event["unit"])
+            row.detected_s = row.detected_s or event["mono"] - began
+        elif event["event"] == "action" and event["phase"] == "started":
+            row.actions.append(event["action"])
+        elif event["event"] == "start":
+            row.starts += 1
+    if sorted(row.alarms) != sorted(case.alarms):
+        row.problems.append(f"alarms at {', '.join(row.alarms) or 'no unit'}, expected {', '.join(case.alarms)}")
+    if tuple(row.actions) != case.actions:
+        row.problems.append(
+            f"actions: {', '.join(row.actions) or 'none'}, expected {', '.join(case.actions) or 'none'}"
+        )
+    if same_run is not case.survives:
+        row.problems.append("the application was restarted" if case.survives else "the application was not restarted")
+    if bool(row.starts) is case.survives:
+        row.problems.append(f"PHM was started {row.starts} times")
+    if not restored:
+        row.problems.append("the application does not run or does not answer")
+    return row
+
+
+def play(engine: OwnEngine, stack: Stack, monitor: StackMonitor, case: Case) -> Row:
+    """End the engine, start it again, and watch until the agent is OK."""
+    monitor.wait_ok()
+    generation, mark, began = stack.agent.generation, monitor.mark(), time.monotonic()
+    engine.end(case.ends_by)
+    time.sleep(AWAY_S)
+    engine.start(live_restore=case.live_restore)
+    problem = ""
+    try:
+        monitor.wait_ok()
+    except RuntimeError as error:
+        problem = str(error)
+    well_s = time.monotonic() - began
+    until = time.monotonic() + AFTER_S
+    monitor.record.wait(lambda event: event["mono"] > until, 2 * AFTER_S, since=mark)
+    agent = stack.agent
+    row = judged(
+        case,
+        monitor.record.events[mark:],
+        began,
+        same_run=agent.generation == generation,
+        restored=app_runs(agent) and answers(agent.app),
+    )
+    row.well_s = well_s
+    row.problems += [problem] if problem else []
+    return row
+
+
+def table(rows: list[Row]) -> Table:
+    found = Table("engine", "alarms", "actions", "detected s", "OK s", "holds")
+    for row in rows:
+        seen, well = (f"{value:.1f}" if value is not None else "-" for value in (row.detected_s, row.well_s))
+        words = "; ".join(row.problems) or "yes"
+        found.add_row(row.title, ", ".join(row.alarms) or "-", ", ".join(row.actions) or "-", seen, well, words)
+    return found
+
+
+def run(folder: Path, console: Console, *, keep_logs: bool) -> list[Row]:
+    """All cases; `folder`: for the engine's data. Images come by standard input, as `docker save` writes them."""
+    engine, rows = OwnEngine(folder), []
+    engine.start(live_restore=True)
+    subprocess.run(["docker", "load", "--quiet"], stdin=sys.stdin, stdout=subprocess.DEVNULL, check=True)
+    stack = Stack(project=PROJECT, interval_s=3.0, ground_port=0, extra={"PHM_CONFIG": str(write(configuration()))})
+    live_restore = True
+    try:
+        stack.up()
+        monitor = StackMonitor(stack)
+        for case in CASES:
+            if case.live_restore != live_restore:  # with the other setting, and everything started anew by Compose
+                stack.down(keep_logs=True)
+                engine.end(signal.SIGTERM)
+                engine.start(live_restore=case.live_restore)
+                live_restore = case.live_restore
+                stack.up()
+            console.print(f"[bold]{case.title}[/]")
+            rows.append(play(engine, stack, monitor, case))
+            console.print("; ".join(rows[-1].problems) or "holds")
+    finally:
+        stack.down(keep_logs=keep_logs)
+        engine.end(signal.SIGTERM)
+    if keep_logs:
+        console.print(f"logs: {stack.logs}")
+    return rows
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="scripts/proof-engine", description=__doc__)
+    parser.add_argument(
+        "--data", type=Path, required=True, help="folder for the engine's data (scripts/proof-engine gives it)"
+    )
+    parser.add_argument("--keep-logs", action="store_true", help="do not remove PHM's log folder")
+    chosen = parser.parse_args(arguments)
+    console = make_console(json=False)
+    rows = run(chosen.data, console, keep_logs=chosen.keep_logs)
+    console.print(table(rows))
+    return 0 if not any(row.problems for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

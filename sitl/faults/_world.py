@@ -1,0 +1,92 @@
+"""Observations of an agent without PHM: by the engine, connections from this machine, and the emulated links."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import socket
+from typing import Any
+
+from docker.errors import APIError, NotFound
+from docker.models.containers import Container
+
+from sitl.faults.base import Agent
+
+NODE = "sitl.application.node"
+"""In the command line of each node of the application."""
+NODES = 3
+"""Nodes of an application that is started without a graph and without their number."""
+CONNECT_S = 0.5
+UNUSED_PORT = 9
+"""No process listens there, so a kernel that the connection reaches refuses it immediately."""
+
+
+def runs(container: Container) -> bool:
+    """Whether the container runs, and its HEALTHCHECK, if it has one, does not fail. One that has not run yet proves nothing."""
+    state = container.attrs["State"]
+    health = (state.get("Health") or {}).get("Status", "")
+    return bool(state["Running"] and not state["Paused"] and not state["Restarting"] and health != "unhealthy")
+
+
+def app_runs(agent: Agent) -> bool:
+    """Whether the application's container runs, with all processes of its nodes."""
+    app = agent.app
+    with contextlib.suppress(APIError):  # it has ended since
+        return runs(app) and len(agent.processes(app, NODE)) >= nodes(app)
+    return False
+
+
+def nodes(app: Container) -> int:
+    """How many nodes the application's command starts."""
+    words = list(app.attrs["Config"]["Cmd"] or ())
+    given = dict(itertools.pairwise(words))
+    graph = given.get("--graph", "")
+    return len(json.loads(graph)) if graph else int(given.get("--nodes", NODES))
+
+
+def answers(container: Container) -> bool:
+    """Whether the container has an address on each of its networks, and its kernel answers a TCP connection to it."""
+    networks = container.attrs["NetworkSettings"]["Networks"]
+    return bool(networks) and all(_responds(network["IPAddress"]) for network in networks.values())
+
+
+def _responds(address: str) -> bool:
+    try:
+        socket.create_connection((address, UNUSED_PORT), CONNECT_S).close()
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        return False
+    return True
+
+
+def attached(agent: Agent, container: Container, network: str) -> bool:
+    """Whether the container is on the network that has this name now, and not on an earlier one."""
+    try:
+        found = agent.docker.networks.get(network)
+    except NotFound:
+        return False
+    mine = container.attrs["NetworkSettings"]["Networks"].get(network)
+    return mine is not None and mine["NetworkID"] == found.id and container.id in found.attrs["Containers"]
+
+
+def exists(container: Container, path: str) -> bool:
+    """Whether the container, running or not, has the path."""
+    try:
+        container.get_archive(path)
+    except NotFound:
+        return False
+    return True
+
+
+def network_namespace(container: Container) -> int:
+    """The number of the network namespace in which the running container's first process is. Raises OSError."""
+    return os.stat(f"/proc/{container.attrs['State']['Pid']}/ns/net").st_ino
+
+
+def link(agent: Agent, name: str) -> dict[str, Any]:
+    """The state of one emulated link of the agent: ``ground``, ``peers``, ``autopilot`` or ``router``."""
+    found: dict[str, Any] = agent.links.state()["agents"][agent.number][name]
+    return found

@@ -1,0 +1,61 @@
+"""PHM and the application lose the network in the same moment."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+from docker import DockerClient
+
+from sitl.faults._world import answers, app_runs, attached
+from sitl.faults.base import STOP_S, Agent, Fault
+
+
+class Injection(Fault):
+    """Disconnects both from the application's first network through the engine, by two clients at once. To PHM the loss of its own
+    connection must not hide that of the application, nor become an alarm of its own."""
+
+    name, title, unit = "network_lost_together", "PHM and application lose the network", "network/ros_app"
+    condition = "disconnected"
+    layer = "container"
+    cause = "a script or an operator disconnected everything from the network"
+    evidence, evidence_s = "the engine's events of the disconnections", 0.5
+
+    _network = ""
+
+    def inject(self, agent: Agent) -> float:
+        self._network = next(iter(agent.app.attrs["NetworkSettings"]["Networks"]))
+        containers = [str(agent.app.id), str(agent.sidecar.id)]
+        with ThreadPoolExecutor(len(containers)) as pool:
+            moment = time.monotonic()
+            for done in [pool.submit(_disconnect, self._network, container) for container in containers]:
+                done.result()
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        if not self._network:
+            return
+        network = agent.docker.networks.get(self._network)
+        if self._network not in agent.sidecar.attrs["NetworkSettings"]["Networks"]:
+            network.connect(agent.sidecar)
+        app = agent.app
+        if self._network not in app.attrs["NetworkSettings"]["Networks"]:
+            network.connect(app, aliases=["ros_app"])
+            # Nodes that were cut off for longer than their lease do not find each other again.
+            app.restart(timeout=STOP_S)
+
+    def restored(self, agent: Agent) -> bool | None:
+        if not self._network:
+            return None
+        app = agent.app
+        beside = attached(agent, agent.sidecar, self._network)
+        return app_runs(agent) and attached(agent, app, self._network) and answers(app) and beside
+
+
+def _disconnect(network: str, container: str) -> None:
+    """With a client of its own, since one belongs to one thread."""
+    client = DockerClient.from_env()
+    try:
+        client.networks.get(network).disconnect(container, force=True)
+    finally:
+        client.close()

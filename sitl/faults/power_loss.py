@@ -1,0 +1,74 @@
+"""The companion computer loses its power, and starts again."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+
+from docker.errors import APIError
+from docker.models.containers import Container
+
+from sitl.faults._world import app_runs, runs
+from sitl.faults.base import Agent, Fault
+
+DOWN_LIMIT_S = 10.0
+
+
+class Injection(Fault):
+    """SIGKILL to all processes of the companion computer's containers in one moment: PHM, the application and the router. Volumes
+    stay as they are. Then the engine's restart policy starts PHM, as at a boot; the router is started as if it had such a policy, the
+    application, which has none, is PHM's to start. What is only in memory (tmpfs) is lost. The page cache is not: this machine
+    goes on."""
+
+    name, title, unit = "power_loss", "power lost, all containers killed", "container/ros_app"
+    condition = "exited"
+    layer = "container"
+    cause = "the companion computer lost its power and booted again"
+    evidence, evidence_s = "PHM's first look at the engine, once the engine has started it", 4.0
+
+    def inject(self, agent: Agent) -> float:
+        containers = list(_on_board(agent))
+        pids = [pid for container in containers for pid in _pids(container)]
+        moment = time.monotonic()
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        with contextlib.suppress(LookupError):
+            _start(agent.router)
+        return moment
+
+    def clear(self, agent: Agent) -> None:
+        for container in _on_board(agent):
+            if container.status != "running":
+                container.start()
+
+    def restored(self, agent: Agent) -> bool | None:
+        return app_runs(agent) and all(runs(container) for container in _on_board(agent))
+
+
+def _on_board(agent: Agent) -> list[Container]:
+    """PHM, the application and, if there is one, the router. An autopilot is a computer of its own."""
+    found = [agent.sidecar, agent.app]
+    with contextlib.suppress(LookupError):
+        found.append(agent.router)
+    return found
+
+
+def _pids(container: Container) -> list[int]:
+    """The first process last: its end ends the container, and the kernel the others."""
+    with contextlib.suppress(APIError):
+        return [int(row[0]) for row in container.top(ps_args="-eo pid")["Processes"] or ()][::-1]
+    return []
+
+
+def _start(container: Container) -> None:
+    """Start a container that was just killed. Raises TimeoutError when it does not end."""
+    until_s = time.monotonic() + DOWN_LIMIT_S
+    while container.attrs["State"]["Running"]:
+        if time.monotonic() > until_s:
+            raise TimeoutError(f"{container.name} has not ended within {DOWN_LIMIT_S:g} s")
+        time.sleep(0.05)
+        container.reload()
+    container.start()
