@@ -25,6 +25,7 @@ from phm.core.settings import Settings
 from phm.core.watchdog import DaemonWatchdog
 from phm.facts import SelfFact
 from phm.probes.docker_event import DockerEvent
+from phm.recovery.actions.join_network import JOINED
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.containers.cpu_weights import CpuWeights
 from phm.recovery.executor import Executor, NotNow
@@ -173,7 +174,7 @@ class Components:
 
     def _publish_action(self, event: Event) -> None:
         self.bus.publish(event)
-        if isinstance(event, ActionEvent) and event.phase is Phase.DONE and event.action == "join_network":
+        if isinstance(event, ActionEvent) and event.phase is Phase.DONE and JOINED in event.detail:
             self.probes.restart_ros("PHM joined a network")
 
     def _observe(self, batch: CheckRun) -> None:

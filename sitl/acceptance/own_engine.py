@@ -43,7 +43,7 @@ class OwnEngine:
         with (self._folder / "dockerd.log").open("ab") as log:
             self._process = subprocess.Popen(
                 ["sh", "-c", HANDED_OVER, "sh", *options],
-                stdin=self._socket,
+                stdin=self._socket.fileno(),
                 stdout=log,
                 stderr=log,
                 start_new_session=True,

@@ -45,4 +45,4 @@ class Injection(Fault):
 
     def restored(self, agent: Agent) -> bool | None:
         host = agent.app.attrs["HostConfig"]
-        return host["NanoCpus"] != SHARE * 1e9 and host["CpuQuota"] != int(SHARE * PERIOD_US)
+        return bool(host["NanoCpus"] != SHARE * 1e9 and host["CpuQuota"] != int(SHARE * PERIOD_US))

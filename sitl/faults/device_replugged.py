@@ -40,4 +40,5 @@ class Injection(Fault):
         numbers = agent.device.stat().st_rdev
         look = f"stat -c '%t %T' {agent.device} && : <{agent.device}"
         code, output = agent.app.exec_run(["sh", "-c", look])
+        assert isinstance(output, bytes)  # no stream was asked for
         return bool(code == 0 and output.decode().split() == [f"{os.major(numbers):x}", f"{os.minor(numbers):x}"])

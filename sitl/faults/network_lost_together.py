@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 from docker import DockerClient
 
-from sitl.faults._world import answers, app_runs, attached
-from sitl.faults.base import STOP_S, Agent, Fault
+from sitl.faults._networks import both_connected, connect_both, first_network
+from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
@@ -24,7 +24,7 @@ class Injection(Fault):
     _network = ""
 
     def inject(self, agent: Agent) -> float:
-        self._network = next(iter(agent.app.attrs["NetworkSettings"]["Networks"]))
+        self._network = first_network(agent)
         containers = [str(agent.app.id), str(agent.sidecar.id)]
         with ThreadPoolExecutor(len(containers)) as pool:
             moment = time.monotonic()
@@ -33,23 +33,11 @@ class Injection(Fault):
         return moment
 
     def clear(self, agent: Agent) -> None:
-        if not self._network:
-            return
-        network = agent.docker.networks.get(self._network)
-        if self._network not in agent.sidecar.attrs["NetworkSettings"]["Networks"]:
-            network.connect(agent.sidecar)
-        app = agent.app
-        if self._network not in app.attrs["NetworkSettings"]["Networks"]:
-            network.connect(app, aliases=["ros_app"])
-            # Nodes that were cut off for longer than their lease do not find each other again.
-            app.restart(timeout=STOP_S)
+        if self._network:
+            connect_both(agent, self._network)
 
     def restored(self, agent: Agent) -> bool | None:
-        if not self._network:
-            return None
-        app = agent.app
-        beside = attached(agent, agent.sidecar, self._network)
-        return app_runs(agent) and attached(agent, app, self._network) and answers(app) and beside
+        return both_connected(agent, self._network) if self._network else None
 
 
 def _disconnect(network: str, container: str) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 from docker.errors import APIError, NotFound
 
-from sitl.faults._world import answers, app_runs, attached
-from sitl.faults.base import STOP_S, Agent, Fault, freeze
+from sitl.faults._networks import both_connected, connect_both, first_network
+from sitl.faults.base import Agent, Fault, freeze
 
 TRIES = 5
 
@@ -26,7 +26,7 @@ class Injection(Fault):
     _network = ""
 
     def inject(self, agent: Agent) -> float:
-        self._network = next(iter(agent.app.attrs["NetworkSettings"]["Networks"]))
+        self._network = first_network(agent)
         sidecar = agent.sidecar
         freeze(sidecar)
         try:
@@ -38,24 +38,11 @@ class Injection(Fault):
             sidecar.unpause()
 
     def clear(self, agent: Agent) -> None:
-        if not self._network:
-            return
-        for container, aliases in ((agent.sidecar, []), (agent.app, ["ros_app"])):
-            if not attached(agent, container, self._network):
-                network = agent.docker.networks.get(self._network)
-                if self._network in container.attrs["NetworkSettings"]["Networks"]:
-                    network.client.api.disconnect_container_from_network(container.id, self._network, force=True)
-                network.connect(container, aliases=aliases)
-                if container.id == agent.app.id:
-                    # Nodes that were cut off for longer than their lease do not find each other again.
-                    container.restart(timeout=STOP_S)
+        if self._network:
+            connect_both(agent, self._network)
 
     def restored(self, agent: Agent) -> bool | None:
-        if not self._network:
-            return None
-        app = agent.app
-        beside = attached(agent, agent.sidecar, self._network)
-        return app_runs(agent) and attached(agent, app, self._network) and answers(app) and beside
+        return both_connected(agent, self._network) if self._network else None
 
 
 def _remove(agent: Agent, name: str) -> None:

@@ -9,6 +9,9 @@ from phm.recovery.actions._networks import missing, network_id, not_there
 from phm.recovery.base import Action, ActionContext, NotNeeded, container_settings
 from phm.recovery.target import Target
 
+JOINED = "PHM joined network"
+"""In the sentence of each action that has put PHM on a network."""
+
 
 class JoinNetwork(Action):
     """Connect PHM's own container to the networks of a container, so that it can see its nodes."""
@@ -54,4 +57,4 @@ def join_networks(container: ContainerSettings, context: ActionContext) -> str:
                 raise
             continue
         joined.append(name)
-    return f"PHM joined network {', '.join(joined)}" if joined else ""
+    return f"{JOINED} {', '.join(joined)}" if joined else ""

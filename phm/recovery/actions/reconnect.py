@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
-from phm.facts import ContainerFact
+from phm.facts import CannotTell, ContainerFact
 from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
+from phm.recovery.actions.join_network import join_networks
 from phm.recovery.base import Action, ActionContext, NotNeeded, NotYet, container_settings
 from phm.recovery.safety.flight_critical import Impact
 from phm.recovery.target import Target
@@ -47,7 +50,18 @@ class Reconnect(Action):
         if not done:
             return NotNeeded(f"{target.key} is already connected")
         waits = f"; {not_there(gone)}" if gone else ""
-        return f"reconnected {target.key} to {', '.join(done)}{waits}"
+        return f"reconnected {target.key} to {', '.join(done)}{waits}{_join(container, context)}"
+
+
+def _join(container: ContainerSettings, context: ActionContext) -> str:
+    """What takes the container off a network often takes PHM off it, too; then the container's unit stays bad until PHM is back.
+
+    A clause for the log; empty: PHM is on the networks already, or cannot join them, which the next result shows.
+    """
+    with contextlib.suppress(CannotTell):
+        joined = join_networks(container, context)
+        return f"; {joined}" if joined else ""
+    return ""
 
 
 def _due(

@@ -12,8 +12,8 @@ from phm.recovery.actions.join_network import JoinNetwork
 from phm.recovery.actions.reconnect import Reconnect
 from phm.recovery.actions.restart import Restart
 from phm.recovery.actions.start import Start
-from phm.recovery.base import Action, NotYet
-from phm.transport.docker import DockerEngine
+from phm.recovery.base import Action, ActionContext, NotYet
+from phm.transport.docker import DockerEngine, EngineTimeout
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Status
 from tests.recovery.action_bench import Bench, bench, fault
@@ -142,3 +142,35 @@ def test_phm_joins_the_existing_networks(fake: FakeEngine, ask: DockerEngine) ->
     me = testing.container("phm", id=fake.containers["phm"]["Id"])
     context = replace(made.context(), own_container=lambda: me)
     assert JoinNetwork().run(made.target("app"), OFF, context) == "PHM joined network swarm"
+
+
+def both_off(fake: FakeEngine, ask: DockerEngine) -> tuple[Bench, ActionContext]:
+    """Neither `app` nor PHM's own container is on the network."""
+    made = agent(fake, ask, exists=True)
+    fake.containers["phm"] = container("phm")
+    me = testing.container("phm", id=fake.containers["phm"]["Id"])
+    return made, replace(made.context(), own_container=lambda: me)
+
+
+def test_phm_joins_the_network_to_which_it_reconnects_a_container(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Both have lost it: otherwise the container's unit stays bad, and the reconnection counts as failed after 30 s."""
+    made, context = both_off(fake, ask)
+    words = Reconnect().run(made.target("app"), OFF, context)
+    assert words == "reconnected app to swarm; PHM joined network swarm"
+    assert changes(fake) == ["connect", "connect"]
+
+
+def test_a_container_is_reconnected_even_if_phm_cannot_join(
+    fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reconnection has succeeded; `join_network` follows for what is left."""
+    made, context = both_off(fake, ask)
+    connect = ask.connect
+
+    def only_app(network: str, container: str, aliases: Any = (), address: str = "") -> None:
+        if container == "phm":
+            raise EngineTimeout("no answer")
+        connect(network, container, aliases, address)
+
+    monkeypatch.setattr(ask, "connect", only_app)
+    assert Reconnect().run(made.target("app"), OFF, context) == "reconnected app to swarm"
