@@ -23,7 +23,7 @@ class Injection(Fault):
     disk. PHM must start with an empty state, keep the damaged file beside the new one, and say so."""
 
     name, title, unit = "phm_state_noise", "PHM's state replaced by noise", "companion"
-    condition = "phm_restarted"
+    condition = "phm_problem"
     level = "WARN"
     layer = "companion"
     healable = False

@@ -13,6 +13,9 @@ from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.persistence.state_file import StateFile, StateWriter
 from phm.recovery.safety.armed_state import ArmedMonitor
 
+WARNED_S = 12.0
+"""A state that was lost is reported for so long after the start: one refresh of the status, every 10 s, contains it."""
+
 
 class PersistenceService:
     """`restore` goes before the reporters start, `resume` after them and before the first result."""
@@ -32,6 +35,7 @@ class PersistenceService:
         self._window_s = window_s
         self._file = StateFile(state_dir, clock)
         self._state, self._warning = PersistedState(), ""
+        self._warned_until = float("-inf")
         self._events: tuple[Event, ...] = ()
         self._keeper: StateWriter | None = None
         self._given = False
@@ -50,6 +54,7 @@ class PersistenceService:
         """Publish what was restored, give recovery its part, and begin to keep."""
         if self._warning:
             self._note(f"warning: {self._warning}")
+            self._warned_until = self._clock.mono() + WARNED_S
         for event in self._events:
             self._bus.publish(event)
         if not self._given:
@@ -79,7 +84,9 @@ class PersistenceService:
             self._note(f"{attempts} recovery attempts from before PHM stopped are remembered")
 
     def problem(self) -> str:
-        return self._keeper.problem() if self._keeper is not None else ""
+        """That the state cannot be kept; else, for a moment after the start, that the one of the PHM before was lost."""
+        problem = self._keeper.problem() if self._keeper is not None else ""
+        return problem or (self._warning if self._clock.mono() < self._warned_until else "")
 
     def close(self) -> None:
         """A last writing, after the bus has ended."""

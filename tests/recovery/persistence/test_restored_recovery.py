@@ -243,3 +243,13 @@ def test_an_approval_without_an_advised_action_is_denied(lives: Callable[..., Li
         life.executor.approve("F9")
     with pytest.raises(NotApprovable, match=r"nothing is advised for .*: backing off"):
         life.executor.approve(fault.id)
+
+
+def test_a_lost_state_is_reported_for_a_moment(lives: Callable[..., Life], tmp_path: Path) -> None:
+    """Holds and budgets are forgotten, which an operator must learn: not only by a line in the log."""
+    (tmp_path / "state.json").write_bytes(bytes(range(256)))
+    life = lives()
+    assert "is invalid (it is not JSON); renamed to state.json.corrupt-" in life.memory.problem()
+    life.clock.advance(13.0)
+    assert life.memory.problem() == ""
+    assert lives().memory.problem() == ""
