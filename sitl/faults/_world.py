@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
-import json
 import os
 import socket
 from typing import Any
 
-from docker.errors import APIError, NotFound
+from docker.errors import NotFound
 from docker.models.containers import Container
 
+from sitl.faults._application import works
 from sitl.faults.base import Agent
 
-NODE = "sitl.application.node"
-"""In the command line of each node of the application."""
-NODES = 3
-"""Nodes of an application that is started without a graph and without their number."""
 CONNECT_S = 0.5
 UNUSED_PORT = 9
 """No process listens there, so a kernel that the connection reaches refuses it immediately."""
@@ -31,19 +25,8 @@ def runs(container: Container) -> bool:
 
 
 def app_runs(agent: Agent) -> bool:
-    """Whether the application's container runs, with all processes of its nodes."""
-    app = agent.app
-    with contextlib.suppress(APIError):  # it has ended since
-        return runs(app) and len(agent.processes(app, NODE)) >= nodes(app)
-    return False
-
-
-def nodes(app: Container) -> int:
-    """How many nodes the application's command starts."""
-    words = list(app.attrs["Config"]["Cmd"] or ())
-    given = dict(itertools.pairwise(words))
-    graph = given.get("--graph", "")
-    return len(json.loads(graph)) if graph else int(given.get("--nodes", NODES))
+    """Whether the application's container runs, and each of its nodes receives its topics at their rates."""
+    return runs(agent.app) and works(agent)
 
 
 def answers(container: Container) -> bool:

@@ -14,18 +14,17 @@ from docker import DockerClient
 from docker.errors import DockerException
 from docker.models.containers import Container
 
-from sitl.faults import all_faults, log_read_only, phm_state_noise
+from sitl.faults import _world, all_faults, log_read_only, phm_state_noise
 from sitl.faults._volumes import behind
 from sitl.faults.base import Agent, Fault
+from sitl.faults.file_deleted import CRITICAL
 from tests.fakes.until import until
 
 APP = (
-    "mkdir -p /tmp/nodes /ws/src; printf '#!/bin/sh\\nexit 0\\n' >/ws/src/critical_file; chmod 755 /ws/src/critical_file; "
+    "mkdir -p /ws/src; printf '#!/bin/sh\\nexit 0\\n' >/ws/src/critical_file; chmod 755 /ws/src/critical_file; "
     "rm -f /tmp/unhealthy; [ ! -s /tmp/broken_start ] || exit 1; "
-    "sh -c 'while :; do sleep 1; done' sitl.application.node & echo $! >/tmp/nodes/node_1.pid; "
-    "while :; do wait; sleep 1; done"
+    "while :; do sleep 1; done"
 )
-"""One process besides the first has a node's name in its command line; the first has it in this text."""
 PHM = "b=bin; sh -c 'while :; do sleep 1; done' $b/phm run"
 STATE, LOG = phm_state_noise.FOLDER, log_read_only.FOLDER
 RECOVERED_BY_CLEAR = (
@@ -60,12 +59,12 @@ def agent() -> Iterator[Agent]:
         )
 
     try:
-        run("ros_app", APP, "--nodes", "2", devices=[f"{agent.device}:{agent.device}:rwm"])
+        run("ros_app", APP, devices=[f"{agent.device}:{agent.device}:rwm"])
         mounts = {volumes[0].name: {"bind": LOG}, volumes[1].name: {"bind": STATE}}
         run("phm", PHM, restart_policy={"Name": "unless-stopped"}, volumes=mounts)
         for name in log_read_only.FILES:
             (behind(agent.sidecar, LOG) / name).write_text("a line\n")
-        until(lambda: agent.app.exec_run(["test", "-s", "/tmp/nodes/node_1.pid"]).exit_code == 0, "the node's process")
+        until(lambda: agent.app.exec_run(["test", "-x", CRITICAL]).exit_code == 0, "the critical file")
         yield agent
     finally:
         for container in client.containers.list(all=True, filters={"label": f"com.docker.compose.project={project}"}):
@@ -75,6 +74,12 @@ def agent() -> Iterator[Agent]:
             volume.remove(force=True)
         agent.device.unlink(missing_ok=True)
         client.close()
+
+
+@pytest.fixture(autouse=True)
+def _without_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The small containers have no nodes; tests/sitl/test_application_world.py is about those."""
+    monkeypatch.setattr(_world, "works", lambda agent: True)
 
 
 def observed(fault: Fault, agent: Agent) -> bool | None:
