@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from sitl.faults._overload import end_overload, overload
+from sitl.faults._overload import end_overload, overload, overloaded
 from sitl.faults.base import Agent, Fault
 
 
@@ -18,6 +18,7 @@ class Injection(Fault):
     healable = False
     passes = True
     needs = frozenset({"alone", "starvation"})
+    evidence, evidence_s = "the machine's counters of processor time and of tasks that wait", 2.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
@@ -26,3 +27,6 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         end_overload(agent)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not overloaded(agent)
