@@ -16,11 +16,16 @@ class Injection(Fault):
     cause = "the autopilot hangs, or its power is gone"
     healable = False
     needs = frozenset({"air"})
+    evidence, evidence_s = "first missed heartbeat", 1.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
         agent.links.autopilot(agent.number, "hang")
         return moment
+
+    def restored(self, agent: Agent) -> bool:
+        """The link emulator's autopilot sends again."""
+        return not agent.links.state()["agents"][agent.number]["autopilot"]["hung"]
 
     def clear(self, agent: Agent) -> None:
         agent.links.autopilot(agent.number, "resume")

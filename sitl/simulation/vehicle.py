@@ -126,11 +126,14 @@ class Vehicle:
             self.pilot_off = values.get("off", self.pilot_off)
 
     def reset(self) -> None:
-        """Reset all links, and resume the autopilot."""
+        """Reset all links, resume the autopilot, and end its reboot."""
         self.ground.change(asdict(Conditions()))
         self.router_off = self.pilot_off = False
         if self.pilot is not None:
             self.pilot.hung = False
+            if self.pilot.rebooting:
+                self.pilot.reboot(self._now, 0.0)
+                self.pilot.booted(self._now)
 
     def order(self, now: float, what: str, values: dict[str, Any]) -> None:
         """Like `LinkEmulatorClient.autopilot`. Raises ValueError for an invalid command."""
@@ -146,7 +149,9 @@ class Vehicle:
             raise ValueError(f"an autopilot cannot {what!r}: allowed are hang, resume, reboot, arm, disarm")
 
     def state(self) -> dict[str, Any]:
-        pilot = {"armed": self.pilot.armed, "hung": self.pilot.hung} if self.pilot is not None else {}
+        pilot = {}
+        if self.pilot is not None:
+            pilot = {"armed": self.pilot.armed, "hung": self.pilot.hung, "rebooting": self.pilot.rebooting}
         return {
             "ground": asdict(self.ground),
             "router": {"off": self.router_off},

@@ -64,7 +64,7 @@ class LinkEmulatorClient:
 
     def state(self) -> dict[str, Any]:
         """``{"agents": {K: {"ground": {...}, "peers": {...}, "router": {...}, "autopilot": {...}}}, "groups": [...]}``:
-        all of `set` as it is now, ``connected`` of the router (PHM's connections), ``armed``, ``hung``."""
+        all of `set` as it is now, ``connected`` of the router (PHM's connections), ``armed``, ``hung``, ``rebooting``."""
         found = self._ask("state")["state"]
         return {**found, "agents": {int(agent): state for agent, state in found["agents"].items()}}
 

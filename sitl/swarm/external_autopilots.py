@@ -26,10 +26,12 @@ PX4 = "{binary} -d -i {instance}"
 HOME = "47.3977418,{longitude:.7f},408,0"
 PARAMETER_LINES = """\
 # PHM is on serial port 1. Its frames go to the ground through the vehicle's router; passed on by the autopilot as well, each
-# would take the radio twice. Firmware before 4.7 calls it SERIAL1_OPTIONS, later one ignores that name.
+# would take the radio twice. Needs 4.7 or later: earlier firmware has bit 10 of SERIAL1_OPTIONS for it, with which 4.7 refuses
+# to arm. Without a frame it refuses, too.
 SERIAL1_PROTOCOL 2
 MAV2_OPTIONS 2
-SERIAL1_OPTIONS 1024
+FRAME_CLASS 1
+FRAME_TYPE 0
 """
 
 

@@ -282,7 +282,12 @@ def test_an_autopilot_reboots_disarmed_with_a_new_boot_time() -> None:
     one.turn(12.1)
     receivers = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
     assert any(message.get_type() == "SYSTEM_TIME" and message.time_boot_ms < 1000 for message in receivers)
-    assert one.state()["autopilot"] == {"off": False, "armed": False, "hung": False}
+    assert one.state()["autopilot"] == {
+        "off": False,
+        "armed": False,
+        "hung": False,
+        "rebooting": False,
+    }
     one.order(13.0, "hang", {})
     one.out.clear()
     one.turn(20.0)

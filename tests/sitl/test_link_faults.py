@@ -25,10 +25,10 @@ TOUCHED = {
     "radio_lossy": ("ground",),
     "peer_lost": ("peers",),
     "radio_saturated": ("ground",),
-    "autopilot_reboot": (),
+    "autopilot_reboot": ("autopilot",),
     "peer_split": (),
 }
-"""Which links of the agent differ from before; a reboot ends by itself, and a split belongs to no single agent."""
+"""Which links of the agent differ from before; a split belongs to no single agent."""
 AGENTS = 5
 
 
@@ -64,6 +64,16 @@ def test_a_fault_affects_its_link_of_one_agent_and_restores_it(name: str, emulat
     assert links(emulator) == before
     assert not emulator.state()["groups"]
     assert fault.restored(agent) in (True, None)
+
+
+@pytest.mark.parametrize("name", ["autopilot_silent", "autopilot_reboot"])
+def test_the_world_shows_whether_an_autopilot_is_back(name: str, emulator: LinkEmulatorClient) -> None:
+    fault, agent = all_faults()[name], Agent("phm-test", "agent_3", mock.Mock(), number=3, air=emulator)
+    assert fault.restored(agent) is True
+    fault.inject(agent)
+    assert fault.restored(agent) is False
+    fault.clear(agent)
+    assert fault.restored(agent) is True
 
 
 def test_a_disabled_router_affects_one_agent(emulator: LinkEmulatorClient) -> None:

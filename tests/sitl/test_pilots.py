@@ -123,11 +123,13 @@ def test_a_command_from_the_ground_reaches_only_the_autopilot(air: LinkEmulator,
 
 
 def test_ardupilot_has_its_conventional_ports_and_ids() -> None:
-    """Instance i on 5760 + 10 i with system id i + 1, and PHM on its serial port 1, which forwards nothing."""
+    """Instance i on 5760 + 10 i with system id i + 1, and PHM on its serial port 1, which forwards nothing. With a frame, so that 4.7
+    can be armed."""
     assert external_autopilots.urls(ARDUPILOT) == "1=tcp:127.0.0.1:5760,2=tcp:127.0.0.1:5770,3=tcp:127.0.0.1:5780"
     own = config.endpoints(ARDUPILOT, 3)[2]
     assert (own["url"], own["leads_to"]) == ("tcp:air:5782", "autopilot")
-    assert "MAV2_OPTIONS 2" in external_autopilots.PARAMETER_LINES
+    parameters = dict(line.split() for line in external_autopilots.PARAMETER_LINES.splitlines() if line[0] != "#")
+    assert parameters == {"SERIAL1_PROTOCOL": "2", "MAV2_OPTIONS": "2", "FRAME_CLASS": "1", "FRAME_TYPE": "0"}
     assert len(config.endpoints(Options(), 3)) == 2
 
 
