@@ -36,13 +36,17 @@ from phm.core.settings import (
     FileSettings,
     HostSettings,
     Limit,
+    NodeReadySettings,
     NodeSettings,
     PressureSettings,
+    ReadySettings,
+    RosSettings,
     Settings,
     TopicSettings,
     WatchedDiagnosticSettings,
 )
 from phm.facts import (
+    AnswerFact,
     Attachment,
     AutopilotFact,
     BeaconFact,
@@ -83,6 +87,7 @@ from phm.facts import (
 )
 
 __all__ = [
+    "AnswerFact",
     "Attachment",
     "AutopilotFact",
     "BeaconFact",
@@ -116,6 +121,7 @@ __all__ = [
     "Mount",
     "NameFact",
     "NeighbourFact",
+    "NodeReadySettings",
     "NodeSettings",
     "NodeVotes",
     "NotPermitted",
@@ -127,8 +133,10 @@ __all__ = [
     "ProcessFact",
     "RadioFact",
     "RateFact",
+    "ReadySettings",
     "Result",
     "RosFact",
+    "RosSettings",
     "SelfFact",
     "SenderFact",
     "Settings",

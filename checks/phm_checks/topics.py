@@ -72,12 +72,15 @@ class Topics(api.Check):
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
         topics = settings.ros.topics
+        lifecycle = {api.topic_id(node.name) for node in settings.ros.nodes if node.ready and node.ready.lifecycle}
         units = []
         for topic in topics:
             key = settings.container_of_topic(topic)
             nodes = dict.fromkeys(api.topic_id(node) for node in (*topic.publishers, *topic.subscribers))
             needs = [*(f"container/{key}", f"network/{key}")] if key else []
             needs += [f"nodes/{node}" for node in nodes]
+            # A lifecycle node may have endpoints, and publish, only while it is active.
+            needs += [f"node_ready/{node}" for node in nodes if node in lifecycle]
             units.append(
                 api.Unit(_unit(topic), needs=tuple(needs), target=key, settle_s=SETTLE_S, grace_s=settings.ros.grace)
             )

@@ -48,6 +48,7 @@ from phm.facts.pressure import (
     StallFact as StallFact,
 )
 from phm.facts.ros import (
+    AnswerFact as AnswerFact,
     BeaconFact as BeaconFact,
     DataFact as DataFact,
     DiagnosticFact as DiagnosticFact,

@@ -194,6 +194,23 @@ class DiagnosticFact:
 
 
 @dataclass(frozen=True, slots=True)
+class AnswerFact:
+    """What a service answers that PHM calls repeatedly: `get_state` of a lifecycle node, or a service of `ready.call`."""
+
+    answer: str = ""
+    """The newest answer of the current server: a lifecycle state, e.g. `active`; `true` or `false` of std_srvs/srv/Trigger.
+    Empty before the first one."""
+    detail: str = ""
+    """The text of that answer, from outside."""
+    served: bool = False
+    """Whether discovery lists the service."""
+    unanswered_s: float = 0.0
+    """How long the server has not answered, without time in which the ROS child did not run; 0.0: it answers."""
+    problem: str = ""
+    """Why it cannot be called; empty: there is no problem."""
+
+
+@dataclass(frozen=True, slots=True)
 class RosFact:
     """The newest snapshot of the ROS graph from the child process.
 
@@ -201,7 +218,7 @@ class RosFact:
     up_s:        how long this child has observed the graph without an interruption in which it did not run and leases may
                  have ended. A graph that has been observed for only a second does not prove absence.
     nodes:       full name -> how often it is listed.
-    topics:      configured topics, by full name.
+    topics:      configured topics, those of `ready.topics` too, by full name.
     beacons:     those received since this child started, by full node name.
     diagnostics: those received since this child started, by the name of the status.
     others:      topics that are not configured, by full name, a few seconds old; incomplete if there are very many.
@@ -210,6 +227,9 @@ class RosFact:
     lost_s:      since more beacons arrived than PHM reads; None: never. A beacon that has been silent for longer is left
                  out, because its silence proves nothing.
     listened_s:  how long this child has existed, interruptions included.
+    services:    how often discovery lists a server of each service of `ready.services`, by full name.
+    lifecycle:   states of the nodes with `ready.lifecycle`, by full name.
+    calls:       answers of the services of `ready.call`, by full name.
     """
 
     age_s: float
@@ -223,6 +243,9 @@ class RosFact:
     names_known: bool = True
     lost_s: float | None = None
     listened_s: float = 0.0
+    services: Mapping[str, int] = field(default_factory=dict)
+    lifecycle: Mapping[str, AnswerFact] = field(default_factory=dict)
+    calls: Mapping[str, AnswerFact] = field(default_factory=dict)
 
     @property
     def heard_for_s(self) -> float:

@@ -46,6 +46,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "subscriber_lost": ("restart",),
     "qos_mismatch": ("restart",),
     "node_duplicate": ("restart",),
+    "not_ready": ("restart",),
     "transport_blocked": ("restart",),
     "data_frozen": ("restart",),
     "data_stamp": ("restart",),
@@ -64,11 +65,11 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 """Built-in ladders by condition. Conditions that are not listed are only reported: `restarting` because the engine's
 own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,
 `not_received` because a restart does not open a transport that was never open."""
-PATIENT = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_duplicate"}) | {
-    condition for condition in LADDERS if condition.startswith("data_")
-}
+PATIENT = frozenset(
+    {"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_duplicate", "not_ready"}
+) | {condition for condition in LADDERS if condition.startswith("data_")}
 """Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
-create its endpoints again by itself, or be replaced by a copy that starts before it ends."""
+create its endpoints again by itself, be activated again, or be replaced by a copy that starts before it ends."""
 LEARNED = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"})
 """Of these, the ones whose pauses PHM knows after a while: see `patience_s`. A second node is started by somebody, at any time."""
 PAUSES = 2.0
@@ -88,11 +89,12 @@ ADVISED = frozenset({"data_gaps", "data_range"})
 """Conditions for which the built-in ladder is only advised: the messages arrive and most of them are usable, and whether a restart
 helps depends on the sensor or input behind the node. A user's own ladder is carried out."""
 ONCE_WELL = frozenset(
-    {"transport_blocked", "qos_mismatch", "node_duplicate", "quorum_dead", "data_frozen", "data_stamp"}
+    {"transport_blocked", "qos_mismatch", "node_duplicate", "quorum_dead", "data_frozen", "data_stamp", "not_ready"}
 )
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
 namespace, a publisher that was created again, a second node started by an operator, a node that its neighbours no longer
-receive, a source that repeats old data, a wrong clock on another computer. Where the unit was OK in this generation,
+receive, a source that repeats old data, a wrong clock on another computer, a node that was deactivated.
+Where the unit was OK in this generation,
 a restart restores what the start had, and is tried once; where it never was, nothing is done. A user's own ladder is used
 unchanged."""
 ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0

@@ -192,9 +192,10 @@ def build_probes(
         lambda: wake("swarm"),
         links.gcs_unreachable,
     )
+    ready = [entry.ready for entry in settings.containers if entry.ready is not None]
     ros = (
-        RosSupervisor(settings.ros, settings.agent.name, clock, lambda: wake("ros"), note)
-        if settings.ros.used
+        RosSupervisor(settings.ros, settings.agent.name, clock, lambda: wake("ros"), note, ready=ready)
+        if settings.ros.used or ready
         else None
     )
     probe: RosProbe = ros if ros is not None else RosNotConfigured()

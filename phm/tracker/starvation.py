@@ -71,6 +71,9 @@ EXPLAINED: Mapping[str, Explanation] = {
     "node_unanswering": _LATE,
     "node_busy": _LATE,
     "beacon_missing": _LATE,
+    "not_ready": Explanation(
+        "it answers late, or is dropped from the graph; not where its lifecycle state was observed"
+    ),
     "dissent": _VIEWS,
     "split": _VIEWS,
     "quorum_dead": _VIEWS,

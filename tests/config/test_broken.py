@@ -38,6 +38,32 @@ def refused(text: str, **environ: str) -> tuple[Problem, ...]:
 ONE = "containers:\n  - name: app\n"
 
 BROKEN = [
+    # readiness
+    Broken("ready without a requirement", ONE + "    ready: {within: 5s}\n", 3, "containers[0].ready", ("services, topics",)),
+    Broken(
+        "lifecycle state of a container", ONE + "    ready: {lifecycle: active, services: [/a/s]}\n", 3,
+        "containers[0].ready.lifecycle", ("lifecycle", "services"),
+    ),
+    Broken(
+        "unknown lifecycle state", "ros: {nodes: [{name: /a/one, ready: {lifecycle: activ}}]}\n", 1,
+        "ros.nodes[0].ready.lifecycle", ("active",),
+    ),
+    Broken(
+        "ready topic that has a rate", "ros:\n  nodes: [{name: /a/one, ready: {topics: [/a/t]}}]\n  topics: [{name: a/t, rate: 5}]\n", 2,
+        "ros.nodes[0].ready.topics[0]", ("'ros.topics'", "remove it"),
+    ),
+    Broken(
+        "ready service twice", ONE + "    ready: {services: [/a/s, a/s]}\n", 3,
+        "containers[0].ready.services[1]", ("service 'a/s' is defined twice",),
+    ),
+    Broken(
+        "ready after the verification", ONE + "    ready: {services: [/a/s], within: 60s}\n", 3,
+        "containers[0].ready.within", ("'verify'", "30 or less"),
+    ),
+    Broken(
+        "verification before ready", ONE + "    ready: {services: [/a/s]}\nrecovery: {verify: 20s}\n", 4,
+        "recovery.verify", ("'within' which is 30", "30 or more"),
+    ),
     # diagnostics of the application
     Broken(
         "diagnostics of no container", ONE + "ros: {diagnostics: {watch: [{name: x, container: ap}]}}\n", 3,

@@ -7,7 +7,7 @@ import json
 
 from hypothesis import strategies as st
 
-from phm.facts.ros import BeaconFact, DataFact, DiagnosticFact, NeighbourFact, OutsideFact, TopicFact
+from phm.facts.ros import AnswerFact, BeaconFact, DataFact, DiagnosticFact, NeighbourFact, OutsideFact, TopicFact
 from phm.probes.ros import protocol as pipe
 from phm.probes.ros.line_splitter import LineSplitter
 from tests.fuzz.hostile import messages
@@ -25,6 +25,7 @@ SENT = [
             pipe.GraphMessage(1.0, {"/a": 1}, {"/t": EXAMINED}),
             pipe.Tick(1.0, {"/t": 0.5, "/u": None}, 3),
             pipe.SelfReportUpdate({"/a": BEACON}, {"s": STATUS}, {"/b": 0.1}, 2),
+            pipe.ReadinessUpdate({"/s": 1}, {"/a": AnswerFact("active", "", True, 0.5)}),
             pipe.LogText("words"),
         ),
     ),

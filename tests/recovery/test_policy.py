@@ -87,7 +87,7 @@ def test_patience_follows_the_pauses_that_a_topic_has_had(ok_s: float, pause_s: 
     assert patience_s(replace(known, result=fault("node_missing").result), rules) == 0.0
 
 
-ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate", "data_frozen", "data_stamp")
+ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate", "data_frozen", "data_stamp", "not_ready")
 
 
 def was_ok(condition: str, seconds: float) -> Fault:
@@ -146,7 +146,7 @@ def test_a_configured_ladder_applies_whether_or_not_the_unit_was_ok() -> None:
     )
 
 
-@pytest.mark.parametrize("condition", ["qos_mismatch", "node_duplicate"])
+@pytest.mark.parametrize("condition", ["qos_mismatch", "node_duplicate", "not_ready"])
 def test_possibly_transient_failures_are_given_time(condition: str) -> None:
     """A node that replaces another overlaps with it for a moment."""
     new = replace(fault(condition), ok_since_start_s=20.0)

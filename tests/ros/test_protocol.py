@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from phm.facts import BeaconFact, DiagnosticFact, EndpointFact, NameFact, NeighbourFact, RateFact, TopicFact
+from phm.facts import (
+    AnswerFact,
+    BeaconFact,
+    DiagnosticFact,
+    EndpointFact,
+    NameFact,
+    NeighbourFact,
+    RateFact,
+    TopicFact,
+)
 from phm.probes.ros.graph_snapshot import GraphSnapshot
 from phm.probes.ros.protocol import (
     GraphMessage,
@@ -14,6 +23,7 @@ from phm.probes.ros.protocol import (
     OtherTopics,
     ProtocolError,
     Publish,
+    ReadinessUpdate,
     SelfReportUpdate,
     Tick,
     Wanted,
@@ -38,6 +48,7 @@ END = EndpointFact("/a/n", "std_msgs/msg/String", "reliable", "volatile")
         SelfReportUpdate({"/a/n": BeaconFact(0.1, 0.2, 0.0, "x", 7, {"/a/m": NeighbourFact(True, 0.3)})}),
         SelfReportUpdate({}, {"radio": DiagnosticFact(0.1, 2, "no link", "sik", {"rssi": "0"})}),
         OtherTopics({"/u": NameFact(("/a/n",), ("/a/m", "/a/o"))}),
+        ReadinessUpdate({"/a/plan": 1}, {"/a/n": AnswerFact("active", "", True, 0.5, "x")}),
         LogText("diagnostic_msgs is not installed"),
         Missing("rclpy", "No module named 'rclpy'"),
     ],
@@ -51,7 +62,16 @@ def test_a_message_is_read_as_written(message: Message) -> None:
 
 def test_the_configuration_passes_the_pipe() -> None:
     """The child gets exactly the daemon's configuration."""
-    wanted = Wanted("agent_1", 3, (WantedTopic("/t", 10.0, 2.0), WantedTopic("/u")), 0.1, 2.0, ("/diagnostics",))
+    wanted = Wanted(
+        "agent_1",
+        3,
+        (WantedTopic("/t", 10.0, 2.0), WantedTopic("/u")),
+        0.1,
+        2.0,
+        ("/diagnostics",),
+        services=("/a/s",),
+        lifecycle=("/a/n",),
+    )
     assert decode_wanted(encode_wanted(wanted)) == wanted
 
 
@@ -123,3 +143,16 @@ def test_silence_grows_between_two_snapshots() -> None:
     assert (rate.hz, rate.silent_s, fact.up_s) == (9.9, pytest.approx(0.45), pytest.approx(5.35))
     assert fact.beacons["/a/n"].age_s == pytest.approx(0.45)
     assert view.with_message(GraphMessage(6.0, {}, topics), 101.0).fact(view.graph, 101.0).topics == topics
+
+
+def test_readiness_is_kept_until_it_is_reported_again() -> None:
+    """It comes between two snapshots; only a change of a state or of a service wakes the checks."""
+    view = GraphSnapshot().with_message(GraphMessage(5.0), 100.0)
+    news = ReadinessUpdate({"/s": 1}, {"/a/n": AnswerFact("active", served=True)})
+    assert view.changed_by(news)
+    view = view.with_message(news, 100.1).with_message(Tick(5.25), 100.25).with_message(GraphMessage(6.0), 101.0)
+    assert view.graph is not None
+    fact = view.fact(view.graph, 101.0)
+    assert (fact.services, fact.lifecycle) == (news.services, news.lifecycle)
+    assert not view.changed_by(ReadinessUpdate({"/s": 1}, {"/a/n": AnswerFact("active", served=True, unanswered_s=1)}))
+    assert view.changed_by(ReadinessUpdate({"/s": 1}, {"/a/n": AnswerFact("inactive", served=True)}))

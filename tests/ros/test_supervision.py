@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.core.settings import RosSettings
+from phm.core.settings import ReadySettings, RosSettings
 from phm.probes.ros.protocol import INSTALLS
 from phm.probes.ros.supervisor import NOT_INSTALLED, SupervisorLimits, child_environ, wanted
 from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
@@ -184,3 +184,18 @@ def test_topics_are_requested_by_their_full_names() -> None:
     """A missing leading slash is added, as documented in the configuration."""
     settings = RosSettings.model_validate({"topics": [{"name": "a/b", "rate": 5}, {"name": "/c"}], "silence": 2})
     assert [(t.name, t.rate_hz, t.silence_s) for t in wanted(settings, "a").topics] == [("/a/b", 5, 2), ("/c", None, 2)]
+
+
+def test_what_readiness_needs_is_requested_once() -> None:
+    """Services and topics of nodes and containers, and the states of nodes with `lifecycle`."""
+    nodes = [
+        {"name": "a/b", "ready": {"lifecycle": "active", "services": ["/s"]}},
+        {"name": "/c", "ready": {"topics": ["t"]}},
+    ]
+    looked_for = wanted(
+        RosSettings.model_validate({"nodes": nodes, "topics": [{"name": "/u"}]}),
+        "a",
+        [ReadySettings(services=["s", "/r"], topics=["/t"], call="c")],
+    )
+    assert (looked_for.services, looked_for.lifecycle, looked_for.calls) == (("/s", "/r"), ("/a/b",), ("/c",))
+    assert [(topic.name, topic.rate_hz) for topic in looked_for.topics] == [("/u", None), ("/t", 0.0)]

@@ -22,6 +22,11 @@ from phm.config.rules.fleet import fleet_certificates_are_used, fleet_has_endpoi
 from phm.config.rules.limits import disks_are_unique, limits_are_in_order
 from phm.config.rules.mavlink import endpoints_are_unique, flight_critical_needs_autopilot, link_ids_are_unique
 from phm.config.rules.names import names_of_checks, names_of_recovery, needs_have_no_loop
+from phm.config.rules.readiness import (
+    ready_names_something,
+    ready_topics_are_not_monitored,
+    ready_within_verification,
+)
 from phm.config.rules.ros import (
     diagnostics_are_known,
     examined_fields_exist,
@@ -58,6 +63,9 @@ RULES: tuple[Callable[[ConfigNode], None], ...] = (
     own_topics_have_no_rate,
     examined_topics_have_a_rate,
     examined_fields_exist,
+    ready_names_something,
+    ready_topics_are_not_monitored,
+    ready_within_verification,
     endpoints_are_unique,
     link_ids_are_unique,
     limits_are_in_order,

@@ -31,6 +31,7 @@ from phm.core.settings.fleet import FleetEndpoint, FleetSettings, FleetTlsSettin
 from phm.core.settings.host import FreeDiskSettings, HostSettings, PressureSettings
 from phm.core.settings.mavlink import EndpointSettings, MavlinkSettings, SigningSettings
 from phm.core.settings.notify import NotifySettings
+from phm.core.settings.readiness import NodeReadySettings, ReadySettings
 from phm.core.settings.recovery import MaintenanceSettings, ManualStop, ManualStopSettings, RecoverySettings
 from phm.core.settings.ros import (
     DataSettings,
@@ -69,11 +70,13 @@ __all__ = [
     "ManualStopSettings",
     "MavlinkSettings",
     "Name",
+    "NodeReadySettings",
     "NodeSettings",
     "NotifySettings",
     "Percent",
     "PressureSettings",
     "ProcessSettings",
+    "ReadySettings",
     "RecoverySettings",
     "RosName",
     "RosSettings",

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from phm.core.settings.base import AbsolutePath, Name, Section
+from phm.core.settings.readiness import ReadySettings
 
 
 class FileSettings(Section):
@@ -65,6 +66,8 @@ class ContainerSettings(Section):
     """`auto`: evaluated when the image has a HEALTHCHECK, else BYPASS. `required`: a missing HEALTHCHECK is an error."""
     pressure: Literal["auto", "ignore"] = "auto"
     """`ignore`: no alarm when it lacks CPU, memory or I/O, e.g. because a CPU limit is meant to slow it down."""
+    ready: ReadySettings | None = None
+    """What it must provide to be ready; default: readiness is not checked."""
     networks: list[Name] = Field(default_factory=list)
     """Networks it must be connected to; PHM joins them itself."""
     address: bool = True

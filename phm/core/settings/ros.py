@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from phm.core.settings.base import Bytes, Hertz, Name, Percent, RosName, Seconds, Section
+from phm.core.settings.readiness import NodeReadySettings
 
 
 class NodeSettings(Section):
@@ -22,6 +23,8 @@ class NodeSettings(Section):
     """Command, word by word, that starts this node inside its container; tried before the container is restarted."""
     beacon: Literal["auto", "required"] = "auto"
     """`required`: it is an error when the node runs and no beacon (`phm.beacon`) is received from it."""
+    ready: NodeReadySettings | None = None
+    """What it must provide to be ready, e.g. its lifecycle state; default: readiness is not checked."""
     commands: bool = False
     """True: commands from the ground pass through this node to the autopilot, so it is part of the command path."""
 

@@ -9,7 +9,7 @@ from phm.core.scheduling_delay import Late, never_late
 from phm.facts import RosFact, TopicFact
 from phm.facts.ros import DataFact, NameFact, RateFact
 from phm.probes.ros.fact_codec import changer
-from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, SelfReportUpdate, Tick
+from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, ReadinessUpdate, SelfReportUpdate, Tick
 from phm.probes.ros.self_reports import SelfReports
 
 BREAK_S, AGAIN_S = 1.0, 30.0
@@ -42,12 +42,15 @@ class GraphSnapshot:
     """When the child resumed after a break of BREAK_S, in monotonic seconds."""
     again_s: float = AGAIN_S
     """See the function `again_s`."""
+    readiness: ReadinessUpdate = field(default_factory=ReadinessUpdate)
 
     def with_message(self, message: Message, now_s: float) -> GraphSnapshot:
         graph, self_reports, others, silent_s = self.graph, self.self_reports, self.others, self.silent_s
         seen_s, break_s = self.seen_s, self.break_s
         if isinstance(message, (GraphMessage, Tick)) and message.late_s >= BREAK_S and now_s - break_s >= self.again_s:
             break_s = now_s
+        if isinstance(message, ReadinessUpdate):
+            return replace(self, readiness=message)
         if isinstance(message, SelfReportUpdate):
             self_reports = self_reports.with_update(message, now_s)
         elif isinstance(message, OtherTopics):
@@ -56,14 +59,17 @@ class GraphSnapshot:
             graph, silent_s, seen_s = message, {}, now_s
         elif isinstance(message, Tick) and graph is not None and message.number == graph.number:
             graph, silent_s, seen_s = replace(graph, up_s=message.up_s), message.silent_s, now_s
-        return GraphSnapshot(graph, seen_s, self_reports, others, silent_s, break_s, self.again_s)
+        return GraphSnapshot(graph, seen_s, self_reports, others, silent_s, break_s, self.again_s, self.readiness)
 
     def without_graph(self) -> GraphSnapshot:
         """The record after a lost message, which may have contained a graph."""
         return replace(self, graph=None, silent_s={})
 
     def changed_by(self, message: Message) -> bool:
-        """Whether checks must run immediately: changed nodes, endpoints, flow of topics, beacons, or diagnostic levels."""
+        """Whether checks must run immediately: changed nodes, endpoints, flow of topics, beacons, diagnostic levels, or
+        readiness."""
+        if isinstance(message, ReadinessUpdate):
+            return _states(message) != _states(self.readiness)
         if isinstance(message, SelfReportUpdate):
             return self.self_reports.differs(message)
         return isinstance(message, GraphMessage) and (self.graph is None or _shape(self.graph) != _shape(message))
@@ -92,6 +98,9 @@ class GraphSnapshot:
             graph.names_known,
             None if self.self_reports.lost_at is None else now_s - self.self_reports.lost_at,
             listened_s,
+            self.readiness.services,
+            self.readiness.lifecycle,
+            self.readiness.calls,
         )
 
     def _aged(self, name: str, topic: TopicFact, age_s: float, late: Callable[[float], float]) -> TopicFact:
@@ -124,6 +133,11 @@ def flow(rate: RateFact) -> tuple[float | None, bool, str]:
 def findings(data: DataFact | None) -> tuple[tuple[str, ...], str]:
     """The properties of examined messages whose change wakes checks."""
     return ((), "") if data is None else (data.conditions, data.problem)
+
+
+def _states(readiness: ReadinessUpdate) -> object:
+    answers = (*readiness.lifecycle.items(), *readiness.calls.items())
+    return readiness.services, [(name, fact.answer, fact.served) for name, fact in answers]
 
 
 def _shape(graph: GraphMessage) -> object:

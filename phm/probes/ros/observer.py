@@ -22,6 +22,7 @@ from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.graph_snapshot import findings, flow
 from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, Publish, Tick, Wanted
 from phm.probes.ros.rates.topic_monitor import TopicMonitor
+from phm.probes.ros.readiness import ReadinessReader
 from phm.probes.ros.second_look import Known, Scout
 from phm.probes.ros.self_reports import Own
 from phm.probes.ros.unconfigured_topics import UnconfiguredTopics
@@ -46,6 +47,7 @@ class Observer:
         self._names = UnconfiguredTopics(self._node, {topic.name for topic in wanted.topics})
         self._diagnostics = DiagnosticsListener(self._node, wanted.listen, Own(statuses=wanted.watch).is_status)
         self._beacons = BeaconListener(self._node, frozenset(wanted.nodes))
+        self._readiness = ReadinessReader(self._node, wanted)
         self._events = GraphEvents(self._node, self._context)
         self._full_s = wanted.full_s
         self._next_full_s = 0.0
@@ -65,7 +67,11 @@ class Observer:
         if notified:
             self._events.take()
         message = self._graph_message(notified=notified, late_s=round(late_s, 3))
-        reports = [*self._beacons.look(), *self._diagnostics.look()]
+        reports = [
+            *self._beacons.look(),
+            *self._diagnostics.look(),
+            *self._readiness.look(time.monotonic(), graph_changed=isinstance(message, GraphMessage)),
+        ]
         others: list[Message] = [OtherTopics(self._names.names)] if self._names.look(time.monotonic()) else []
         return [*reports, *others, message]
 

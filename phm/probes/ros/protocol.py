@@ -4,7 +4,7 @@ The daemon writes one `Wanted`, then any number of `Publish`, and closes the pip
 
 The child writes first `Sandbox`, or `Missing` without usable ROS. Then it writes `GraphMessage` after each change and at
 least once a second, `Tick` in between, `SelfReportUpdate` after beacons or diagnostics, `OtherTopics` when unconfigured
-topics appear or disappear, and `LogText` for the log.
+topics appear or disappear, `ReadinessUpdate` where readiness is configured, and `LogText` for the log.
 
 The child imports this module: standard library and facts only.
 """
@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, NoReturn
 
-from phm.facts.ros import DIAGNOSTICS, BeaconFact, DiagnosticFact, NameFact, TopicFact
+from phm.facts.ros import DIAGNOSTICS, AnswerFact, BeaconFact, DiagnosticFact, NameFact, TopicFact
 from phm.probes.ros.fact_codec import pack, value
 
 LINE_LIMIT = 1_000_000
@@ -77,7 +77,8 @@ class Wanted:
     graph messages.
 
     listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of the configured nodes and of the nodes
-    named in topics. watch: patterns of the configured statuses.
+    named in topics. watch: patterns of the configured statuses. services: those of `ready.services`. lifecycle: nodes with
+    `ready.lifecycle`. calls: services of `ready.call`. All names are full.
     """
 
     agent: str
@@ -88,6 +89,9 @@ class Wanted:
     listen: tuple[str, ...] = ()
     nodes: tuple[str, ...] = ()
     watch: tuple[str, ...] = ()
+    services: tuple[str, ...] = ()
+    lifecycle: tuple[str, ...] = ()
+    calls: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +147,15 @@ class OtherTopics:
 
 
 @dataclass(frozen=True, slots=True)
+class ReadinessUpdate:
+    """Servers, lifecycle states and answers of what `Wanted` names, complete. See RosFact."""
+
+    services: Mapping[str, int] = field(default_factory=dict)
+    lifecycle: Mapping[str, AnswerFact] = field(default_factory=dict)
+    calls: Mapping[str, AnswerFact] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class LogText:
     """A sentence for the log."""
 
@@ -173,13 +186,14 @@ class Publish:
     topic: str = DIAGNOSTICS
 
 
-Message = GraphMessage | Tick | SelfReportUpdate | OtherTopics | LogText | Missing | Sandbox
+Message = GraphMessage | Tick | SelfReportUpdate | OtherTopics | ReadinessUpdate | LogText | Missing | Sandbox
 
 _KINDS: Mapping[str, type[Message]] = {
     "graph": GraphMessage,
     "tick": Tick,
     "self_reports": SelfReportUpdate,
     "other_topics": OtherTopics,
+    "readiness": ReadinessUpdate,
     "log": LogText,
     "missing": Missing,
     "sandbox": Sandbox,
@@ -196,8 +210,9 @@ def decode_wanted(line: bytes | str) -> Wanted:
     try:
         data = _parsed(line)
         topics = tuple(_topic(**topic) for topic in data.pop("topics"))
-        listen, nodes, watch = (tuple(data.pop(name)) for name in ("listen", "nodes", "watch"))
-        return Wanted(topics=topics, listen=listen, nodes=nodes, watch=watch, **data)
+        for key in ("listen", "nodes", "watch", "services", "lifecycle", "calls"):
+            data[key] = tuple(data[key])
+        return Wanted(topics=topics, **data)
     except (AttributeError, KeyError, TypeError) as error:
         raise ProtocolError(f"not a configuration: {error}") from error
 

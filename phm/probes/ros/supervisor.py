@@ -11,7 +11,7 @@ import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from phm.core import threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.scheduling_delay import NOISE_S, ProcessStallMeter, SchedulingDelay
-from phm.core.settings import DataSettings, RosSettings
+from phm.core.settings import DataSettings, ReadySettings, RosSettings
 from phm.facts import CannotTell, RosFact
 from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.probes.ros.child_process import ChildProcess
@@ -137,13 +137,14 @@ class RosSupervisor:
         *,
         command: Sequence[str] = COMMAND,
         limits: SupervisorLimits = SupervisorLimits(),
+        ready: Sequence[ReadySettings] = (),
     ) -> None:
-        """agent: name of this agent, for its statuses on /diagnostics."""
+        """agent: name of this agent, for its statuses on /diagnostics. ready: `ready` of the containers."""
         self._clock = clock
         self._on_change = on_change
         self._on_note = on_note
         self._environ = child_environ(ros, os.environ if environ is None else environ)
-        looked_for = wanted(ros, agent)
+        looked_for = wanted(ros, agent, ready)
         self._first_line = encode_wanted(looked_for)
         self._nodes = frozenset(looked_for.nodes)
         self._blank = GraphSnapshot(
@@ -429,9 +430,9 @@ class RosSupervisor:
             os.eventfd_read(self._wake)
 
 
-def wanted(ros: RosSettings, agent: str) -> Wanted:
-    """The configuration of the child: full names of topics, and which of their rates it measures."""
-    topics = tuple(
+def wanted(ros: RosSettings, agent: str, ready: Sequence[ReadySettings] = ()) -> Wanted:
+    """The configuration of the child: full names of topics, and which of their rates it measures. ready: of the containers."""
+    topics = [
         WantedTopic(
             f"/{topic.name.lstrip('/')}",
             topic.rate,
@@ -439,16 +440,22 @@ def wanted(ros: RosSettings, agent: str) -> Wanted:
             None if topic.data is None else _wanted_data(topic.data),
         )
         for topic in ros.topics
-    )
+    ]
+    readiness = [*ready, *(node.ready for node in ros.nodes if node.ready is not None)]
+    # Rate 0: received as any latched topic; there is no rate to compare with.
+    topics += [WantedTopic(name, 0.0) for name in _full(name for one in readiness for name in one.topics)]
     names = [node.name for node in ros.nodes]
     names += [node for topic in ros.topics for node in (*topic.publishers, *topic.subscribers)]
     return Wanted(
         agent=agent,
         domain=ros.domain,
-        topics=topics,
+        topics=tuple(topics),
         listen=tuple(f"/{name.lstrip('/')}" for name in ros.diagnostics.listen),
-        nodes=tuple(dict.fromkeys(f"/{name.lstrip('/')}" for name in names)),
+        nodes=_full(names),
         watch=tuple(entry.name for entry in ros.diagnostics.watch),
+        services=_full(name for one in readiness for name in one.services),
+        lifecycle=_full(node.name for node in ros.nodes if node.ready is not None and node.ready.lifecycle),
+        calls=_full(one.call for one in readiness if one.call is not None),
     )
 
 
@@ -462,6 +469,11 @@ def _wanted_data(data: DataSettings) -> WantedData:
         ranges=tuple(WantedRange(name, low, high) for name, (low, high) in data.ranges.items()),
         hz=data.sample,
     )
+
+
+def _full(names: Iterable[str]) -> tuple[str, ...]:
+    """Each name once, with its first slash."""
+    return tuple(dict.fromkeys(f"/{name.lstrip('/')}" for name in names))
 
 
 def child_environ(ros: RosSettings, environ: Mapping[str, str]) -> dict[str, str]:

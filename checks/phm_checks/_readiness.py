@@ -1,0 +1,158 @@
+"""Rules of readiness, which the checks `node_ready` and `container_ready` share.
+
+What is not ready is alive: a dead node or container is reported by `nodes` or `container`, on which these units depend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from phm import api
+from phm.api import Level
+from phm_checks._text import brief, clean, last, listed, span
+
+OLD_SNAPSHOT_S = 5.0
+"""Older snapshots of the ROS child process are not evaluated."""
+SETTLE_S = 3.0
+"""A node that starts again within its running container is not ready for a moment, and its death may be known later."""
+UNANSWERED_S = 5.0
+"""A lifecycle node that has not answered for this long is not ready."""
+LARGE_BPS, LARGE_PAUSE_S = 0.8e6, 2.5
+"""Topics with more bytes per second are received only every two seconds (`phm.probes.ros.rates.topic_monitor`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A requirement that is not met, or of which PHM cannot tell (`unknown`).
+
+    short: for the operator's line. observed: it was observed directly, not inferred from silence or absence.
+    """
+
+    words: str
+    short: str = ""
+    unknown: bool = False
+    observed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A node or container whose readiness is checked. name: as in a sentence, e.g. `node /a/b`."""
+
+    unit: str
+    name: str
+    ready: api.ReadySettings
+    container: str
+
+    def as_unit(self, needs: Iterable[str], settings: api.Settings) -> api.Unit:
+        """Its unit, with the start-up time as grace."""
+        parts = ("container", "network")
+        home = [f"{part}/{self.container}" for part in parts] if self.container else []
+        grace_s = max(self.ready.within, settings.ros.grace)
+        return api.Unit(self.unit, (*home, *needs), self.container, SETTLE_S, grace_s)
+
+    def result(self, found: Sequence[Finding], remedy: str, **values: api.Value) -> api.Result:
+        """The result when its requirements have these findings: ready without any."""
+        missing = [one for one in found if not one.unknown]
+        if found and not missing:
+            reasons = "; ".join(one.words for one in found)
+            return api.Result(Level.STALE, f"not known whether {self.name} is ready: {reasons}", values=values)
+        if not missing:
+            names = [*self.ready.services, *self.ready.topics, *filter(None, [self.ready.call])]
+            what = f": {listed(names)}" if names else ""
+            return api.ok(f"{self.name[0].upper()}{self.name[1:]} is ready{what}", **values)
+        level = Level.ERROR if self.ready.level == "error" else Level.WARN
+        words = "; ".join(one.words for one in missing)
+        return api.Result(
+            level,
+            f"{self.name} runs and is not ready: {words}. {remedy}",
+            brief(last(self.unit), f"not ready: {missing[0].short}"[:30]),
+            "not_ready",
+            self.container if level is Level.ERROR else "",
+            values,
+            evidence=api.Evidence(conclusive=any(one.observed for one in missing)),
+        )
+
+
+class Requirements:
+    """Compares one snapshot with what is required."""
+
+    def __init__(self, fact: api.RosFact, settings: api.RosSettings) -> None:
+        self._fact = fact
+        self._silence_s = settings.silence
+        self._young = fact.up_s < settings.grace
+        """Whether PHM has looked for too short a time to know that something is absent."""
+
+    def unmet(self, ready: api.ReadySettings) -> list[Finding]:
+        """Findings about services and topics, in the order of the configuration."""
+        limit_s = self._silence_s if ready.silence is None else ready.silence
+        found = [self._service(full(name)) for name in ready.services]
+        found += [self._topic(full(name), limit_s) for name in ready.topics]
+        if ready.call is not None:
+            found.append(self._call(full(ready.call)))
+        return [one for one in found if one is not None]
+
+    def lifecycle(self, node: str, expected: str) -> Finding | None:
+        """The finding about a node's lifecycle state; None: it is as expected."""
+        seen, service = self._fact.lifecycle.get(node, api.AnswerFact()), f"{node}/get_state"
+        if not seen.served and not seen.problem:
+            words = f"it has no service {service}, expected of a lifecycle node"
+            return Finding(words, "no lifecycle", unknown=self._young)
+        if (silent := self._unanswered(service, seen)) is not None:
+            return silent
+        state = clean(seen.answer, 20)
+        if state == expected:
+            return None
+        return Finding(f"its lifecycle state is {state}, expected {expected}", state, observed=True)
+
+    def _call(self, service: str) -> Finding | None:
+        seen = self._fact.calls.get(service, api.AnswerFact())
+        if not seen.served and not seen.problem:
+            return Finding(f"service {service} has no server", f"no {last(service)}", unknown=self._young)
+        if (silent := self._unanswered(service, seen)) is not None or seen.answer == "true":
+            return silent
+        return Finding(f"service {service} answers: {clean(seen.detail) or 'not ready'}", last(service), observed=True)
+
+    def _unanswered(self, service: str, seen: api.AnswerFact) -> Finding | None:
+        if seen.problem:
+            return Finding(f"{service} cannot be called: {clean(seen.problem)}", unknown=True)
+        if seen.unanswered_s >= UNANSWERED_S:
+            return Finding(f"{service} has not answered for {span(seen.unanswered_s)}", "no answer")
+        return None if seen.answer else Finding(f"{service} has not answered yet", unknown=True)
+
+    def _service(self, name: str) -> Finding | None:
+        if self._fact.services.get(name):
+            return None
+        return Finding(f"service {name} has no server", f"no {last(name)}", unknown=self._young)
+
+    def _topic(self, name: str, limit_s: float) -> Finding | None:
+        seen = self._fact.topics.get(name, api.TopicFact())
+        rate = seen.rate
+        if rate is not None and rate.problem and not rate.problem.startswith("ambiguous"):
+            return Finding(f"topic {name} cannot be received: {clean(rate.problem)}", unknown=True)
+        if rate is None or rate.silent_s is None:
+            what = "was never received" if seen.publishers else "has no publisher"
+            young = self._young or self._fact.heard_for_s < limit_s
+            return Finding(f"topic {name} {what}", f"no {last(name)}", unknown=young)
+        kept = {(end.durability, end.reliability) == ("transient_local", "reliable") for end in seen.publishers}
+        if kept == {True}:
+            return None  # latched: one message is enough
+        large = (rate.sample_bytes or 0.0) * (rate.hz or 0.0) > LARGE_BPS
+        silent_s = rate.silent_s - rate.not_counted_s
+        if silent_s <= limit_s + (LARGE_PAUSE_S if large else 0.0):
+            return None
+        words = f"topic {name} is silent for {span(silent_s)}, expected a message at least every {span(limit_s)}"
+        return Finding(words, f"{last(name)} silent")
+
+
+def snapshot(world: api.World) -> api.RosFact:
+    """The newest snapshot. Raises CannotTell without a recent one."""
+    fact = world.ros.look()
+    if fact.age_s > OLD_SNAPSHOT_S:
+        raise api.CannotTell(f"the ROS child process has sent nothing for {span(fact.age_s)}, too old to evaluate")
+    return fact
+
+
+def full(name: str) -> str:
+    """A ROS name with its first slash."""
+    return f"/{api.topic_id(name)}"

@@ -1,0 +1,176 @@
+"""Readiness in the child: which services have a server, states of lifecycle nodes, and answers of services of type Trigger.
+
+`get_state` changes nothing in a node; of the other services only those of `ready.call` are called. Nothing here waits: a
+call is sent in one look, and its answer is read in a later one.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from phm.facts.ros import AnswerFact
+from phm.probes.ros.protocol import Message, ReadinessUpdate, Wanted
+
+STATES: Mapping[int, str] = {
+    1: "unconfigured",
+    2: "inactive",
+    3: "active",
+    4: "finalized",
+    10: "configuring",
+    11: "cleaningup",
+    12: "shuttingdown",
+    13: "activating",
+    14: "deactivating",
+    15: "errorprocessing",
+}
+"""lifecycle_msgs/msg/State. The text of a state is not used: it comes from another participant."""
+UNKNOWN = "unknown"
+STATE_S, TRIGGER_S = 1.0, 2.0
+"""Time between two calls of one service."""
+CHANGED_S = 0.2
+"""The same for `get_state` after a change of the graph, which may follow from a transition."""
+ANSWER_S = 2.0
+"""A call without an answer for this long is repeated."""
+STALL_S = 0.5
+"""The most of the time between two looks that counts as unanswered: in the rest the child did not run."""
+MAX_ANSWERS = 10
+"""Answers read from one service per look."""
+MAX_TEXT = 255
+FULL_S = 1.0
+"""Time between two messages without a change."""
+_MISSING = "{0} is not installed beside PHM: install it where rclpy comes from (ros-<distro>-{1})"
+
+Answer = tuple[str, str]
+"""`AnswerFact.answer` and `.detail`."""
+
+
+class ReadinessReader:
+    """Reads what `Wanted.services`, `.lifecycle` and `.calls` name; costs nothing where all are empty."""
+
+    def __init__(self, node: Any, wanted: Wanted) -> None:
+        self._node = node
+        self._services = wanted.services
+        self._states = {name: _lifecycle(node, name) for name in wanted.lifecycle}
+        self._calls = {name: _trigger(node, name) for name in wanted.calls}
+        self._used = bool(wanted.services or wanted.lifecycle or wanted.calls)
+        self._reported: ReadinessUpdate | None = None
+        self._due_s = 0.0
+
+    def look(self, now_s: float, *, graph_changed: bool) -> list[Message]:
+        """Return the message for the daemon, after a change or when one is due; called once per tick."""
+        if not self._used:
+            return []
+        update = ReadinessUpdate(
+            {name: servers(self._node, name) for name in self._services},
+            {name: call.look(now_s, CHANGED_S if graph_changed else STATE_S) for name, call in self._states.items()},
+            {name: call.look(now_s, TRIGGER_S) for name, call in self._calls.items()},
+        )
+        if update == self._reported and now_s < self._due_s:
+            return []
+        self._reported, self._due_s = update, now_s + FULL_S
+        return [update]
+
+
+class RepeatedCall:
+    """A service that is called again and again by a client that is in no executor."""
+
+    def __init__(self, node: Any, service: str, kind: Any, read: Callable[[Any], Answer]) -> None:
+        """kind: the class of the service. read: what to keep of a response."""
+        self._node, self._service, self._kind, self._read = node, service, kind, read
+        self._client = node.create_client(kind, service)
+        self._fact = AnswerFact()
+        self._called_s: float | None = None
+        """When the open call was sent; None: none is open."""
+        self._last_called_s = self._looked_s = float("-inf")
+
+    def look(self, now_s: float, rest_s: float) -> AnswerFact:
+        """Read answers, and call again if the last call was `rest_s` ago."""
+        passed_s, self._looked_s = min(STALL_S, now_s - self._looked_s), now_s
+        if not servers(self._node, self._service):
+            # A server that returns may be another process, so the old answer does not count.
+            self._called_s, self._fact = None, AnswerFact()
+            return self._fact
+        answer = self._newest()
+        if answer is not None:
+            self._called_s, self._fact = None, AnswerFact(*answer, served=True)
+        else:
+            before = self._fact
+            waiting = self._called_s is not None or before.unanswered_s > 0 or not before.answer
+            unanswered_s = round(before.unanswered_s + (passed_s if waiting else 0.0), 3)
+            self._fact = AnswerFact(before.answer, before.detail, served=True, unanswered_s=unanswered_s)
+        self._call(now_s, rest_s)
+        return self._fact
+
+    def _newest(self) -> Answer | None:
+        """The newest answer that was received; None: none was."""
+        answer = None
+        handle = self._client.handle
+        with handle:
+            for _ in range(MAX_ANSWERS):
+                try:
+                    _, response = handle.take_response(self._kind.Response)
+                except Exception:  # exceptions of rclpy and pybind: what was sent is not an answer
+                    break
+                if response is None:
+                    break
+                answer = self._read(response)
+        return answer
+
+    def _call(self, now_s: float, rest_s: float) -> None:
+        if now_s - self._last_called_s < (rest_s if self._called_s is None else ANSWER_S):
+            return
+        if not self._client.service_is_ready():
+            return
+        handle = self._client.handle
+        with handle:
+            handle.send_request(self._kind.Request())
+        self._called_s = self._last_called_s = now_s
+
+
+class _Impossible:
+    """A call that cannot be made, with the reason."""
+
+    def __init__(self, problem: str) -> None:
+        self._fact = AnswerFact(problem=problem[:MAX_TEXT])
+
+    def look(self, now_s: float, rest_s: float) -> AnswerFact:
+        return self._fact
+
+
+def servers(node: Any, service: str) -> int:
+    """How often discovery lists a server of the service."""
+    count = getattr(node, "count_services", None)
+    try:
+        if count is not None:
+            return int(count(service))
+        # Humble
+        return sum(name == service for name, _ in node.get_service_names_and_types())
+    except Exception:  # a name that ROS refuses, or, in Humble, one of an unknown participant that is not UTF-8
+        return 0
+
+
+def _lifecycle(node: Any, name: str) -> RepeatedCall | _Impossible:
+    def read(response: Any) -> Answer:
+        return STATES.get(response.current_state.id, UNKNOWN), ""
+
+    return _repeated(node, f"{name}/get_state", "lifecycle_msgs", "GetState", read)
+
+
+def _trigger(node: Any, service: str) -> RepeatedCall | _Impossible:
+    def read(response: Any) -> Answer:
+        return "true" if response.success else "false", response.message[:MAX_TEXT]
+
+    return _repeated(node, service, "std_srvs", "Trigger", read)
+
+
+def _repeated(
+    node: Any, service: str, package: str, kind: str, read: Callable[[Any], Answer]
+) -> RepeatedCall | _Impossible:
+    try:
+        return RepeatedCall(node, service, getattr(importlib.import_module(f"{package}.srv"), kind), read)
+    except ImportError:
+        return _Impossible(_MISSING.format(package, package.replace("_", "-")))
+    except Exception as error:  # exceptions of rclpy and pybind, e.g. for a name that ROS refuses
+        return _Impossible(str(error))
