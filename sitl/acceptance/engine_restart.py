@@ -149,7 +149,7 @@ def run(folder: Path, console: Console, *, keep_logs: bool) -> list[Row]:
         stack.up()
         monitor = StackMonitor(stack)
         for case in CASES:
-            if case.live_restore != live_restore:  # with the other setting, and everything started anew by Compose
+            if case.live_restore != live_restore:  # with the other setting, and everything recreated by Compose
                 stack.down(keep_logs=True)
                 engine.end(signal.SIGTERM)
                 engine.start(live_restore=case.live_restore)
