@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import yaml
 from docker import DockerClient
 from docker.models.containers import Container
 
 from phm.config.env_expansion import Expander
-from sitl.harness.config_overrides import overridden
+from sitl.harness.config_overrides import overridden, parsed
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
 Difference = dict[str, Any]
@@ -53,7 +52,7 @@ def compare(which: str, shipped: Mapping[str, Any], here: Mapping[str, Any]) -> 
 def flat(text: str, environment: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Every value of a configuration by its path, such as ``ros.topics[/agent_1/topic_1].rate``, variables expanded."""
     found: dict[str, Any] = {}
-    _flatten(yaml.safe_load(text), "", found, Expander(environment or {}))
+    _flatten(parsed(text), "", found, Expander(environment or {}))
     return found
 
 
@@ -74,7 +73,7 @@ def _flatten(tree: Any, path: str, found: dict[str, Any], expander: Expander) ->
 def _value(value: Any, expander: Expander) -> Any:
     if not isinstance(value, str) or "${" not in value:
         return value
-    return yaml.safe_load(expander.expand(value)) if value.startswith("${") else expander.expand(value)
+    return parsed(expander.expand(value)) if value.startswith("${") else expander.expand(value)
 
 
 def described(config: Mapping[str, Any]) -> dict[str, Any]:

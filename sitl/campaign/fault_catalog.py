@@ -11,8 +11,7 @@ from sitl.faults.base import Agent, Fault
 
 LEFT_ALONE = ("node_killed", "network_disconnected", "container_stopped")
 """Injected with recovery off: each would be recovered with it."""
-OFF = {"\n  mode: act": '\n  mode: "off"'}
-"""In quotes, since the swarm's configuration is parsed by a reader for which an unquoted off is false."""
+OFF = {"\n  mode: act": "\n  mode: off"}
 TIMES = 3
 """How often each fault is injected at least, over all seeds."""
 EXCLUDED = {

@@ -2,13 +2,34 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, ClassVar
+
+import yaml
 
 from sitl.harness.compose_stack import ROOT
 
 SHIPPED = ROOT / "config" / "phm.yaml"
+
+
+class _Reader(yaml.SafeLoader):
+    """Only true and false are booleans, as for PHM: on, off, yes and no are ordinary text."""
+
+    yaml_implicit_resolvers: ClassVar[dict[str, list[tuple[str, re.Pattern[str]]]]] = {
+        first: [(tag, form) for tag, form in found if tag != "tag:yaml.org,2002:bool"]
+        for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+
+_Reader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"true|false"), list("tf"))
+
+
+def parsed(text: str) -> Any:
+    """A configuration, or a value of one, as PHM reads it but for units and variables."""
+    return yaml.load(text, _Reader)  # noqa: S506, a SafeLoader
 
 
 def overridden(changes: Mapping[str, str]) -> str:

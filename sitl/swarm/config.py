@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from sitl.application.graph import NodePlan, read, ring
-from sitl.harness.config_overrides import overridden
+from sitl.harness.config_overrides import overridden, parsed
 from sitl.simulation.ports import INSIDE
 from sitl.swarm import external_autopilots
 from sitl.swarm.options import Options
@@ -28,7 +28,7 @@ def graph(options: Options) -> list[NodePlan]:
 
 def text(options: Options, number: int, changes: Mapping[str, str] | None = None) -> str:
     """The YAML for agent `number`. changes: further lines of the shipped file to be replaced, as `sitl.harness.config_overrides` has it."""
-    tree = yaml.safe_load(overridden({**options.changes, **(changes or {})}))
+    tree = parsed(overridden({**options.changes, **(changes or {})}))
     agent = f"agent_{number}"
     plans = graph(options)
     tree["ros"]["nodes"] = [*(_node(agent, plan) for plan in plans), *_beyond(tree["ros"]["nodes"])]

@@ -10,8 +10,9 @@ import pytest
 from sitl.application import app, graph
 from sitl.application.graph import ring
 from sitl.campaign.differences import compare, described, flat, of_configuration
+from sitl.campaign.fault_catalog import OFF
 from sitl.campaign.profiles import ALL, NAMING
-from sitl.harness.config_overrides import overridden
+from sitl.harness.config_overrides import overridden, parsed
 from sitl.swarm import config
 from sitl.swarm.options import Options
 
@@ -63,6 +64,13 @@ def test_values_are_compared_by_their_path() -> None:
         {"of": "configuration", "key": "c", "shipped": None, "here": 4},
     ]
     assert of_configuration(overridden({})) == []
+
+
+def test_off_is_a_text() -> None:
+    """As for PHM, whose levels and modes may be `off`; only true and false are booleans."""
+    assert parsed("[off, on, yes, no, true, false]") == ["off", "on", "yes", "no", True, False]
+    tree = parsed(config.text(Options(agents=2, name="s"), 1, OFF))
+    assert tree["recovery"]["mode"] == "off"
 
 
 def test_a_container_is_described_by_environment_and_healthcheck() -> None:
