@@ -79,7 +79,7 @@ class Autopilot(api.Check):
         if fact.rebooted_s is not None and fact.rebooted_s <= REPORT_S:
             # The autopilot's own messages show the reboot, so no other component can be the cause.
             found = replace(_rebooted(fact, fact.rebooted_s, _values(fact)), settle_s=0.0)
-            return found.with_evidence(api.Evidence(ended_by=ended_by))
+            return found.with_evidence(api.Evidence(certain=True, ended_by=ended_by))
         self._lost_at = None
         flying = "armed" if fact.armed else "disarmed"
         words = f"last autopilot heartbeat {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}"

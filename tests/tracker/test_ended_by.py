@@ -6,12 +6,12 @@ from phm.api import Evidence, Level, warn
 from phm.core.model import FaultClosed, Outcome, Transition
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
-REBOOT = Evidence(ended_by="reboot")
+REBOOT = Evidence(certain=True, ended_by="reboot")
 REBOOTED = warn("rebooted", brief="rebooted", condition="rebooted").with_evidence(REBOOT)
 
 
 def failing(target: str = "") -> Bench:
-    bench = Bench([unit("pilot", target=target)])
+    bench = Bench([unit("pilot", target=target, grace_s=5.0)])
     bench.later(10)
     bench.all_well()
     bench.now += 1
@@ -54,4 +54,6 @@ def test_an_action_that_ran_meanwhile_is_not_credited() -> None:
     assert bench.tracker.found_ok("pilot", bench.now)
     bench.take(bench.tracker.end_action("link", bench.stamp(), worked=True))
     assert bench.closed == [("pilot", Outcome.RESOLVED, "reboot")]
-    assert bench.level("pilot") is Level.WARN
+    bench.now += 0.5
+    bench.see("pilot", REBOOTED)
+    assert bench.level("pilot") is Level.WARN, "also in the grace after the action"
