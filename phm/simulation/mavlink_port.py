@@ -103,8 +103,7 @@ class Port:
         self.scheme, _, rest = url.partition(":")
         self.peers: dict[Hashable, RemoteSystem] = {}
         self.lost = False
-        self._address: Any = None
-        """The listening address while it is interrupted."""
+        self._interrupted = False
         self._main: Any
         if self.scheme == "pty":
             self._main = Pty(rest)
@@ -135,16 +134,20 @@ class Port:
                 self._drop(key)
             else:
                 self.peers[key].spoken = False
-        if self.scheme == "tcpin" and self._address is None:
-            self._address = self._main.getsockname()
+        if self.scheme == "tcpin" and not self._interrupted:
+            address = self._main.getsockname()
             self._main.close()
+            self._main = socket.socket()
+            self._main.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._main.bind(address)  # refuses connections without `listen`, and no other program takes the port
+            self._interrupted = True
 
     def resume(self) -> None:
-        """End `interrupt`. Raises OSError when the port is in use by now."""
-        if self._address is not None:
-            self._main = socket.create_server(self._address[:2])
+        """End `interrupt`."""
+        if self._interrupted:
+            self._main.listen()
             self._main.setblocking(False)
-            self._address = None
+            self._interrupted = False
 
     @property
     def bound_port(self) -> int:
@@ -153,7 +156,7 @@ class Port:
 
     def sockets(self) -> list[Any]:
         """The sockets to select on."""
-        if self._address is not None:
+        if self._interrupted:
             return []
         clients = [peer.sock for peer in self.peers.values() if peer.sock is not self._main]
         return [self._main, *clients]
@@ -190,7 +193,7 @@ class Port:
                 self._drop(key)
 
     def close(self) -> None:
-        for sock in self.sockets():
+        for sock in {self._main, *self.sockets()}:
             sock.close()
 
     def _datagram(self) -> list[tuple[Hashable, Any]]:
