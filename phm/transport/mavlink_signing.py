@@ -157,7 +157,7 @@ class Signing:
     def problem(self) -> str:
         """A sentence if there is a problem now, else empty."""
         if self._clock.mono() - self._forged_at <= FORGED_SHOWN_S:
-            return "MAVLink frames with a wrong signature are heard: somebody has another key, or tries to forge"
+            return "MAVLink frames with a wrong signature were received: their sender has another key, or forges frames"
         return self._problem
 
     # ------------------------------------------------------------ over a restart
