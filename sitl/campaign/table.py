@@ -108,6 +108,7 @@ def outside(groups: Sequence[Group]) -> Rows:
         ("disagreement: PHM says that it is over, the world does not", count(lambda v: v.claimed_wrongly)),
         ("disagreement: the world is restored, PHM does not say so", count(lambda v: v.unnoticed)),
         ("PHM said so more than 1 s before the world was seen restored", count(lambda v: v.claimed_early)),
+        ("the world was never seen broken", count(lambda v: v.observed and v.injection.world_broken is None)),
         ("PHM says that it is over; cannot be observed", count(lambda v: claims(v) and not v.observed)),
         ("not over; cannot be observed", count(lambda v: not claims(v) and not v.observed)),
         ("seconds from the world to PHM's claim", lambda f: differences(stats(v.difference_s for v in f.verdicts))),

@@ -129,12 +129,13 @@ def _ended_by(verdict: Verdict, trial: Trial, begun: float) -> str:
 
 
 def _restored_before(verdict: Verdict, trial: Trial, begun: float) -> bool:
-    """Whether the world was observed to be restored before PHM's first action on the agent began."""
+    """Whether the world was observed broken, and restored before PHM's first action on the agent began."""
     fault = verdict.injection
     started = [
         act.mono for act in trial.acts if act.phase == "started" and act.agent == fault.agent and act.mono >= begun
     ]
-    return fault.world is not None and bool(started) and fault.world < min(started)
+    seen = fault.world is not None and fault.world_broken is not None
+    return seen and bool(started) and (fault.world or 0.0) < min(started)
 
 
 def _logged(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:

@@ -274,6 +274,7 @@ def test_a_lost_radio_is_reported_by_other_agents() -> None:
         ({"passes": True}, "restart", 3.5, INJECTOR),
         ({}, "restart", 0.5, ITSELF),
         ({"unit": "container/ros_app"}, "restart", 0.5, DOCKER),
+        ({"world_broken": None}, "restart", 0.5, ACTION),
     ],
 )
 def test_what_ended_a_fault(fault: dict[str, Any], by: str, world: float, ended_by: str) -> None:
