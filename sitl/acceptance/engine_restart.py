@@ -31,8 +31,11 @@ AWAY_S = 10.0
 """How long there is no engine."""
 AFTER_S = 12.0
 """Watched after the agent is OK again, so that late alarms are caught."""
-START_LIMIT_S = 60.0
+OK_LIMIT_S, STEADY_S = 120.0, 5.0
 ENGINE, APP = "engine", "container/ros_app"
+WATCHED = (ENGINE, APP, "health/ros_app", "network/ros_app", "files/ros_app", "devices/ros_app")
+"""Must be OK before and after; what the load of the machine can change does not count."""
+MACHINE = "host/"
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def judged(case: Case, events: list[Event], began: float, *, same_run: bool, res
     """The row of a case. same_run: the application container was not restarted. restored: it runs and its address answers."""
     row = Row(case.title)
     for event in events:
-        if event["event"] == "fault_opened":
+        if event["event"] == "fault_opened" and not event["unit"].startswith(MACHINE):
             row.alarms.append(event["unit"])
             row.detected_s = row.detected_s or event["mono"] - began
         elif event["event"] == "action" and event["phase"] == "started":
@@ -101,16 +104,36 @@ def judged(case: Case, events: list[Event], began: float, *, same_run: bool, res
     return row
 
 
+def wait_ok(monitor: StackMonitor) -> None:
+    """Wait until all of WATCHED have been OK in all reports of STEADY_S. Raises RuntimeError after OK_LIMIT_S."""
+    levels: dict[str, str] = {}
+    ok_from: list[float] = []
+
+    def steady(event: Event) -> bool:
+        if event["event"] == "unit":
+            levels[event["unit"]] = event["level"]
+        elif event["event"] == "report":
+            if all(levels.get(unit) == "OK" for unit in WATCHED):
+                ok_from.append(event["mono"])
+            else:
+                ok_from.clear()
+        return bool(ok_from) and event["mono"] - ok_from[0] >= STEADY_S
+
+    if monitor.record.wait(steady, OK_LIMIT_S, since=monitor.mark()) is None:
+        bad = ", ".join(f"{unit} {levels.get(unit, 'not reported')}" for unit in WATCHED if levels.get(unit) != "OK")
+        raise RuntimeError(f"not OK within {OK_LIMIT_S:g} s: {bad or 'not for long enough'}")
+
+
 def play(engine: OwnEngine, stack: Stack, monitor: StackMonitor, case: Case) -> Row:
     """End the engine, start it again, and watch until the agent is OK."""
-    monitor.wait_ok()
+    wait_ok(monitor)
     generation, mark, began = stack.agent.generation, monitor.mark(), time.monotonic()
     engine.end(case.ends_by)
     time.sleep(AWAY_S)
     engine.start(live_restore=case.live_restore)
     problem = ""
     try:
-        monitor.wait_ok()
+        wait_ok(monitor)
     except RuntimeError as error:
         problem = str(error)
     well_s = time.monotonic() - began
