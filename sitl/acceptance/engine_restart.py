@@ -20,6 +20,7 @@ from rich.table import Table
 from sitl.acceptance.own_engine import OwnEngine
 from sitl.acceptance.plan import configuration
 from sitl.faults._world import answers, app_runs
+from sitl.faults.base import Agent
 from sitl.harness.compose_stack import Stack
 from sitl.harness.config_overrides import write
 from sitl.harness.console import make_console
@@ -27,8 +28,10 @@ from sitl.harness.log_follower import Event
 from sitl.harness.stack_monitor import StackMonitor
 
 PROJECT = "phm-proof-engine"
-AWAY_S = 10.0
-"""How long there is no engine."""
+AWAY_S = 20.0
+"""How long there is no engine. Behind a socket that stays, connections wait instead of being refused, so PHM reports the loss only
+after two calls without an answer, 10 to 11 s."""
+RESTORED_LIMIT_S = 60.0
 AFTER_S = 12.0
 """Watched after the agent is OK again, so that late alarms are caught."""
 OK_LIMIT_S, STEADY_S = 120.0, 5.0
@@ -145,11 +148,21 @@ def play(engine: OwnEngine, stack: Stack, monitor: StackMonitor, case: Case) -> 
         monitor.record.events[mark:],
         began,
         same_run=agent.generation == generation,
-        restored=app_runs(agent) and answers(agent.app),
+        restored=_restored(agent),
     )
     row.well_s = well_s
     row.problems += [problem] if problem else []
     return row
+
+
+def _restored(agent: Agent) -> bool:
+    """Whether the application works again; a busy machine needs a while."""
+    until = time.monotonic() + RESTORED_LIMIT_S
+    while not (app_runs(agent) and answers(agent.app)):
+        if time.monotonic() > until:
+            return False
+        time.sleep(1.0)
+    return True
 
 
 def table(rows: list[Row]) -> Table:
