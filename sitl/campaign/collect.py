@@ -102,10 +102,11 @@ def _alarms(trial: Trial, agent: int, event: Event) -> list[Alarm]:
 
 class Levels:
     """The levels of all units of one agent, from its record. After a restart of PHM nothing is known until its first
-    report.
+    report. busy: the machine is meant to be overloaded, so a unit that is STALE only for that counts as OK.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, busy: bool = False) -> None:
+        self._busy = busy
         self.units: dict[str, str] = {}
         self.open: dict[str, str] = {}
         """Unit by id of the open fault."""
@@ -119,7 +120,8 @@ class Levels:
             self.units.clear()
             self.reported, self.since = False, event["mono"]
         elif kind in ("transition", "unit"):
-            self.units[event["unit"]] = event["level"]
+            starved = self._busy and str(event.get("blocked_by", "")).startswith(SHARED)
+            self.units[event["unit"]] = "OK" if starved else event["level"]
         elif kind == "fault_opened":
             self.open[event["fault"]] = event["unit"]
         elif kind == "fault_closed":

@@ -65,9 +65,8 @@ class Runner:
         self.swarm, self.faults, self.profile, self.progress, self.busy = swarm, faults, profile, progress, busy
         self.setting: dict[str, Any] = {}
         self.agents = {agent.number: agent for agent in swarm.agents}
-        self.watch = SwarmWatcher(
-            {number: agent.record for number, agent in self.agents.items()}, GroundListener(swarm.ground_url)
-        )
+        records = {number: agent.record for number, agent in self.agents.items()}
+        self.watch = SwarmWatcher(records, GroundListener(swarm.ground_url), busy=busy is not None)
         self.meter = CostMeter(self.agents)
         self.injector = Injector(faults, self.agents, profile, lambda agent, unit: self.watch.levels[agent].bad(unit))
         self._pacing = Pacing(profile.actions)

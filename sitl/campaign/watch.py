@@ -64,12 +64,12 @@ class GroundListener:
 
 
 class SwarmWatcher:
-    """All agents' records and levels, and the ground listener. Call `update` often."""
+    """All agents' records and levels, and the ground listener. Call `update` often. busy: as `Levels`."""
 
-    def __init__(self, records: Mapping[int, Path], ear: GroundListener) -> None:
+    def __init__(self, records: Mapping[int, Path], ear: GroundListener, *, busy: bool = False) -> None:
         self.ear = ear
         self._records = {agent: Record(path) for agent, path in records.items()}
-        self.levels = {agent: Levels() for agent in records}
+        self.levels = {agent: Levels(busy=busy) for agent in records}
         self.usual: dict[int, dict[str, str]] = {agent: {} for agent in records}
         self._trial: Trial | None = None
         self.machine = MachineMeter()

@@ -196,6 +196,18 @@ def test_an_agent_has_recovered_when_its_units_are_as_before() -> None:
     assert levels.since == 4.0
 
 
+def test_on_a_busy_machine_a_unit_may_be_stale_for_that() -> None:
+    """With the load that the campaign makes, a unit that PHM cannot judge for want of a processor does not delay it."""
+    for busy, found in ((True, []), (False, ["nodes/a is STALE"])):
+        levels = Levels(busy=busy)
+        levels.take(event("unit", 1.0, level="OK"))
+        levels.take(event("report", 1.0))
+        levels.take(event("transition", 2.0, level="STALE", blocked_by="host/cpu"))
+        assert levels.unwell({"nodes/a": "OK"}) == found
+        levels.take(event("transition", 3.0, level="STALE", blocked_by="container/a"))
+        assert levels.unwell({"nodes/a": "OK"}) == ["nodes/a is STALE"]
+
+
 def test_the_plan_is_printed_without_a_swarm(capsys: pytest.CaptureFixture[str]) -> None:
     """`--plan` needs no running swarm: the trials of each seed, how often each fault is injected, what is excluded and why.
     A wrong fault, number of seeds or commit ends with exit code 2.
