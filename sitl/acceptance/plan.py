@@ -20,12 +20,12 @@ ORDER = (
 APART = ("netns_owner_killed",)
 """Each needs a configuration of its own: played after the others, alone."""
 CAMPAIGN = (
-    "autopilot_reboot", "autopilot_silent", "callback_blocked", "clock_stepped", "cpu_hog", "disk_full",
+    "autopilot_reboot", "autopilot_silent", "callback_blocked", "clock_stepped", "cpu_hog", "data_frozen", "disk_full",
     "engine_restarted", "executor_deadlocked", "gcs_radio_cut", "healthcheck_hangs", "log_read_only", "memory_full",
     "memory_leak", "network_blocked", "network_lost_together", "network_recreated", "node_duplicate",
     "node_never_started", "peer_lost", "peer_split", "phm_killed", "phm_killed_in_restart", "phm_state_noise",
-    "phm_stopped", "power_loss", "qos_mismatch", "radio_lossy", "radio_saturated", "router_killed", "sigterm_ignored",
-    "subscriber_lost", "transport_blocked",
+    "phm_stopped", "power_loss", "qos_mismatch", "radio_lossy", "radio_saturated", "router_killed", "samples_lost",
+    "sigterm_ignored", "stamps_shifted", "subscriber_lost", "transport_blocked",
 )  # fmt: skip
 """Not played here: they are reported but not recovered, or need a swarm. `sitl.campaign` plays them; docs/development/sitl_faults.md."""
 STARVING = (
