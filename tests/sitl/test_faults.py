@@ -105,6 +105,8 @@ NOT_COVERED = {
     "data_stamp": ENDS,
     "data_gaps": ENDS,
     "data_range": "advised, not acted on; played with real publishers by tests/ros/test_data.py",
+    "not_ready": "played with real nodes by tests/ros/test_readiness.py",
+    "quorum_dead": "played with real beacons by tests/ros/test_beacon_consensus.py",
     "link_silent": LINKS,
     "radio_silent": LINKS,
     "autopilot_silent": LINKS,
