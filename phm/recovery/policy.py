@@ -70,7 +70,7 @@ PATIENT = frozenset(
 ) | {condition for condition in LADDERS if condition.startswith("data_")}
 """Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
 create its endpoints again by itself, be activated again, or be replaced by a copy that starts before it ends."""
-LEARNED = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"})
+LEARNED = _TOPIC
 """Of these, the ones whose pauses PHM knows after a while: see `patience_s`. A second node is started by somebody, at any time."""
 PAUSES = 2.0
 """PHM waits so many times the longest pause after which a topic came back."""
