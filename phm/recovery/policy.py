@@ -65,9 +65,9 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 """Built-in ladders by condition. Conditions that are not listed are only reported: `restarting` because the engine's
 own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,
 `not_received` because a restart does not open a transport that was never open."""
-PATIENT = frozenset(
-    {"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch", "node_duplicate", "not_ready"}
-) | {condition for condition in LADDERS if condition.startswith("data_")}
+_DATA = frozenset({"data_frozen", "data_stamp", "data_gaps", "data_range"})
+_TOPIC = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"}) | _DATA
+PATIENT = _TOPIC | {"node_duplicate", "not_ready"}
 """Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
 create its endpoints again by itself, be activated again, or be replaced by a copy that starts before it ends."""
 LEARNED = _TOPIC

@@ -83,6 +83,7 @@ def test_patience_follows_the_pauses_that_a_topic_has_had(ok_s: float, pause_s: 
     assert patience_s(known, rules) == expected
     assert isinstance(say(fault=known, now=1000.0 + expected - 0.1, settings=rules), Wait)
     assert say(fault=known, now=1000.0 + expected, settings=rules) == Act("relaunch", 1)
+    assert patience_s(replace(known, result=fault("data_frozen").result), rules) == expected
     assert patience_s(replace(known, result=fault("node_duplicate").result), rules) == 10.0
     assert patience_s(replace(known, result=fault("node_missing").result), rules) == 0.0
 
