@@ -23,6 +23,7 @@ _PROCESS = (
 _HEARTBEATS = "two heartbeats more than were ever missed must be missing: one lost frame is not a fault"
 EXPLANATIONS = {
     "address_silent": _DATA_PATH,
+    "autopilot_reboot": _HEARTBEATS,
     "autopilot_silent": _HEARTBEATS,
     "callback_blocked": _EXECUTOR,
     "cpu_hog": "two seconds of full use: shorter peaks are normal",

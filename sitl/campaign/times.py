@@ -94,17 +94,19 @@ def _claim(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
 def _end(verdict: Verdict, trial: Trial, unit: str, begun: float, until: float) -> tuple[float, str] | None:
     """When the unit was OK again by PHM's record, and by what."""
     agent = verdict.injection.agent
-    proofs = [
-        (act.mono, act.action)
-        for act in trial.acts
-        if act.phase == "verified" and (act.agent, act.unit) == (agent, unit) and begun <= act.mono <= until
-    ]
     closes = [
         (alarm.closed, alarm.by)
         for alarm in verdict.alarms
         if (alarm.agent, alarm.unit, alarm.outcome) == (agent, unit, "resolved")
         and alarm.closed is not None
         and alarm.closed <= until
+    ]
+    credited = {by for _, by in closes}
+    proofs = [
+        (act.mono, act.action)
+        for act in trial.acts
+        if act.phase == "verified" and (act.agent, act.unit) == (agent, unit) and begun <= act.mono <= until
+        if not closes or act.action in credited  # verified, but PHM's record names another cause
     ]
     warns = [
         (each.ended, NOTHING)

@@ -28,6 +28,13 @@ def test_times_count_from_the_injection() -> None:
     assert (verdict.by, verdict.count, verdict.right, verdict.missed) == ("restart", 1, True, False)
 
 
+def test_a_verified_action_that_phm_does_not_credit_ended_nothing() -> None:
+    """E.g. `reopen` while the autopilot rebooted: it is OK again, and the record names the reboot."""
+    raised = alarm(0.4, closed=T0 + 7, outcome="resolved", by="reboot")
+    verdict = only(trial(alarms=[raised], acts=[verified(6.9, action="reopen")]))
+    assert (verdict.by, verdict.claimed_s) == ("reboot", pytest.approx(7.0))
+
+
 def test_a_fault_without_an_alarm_is_missed() -> None:
     """Without its own alarm it is missed, and neither correct nor recovered."""
     verdict = only(trial(alarms=[], acts=[], lines=[]))
