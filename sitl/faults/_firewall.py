@@ -24,9 +24,15 @@ def clear(agent: Agent) -> None:
             _iptables(agent, ["-F", chain])
 
 
-def _iptables(agent: Agent, words: Sequence[str]) -> None:
+def blocks(agent: Agent) -> bool:
+    """Whether a rule that drops packets is there. A container that does not run has none."""
+    return bool(agent.app.attrs["State"]["Running"]) and "-j DROP" in _iptables(agent, ["-S"])
+
+
+def _iptables(agent: Agent, words: Sequence[str]) -> str:
     pid = agent.app.attrs["State"]["Pid"]
     argv = ["nsenter", f"--net=/proc/{pid}/ns/net", "iptables", "-w", *words]
     done = subprocess.run(argv, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(argv)} ended with {done.returncode}: {done.stderr.strip()}")
+    return done.stdout

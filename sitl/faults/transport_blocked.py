@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-from sitl.faults._firewall import clear, drop
+from sitl.faults._application import works
+from sitl.faults._firewall import blocks, clear, drop
 from sitl.faults.base import Agent, Fault
 
 PARTICIPANTS = 15
@@ -23,6 +24,7 @@ class Injection(Fault):
     condition = "transport_blocked"
     layer = "ros"
     cause = "a firewall lets discovery through and no data, or shared memory is not shared"
+    evidence, evidence_s = "the next message of its topics does not arrive outside of the container, at 5 Hz", 0.2
 
     def inject(self, agent: Agent) -> float:
         domain = next(
@@ -40,6 +42,9 @@ class Injection(Fault):
 
     def clear(self, agent: Agent) -> None:
         clear(agent)
+
+    def restored(self, agent: Agent) -> bool | None:
+        return not blocks(agent) and works(agent)
 
 
 def data_ports(domain: int) -> Iterator[int]:
