@@ -329,12 +329,15 @@ class Tracker:
     def _note_starvation(self, record: UnitRecord, now: Stamp, effects: Effects) -> None:
         """A pressure unit has a new result: evaluate symptoms that wait for it, and all symptoms if starvation began or ended."""
         changed = starvation.observe(record, now.mono)
+        ended = changed and record.starving is None
+        for other in self._view.starved[record.id] if ended else ():
+            starvation.ended(
+                other, record.id, now.mono
+            )  # all, before the first is evaluated: units depend on each other
         for other in self._view.starved[record.id]:
-            if changed and record.starving is None:
-                starvation.ended(other, record.id, now.mono)
             if other.latest is None or not other.latest.level.bad:
                 continue
-            if changed and record.starving is None:
+            if ended:
                 effects.rerun.add(other.id)
             if changed or other.pending is not None:
                 self._evaluate(other, now, effects)

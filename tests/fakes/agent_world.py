@@ -59,13 +59,14 @@ CAUSES = {
     "engine": ("engine", "unreachable"),
     **{f"node_{n}": (NODES[n], "node_missing") for n in NODES},
     **{f"silent_{n}": (RATES[n], "silent") for n in RATES},
+    "quorum": ("consensus", "quorum_dead"),
     "starved": ("pressure/ros_app", "cpu_throttled"),
     "overload": ("host/cpu", "cpu_high"),
 }
 """Primary faults: the unit that is the cause, and its condition."""
 LINKS = (("autopilot", "autopilot_silent"), ("gcs", "gcs_lost"), ("link/ground", "link_silent"))
 STARVING = frozenset({"starved", "overload"})
-HIDDEN = frozenset({"unhealthy", *(kind for kind in CAUSES if kind.startswith("silent"))})
+HIDDEN = frozenset({"unhealthy", "quorum", *(kind for kind in CAUSES if kind.startswith("silent"))})
 """What cannot be known while the container is starved: it would look the same without a cause of its own."""
 FIXES = {
     "start": {"container"},

@@ -127,7 +127,8 @@ def test_failures_explained_by_starvation_are_published_when_it_is_over(
     assert sim.opened == [cause]
     sim.world.repair(starving, sim.now)
     sim.ask(cause)
-    sim.run(40.0 if kind == "unhealthy" else 16.0)  # the engine probes every 30 s
+    # The engine probes every 30 s; the consensus waits for its nodes, whose grace and settling come first.
+    sim.run({"unhealthy": 40.0, "quorum": 20.0}.get(kind, 16.0))
     assert sim.opened == [cause, unit]
     assert_attributed(sim, {unit})
     sim.world.repair(kind, sim.now)
