@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -174,8 +175,8 @@ def table(rows: list[Row]) -> Table:
     return found
 
 
-def run(folder: Path, console: Console, *, keep_logs: bool) -> list[Row]:
-    """All cases; `folder`: for the engine's data. Images come by standard input, as `docker save` writes them."""
+def run(folder: Path, console: Console, cases: Sequence[Case], *, keep_logs: bool) -> list[Row]:
+    """These cases, live-restore first; `folder`: for the engine's data. Images come by standard input, as `docker save` writes them."""
     engine, rows = OwnEngine(folder), []
     engine.start(live_restore=True)
     subprocess.run(["docker", "load", "--quiet"], stdin=sys.stdin, stdout=subprocess.DEVNULL, check=True)
@@ -184,7 +185,7 @@ def run(folder: Path, console: Console, *, keep_logs: bool) -> list[Row]:
     try:
         stack.up()
         monitor = StackMonitor(stack)
-        for case in CASES:
+        for case in cases:
             if case.live_restore != live_restore:  # with the other setting, and everything recreated by Compose
                 stack.down(keep_logs=True)
                 engine.end(signal.SIGTERM)
@@ -208,9 +209,14 @@ def main(arguments: list[str] | None = None) -> int:
         "--data", type=Path, required=True, help="folder for the engine's data (scripts/proof-engine gives it)"
     )
     parser.add_argument("--keep-logs", action="store_true", help="do not remove PHM's log folder")
+    titles = [case.title for case in CASES]
+    parser.add_argument(
+        "--only", nargs="+", default=(), choices=titles, metavar="CASE", help=f"of: {'; '.join(titles)}"
+    )
     chosen = parser.parse_args(arguments)
     console = make_console(json=False)
-    rows = run(chosen.data, console, keep_logs=chosen.keep_logs)
+    cases = [case for case in CASES if not chosen.only or case.title in chosen.only]
+    rows = run(chosen.data, console, cases, keep_logs=chosen.keep_logs)
     console.print(table(rows))
     return 0 if not any(row.problems for row in rows) else 1
 
