@@ -330,10 +330,9 @@ class Tracker:
         """A pressure unit has a new result: evaluate symptoms that wait for it, and all symptoms if starvation began or ended."""
         changed = starvation.observe(record, now.mono)
         ended = changed and record.starving is None
+        # All are marked before the first is evaluated, because units depend on each other.
         for other in self._view.starved[record.id] if ended else ():
-            starvation.ended(
-                other, record.id, now.mono
-            )  # all, before the first is evaluated: units depend on each other
+            starvation.ended(other, record.id, now.mono)
         for other in self._view.starved[record.id]:
             if other.latest is None or not other.latest.level.bad:
                 continue
