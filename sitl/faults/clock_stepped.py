@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 
-from docker.errors import APIError
-
 from sitl.faults._wall_clock import shift
-from sitl.faults.base import Agent, Fault, undoing
+from sitl.faults.base import Agent, Fault
+from sitl.faults.phm_killed import daemon
 
 OFFSET_S = 3600
 
 
 class Injection(Fault):
-    """Shifts the wall clock of all processes of PHM and the application, and of those alone. The engine and the kernel's file stamps
-    keep the machine's clock, and so do processes that are started later."""
+    """Shifts the wall clock that PHM's daemon sees, and no other. Programs that wait until a time of the wall clock, as Fast DDS does,
+    would wait for an hour: the kernel keeps the clock of the machine. So the nodes and PHM's own ROS process are left alone."""
 
     name, title, unit = "clock_stepped", "clock set an hour ahead", "host/clock"
     condition = "clock_step"
@@ -28,17 +26,8 @@ class Injection(Fault):
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()
-        with undoing(lambda: self.clear(agent)):
-            self._shift(agent, OFFSET_S)
+        shift(daemon(agent), OFFSET_S)
         return moment
 
     def clear(self, agent: Agent) -> None:
-        self._shift(agent, 0)
-
-    @staticmethod
-    def _shift(agent: Agent, offset_s: int) -> None:
-        for container in (agent.sidecar, agent.app):
-            with contextlib.suppress(APIError):  # it does not run
-                for pid in agent.processes(container, ""):
-                    with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
-                        shift(pid, offset_s)
+        shift(daemon(agent), 0)

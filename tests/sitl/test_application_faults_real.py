@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 from docker import DockerClient
 
-from sitl.faults import all_faults, clock_stepped, healthcheck_hangs, memory_leak, sigterm_ignored
+from sitl.faults import all_faults, healthcheck_hangs, memory_leak, sigterm_ignored
 from sitl.faults._application import works
 from sitl.faults._node_signal import NodeSignal
 from sitl.faults._reading import ReadingFault
@@ -101,13 +101,3 @@ def test_a_health_check_hangs_until_the_next_start(agent: Agent) -> None:
     agent.app.restart(timeout=3)
     until(lambda: fault.restored(agent), "a health check that returns")
     fault.clear(agent)
-
-
-def test_the_clock_of_the_application_is_stepped(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All its processes go on, in the same run of the container."""
-    monkeypatch.setattr(Agent, "sidecar", Agent.app)
-    fault, generation, nodes = clock_stepped.Injection(), agent.generation, agent.processes(agent.app, "sitl.")
-    for change in (fault.inject, fault.clear):
-        change(agent)
-        until(lambda: works(agent), "the application")
-    assert (agent.generation, agent.processes(agent.app, "sitl.")) == (generation, nodes)
