@@ -235,7 +235,7 @@ def test_the_paper_would_not_meet_our_targets() -> None:
 
 def test_detection_is_compared_with_its_evidence() -> None:
     """Mean detection divided by the limit; a class above twice its limit has an explanation or is listed."""
-    node = injection(evidence="process event", evidence_s=0.0)
+    node = injection(fault="not_explained", evidence="process event", evidence_s=0.0)
     slow = injection(fault="topic_silent", title="topic silent", evidence="missed period", evidence_s=0.1)
     unstated = injection(fault="other", title="other")
     alarms = [alarm(0.5)]
