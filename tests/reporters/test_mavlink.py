@@ -228,14 +228,14 @@ def test_the_refresh_is_sent_at_its_period_as_info() -> None:
 
 
 def test_the_refresh_period_depends_on_the_size_of_the_swarm() -> None:
-    """Without `mavlink.refresh` the line is sent every 10 s in a small swarm, every 60 s in a large one."""
+    """Without `mavlink.refresh` the line is sent every 10 s in a small swarm, every 150 s in a large one."""
     scene = Scene().running()
     scene.pass_time(21.0)
     assert scene.port.lines() == [(6, "A01 OK -1---1--")] * 2
     scene.port.agents = 100
     scene.pass_time(10.0)  # the last one of the small swarm
     scene.port.lines()
-    scene.pass_time(120.5)
+    scene.pass_time(300.5)
     assert scene.port.lines() == [(6, "A01 OK -1---1--")] * 2
 
 
