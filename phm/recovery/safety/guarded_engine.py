@@ -18,6 +18,7 @@ READS = frozenset(
         "ping",
         "version",
         "list",
+        "running",
         "inspect",
         "inspect_network",
         "top",
