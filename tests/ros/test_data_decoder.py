@@ -98,6 +98,20 @@ def test_each_element_of_an_array_counts(name: str, field: str, value: Any, text
     assert found.read(bytes(serialize_message(message)))[1] == ({field: text} if text else {})
 
 
+@pytest.mark.parametrize("counter", ["twist.linear.x", ""])
+def test_bytes_between_fields_are_not_content(counter: str) -> None:
+    """Nothing writes those before an aligned number, so equal messages differ in them."""
+    found = decoder(counter=counter, twist__linear__y=(None, 1.0))
+    message = serialized(frame="sensor")
+    end = message.index(b"sensor") + len("sensor") + 1
+    assert end % 8 == 7
+    contents = {
+        digest(found.read(message[:end] + padding + message[end + 5 :])[2], header=True)
+        for padding in (b"\0\0\0\0\0", b"\1\2\3\4\5")
+    }
+    assert len(contents) == 1
+
+
 def test_a_counter_is_not_content() -> None:
     """It is set to 0 before the content is compared, also a nested one; the rest remains."""
     found = decoder(counter="twist.linear.x")

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from phm.core.message_fields import FieldsOf, UnknownField, demand_counter, demand_number, has_header
+from phm.core.message_fields import HEADER, FieldsOf, UnknownField, demand_counter, demand_number, has_header
 from phm.probes.ros.message_types import UnknownType, load_decodable
 from phm.probes.ros.protocol import WantedData
 
 MAX_DECODED = 200_000
 """Longest message in bytes that is decoded; Python needs about 10 ms for the worst of this length."""
 MAX_TEXT = 40
+_BEFORE = 12
+"""Bytes of encapsulation and stamp, which `phm.probes.ros.data.raw_message.digest` leaves out."""
 
 
 class Undecodable(ValueError):
@@ -25,7 +27,6 @@ class Decoder:
     def __init__(self, wanted: WantedData, type_name: str) -> None:
         self._wanted = wanted
         self._message: Any = None
-        self._serialize: Any = None
         self._deserialize: Any = None
         self.counter_bits: int | None = None
         self.problem = ""
@@ -36,7 +37,7 @@ class Decoder:
                 self._message, self.problem = None, str(error)
 
     def _prepare(self, type_name: str) -> None:
-        from rclpy.serialization import deserialize_message, serialize_message
+        from rclpy.serialization import deserialize_message
         from rclpy.type_support import check_for_type_support
 
         found = load_decodable(type_name)
@@ -45,7 +46,7 @@ class Decoder:
             demand_number(type_name, limits.field, class_fields)
         if self._wanted.counter:
             self.counter_bits = demand_counter(type_name, self._wanted.counter, class_fields)
-        self._message, self._serialize, self._deserialize = found, serialize_message, deserialize_message
+        self._message, self._deserialize = found, deserialize_message
 
     @property
     def usable(self) -> bool:
@@ -53,7 +54,7 @@ class Decoder:
         return self._message is not None
 
     def read(self, data: bytes) -> tuple[float | None, Mapping[str, str], bytes]:
-        """The counter, the fields outside of their range, and the message with its counter set to 0. Raises Undecodable."""
+        """The counter, the fields outside of their range, and the content to compare, in which the counter is 0. Raises Undecodable."""
         if len(data) > MAX_DECODED:
             raise Undecodable(
                 f"messages of more than {MAX_DECODED // 1000} kB are not decoded, this one has {len(data)} bytes"
@@ -65,16 +66,33 @@ class Decoder:
                 for limits in self._wanted.ranges
                 if (text := _outside(_value(message, limits.field), limits.low, limits.high))
             }
-            if not self._wanted.counter:
-                return None, outside, data
-            counter = _value(message, self._wanted.counter)
+            counter = _value(message, self._wanted.counter) if self._wanted.counter else math.nan
             if self._wanted.frozen_s is not None:
-                owner, _, name = self._wanted.counter.rpartition(".")
-                setattr(_value(message, owner) if owner else message, name, type(counter)(0))
-                data = self._serialize(message)
+                if self._wanted.counter:
+                    owner, _, name = self._wanted.counter.rpartition(".")
+                    setattr(_value(message, owner) if owner else message, name, type(counter)(0))
+                data = bytes(_BEFORE) + b"".join(_content(message, first=True))
         except Exception as error:  # exceptions of rclpy and pybind: what was sent is not such a message
             raise Undecodable(f"a message cannot be decoded: {str(error)[:200]}") from error
         return counter if math.isfinite(counter) else None, outside, data
+
+
+def _content(value: Any, *, first: bool = False) -> Iterator[bytes]:
+    """The values of all fields but those of the stamp of a header that comes first. Not the serialized message: between fields that
+    are aligned it has bytes that nothing writes, which differ between equal messages."""
+    if hasattr(value, "get_fields_and_field_types"):
+        for name, type_name in value.get_fields_and_field_types().items():
+            inner = getattr(value, name)
+            yield from _content(inner.frame_id if first and type_name == HEADER else inner)
+            first = False
+    elif hasattr(value, "tobytes"):
+        yield value.tobytes()
+    elif isinstance(value, list | tuple):
+        yield b"%d," % len(value)
+        for inner in value:
+            yield from _content(inner)
+    else:
+        yield f"{value!r},".encode(errors="surrogatepass")
 
 
 def class_fields(type_name: str) -> Mapping[str, str] | None:
