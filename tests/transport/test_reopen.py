@@ -225,7 +225,9 @@ def test_a_spontaneous_recovery_is_not_credited_to_a_reopening(
             until(lambda: Phase.DONE in agent.phases(), "the reopening")
             stale.speak()
         until(agent.closed, "the fault being over")
-        assert agent.closed() == [("autopilot", "resolved", {"ran on": "reopen", "rebooted": "reboot"}.get(what, "itself"))]
+        assert agent.closed() == [
+            ("autopilot", "resolved", {"ran on": "reopen", "rebooted": "reboot"}.get(what, "itself"))
+        ]
     finally:
         agent.daemon.stop()
 
