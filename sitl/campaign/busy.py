@@ -11,10 +11,10 @@ from docker.errors import APIError, NotFound
 from sitl.swarm import engine
 from sitl.swarm.swarm import Swarm
 
-LASTS_S = 900
+LASTS_S = 1200
 """Each ends by itself after so long, also if the campaign was killed."""
-RENEW_S = 600.0
-"""A trial may take five minutes, so older ones are replaced before it begins."""
+RENEW_S = 300.0
+"""A trial may take ten minutes and more, so older ones are replaced before it begins."""
 SPIN = "while :; do :; done"
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from sitl.campaign.metrics import Figures, figures
 from sitl.campaign.stats import Estimate, estimate
-from sitl.campaign.trial import BUSY, QUIET, Trial
+from sitl.campaign.trial import ABORTED, BUSY, QUIET, Trial
 
 ORDER = ("shipped", "tuned", "as-found", "")
 LOADS = (QUIET, BUSY, "")
@@ -16,13 +16,16 @@ LOADS = (QUIET, BUSY, "")
 
 @dataclass(frozen=True)
 class Group:
-    """`seeds`: the figures of each seed, in the order of the seeds' numbers in the campaign; `all`: of all trials."""
+    """`seeds`: the figures of each seed, in the order of the seeds' numbers in the campaign; `all`: of all trials.
+    `aborted`: runs that were repeated, and are in no figure.
+    """
 
     profile: str
     load: str
     trials: tuple[Trial, ...]
     seeds: tuple[Figures, ...]
     all: Figures
+    aborted: tuple[Trial, ...] = ()
 
     @property
     def name(self) -> str:
@@ -59,13 +62,16 @@ def groups(trials: Sequence[Trial]) -> list[Group]:
     """One for each profile and load; the shipped configuration on a quiet machine first."""
     by: dict[tuple[str, str], dict[int, list[Trial]]] = {}
     for trial in trials:
+        if trial.kind == ABORTED:
+            continue
         profile, load, seed = trial.campaign
         by.setdefault((profile, load), {}).setdefault(seed, []).append(trial)
     found = []
     for (profile, load), seeds in by.items():
         ordered = sorted(seeds.values(), key=lambda each: int(each[0].setting.get("index", 0)))
         mine = tuple(trial for seed in ordered for trial in seed)
-        found.append(Group(profile, load, mine, tuple(figures(each) for each in ordered), figures(mine)))
+        aborted = tuple(each for each in trials if each.kind == ABORTED and each.campaign[:2] == (profile, load))
+        found.append(Group(profile, load, mine, tuple(figures(each) for each in ordered), figures(mine), aborted))
     return sorted(found, key=lambda each: (_place(LOADS, each.load), _place(ORDER, each.profile)))
 
 

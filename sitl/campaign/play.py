@@ -99,6 +99,7 @@ class _Sequence:
         done = [each for each in load(file) if each.campaign[:2] == (to_do.profile.name, to_do.load)]
         self._done = {(each.setting["seed"], each.kind, each.number) for each in done}
         self._took = [each.seconds for each in done if each.kind == TRIAL]
+        runner.on_end = self._made
 
     def run(self) -> bool:
         """Whether all are made; no run begins after `--stop-after`."""
@@ -128,13 +129,21 @@ class _Sequence:
         self._progress(
             f"[bold]seed {index + 1} of {len(self._to_do.seeds)}, {which}[/]  {words}  [dim]({self._left_min():.0f} min left)[/]"
         )
-        trial = make()
+        try:
+            make()
+        except BaseException as error:
+            if (seed, kind, number) not in self._done:
+                append(self._file, self._runner.aborted(kind, number, error))
+            raise
+        return True
+
+    def _made(self, trial: Trial) -> None:
+        """Record a complete run at once: what follows it may fail."""
         append(self._file, trial)
-        self._done.add((seed, kind, number))
-        if kind == TRIAL:
+        self._done.add((trial.setting["seed"], trial.kind, trial.number))
+        if trial.kind == TRIAL:
             self._took.append(trial.seconds)
             self._show(trial)
-        return True
 
     def _left_min(self) -> float:
         made = len([each for each in self._done if each[1] == TRIAL])

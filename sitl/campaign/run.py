@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,7 @@ from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.profiles import Profile
 from sitl.campaign.restore import restore
 from sitl.campaign.scoring import judge
-from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Trial
+from sitl.campaign.trial import ABORTED, NOMINAL, OFF, TRIAL, Trial
 from sitl.campaign.watch import GroundListener, SwarmWatcher
 from sitl.faults.base import Fault
 from sitl.harness.log_queries import container_state
@@ -51,7 +52,8 @@ def heartbeat_s(agents: int) -> float:
 
 class Runner:
     """Runs trials. `progress` is called with status lines. `busy`: a load to keep up meanwhile. `setting` is recorded in
-    each trial and may be changed between them.
+    each trial and may be changed between them. `on_end` is called with each trial as soon as it is complete, before the
+    swarm is made ready for the next one.
     """
 
     def __init__(
@@ -64,6 +66,8 @@ class Runner:
     ) -> None:
         self.swarm, self.faults, self.profile, self.progress, self.busy = swarm, faults, profile, progress, busy
         self.setting: dict[str, Any] = {}
+        self.on_end: Callable[[Trial], None] = lambda trial: None
+        self._current: Trial | None = None
         self.agents = {agent.number: agent for agent in swarm.agents}
         records = {number: agent.record for number, agent in self.agents.items()}
         self.watch = SwarmWatcher(records, GroundListener(swarm.ground_url), busy=busy is not None)
@@ -108,10 +112,26 @@ class Runner:
         if self.busy is not None:
             self.busy.keep()
 
+    def aborted(self, kind: str, number: int, error: BaseException) -> Trial:
+        """The record of the run that this error has ended, with what was observed until then."""
+        trial = self._current or self._made(kind, number)
+        with contextlib.suppress(Exception):  # the error that is reported must not be replaced by another one
+            self.watch.end()
+        self._current = None
+        trial.ended = trial.ended or time.monotonic()
+        trial.kind, trial.aborted = ABORTED, f"{kind}: {type(error).__name__}: {error}"
+        return trial
+
     def nominal(self, seconds: float) -> Trial:
         """Nothing is injected."""
+
+        def renewing() -> bool:
+            self._keep_busy()
+            return False
+
+        self._keep_busy()
         trial = self._begin(NOMINAL, 0)
-        self._wait(lambda: False, seconds)
+        self._wait(renewing, seconds)
         return self._end(trial, well=not self.watch.unwell())
 
     def off(self, seed: int) -> Trial:
@@ -120,16 +140,17 @@ class Runner:
             sorted(self.agents), min(len(LEFT_ALONE), len(self.agents))
         )
         draws = [Draw(name, agent) for name, agent in zip(LEFT_ALONE, victims, strict=False)]
+        self._keep_busy()
         self._configure([self.agents[agent] for agent in victims], RECOVERY_OFF)
         self._well(WELL_LIMIT_S)
         trial = self._begin(OFF, 0)
         try:
             self._inject(trial, draws)
+            before = {agent: container_state(self.agents[agent]) for agent in victims}
             self._wait(
                 lambda: all(verdict.detected_s is not None for verdict in judge(trial).verdicts),
                 self.profile.seen_limit_s,
             )
-            before = {agent: container_state(self.agents[agent]) for agent in victims}
             self._wait(lambda: False, STILL_S)
             for agent, was in before.items():
                 now = container_state(self.agents[agent])
@@ -158,8 +179,8 @@ class Runner:
             for fault, draw in zip(faults, plan.draws, strict=True)
             if "configuration" in fault.needs
         ]
-        self._keep_busy()
         self._rest(plan.draws)
+        self._keep_busy()
         changes: dict[int, dict[str, str]] = {}
         for fault, agent in special:
             fault.prepare(agent)
@@ -186,14 +207,16 @@ class Runner:
         return trial
 
     def _begin(self, kind: str, number: int) -> Trial:
-        trial = Trial(
-            kind, number, len(self.agents), time.monotonic(), time.time(), heartbeat_s=heartbeat_s(len(self.agents))
-        )
-        trial.setting = dict(self.setting)
+        trial = self._current = self._made(kind, number)
         self.meter.begin()
         trial.began = time.monotonic()
         self.watch.begin(trial)
         return trial
+
+    def _made(self, kind: str, number: int) -> Trial:
+        agents = len(self.agents)
+        began, utc = time.monotonic(), time.time()
+        return Trial(kind, number, agents, began, utc, heartbeat_s=heartbeat_s(agents), setting=dict(self.setting))
 
     def _end(self, trial: Trial, *, well: bool) -> Trial:
         self.watch.end()
@@ -206,6 +229,8 @@ class Runner:
             for fault in trial.injections
             if fault.blinds and fault.moment is not None
         ]
+        self._current = None
+        self.on_end(trial)
         return trial
 
     def _inject(self, trial: Trial, draws: Sequence[Draw]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from sitl.campaign import fault_rows, table
+from sitl.campaign import fault_rows, irregular, table
 from sitl.campaign.evidence import FLOOR_S, RATIO
 from sitl.campaign.groups import Group
 from sitl.campaign.table import Rows
@@ -65,7 +65,7 @@ def sections(groups: Sequence[Group]) -> list[Section]:
             "Not in a mean or a count",
             "",
             table.head("what is left out", groups),
-            table.left_out(groups),
+            [*table.left_out(groups), *irregular.rows(groups)],
         ),
         Section("Further figures", "", table.head("figure", groups), table.beyond(groups)),
         Section(

@@ -15,6 +15,8 @@ from typing import Any
 
 VERSION = 2
 NOMINAL, OFF, TRIAL = "nominal", "off", "trial"
+ABORTED = "aborted"
+"""A run of one of the other kinds that an error or the operator ended. It is repeated, and in no figure."""
 QUIET, BUSY = "quiet", "busy"
 
 
@@ -191,6 +193,8 @@ class Trial:
     machine: list[Load] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
     """With recovery off: what changed nevertheless."""
+    aborted: str = ""
+    """Of an aborted run: its kind, and the error that ended it."""
     setting: dict[str, Any] = field(default_factory=dict)
     """Which campaign this trial belongs to: `seed` (a number), `index` (of the seed, from 0), `commit` (full id), `profile`
     (``tuned``, ``shipped``, ``as-found``), `load` (``quiet``, ``busy``), `agents`, `autopilot`, `interval_s`,
@@ -255,17 +259,17 @@ def _made(part: Any, data: dict[str, Any]) -> Any:
 
 
 def load(path: Path) -> list[Trial]:
-    """All complete trials of a file (``.gz``: compressed), oldest first; the last of several with one campaign, kind and number counts. A
-    line truncated by a kill is skipped. A missing file has none.
+    """All complete trials of a file (``.gz``: compressed), oldest first; the last of several with one campaign, kind and number counts,
+    but every aborted run. A line truncated by a kill is skipped. A missing file has none.
     """
-    found: dict[tuple[tuple[str, str, int], str, int], Trial] = {}
+    found: dict[tuple[object, ...], Trial] = {}
     content = path.read_bytes() if path.exists() else b""
     for line in (gzip.decompress(content) if path.suffix == ".gz" else content).splitlines():
         try:
             trial = from_json(line)
         except ValueError:
             continue
-        key = (trial.campaign, trial.kind, trial.number)
+        key = (trial.campaign, trial.kind, trial.number, trial.utc if trial.kind == ABORTED else None)
         found.pop(key, None)
         found[key] = trial
     return list(found.values())

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from sitl.campaign import play
+from sitl.campaign import irregular, play
 from sitl.campaign.arguments import parser
+from sitl.campaign.groups import groups
 from sitl.campaign.plan import TrialPlan
+from sitl.campaign.run import NotOk
 from sitl.campaign.schedule import schedule
-from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Trial, load
+from sitl.campaign.show import left
+from sitl.campaign.trial import ABORTED, NOMINAL, OFF, TRIAL, Trial, load
 from tests.fakes.campaign_trials import injection, trial
 
 WORDS = ["--commit", "0123456789" * 4, "--trials", "2", "--seeds", "2"]
@@ -24,13 +29,21 @@ class Runner:
 
     def __init__(self, stop_at: int = 99) -> None:
         self.setting: dict[str, Any] = {}
+        self.on_end: Callable[[Trial], None] = lambda trial: None
         self._left = stop_at
 
     def _made(self, kind: str, number: int, **more: Any) -> Trial:
         if not self._left:
             raise KeyboardInterrupt
         self._left -= 1
-        return trial(kind=kind, number=number, setting=dict(self.setting), **more)
+        made = trial(kind=kind, number=number, setting=dict(self.setting), **more)
+        self.on_end(made)
+        return made
+
+    def aborted(self, kind: str, number: int, error: BaseException) -> Trial:
+        return trial(
+            kind=ABORTED, number=number, utc=time.time(), setting=dict(self.setting), aborted=f"{kind}: {error!r}"
+        )
 
     def nominal(self, seconds: float) -> Trial:
         return self._made(NOMINAL, 0, injections=[], alarms=[])
@@ -65,14 +78,14 @@ def test_all_seeds_are_run_in_sequence_and_resumed(tmp_path: Path) -> None:
     file = tmp_path / "trials.jsonl"
     with pytest.raises(KeyboardInterrupt):
         run(file, Runner(6))
-    assert len(load(file)) == 6
+    assert [each.kind for each in load(file)][6:] == [ABORTED]
     whole, said = run(file, Runner(2))
     assert whole
     assert [words.partition("[/]")[0] for words in said if "seed" in words] == [
         "[bold]seed 2 of 2, trial 1 of 2",
         "[bold]seed 2 of 2, trial 2 of 2",
     ]
-    made = load(file)
+    made = [each for each in load(file) if each.kind != ABORTED]
     assert [(each.setting["index"], each.kind, each.number) for each in made] == [
         (index, kind, number) for index in (0, 1) for kind, number in ((NOMINAL, 0), (OFF, 0), (TRIAL, 1), (TRIAL, 2))
     ]
@@ -100,3 +113,33 @@ def test_no_run_begins_after_the_time_is_over(tmp_path: Path) -> None:
     file = tmp_path / "trials.jsonl"
     assert not run(file, Runner(), "--stop-after", "-1")[0]
     assert load(file) == []
+
+
+def test_a_trial_is_recorded_before_the_swarm_is_made_ready_again(tmp_path: Path) -> None:
+    """PHM may not come back after a trial, and that trial must count: it is neither dropped nor repeated."""
+
+    class Failing(Runner):
+        def trial(self, plan: TrialPlan) -> Trial:
+            super().trial(plan)
+            raise NotOk("PHM did not start again on A03")
+
+    file = tmp_path / "trials.jsonl"
+    with pytest.raises(NotOk):
+        run(file, Failing())
+    assert [(each.kind, each.number) for each in load(file)] == [(NOMINAL, 0), (OFF, 0), (TRIAL, 1)]
+    assert "trial 1 of 2" not in "".join(run(file, Runner())[1]).partition("seed 2 of 2")[0]
+
+
+def test_an_aborted_run_is_recorded_and_counted(tmp_path: Path) -> None:
+    """Each attempt has a line of its own; none is in a figure."""
+    file = tmp_path / "trials.jsonl"
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            run(file, Runner(0))
+    run(file, Runner())
+    found = load(file)
+    assert [each.aborted for each in found if each.kind == ABORTED] == ["nominal: KeyboardInterrupt()"] * 2
+    (group,) = groups(found)
+    assert (len(group.aborted), len(group.trials)) == (2, 8)
+    assert ("runs that were aborted and repeated", "2") in irregular.rows([group])
+    assert left(found) == 0

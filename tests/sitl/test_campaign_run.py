@@ -1,0 +1,156 @@
+"""The runs of a campaign on a swarm that does not exist: what is recorded, and in which order things are done."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import pytest
+
+from sitl.campaign import irregular, run
+from sitl.campaign.busy import LASTS_S, RENEW_S
+from sitl.campaign.groups import groups
+from sitl.campaign.plan import Draw, TrialPlan
+from sitl.campaign.profiles import ALL
+from sitl.campaign.run import NotOk, Runner
+from sitl.campaign.trial import ABORTED, Load, Trial
+from sitl.faults.base import Agent, Fault
+from sitl.faults.memory_leak import LASTS_S as LEAK_S
+from tests.fakes.campaign_trials import trial
+
+PLAN = TrialPlan(4, (Draw("planned", 1),))
+
+
+class Planned(Fault):
+    """Is reported nowhere, and does nothing."""
+
+    name, title, unit, condition, layer, cause = "planned", "planned", "", "", "companion", "a test"
+
+    def inject(self, agent: Agent) -> float:
+        return time.monotonic()
+
+
+class Steps:
+    """What the runner did, in order."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    def keep(self) -> None:
+        self.done.append("load")
+
+    def note(self, what: str) -> bool:
+        self.done.append(what)
+        return True
+
+    def stop(self) -> None:
+        """Nothing runs."""
+
+
+@pytest.fixture
+def steps() -> Steps:
+    return Steps()
+
+
+@pytest.fixture
+def runner(tmp_path: Path, steps: Steps, monkeypatch: pytest.MonkeyPatch) -> Runner:
+    """One agent, all is well at once, and no wait lasts."""
+    agent = Mock(number=1, record=tmp_path / "phm.jsonl")
+    agent.name = "agent_1"
+    swarm = Mock(agents=[agent], ground_url="udpin:127.0.0.1:0")
+    made = Runner(swarm, {"planned": Planned()}, ALL["shipped"], lambda words: None, steps)  # type: ignore[arg-type]
+    made.meter = Mock(costs=list)
+    monkeypatch.setattr(made, "_wait", lambda wanted, limit_s: wanted() or True)
+    monkeypatch.setattr(made, "_well", lambda limit_s: None)
+    monkeypatch.setattr(made, "_rest", lambda draws: steps.done.append("rest"))
+    monkeypatch.setattr(made, "_configure", lambda agents, changes: steps.done.append("configure"))
+    begin, inject = made._begin, made._inject
+    monkeypatch.setattr(made, "_begin", lambda *words: steps.note("begin") and begin(*words))
+    monkeypatch.setattr(made, "_inject", lambda *words: steps.note("inject") and inject(*words))
+    return made
+
+
+def test_a_trial_is_complete_before_the_swarm_is_made_ready(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`on_end` has it although the swarm does not recover."""
+    found: list[Trial] = []
+    runner.on_end = found.append
+
+    def not_ok(limit_s: float) -> None:
+        raise NotOk("not well")
+
+    monkeypatch.setattr(runner, "_well", not_ok)
+    monkeypatch.setattr(run, "restore", lambda swarm, agent: None)
+    with pytest.raises(NotOk):
+        runner.trial(PLAN)
+    assert [(each.number, each.well_after, bool(each.injections)) for each in found] == [(4, None, True)]
+
+
+def test_an_aborted_run_has_what_was_observed(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its kind, the error, its injections; one that was not begun has none of them."""
+    runner.setting = {"seed": 7}
+    error = KeyboardInterrupt()
+    monkeypatch.setattr(runner, "_recover", Mock(side_effect=error))
+    with pytest.raises(KeyboardInterrupt):
+        runner.trial(PLAN)
+    made = runner.aborted("trial", 4, error)
+    assert (made.kind, made.number, made.aborted) == (ABORTED, 4, "trial: KeyboardInterrupt: ")
+    assert [each.fault for each in made.injections] == ["planned"]
+    assert made.ended >= made.began
+    early = runner.aborted("trial", 5, NotOk("not well"))
+    assert (early.number, early.aborted, early.injections) == (5, "trial: NotOk: not well", [])
+    assert early.setting == {"seed": 7}
+
+
+def test_the_load_is_renewed_after_the_pause(runner: Runner, steps: Steps) -> None:
+    """A pause may last as long as the load; also before a nominal run, during it, and before the run with recovery off."""
+    runner.trial(PLAN)
+    assert steps.done[:3] == ["rest", "load", "begin"]
+    steps.done.clear()
+    runner.nominal(1.0)
+    assert steps.done == ["load", "begin", "load"]
+    steps.done.clear()
+    runner.faults = {}
+    with pytest.raises(KeyError):
+        runner.off(1)
+    assert steps.done[:2] == ["load", "configure"]
+
+
+def test_the_load_outlasts_a_trial() -> None:
+    """Also the longest one: PHM's restart until all is well, a slow injection, recovery, and until all is well again."""
+    assert 3 * run.WELL_LIMIT_S + 2 * LEAK_S + run.HEALED_LIMIT_S + run.AFTER_S <= LASTS_S - RENEW_S
+
+
+def test_with_recovery_off_the_world_is_compared_with_that_of_the_injection(
+    runner: Runner, steps: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What PHM changes until the detection counts as a change."""
+    states = iter(({"id": "old"}, {"id": "new"}))
+
+    def state(agent: Any) -> dict[str, str]:
+        steps.done.append("look")
+        return next(states)
+
+    monkeypatch.setattr(run, "container_state", state)
+    monkeypatch.setattr(run, "LEFT_ALONE", ("planned",))
+    monkeypatch.setattr(runner, "_wait", lambda wanted, limit_s: steps.note("wait"))
+    made = runner.off(1)
+    after = steps.done.index("inject")
+    assert steps.done[after : after + 5] == ["inject", "wait", "look", "wait", "wait"]
+    assert made.changed == ["A01: id: old became new"]
+
+
+def test_a_busy_run_without_its_load_is_listed() -> None:
+    """By the mean of the machine's samples of the run alone; without samples it is not known."""
+
+    def made(load: str, *used: float) -> Trial:
+        samples = [Load(each, cpu, 10.0, 10.0) for each, cpu in zip((50.0, 100.0, 110.0), (0.0, *used), strict=False)]
+        return trial(setting={"profile": "shipped", "load": load, "seed": 1}, machine=samples)
+
+    assert not irregular.unloaded(made("busy", 99.0, 96.0))
+    assert irregular.unloaded(made("busy", 99.0, 20.0))
+    assert irregular.unloaded(made("busy"))
+    assert not irregular.unloaded(made("quiet", 10.0, 10.0))
+    found = groups([made("busy", 10.0), made("quiet", 10.0)])
+    assert irregular.rows(found)[1][1:] == ("-", "1")
