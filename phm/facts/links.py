@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+REBOOT_SILENCE_S = 3.5
+"""After a longer silence an autopilot may have rebooted. A larger `mavlink.autopilot_timeout` does not change that."""
+
 
 @dataclass(frozen=True, slots=True)
 class GcsFact:
@@ -53,7 +56,7 @@ class AutopilotFact:
     rebooted_s: float | None = None
     """Since the last of these reboots was seen; None: never."""
     rebooted_armed: bool = False
-    """Whether it was armed when it was last received before that reboot."""
+    """Whether it was armed when it was last received before that reboot, or before an earlier one of the same series."""
     due_s: float | None = None
     overdue: bool = False
     """Both as in `GcsFact`; not overdue while other frames from it still arrive."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from phm.core.scheduling_delay import Late, never_late
-from phm.facts.links import AutopilotFact
+from phm.facts.links import REBOOT_SILENCE_S, AutopilotFact
 from phm.probes.adaptive_timeout import AdaptiveTimeout
 from phm.transport.dialect import mavlink
 
@@ -28,7 +28,8 @@ FLIPS, FLIPS_S = 4, 10.0
 KEPT = 16
 BOOTING = frozenset({mavlink.MAV_STATE_UNINIT, mavlink.MAV_STATE_BOOT})
 START_S = 30.0
-"""An autopilot starts within this time: other evidence in that time is of the same start."""
+"""An autopilot starts within this time: other evidence in that time is of the same start, also when a second link delivers it
+later, unless a silence or the time since boot shows another one."""
 ALIVE_S = 1.0
 """While its other frames arrive, its heartbeats are late or lost, but the autopilot is not lost."""
 
@@ -38,6 +39,7 @@ class AutopilotState:
 
     def __init__(self, timeout_s: float = 3.5, late_s: Late = never_late) -> None:
         self._cadence, self._timeout_s, self._late_s = AdaptiveTimeout(timeout_s), timeout_s, late_s
+        self._silent_s = min(timeout_s, REBOOT_SILENCE_S)
         self._said: dict[str, tuple[float, bool]] = {}
         """Per link: time of the last heartbeat, and whether it reported armed."""
         self._said_armed: dict[bool, float] = {}
@@ -56,10 +58,14 @@ class AutopilotState:
         """It starts, according to its newest heartbeat, or it rebooted since."""
         self._first: float | None = None
         self._before_pause: float | None = None
-        """Its last heartbeat before the newest silence that is longer than the timeout."""
+        """Its last heartbeat before the newest silence in which it may have rebooted."""
+        self._resumed = float("-inf")
+        """Its first heartbeat after that silence."""
         self._commanded: float | None = None
         """When it acknowledged a command to reboot."""
         self.reboots = 0
+        self._rebooted: float | None = None
+        """When the newest evidence of a reboot was received."""
         self._rebooted_armed = False
 
     @property
@@ -78,11 +84,10 @@ class AutopilotState:
 
     def heartbeat(self, now: float, message: Any, link: str) -> None:
         self._first = now if self._first is None else self._first
-        if self._beat is not None and now - self._beat[0] > self._timeout_s:
-            self._before_pause = self._beat[0]
+        if self._beat is not None and now - self._beat[0] > self._silent_s:
+            self._before_pause, self._resumed = self._beat[0], now
         booting = message.system_status in BOOTING
-        if booting and not self._booting and self._beat is not None:
-            self._reboot(now, armed=self._armed[-1][1])
+        if booting and not self._booting and self._beat is not None and self._reboot(now, armed=self._was_armed(now)):
             self._boot = None
         self._booting = booting
         late_s = 0.0 if self._beat is None else self._late_s(self._beat[0], None)
@@ -105,17 +110,16 @@ class AutopilotState:
         old_s = self._boot[1] if self._boot is not None else 0.0
         wrapped = old_s > WRAPS_AT_S - WRAP_S and new_s < WRAP_S
         if new_s < old_s - BACK_S and not wrapped:
-            self._reboot(now, armed=self._armed_at(now - new_s))
+            self._reboot(now, armed=self._armed_at(now - new_s), began=now - new_s)
         self._boot = (now, new_s)
 
     def ready(self, now: float) -> None:
         """It says that it has started. After other evidence of the same start, or just after PHM's, that is nothing new."""
         self._spoke = now
-        recent = [at for at in (self._first, *self._seen) if at is not None and now - at < START_S]
+        recent = [at for at in (self._first, self._rebooted) if at is not None and now - at < START_S]
         if self._first is None or self._booting or recent:
             return
-        silent = self._before_pause is not None and now - self._before_pause < START_S
-        self._reboot(now, armed=self._armed_at(self._before_pause if silent and self._before_pause else now))
+        self._reboot(now, armed=self._was_armed(now))
         self._boot = None
 
     def commanded(self, now: float) -> None:
@@ -141,7 +145,6 @@ class AutopilotState:
         if self._beat is None:
             return None
         heard, message, link = self._beat
-        rebooted = bool(self._seen) and not self.twins(now)
         armed = any(said for at, said in self._said.values() if heard - at <= self._timeout_s)
         ages = {said: now - at for said, at in self._said_armed.items()}
         return AutopilotFact(
@@ -152,8 +155,8 @@ class AutopilotState:
             link,
             self.boot_s(now),
             self.reboots,
-            now - self._seen[-1] if rebooted else None,
-            rebooted and self._rebooted_armed,
+            now - self._rebooted if self._rebooted is not None and not self.twins(now) else None,
+            self._rebooted_armed,
             self._cadence.due_s(),
             self._overdue(read_at(link)),
             now - self._spoke,
@@ -166,12 +169,27 @@ class AutopilotState:
             None if self._commanded is None else now - self._commanded,
         )
 
-    def _reboot(self, now: float, *, armed: bool) -> None:
+    def _reboot(self, now: float, *, armed: bool, began: float | None = None) -> bool:
+        """Record evidence of a reboot. began: when it started, if known. Return whether it is another reboot than the last."""
+        last, self._rebooted = self._rebooted, now
+        same = last is not None and now - last < START_S
+        # What it reports while it starts, always disarmed, does not revoke that it was armed before.
+        self._rebooted_armed = armed or (same and self._rebooted_armed)
+        if last is not None:
+            silent = self._before_pause is not None and self._before_pause >= last
+            same = same and not silent and (began is None or began <= last + BACK_S)
         self._seen.append(now)
         self._cadence.broke(now)
         self._booting, self._commanded = True, None
-        self.reboots += 1
-        self._rebooted_armed = armed
+        self.reboots += 0 if same else 1
+        return not same
+
+    def _was_armed(self, now: float) -> bool:
+        """Whether it was armed before the start that is observed now. Disarmed heartbeats after a silence, or from one link
+        while another one is behind, may be of that start."""
+        recently = now - self._said_armed.get(True, float("-inf")) <= self._silent_s
+        moment = self._before_pause if self._before_pause is not None and now - self._resumed < START_S else now
+        return recently or self._armed_at(moment)
 
     def _overdue(self, read_at: float | None) -> bool:
         speaks = read_at is not None and read_at - self._spoke < ALIVE_S

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from phm.core.clock import Clock
-from phm.facts.links import AutopilotFact
+from phm.facts.links import REBOOT_SILENCE_S, AutopilotFact
 
 REBOOT_S = 30.0
 """An autopilot that rebooted while armed reports disarmed at first, also in the air: ignored for this long."""
@@ -62,8 +62,9 @@ def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | 
         return ArmedStatus(ArmedState.UNKNOWN, silent)
     if _within(fact.stalled_s, timeout_s):
         return ArmedStatus(ArmedState.UNKNOWN, "PHM was suspended and may have read old heartbeats of the autopilot")
-    if fact.rebooted_armed and _within(fact.rebooted_s, REBOOT_S):
-        return ArmedStatus(ArmedState.ARMED, f"the autopilot rebooted while armed {fact.rebooted_s:.0f} s ago")
+    if fact.rebooted_armed and (fact.rebooted_s is None or fact.rebooted_s <= REBOOT_S):
+        ago = "" if fact.rebooted_s is None else f" {fact.rebooted_s:.0f} s ago"
+        return ArmedStatus(ArmedState.ARMED, f"the autopilot rebooted while armed{ago}")
     if last is not None and last.armed and not _landed(fact, timeout_s) and not _steadily_disarmed(fact, timeout_s):
         why = "was armed before a silence and may have rebooted in the air"
         return ArmedStatus(ArmedState.ARMED, f"the autopilot {why}: its disarmed counts after {REBOOT_S:.0f} s")
@@ -85,7 +86,7 @@ def _landed(fact: AutopilotFact, timeout_s: float) -> bool:
     """Whether a change from armed to disarmed was received, without a silence between in which it may have rebooted."""
     if fact.armed_s is None or fact.disarmed_for_s is None:
         return False
-    return fact.armed_s - fact.disarmed_for_s <= timeout_s
+    return fact.armed_s - fact.disarmed_for_s <= min(timeout_s, REBOOT_SILENCE_S)
 
 
 def _steadily_disarmed(fact: AutopilotFact, timeout_s: float) -> bool:

@@ -20,6 +20,7 @@ from phm.probes.autopilot_state import TWINS, AutopilotState
 from phm.probes.link_radio import RadioState
 from phm.probes.link_stats import LOSS_S, MIN_FRAMES, LinkStats
 from phm.probes.serial_port_users import users
+from phm.recovery.safety.armed_state import ArmedState, LastArmedState, assess
 from phm.transport import serial_errors
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
@@ -385,6 +386,100 @@ def test_the_text_shows_a_reboot_without_the_state_boot(armed: bool) -> None:
     pilot.booted(52.0, 10_000)
     fact = fact_of(pilot, 53.0)
     assert (fact.reboots, fact.rebooted_s, fact.rebooted_armed) == (1, 3.0, armed)
+
+
+def fly(pilot: AutopilotState, *, times: bool = False) -> None:
+    """40 s in the air, until 39. times: with its time since boot."""
+    for second in range(40):
+        receive_heartbeat(pilot, float(second), armed=True)
+        if times:
+            pilot.booted(second + 0.1, 90_000 + 1000 * second)
+
+
+def test_late_heartbeats_of_another_link_are_the_same_reboot() -> None:
+    """Its delayed BOOT arrives after the first link's STANDBY, and another one after that."""
+    pilot = AutopilotState(10.0)
+    fly(pilot)
+    for at, status in ((45.5, BOOT), (46.5, STANDBY), (46.8, BOOT), (47.5, STANDBY), (47.8, BOOT), (48.8, STANDBY)):
+        receive_heartbeat(pilot, at, status=status)
+    fact = fact_of(pilot, 49.0)
+    assert (fact.reboots, fact.rebooted_armed) == (1, True)
+    assert assess(fact, 10.0).state is ArmedState.ARMED
+
+
+def test_the_first_boot_may_arrive_after_standby() -> None:
+    """The other link lost it. What was reported after the silence says nothing about the time before."""
+    pilot = AutopilotState(10.0)
+    fly(pilot)
+    receive_heartbeat(pilot, 45.5)
+    receive_heartbeat(pilot, 45.8, status=BOOT)
+    fact = fact_of(pilot, 46.0)
+    assert (fact.reboots, fact.rebooted_armed) == (1, True)
+
+
+def test_a_reordered_heartbeat_of_a_short_start_is_armed() -> None:
+    """On one UDP link, without a silence: the last armed heartbeat arrives after the first BOOT."""
+    pilot = AutopilotState()
+    fly(pilot)
+    for at, status, armed in ((42.0, STANDBY, False), (42.1, BOOT, False), (42.2, STANDBY, True), (43.0, BOOT, False)):
+        receive_heartbeat(pilot, at, status=status, armed=armed)
+    receive_heartbeat(pilot, 44.0, status=mavlink.MAV_STATE_CRITICAL)
+    receive_heartbeat(pilot, 45.0, status=BOOT)
+    fact = fact_of(pilot, 45.0)
+    assert (fact.reboots, fact.rebooted_armed) == (1, True)
+
+
+def test_a_late_time_of_the_last_run_is_the_same_reboot() -> None:
+    pilot = AutopilotState()
+    fly(pilot, times=True)
+    for at, boot_ms in ((46.0, 900), (46.5, 130_000), (47.0, 1900)):
+        pilot.booted(at, boot_ms)
+    fact = fact_of(pilot, 47.0)
+    assert (fact.reboots, fact.rebooted_armed) == (1, True)
+
+
+@pytest.mark.parametrize("by_time", [True, False])
+def test_a_second_reboot_within_the_start_counts(by_time: bool) -> None:
+    """It has its own silence, or has run for less time than has passed since the first. In the air both count as armed."""
+    pilot = AutopilotState()
+    fly(pilot)
+    receive_heartbeat(pilot, 46.0, status=BOOT)
+    pilot.booted(46.1, 900)
+    if by_time:
+        for second in range(47, 56):
+            receive_heartbeat(pilot, float(second))
+        pilot.booted(54.0, 8_800)
+        pilot.booted(56.0, 500)
+    else:
+        receive_heartbeat(pilot, 48.0)
+        receive_heartbeat(pilot, 54.5, status=BOOT)
+    fact = fact_of(pilot, 56.0)
+    assert (fact.reboots, fact.rebooted_armed) == (2, True)
+
+
+def test_a_long_timeout_hides_no_reboot() -> None:
+    """A plane: no BOOT, and the text follows its first disarmed heartbeats. Until then the silence is enough."""
+    pilot, flew = AutopilotState(10.0), LastArmedState(True, 0.0)
+    fly(pilot)
+    for at in range(46, 54):
+        receive_heartbeat(pilot, float(at), status=mavlink.MAV_STATE_CALIBRATING)
+    assert assess(fact_of(pilot, 53.0), 10.0, flew).state is ArmedState.ARMED
+    pilot.ready(53.5)
+    assert fact_of(pilot, 54.0).rebooted_armed
+
+
+def test_two_autopilots_with_one_identity_hide_no_reboot_in_flight() -> None:
+    """Times since boot of another link that is further behind than the reboot lasted."""
+    pilot = AutopilotState()
+    fly(pilot, times=True)
+    receive_heartbeat(pilot, 46.0, status=BOOT)
+    for step in range(TWINS * 2):
+        pilot.booted(46.0 + step * 0.5, 130_000 if step % 2 else 1000 + step * 500)
+    assert pilot.twins(50.0)
+    receive_heartbeat(pilot, 50.0)
+    fact = fact_of(pilot, 50.0)
+    assert fact.rebooted_s is None
+    assert assess(fact, 3.5).state is ArmedState.ARMED
 
 
 def test_an_acknowledged_reboot_is_known_until_it_has_happened() -> None:

@@ -75,6 +75,13 @@ def test_only_a_recent_disarmed_lifts_the_restriction(
     assert words in found.why
 
 
+def test_a_long_timeout_does_not_take_a_reboot_for_a_landing() -> None:
+    """`autopilot_timeout` 10 s: a real reboot is silent for 6.5 s."""
+    given = fact(10.2, 0.5, disarmed_for_s=3.7)
+    assert assess(given, 10.0, FLEW).state is ArmedState.ARMED
+    assert assess(replace(given, armed_s=10.2, disarmed_for_s=9.2), 10.0, FLEW).state is ArmedState.DISARMED
+
+
 def test_the_last_certain_state_is_saved_with_its_beginning() -> None:
     """It changes only with the state, so that it is not written repeatedly; an unknown state changes nothing."""
     clock, seen = FakeClock(), [fact(0.1, None)]
