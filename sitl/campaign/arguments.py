@@ -71,7 +71,7 @@ def _output(group: argparse._ArgumentGroup) -> None:
         "--record",
         type=Path,
         metavar="FILE",
-        help="trials, one per line; a campaign continues from it (campaign-COMMIT.jsonl)",
+        help="trials, one per line; a campaign continues from it (campaign-COMMIT.jsonl; with --seed campaign-COMMIT-seed-S.jsonl)",
     )
     group.add_argument("--stop-after", type=float, metavar="S", help="begin no trial after so many seconds")
     group.add_argument("--report-only", action="store_true", help="only make the reports from the record")

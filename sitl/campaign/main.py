@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,32 +12,56 @@ from rich.console import Console
 from sitl.campaign.arguments import parser
 from sitl.campaign.fault_catalog import class_of
 from sitl.campaign.play import play
+from sitl.campaign.publish import check_commit
 from sitl.campaign.schedule import Schedule, check_record, schedule
 from sitl.campaign.show import DONE, show
 from sitl.campaign.trial import load
 from sitl.harness.console import make_console
+
+INVALID = 2
+"""Exit code for options or a record with which nothing can be done."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     asked = parser().parse_args(arguments)
     console = make_console(json=False)
     if asked.report_only and asked.record is not None:
-        return show(load(asked.record), asked, console, whole=True)
+        return _show(asked.record, asked, console, whole=True)
     try:
         to_do = schedule(asked)
-        file = asked.record or Path(f"campaign-{to_do.commit[:8]}.jsonl")
+        file = asked.record or Path(default_record(to_do.commit, asked.seed))
+        if asked.markdown and asked.seed is not None:
+            raise ValueError(f"--seed {asked.seed} cannot be published with --markdown: it was chosen by hand")
+        if asked.markdown:
+            check_commit(to_do.commit)
         if not asked.report_only and not asked.plan:
             check_record(load(file), to_do, file)
     except (ValueError, LookupError) as error:
-        print(f"sitl campaign: {error}", file=sys.stderr)
-        return 2
+        return _rejected(error)
     if asked.plan:
         _print_plan(to_do, console)
         return DONE
     whole = True
     if not asked.report_only:
         whole = play(asked, to_do, file, console)
-    return show(load(file), asked, console, whole=whole)
+    return _show(file, asked, console, whole=whole)
+
+
+def _show(file: Path, asked: argparse.Namespace, console: Console, *, whole: bool) -> int:
+    try:
+        return show(load(file), asked, console, whole=whole)
+    except ValueError as error:
+        return _rejected(error)
+
+
+def _rejected(error: Exception) -> int:
+    print(f"sitl campaign: {error}", file=sys.stderr)
+    return INVALID
+
+
+def default_record(commit: str, seed: int | None) -> str:
+    """Name of the record. A seed that was chosen by hand has a record of its own."""
+    return f"campaign-{commit[:8]}{'' if seed is None else f'-seed-{seed}'}.jsonl"
 
 
 def _print_plan(to_do: Schedule, console: Console) -> None:

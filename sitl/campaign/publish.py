@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from sitl.campaign import seeds
 from sitl.campaign.groups import Group, groups
 from sitl.campaign.report import as_markdown, between_marks, wrapped
 from sitl.campaign.targets import percent
@@ -27,7 +28,10 @@ DIGITS = 3
 
 
 def publish(trials: Sequence[Trial], root: Path = ROOT) -> None:
-    """Write the compressed record, then page and README from what was written, so that they can be reproduced."""
+    """Write the compressed record, then page and README from what was written, so that they can be reproduced. Raises
+    ValueError, and writes nothing, when the record is not that of a campaign whose seeds follow from its commit.
+    """
+    check(trials, root)
     record = root / RECORD
     record.parent.mkdir(exist_ok=True)
     record.write_bytes(compressed(trials))
@@ -35,6 +39,30 @@ def publish(trials: Sequence[Trial], root: Path = ROOT) -> None:
     page, readme = root / PAGE, root / README
     page.write_text(between_marks(page.read_text("utf-8"), as_markdown(written)), "utf-8")
     readme.write_text(between_marks(readme.read_text("utf-8"), for_readme(written), BEGIN, END), "utf-8")
+
+
+def check(trials: Sequence[Trial], root: Path = ROOT) -> None:
+    """Raise ValueError with the first run that may not be published."""
+    commits = {str(trial.setting.get("commit", "")) for trial in trials}
+    for commit in sorted(commits):
+        check_commit(commit, root)
+    for trial in trials:
+        seed, index = trial.setting.get("seed"), trial.setting.get("index")
+        if index is None or seed != seeds.seed_of(str(trial.setting.get("commit", "")), index):
+            raise ValueError(
+                f"not published: the record has a run of seed {seed}, which does not follow from the commit as seed "
+                f"{index}: it was chosen with --seed"
+            )
+
+
+def check_commit(commit: str, root: Path = ROOT) -> None:
+    """Raise ValueError for a commit whose campaign may not be published."""
+    if commit.endswith("-dirty"):
+        raise ValueError(f"not published: the record is of {commit}, with changes that are in no commit")
+    if not seeds.in_history(commit, root):
+        raise ValueError(
+            f"not published: the record is of commit {commit or 'unknown'}, which is not in the history of {root}"
+        )
 
 
 def compressed(trials: Sequence[Trial]) -> bytes:

@@ -21,6 +21,7 @@ from sitl.faults.base import Fault
 from sitl.harness.machine import machine
 
 LEAST_TRIALS = 20
+NOT_NAMED = "it is not among the faults given with --only"
 SAME = ("agents", "autopilot", "interval_s", "faults")
 """Settings that trials of one profile and load must share."""
 
@@ -83,7 +84,9 @@ def schedule(asked: argparse.Namespace) -> Schedule:
         numbers,
         plan(numbers, asked.agents, trials, classes, WANTED),
         faults,
-        {} if asked.only else excluded(every, asked.agents, profile, air=True),
+        {name: NOT_NAMED for name in every if name not in faults}
+        if asked.only
+        else excluded(every, asked.agents, profile, air=True),
         {
             "agents": asked.agents,
             "autopilot": asked.autopilot,

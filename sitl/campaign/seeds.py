@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import subprocess
+from pathlib import Path
 
 from sitl.harness.compose_stack import ROOT
 
@@ -29,6 +30,20 @@ def checked_out() -> str:
             f"the commit of {ROOT} is not known ({done.stderr.strip() or found}): give it with --commit ID"
         )
     return found
+
+
+def in_history(commit: str, root: Path = ROOT) -> bool:
+    """Whether a commit is the one of this working tree or one before it. True where that cannot be known: without a
+    repository, or in one whose history is not complete.
+    """
+
+    def git(*argv: str) -> tuple[int, str]:
+        done = subprocess.run(["git", "-C", str(root), *argv], capture_output=True, text=True, timeout=30, check=False)
+        return done.returncode, done.stdout.strip()
+
+    if git("rev-parse", "--is-shallow-repository") != (0, "false"):
+        return True
+    return git("merge-base", "--is-ancestor", commit, "HEAD")[0] == 0
 
 
 def full_id(text: str) -> str:

@@ -218,6 +218,10 @@ def test_the_plan_is_printed_without_a_swarm(capsys: pytest.CaptureFixture[str])
     assert len([row for row in out.splitlines() if " on A0" in row]) == 6
     assert "6 trials, 2 with several faults on one agent" in out
     assert "memory_full: the shipped configuration does not set host.memory.error, host.memory.warn" in out
+    assert main(["--plan", "--seeds", "1", "--trials", "1", "--only", "node_killed", "--commit", COMMIT]) == 0
+    out = capsys.readouterr().out
+    assert "memory_full: it is not among the faults given with --only" in out
+    assert "-  node_killed" not in out
     for words, error in (
         (["--only", "nonsense"], "no such fault"),
         (["--seeds", "0"], "1 seed or more"),

@@ -4,29 +4,40 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from sitl.campaign import publish
-from sitl.campaign.main import main
+from sitl.campaign.main import default_record, main
 from sitl.campaign.report import BEGIN, END, as_markdown
+from sitl.campaign.seeds import in_history, seed_of
 from sitl.campaign.show import left
 from sitl.campaign.trial import Trial, append, load
 from sitl.harness.compose_stack import ROOT
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
 
+COMMIT = "0123456789" * 4
 NUMBER = re.compile(r"\d+\.\d+|\d+")
 
 
 def campaign() -> list[Trial]:
     """Two seeds with times of more digits than the record keeps."""
-    setting = {"machine": "m", "day": "2026-01-01", "commit": "0123abc", "profile": "shipped", "load": "quiet"}
+    setting = {"machine": "m", "day": "2026-01-01", "commit": COMMIT, "profile": "shipped", "load": "quiet"}
     return [
         trial(
             alarms=[alarm(0.4 + seed / 3, closed=T0 + 4.123456, outcome="resolved", by="restart")],
             injections=[injection(world=T0 + 3.98765)],
-            setting={**setting, "seed": seed, "index": seed - 1, "planned": 1, "interval_s": 20.0, "autopilot": "sim"},
+            setting={
+                **setting,
+                "seed": seed_of(COMMIT, seed - 1),
+                "index": seed - 1,
+                "planned": 1,
+                "interval_s": 20.0,
+                "autopilot": "sim",
+            },
         )
         for seed in (1, 2)
     ]
@@ -51,7 +62,7 @@ def test_the_page_is_reproduced_from_the_record(root: Path) -> None:
     first = contents(root)
     publish.publish(load(root / publish.RECORD), root)
     assert contents(root) == first
-    assert b"commit 0123abc" in first[1]
+    assert f"commit {COMMIT}".encode() in first[1]
     assert b"0.90 s" in first[2], "mean detection of 0.73 s and 1.07 s"
 
 
@@ -65,6 +76,70 @@ def test_the_command_reproduces_the_page(root: Path, monkeypatch: pytest.MonkeyP
     first = contents(root)
     assert main(["--report-only", "--record", str(root / publish.RECORD), "--markdown"]) in (0, 1)
     assert contents(root) == first
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"seed": 7}, "a run of seed 7"),
+        ({"index": 1}, "does not follow from the commit as seed 1"),
+        ({"commit": f"{COMMIT}-dirty"}, "with changes that are in no commit"),
+    ],
+)
+def test_a_record_whose_seeds_were_chosen_is_not_published(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], change: dict[str, Any], error: str
+) -> None:
+    """Neither the documents nor the record are touched, also if a single run is not as it must be."""
+    monkeypatch.setattr(publish.publish, "__defaults__", (root,))
+    before, raw = (root / publish.PAGE).read_bytes(), root / "campaign.jsonl"
+    first, second = campaign()
+    first.setting.update(change)
+    for each in (second, first):
+        append(raw, each)
+    assert main(["--report-only", "--record", str(raw), "--markdown"]) == 2
+    assert error in capsys.readouterr().err
+    assert (root / publish.PAGE).read_bytes() == before
+    assert not (root / publish.RECORD).exists()
+
+
+def test_a_record_of_a_commit_outside_the_history_is_not_published(root: Path) -> None:
+    """It must be the commit of the working tree, or one before it. Without a repository this cannot be known."""
+
+    def git(*argv: str) -> str:
+        words = ["git", "-C", str(root), "-c", "user.name=n", "-c", "user.email=e@x", *argv]
+        return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert in_history(COMMIT, root)
+    git("init", "-q", "-b", "main")
+    git("commit", "-q", "--allow-empty", "-m", "one")
+    one = git("rev-parse", "HEAD")
+    git("commit", "-q", "--allow-empty", "-m", "two")
+    two = git("rev-parse", "HEAD")
+    assert in_history(one, root)
+    assert in_history(two, root)
+    git("checkout", "-q", one)
+    assert not in_history(two, root)
+    with pytest.raises(ValueError, match=f"{COMMIT}, which is not in the history"):
+        publish.publish(campaign(), root)
+    assert not (root / publish.RECORD).exists()
+
+
+def test_a_seed_chosen_by_hand_has_a_record_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    """So a try does not enter the record of the campaign, and is not published."""
+    assert default_record(COMMIT, None) == "campaign-01234567.jsonl"
+    assert default_record(COMMIT, 7) == "campaign-01234567-seed-7.jsonl"
+    assert main(["--seed", "7", "--commit", COMMIT, "--trials", "1", "--markdown"]) == 2
+    assert "--seed 7 cannot be published" in capsys.readouterr().err
+    assert main(["--commit", f"{COMMIT}-dirty", "--trials", "1", "--markdown"]) == 2, "said before the campaign"
+    assert "with changes that are in no commit" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--keep", "--seed"])
+def test_all_campaigns_reject_options_of_one(option: str) -> None:
+    """A swarm that is kept cannot be used for the next profile; a seed that was chosen is not published."""
+    done = subprocess.run([str(ROOT / "scripts/campaign"), "all", option], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert f"does not take {option}: " in done.stderr
 
 
 def test_an_empty_record_changes_nothing(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
