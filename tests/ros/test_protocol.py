@@ -7,6 +7,7 @@ import pytest
 from phm.facts import (
     AnswerFact,
     BeaconFact,
+    DataFact,
     DiagnosticFact,
     EndpointFact,
     NameFact,
@@ -58,6 +59,13 @@ def test_a_message_is_read_as_written(message: Message) -> None:
     line = encode(message)
     assert line.count(b"\n") == 1
     assert decode(line) == message
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), float("-inf")])
+def test_a_number_that_is_not_finite_is_unknown(number: float) -> None:
+    """It costs one value, not the message with the entire graph."""
+    found = GraphMessage(1.0, topics={"/t": TopicFact(data=DataFact(lost_percent=number, samples=3))})
+    assert decode(encode(found)) == GraphMessage(1.0, topics={"/t": TopicFact(data=DataFact(samples=3))})
 
 
 def test_the_configuration_passes_the_pipe() -> None:

@@ -18,14 +18,17 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 T = TypeVar("T")
 
 Read = Callable[[Any], Any]
-_PLAIN = frozenset({str, int, float, bool, type(None)})
+_PLAIN = frozenset({str, int, bool, type(None)})
 
 
 def pack(fact: Any) -> Any:
-    """JSON-able form of a fact: dataclasses and tuples as lists, mappings as objects."""
+    """JSON-able form of a fact: dataclasses and tuples as lists, mappings as objects, and None for a number that is not finite:
+    the reader would refuse it, and with it the entire message."""
     kind = type(fact)
     if kind in _PLAIN:
         return fact
+    if isinstance(fact, float):
+        return fact if math.isfinite(fact) else None
     if is_dataclass(kind):
         return [pack(item) for item in _parts(kind)(fact)]
     if isinstance(fact, (list, tuple)):

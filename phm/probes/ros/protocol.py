@@ -253,7 +253,7 @@ def decode_order(line: bytes | str) -> Publish:
 
 
 def _line(data: Any) -> bytes:
-    return json.dumps(data, separators=(",", ":")).encode() + b"\n"
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
 
 def _parsed(line: bytes | str) -> Any:

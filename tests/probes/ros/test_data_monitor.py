@@ -102,6 +102,18 @@ def test_a_stamp_that_was_never_set_is_reported() -> None:
     assert fact.conditions == ("data_stamp",) and fact.unset
 
 
+def test_no_type_is_loaded_to_see_whether_it_begins_with_a_header(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The class of a type from `ros.installs` runs the application's code: the messages themselves show their header."""
+
+    def never(name: str) -> None:
+        raise AssertionError(f"{name} was loaded")
+
+    monkeypatch.setattr("phm.probes.ros.data.decoder.load_decodable", never)
+    monitor = DataMonitor(WantedData(order=True), 10.0)
+    monitor.look(1.0, "absent_msgs/msg/Odometry", [RawMessage(stamped(7), None, 1, 1)])
+    assert monitor.fact is not None and monitor.fact.problem == ""
+
+
 def test_a_current_stamp_and_a_counter_do_not_hide_frozen_content() -> None:
     """Both change with every message."""
     bench = Bench(frozen_s=1.0, counter="seq")

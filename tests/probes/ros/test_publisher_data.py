@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -132,6 +133,15 @@ def test_messages_that_phm_does_not_receive_are_no_gaps() -> None:
         total += published
         fact = bench.add(published, counter=total)
     assert fact.lost_percent == 0.0
+
+
+@pytest.mark.parametrize("values", [(-1.7e308, 1.7e308), (float("nan"), 1.0), (float("inf"), float("inf"))])
+def test_a_counter_without_a_finite_step_is_ignored(values: tuple[float, float]) -> None:
+    """Any participant can publish such numbers, and a fact must have finite numbers."""
+    bench = Bench(None, counter="seq")
+    for value in values:
+        assert math.isfinite(bench.add(counter=value).lost_percent or 0.0)
+    assert bench.each("counter", [0, 2 * PUBLISHED]).lost_percent == 50.0
 
 
 @pytest.mark.parametrize("bits", [8, 16, 32, 64])

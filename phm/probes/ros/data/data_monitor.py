@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from phm.core.message_fields import has_header
 from phm.facts.ros import DataFact
-from phm.probes.ros.data.decoder import Decoder, Undecodable, begins_with_header
+from phm.probes.ros.data.decoder import Decoder, Undecodable
 from phm.probes.ros.data.publisher_data import Examined, PublisherData
 from phm.probes.ros.data.raw_message import NoHeader, digest, stamp_ns
 from phm.probes.ros.protocol import WantedData
@@ -30,7 +31,7 @@ class DataMonitor:
         wanted: WantedData,
         rate_hz: float,
         decoder: Callable[[WantedData, str], Decoder] = Decoder,
-        begins_with_header: Callable[[str], bool | None] = begins_with_header,
+        begins_with_header: Callable[[str], bool | None] = has_header,
     ) -> None:
         self._wanted = wanted
         self._gone_s = max(GONE_S, GONE_PERIODS / rate_hz if rate_hz else 0.0)

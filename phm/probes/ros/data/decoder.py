@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from phm.core.message_fields import HEADER, FieldsOf, UnknownField, demand_counter, demand_number, has_header
+from phm.core.message_fields import HEADER, UnknownField, demand_counter, demand_number
 from phm.probes.ros.message_types import UnknownType, load_decodable
 from phm.probes.ros.protocol import WantedData
 
@@ -104,11 +104,6 @@ def class_fields(type_name: str) -> Mapping[str, str] | None:
         return None
     fields: Mapping[str, str] = found.get_fields_and_field_types()
     return fields
-
-
-def begins_with_header(type_name: str, of: FieldsOf = class_fields) -> bool | None:
-    """None: the type is known by its name alone."""
-    return has_header(type_name, of)
 
 
 def _value(message: Any, name: str) -> Any:

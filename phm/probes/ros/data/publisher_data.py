@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -143,6 +144,8 @@ class PublisherData:
             return
         published = message.sequence - last.sequence
         lost = message.counter - last.counter - published
+        if not math.isfinite(lost):
+            return
         if self._modulus is not None:
             half = self._modulus // 2
             lost = (lost + half) % self._modulus - half
