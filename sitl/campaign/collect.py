@@ -23,11 +23,14 @@ def note(trial: Trial, agent: int, event: Event) -> None:
 
 
 def _opened(trial: Trial, agent: int, event: Event) -> None:
-    trial.alarms.append(
-        Alarm(
-            agent, event["unit"], event["slot"], event["fault"], event["mono"], [event["condition"]], event["summary"]
-        )
-    )
+    unit, slot, summary = event["unit"], event["slot"], event["summary"]
+    conditions, brief = [event["condition"]], _brief(event)
+    trial.alarms.append(Alarm(agent, unit, slot, event["fault"], event["mono"], conditions, summary, brief=brief))
+
+
+def _brief(event: Event) -> str:
+    """As in the event's STATUSTEXT."""
+    return str(event.get("brief") or event["unit"])
 
 
 def _closed(trial: Trial, agent: int, event: Event) -> None:
@@ -43,7 +46,8 @@ def _changed(trial: Trial, agent: int, event: Event) -> None:
     elif event["level"] == "WARN":
         known = [each.conditions for each in lasting]
         if event["old"] != "WARN":
-            trial.warned.append(Warned(agent, unit, event["slot"], event["mono"], [condition], event["summary"]))
+            slot, summary = event["slot"], event["summary"]
+            trial.warned.append(Warned(agent, unit, slot, event["mono"], [condition], summary, brief=_brief(event)))
     else:
         known = []
         for each in lasting if event["level"] in OK_LEVELS else ():

@@ -51,7 +51,7 @@ WANTED: Sequence[Pair] = (("engine", "container"), ("network", "nodes"), ("nodes
 """Pairs that every campaign has to inject."""
 EXPLAINS: Mapping[str, frozenset[str]] = {
     "container": frozenset({"nodes", "topics", "health"}),
-    "network": frozenset({"nodes", "topics"}),
+    "network": frozenset({"topics"}),  # nothing on a network ends a process
 }
 """A fault of the kind on the left causes or blocks the symptoms of those on the right, and its recovery may restart them: its
 alarm may report both.
@@ -147,6 +147,7 @@ def injection(fault: Fault, agent: Agent, profile: Profile) -> Injection:
         healable=fault.healable and fault.name not in profile.not_healed,
         level=fault.level,
         others=fault.others.format(**names),
+        earlier=fault.earlier,
         cause=fault.cause,
         group=found,
         blinds=found in _CUT_OFF,
@@ -155,6 +156,7 @@ def injection(fault: Fault, agent: Agent, profile: Profile) -> Injection:
         also=[unit.format(**names) for unit in fault.also],
         evidence=fault.evidence,
         evidence_s=fault.evidence_s,
+        evidence_period_s=fault.evidence_period_s,
     )
 
 

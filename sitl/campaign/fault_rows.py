@@ -200,7 +200,10 @@ def remarks(each: Judged, verdict: Verdict) -> list[str]:
         found.append("missed" if fault.unit else "PHM did not come back by itself")
     if verdict.wrong:
         found.append(verdict.wrong)
-    if verdict.count > verdict.expected:
+    if verdict.before:
+        found.append(f"before the fault: {', '.join(dict.fromkeys(alarm.unit for alarm in verdict.before))}")
+    found += [f"no alarm at {unit}" for unit in verdict.lacking if not verdict.wrong or unit != fault.unit]
+    if verdict.excess:
         extra = [alarm.unit for alarm in verdict.alarms if alarm.unit not in (fault.unit, *fault.also)]
         found.append(f"alarms: {verdict.count}, expected {verdict.expected}: {', '.join(extra) or 'reported again'}")
     if each.trial.kind == "trial":

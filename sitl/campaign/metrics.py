@@ -11,7 +11,7 @@ from sitl.campaign import uptime
 from sitl.campaign.attempts import Attempt, attempts
 from sitl.campaign.scoring import judge
 from sitl.campaign.stats import Stats, rank, stats
-from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Trial
+from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Injection, Trial, Warned
 from sitl.campaign.verdict import ENDINGS, Judged, Verdict
 
 __all__ = ["Figures", "OfClass", "Stats", "figures", "rank", "stats"]
@@ -38,6 +38,7 @@ class OfClass:
     """Per expected alarm, of what was reported; None where none was expected."""
     evidence: str = ""
     evidence_s: float | None = None
+    evidence_period_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -64,15 +65,23 @@ class Figures:
     """PHM's claims about all other faults: ended by something else, or not confirmed."""
     by_action: float | None
     by_action_healable: float | None
+    by_action_possible: float | None
+    """The share that an action can end at all, of all injected."""
     endings: dict[str, int]
     """Faults by what has ended them, by PHM's record."""
     unconfirmed: int
     """Ended by an action by PHM's record; not observed from outside, or observed otherwise."""
+    never_broken: int
+    """Of these, faults whose world was never observed to be broken."""
     through_cause: int
     uptime: float | None
     heard: float | None
     """As `uptime`, including the time in which the injector cut the agent from the ground."""
     alarms_per_fault: float | None
+    lacking: int
+    """Reported faults with fewer alarms than expected."""
+    before: int
+    """Alarms of side effects of the injection, before the fault existed."""
     missed: int
     false: int
     right: float | None
@@ -112,7 +121,7 @@ class Figures:
         return [alarm for each in self.judged for alarm in each.beside]
 
     @property
-    def clearing(self) -> list[Alarm]:
+    def clearing(self) -> list[Alarm | Warned]:
         return [alarm for each in self.judged for alarm in each.clearing]
 
 
@@ -144,12 +153,16 @@ def figures(trials: Sequence[Trial]) -> Figures:
         by_action_healable=_part(
             (verdict for verdict in verdicts if verdict.injection.healable), lambda each: each.by_action
         ),
+        by_action_possible=_part(verdicts, lambda each: each.injection.by_action_possible),
         endings={ending: ended[ending] for ending in ENDINGS},
         unconfirmed=sum(each.ended_by == ENDINGS[0] and not each.by_action for each in verdicts),
+        never_broken=sum(each.never_broken for each in verdicts),
         through_cause=sum(each.through_cause for each in verdicts),
         uptime=uptime.share(watched),
         heard=uptime.share(watched, net=False),
         alarms_per_fault=_alarms(verdicts),
+        lacking=sum(bool(verdict.lacking) for verdict in verdicts),
+        before=sum(len(verdict.before) for verdict in verdicts),
         missed=sum(verdict.missed for each in (*played, *off) for verdict in each.verdicts),
         false=sum(len(each.false) for each in judged),
         right=_part(verdicts, lambda each: each.right),
@@ -167,16 +180,21 @@ def figures(trials: Sequence[Trial]) -> Figures:
         peak_mb=max((cost.peak_mb or cost.rss_mb for cost in costs), default=None),
         without_cost=sum(trial.agents - len(trial.cost) for trial in trials),
         restarts=sum(len(trial.starts) for trial in watched),
-        classes=tuple(_of_class(name, verdicts) for name in sorted({each.injection.fault for each in verdicts})),
+        classes=_classes([each for one in played for each in one.trial.injections], verdicts),
         judged=judged,
     )
 
 
-def _of_class(name: str, verdicts: Sequence[Verdict]) -> OfClass:
-    mine = [verdict for verdict in verdicts if verdict.injection.fault == name]
-    first = mine[0].injection
+def _classes(injections: Sequence[Injection], verdicts: Sequence[Verdict]) -> tuple[OfClass, ...]:
+    """Of all faults that were to be injected: a class whose injections all failed has none injected."""
+    first = {each.fault: each for each in reversed(injections)}
+    return tuple(_of_class(first[name], verdicts) for name in sorted(first))
+
+
+def _of_class(first: Injection, verdicts: Sequence[Verdict]) -> OfClass:
+    mine = [verdict for verdict in verdicts if verdict.injection.fault == first.fault]
     return OfClass(
-        fault=name,
+        fault=first.fault,
         title=first.title,
         layer=first.layer,
         healable=first.healable,
@@ -191,14 +209,17 @@ def _of_class(name: str, verdicts: Sequence[Verdict]) -> OfClass:
         alarms=_alarms(mine),
         evidence=first.evidence,
         evidence_s=first.evidence_s,
+        evidence_period_s=first.evidence_period_s,
     )
 
 
 def _alarms(verdicts: Iterable[Verdict]) -> float | None:
-    """Alarms per expected alarm, of the reported faults only: a missed one must not compensate for a chain."""
+    """Alarms per expected alarm, of the reported faults only. One is the least: neither a missed fault nor one with too
+    few alarms compensates for a chain.
+    """
     reported = [verdict for verdict in verdicts if not verdict.missed]
     due = sum(verdict.expected for verdict in reported)
-    return sum(verdict.count for verdict in reported) / due if due else None
+    return 1 + sum(verdict.excess for verdict in reported) / due if due else None
 
 
 def _part(verdicts: Iterable[Verdict], wanted: Callable[[Verdict], bool]) -> float | None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence, Set
 from sitl.campaign.host_load import confirmed
 from sitl.campaign.times import measure
 from sitl.campaign.trial import Alarm, Injection, Trial, Warned
-from sitl.campaign.verdict import BESIDE, PEERS, Judged, Verdict, due, expects
+from sitl.campaign.verdict import BESIDE, PEERS, Judged, Verdict, due, expects, until
 
 
 def judge(trial: Trial) -> Judged:
@@ -21,21 +21,22 @@ def judge(trial: Trial) -> Judged:
         verdict.cause = _cause(verdict.injection, verdicts)
     false: list[Alarm] = []
     beside: list[Alarm] = []
-    clearing: list[Alarm] = []
+    clearing: list[Alarm | Warned] = []
     for alarm in sorted(trial.alarms, key=lambda each: each.mono):
         owner = _owner(alarm, verdicts)
         if owner is not None:
-            cleared = owner.injection.cleared
-            (clearing if cleared is not None and alarm.mono > cleared else owner.alarms).append(alarm)
+            (owner.alarms if alarm.mono <= until(owner.injection) else clearing).append(alarm)
         elif alarm.unit.startswith(BESIDE) and confirmed(alarm, trial.machine):
             beside.append(alarm)
         else:
             false.append(alarm)
     for verdict in sorted(verdicts, key=lambda each: each.cause is not None):
         warned = _warned(verdict, trial)
+        clearing += [each for each in warned if each.mono > until(verdict.injection)]
+        warned = [each for each in warned if each not in clearing]
         named = _named(verdict)
         verdict.wrong = _wrong(verdict, named, {condition for each in warned for condition in each.conditions})
-        measure(verdict, trial, named or warned)
+        measure(verdict, trial, sorted([*named, *warned], key=lambda each: each.mono))
     return Judged(trial, verdicts, false, beside, clearing)
 
 
@@ -52,14 +53,16 @@ def _cause(fault: Injection, verdicts: Sequence[Verdict]) -> Verdict | None:
 
 
 def _named(verdict: Verdict) -> list[Alarm]:
-    """Alarms at the fault's own unit."""
+    """Alarms at the fault's own unit since its injection."""
     fault = verdict.injection
-    return [alarm for alarm in verdict.alarms if (alarm.agent, alarm.unit) == (fault.agent, fault.unit)]
+    return [alarm for alarm in verdict.since if (alarm.agent, alarm.unit) == (fault.agent, fault.unit)]
 
 
 def _warned(verdict: Verdict, trial: Trial) -> list[Warned]:
-    """Warnings at the fault's own unit since its injection."""
+    """Warnings at the fault's own unit since its injection, where they report it: an ERROR is not a warning."""
     fault = verdict.injection
+    if fault.level != "WARN":
+        return []
     begun = fault.moment or 0.0
     return [
         each for each in trial.warned if (each.agent, each.unit) == (fault.agent, fault.unit) and each.mono >= begun
@@ -106,13 +109,13 @@ def _wrong(verdict: Verdict, named: Sequence[Alarm], warned: Set[str]) -> str:
     if not fault.unit:
         return ""
     if not named and not warned:
-        return f"reported at {_units(verdict.alarms)}, expected at {fault.unit}" if verdict.alarms else ""
+        return f"reported at {_units(verdict.since)}, expected at {fault.unit}" if verdict.since else ""
     known = {condition for alarm in named for condition in alarm.conditions} | warned
     if named:
         earlier = [alarm for alarm in verdict.alarms if alarm.mono < named[0].mono and not expects(fault, alarm)]
         if earlier:
             return f"reported at {_units(earlier)} first, then at {fault.unit}"
-    if fault.condition and fault.condition not in known:
+    if fault.condition and not known & ({fault.condition, fault.earlier} - {""}):
         return f"known as {', '.join(sorted(known)) or 'nothing'}, expected {fault.condition}"
     return ""
 

@@ -73,6 +73,7 @@ def endings(groups: Sequence[Group]) -> Rows:
     wanted: list[tuple[str, Shown]] = [
         ("action of PHM, confirmed from outside: self-resolved", of(lambda f: f.endings[ACTION] - f.unconfirmed)),
         ("action of PHM, not confirmed from outside", of(lambda f: f.unconfirmed)),
+        ("of these, the world was never seen broken", of(lambda f: f.never_broken)),
         *((ending, ended_by(ending)) for ending in ENDINGS if ending != ACTION),
         ("cleared by the campaign", of(lambda f: f.injected - sum(f.endings.values()))),
         ("injected", lambda f: str(f.injected)),
@@ -141,7 +142,8 @@ def left_out(groups: Sequence[Group]) -> Rows:
         ("response, paper: in the mean as when it was due, after the trial", lambda f: str(f.published_due)),
         ("recovery: ended otherwise or not confirmed; PHM's claims", lambda f: spread(f.recovery_other, f.injected)),
         ("false alarms: `host/*`, confirmed by the measured load", lambda f: str(len(f.beside))),
-        ("alarms: caused by clearing", lambda f: str(len(f.clearing))),
+        ("alarms and warnings: caused by clearing", lambda f: str(len(f.clearing))),
+        ("alarms: before the fault, by its injection", lambda f: str(f.before)),
         ("actions: interrupted by the end of the trial", lambda f: str(f.unfinished)),
         ("cost: agents of runs without measurement", lambda f: str(f.without_cost)),
         ("uptime: agent cut from the ground by the campaign", blind),
@@ -162,6 +164,7 @@ def beyond(groups: Sequence[Group]) -> Rows:
     """Figures without a target."""
     wanted: list[tuple[str, Shown]] = [
         ("Recovery by action, mean / p50 / p95 / max", lambda f: spread(f.recovery, f.injected)),
+        ("Faults with fewer alarms than expected", lambda f: str(f.lacking)),
         ("Nothing injected", lambda f: f"{f.nominal_s:.0f} s, {f.nominal_alarms} alarms"),
         ("Starts of PHM during runs, injected or not", lambda f: str(f.restarts)),
         ("PHM received at the ground, cut radios counted as silence", lambda f: _share(f.heard)),
@@ -169,7 +172,6 @@ def beyond(groups: Sequence[Group]) -> Rows:
         ("Bytes per agent and second, all runs", lambda f: number(f.bytes_all, "{:.1f}")),
         ("Sidecar, CPU of one core, nothing injected", lambda f: number(f.cpu_nominal, "{:.2f} %")),
         ("Sidecar, RSS, mean", lambda f: number(f.rss_mb, "{:.0f} MB")),
-        ("Sidecar, PSS, mean", lambda f: number(f.pss_mb, "{:.0f} MB")),
         ("Sidecar, largest resident memory", lambda f: number(f.peak_mb, "{:.0f} MB")),
     ]
     return _rows(wanted, groups)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Sequence
 
-from sitl.campaign.trial import OFF, Alarm, Injection, Line, Start, Trial, Warned
-from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PEERS, PHM, Verdict, places
+from sitl.campaign.statustext import reports
+from sitl.campaign.trial import OFF, Alarm, Start, Trial, Warned
+from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PHM, Verdict, places, until as cleared
 
 OWN_RESTART, OWN_GUARD, NOTHING = "its own restart", "its own guard", "itself"
 INTERVAL_S = 20.0
@@ -22,27 +21,29 @@ def measure(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned]) -> 
     """
     fault = verdict.injection
     begun = fault.moment or 0.0
-    until = fault.cleared if fault.cleared is not None else math.inf
+    until = cleared(fault)
+    if fault.world is not None and fault.world <= until:
+        verdict.world_s = max(0.0, fault.world - begun)
     if fault.unit:
-        _reported(verdict, trial, first, begun)
+        _reported(verdict, trial, first, begun, until)
         if trial.kind != OFF:
             _claim(verdict, trial, begun, until)
     else:
         _restarted(verdict, trial, begun, until)
     _logged(verdict, trial, begun, until)
     _published(verdict, trial, begun)
-    if fault.world is not None and fault.world <= until:
-        verdict.world_s = max(0.0, fault.world - begun)
     if verdict.claimed_s is not None:
         verdict.ended_by = _ended_by(verdict, trial, begun)
 
 
-def _reported(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned], begun: float) -> None:
+def _reported(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned], begun: float, until: float) -> None:
     if not first:
         return
-    verdict.detected_s = max(0.0, first[0].mono - begun)
+    verdict.detected_s = first[0].mono - begun
     lines = [
-        line.mono for line in trial.lines if line.mono >= begun and reports(line, verdict.injection, first[0].slot)
+        line.mono
+        for line in trial.lines
+        if begun <= line.mono <= until and reports(line, verdict.injection, first[0], trial)
     ]
     verdict.response_s = min(lines) - begun if lines else None
 
@@ -50,11 +51,11 @@ def _reported(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned], b
 def _restarted(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
     """PHM itself was down: its next run reports by its first line, and is complete with its first complete report."""
     agent = verdict.injection.agent
-    start = next((each for each in trial.starts if each.agent == agent and each.mono >= begun), None)
+    start = next((each for each in trial.starts if each.agent == agent and begun <= each.mono <= until), None)
     if start is None:
         return
     verdict.detected_s = start.mono - begun
-    lines = [line.mono for line in trial.lines if line.system == agent and line.mono >= start.mono]
+    lines = [line.mono for line in trial.lines if line.system == agent and start.mono <= line.mono <= until]
     verdict.response_s = min(lines) - begun if lines else None
     _complete_again(verdict, start, begun, until)
 
@@ -69,7 +70,9 @@ def _claim(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
     units. A fault that another one explains is over with that one.
     """
     fault, ends, by = verdict.injection, [], []
-    back = [each for each in trial.starts if each.agent == fault.agent and each.mono >= begun and each.report]
+    if verdict.missed:
+        return
+    back = [each for each in trial.starts if each.agent == fault.agent and begun <= each.mono <= until and each.report]
     if fault.phm and back:
         _complete_again(verdict, back[0], begun, until)
         return
@@ -78,9 +81,9 @@ def _claim(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
         return
     if verdict.through_cause and verdict.cause is not None:
         cause = verdict.cause
-        if cause.claimed_s is not None:
-            verdict.claimed_s = max(0.0, (cause.injection.moment or begun) + cause.claimed_s - begun)
-            verdict.by = cause.by
+        over = None if cause.claimed_s is None else (cause.injection.moment or begun) + cause.claimed_s - begun
+        if over is not None and over >= 0:
+            verdict.claimed_s, verdict.by = over, cause.by
         return
     for unit in places(fault):
         found = _end(verdict, trial, unit, begun, until)
@@ -99,7 +102,7 @@ def _end(verdict: Verdict, trial: Trial, unit: str, begun: float, until: float) 
         for alarm in verdict.alarms
         if (alarm.agent, alarm.unit, alarm.outcome) == (agent, unit, "resolved")
         and alarm.closed is not None
-        and alarm.closed <= until
+        and begun <= alarm.closed <= until
     ]
     credited = {by for _, by in closes}
     proofs = [
@@ -111,7 +114,7 @@ def _end(verdict: Verdict, trial: Trial, unit: str, begun: float, until: float) 
     warns = [
         (each.ended, NOTHING)
         for each in trial.warned
-        if (each.agent, each.unit) == (agent, unit) and each.mono >= begun
+        if (each.agent, each.unit) == (agent, unit) and begun <= each.mono <= until
         if each.ended is not None and each.ended <= until
     ]
     return min(proofs or closes or warns, default=None)
@@ -170,18 +173,3 @@ def _published(verdict: Verdict, trial: Trial, begun: float) -> None:
         period_s = float(trial.setting.get("interval_s", INTERVAL_S))
         verdict.published_s = max(verdict.detected_s, max(each.mono or 0.0 for each in complete) + period_s - begun)
         verdict.published_due = True
-
-
-def reports(line: Line, fault: Injection, slot: int) -> bool:
-    """Whether a line reports a bad state of this agent in that slot: a change, or the refresh; from itself or another
-    agent.
-    """
-    who = f"A{fault.agent:02d}"
-    words = "FAIL|GAVE UP|WARN" if fault.level == "WARN" else "FAIL|GAVE UP"
-    if re.match(rf"{who} ({words}) (?:[01-]{{8}} )?{slot}\b", line.text):
-        return True
-    if re.match(rf"{who} no GCS radio", line.text):
-        return fault.layer == "link"
-    return (
-        fault.unit.startswith(PEERS) and re.search(rf" (FAIL|WARN) 12 .*\b({who}|split|alone)\b", line.text) is not None
-    )

@@ -36,6 +36,8 @@ class Injection:
     healable: bool
     level: str = "ERROR"
     others: str = ""
+    earlier: str = ""
+    """Condition of the alarm that PHM opens at `unit` before it knows `condition`; empty: none."""
     cause: str = ""
     group: str = ""
     blinds: bool = False
@@ -58,6 +60,8 @@ class Injection:
     """The earliest event on board that reveals the fault."""
     evidence_s: float | None = None
     """Seconds from `moment` until that event, at the latest; None: not stated."""
+    evidence_period_s: float = 0.0
+    """Period of an event that is periodic: on average it is half of it earlier."""
     world_seen: bool = False
     """The injector observed the world: False or True was returned by the fault's `restored` at least once."""
     world_broken: float | None = None
@@ -65,10 +69,17 @@ class Injection:
     world: float | None = None
     """When the world was observed to be restored and stayed so until the fault was cleared; None: it was not."""
 
+    @property
+    def by_action_possible(self) -> bool:
+        """An action of PHM can end it: neither PHM itself nor a timer of the injector does."""
+        return self.healable and bool(self.unit) and not (self.phm or self.passes)
+
 
 @dataclass
 class Alarm:
-    """A fault that PHM opened, with its present outcome. `conditions`: all its conditions, in order."""
+    """A fault that PHM opened, with its present outcome. `conditions`: all its conditions, in order. `brief`: its text
+    in a STATUSTEXT; empty: not recorded.
+    """
 
     agent: int
     unit: str
@@ -80,11 +91,12 @@ class Alarm:
     closed: float | None = None
     outcome: str = "open"
     by: str = ""
+    brief: str = ""
 
 
 @dataclass
 class Warned:
-    """A unit became WARN; `conditions`: all conditions, in order; `ended`: when it was OK again."""
+    """A unit became WARN; `conditions`: all conditions, in order; `ended`: when it was OK again; `brief` as in Alarm."""
 
     agent: int
     unit: str
@@ -93,6 +105,7 @@ class Warned:
     conditions: list[str]
     summary: str
     ended: float | None = None
+    brief: str = ""
 
 
 @dataclass

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from sitl.campaign.trial import Alarm, Injection, Trial
+from sitl.campaign.trial import Alarm, Injection, Trial, Warned
 
 BESIDE = "host/"
 """All agents share one machine: any of them may report its load."""
@@ -59,26 +60,60 @@ class Verdict:
     """The fault on the same agent that explains this one: one alarm, at the cause, reports both."""
 
     @property
+    def since(self) -> list[Alarm]:
+        """The alarms since the injection was complete."""
+        return [alarm for alarm in self.alarms if alarm.mono >= (self.injection.moment or 0.0)]
+
+    @property
+    def before(self) -> list[Alarm]:
+        """Alarms of side effects of the injection: the fault did not exist yet."""
+        return [alarm for alarm in self.alarms if alarm not in self.since]
+
+    @property
     def missed(self) -> bool:
+        """Not reported. The alarm of the fault that explains it reports it for as long as that one lasts; when that one
+        is over and this one is not, nothing has reported this one.
+        """
         if self.cause is not None and not self.alarms:
-            return self.cause.missed
-        return self.detected_s is None and not self.alarms
+            lasts = self.observed and self.world_s is None
+            return self.cause.missed or (lasts and self.cause.claimed_s is not None)
+        return self.detected_s is None and not self.since
 
     @property
     def right(self) -> bool:
         if self.cause is not None and not self.alarms:
-            return self.cause.right
+            return self.cause.right and not self.missed
         return not self.missed and not self.wrong
 
     @property
     def through_cause(self) -> bool:
         """It was reported by the alarm of the fault that explains it alone, so it has no times of detection."""
-        return self.cause is not None and self.detected_s is None and not self.cause.missed
+        return self.cause is not None and self.detected_s is None and not self.cause.missed and not self.missed
 
     @property
     def count(self) -> int:
         """The number of alarms; reports of several agents about the same peer count once."""
         return counted(self.alarms)
+
+    @property
+    def excess(self) -> int:
+        """Alarms more than expected."""
+        return max(0, self.count - self.expected)
+
+    @property
+    def lacking(self) -> list[str]:
+        """Units at which an alarm is expected of the agent or, for `others`, of another one, and none was raised. A
+        fault whose condition is a warning may be reported by that alone.
+        """
+        fault = self.injection
+        if not self.expected or self.missed:
+            return []
+        own = {alarm.unit for alarm in self.since if alarm.agent == fault.agent}
+        others = {alarm.unit for alarm in self.since if alarm.agent != fault.agent}
+        units = places(fault) if fault.level == "ERROR" else []
+        return [unit for unit in units if unit not in own] + [
+            unit for unit in (fault.others,) if unit and unit not in others
+        ]
 
     @property
     def observed(self) -> bool:
@@ -88,9 +123,20 @@ class Verdict:
     @property
     def recovered_s(self) -> float | None:
         """PHM's claim, confirmed from outside: the later of the two."""
-        if self.claimed_s is None or self.world_s is None:
+        if self.claimed_s is None or self.world_s is None or not self.seen_broken:
             return None
         return max(self.claimed_s, self.world_s)
+
+    @property
+    def seen_broken(self) -> bool:
+        """The world was observed to be broken, before it was observed to be restored."""
+        broken, restored = self.injection.world_broken, self.injection.world
+        return broken is not None and (restored is None or broken <= restored)
+
+    @property
+    def never_broken(self) -> bool:
+        """PHM's record says that an action has ended the fault, and the world was only ever seen as before."""
+        return self.ended_by == ACTION and self.observed and not self.seen_broken
 
     @property
     def by_action(self) -> bool:
@@ -123,14 +169,15 @@ class Verdict:
 @dataclass
 class Judged:
     """A trial: its faults, the alarms that belong to none of them, those about the shared machine that its measured
-    load confirms, and those that clearing has caused: a fault that was not recovered is mostly cleared by a restart.
+    load confirms, and those that clearing has caused, warnings at the unit of the fault included: a fault that was not
+    recovered is mostly cleared by a restart.
     """
 
     trial: Trial
     verdicts: list[Verdict]
     false: list[Alarm]
     beside: list[Alarm]
-    clearing: list[Alarm]
+    clearing: list[Alarm | Warned]
 
 
 def counted(alarms: Sequence[Alarm]) -> int:
@@ -148,11 +195,18 @@ def places(injection: Injection) -> list[str]:
     return [unit for unit in (injection.unit, *injection.also) if unit]
 
 
+def until(injection: Injection) -> float:
+    """When it was cleared, on the monotonic clock; infinite: not yet. What comes later is a consequence of clearing."""
+    return injection.cleared if injection.cleared is not None else math.inf
+
+
 def due(injection: Injection) -> int:
-    """The number of alarms that a fault is expected to raise: none for a warning, and none where another explains it."""
+    """The number of alarms that a fault is expected to raise: none for a warning, unless an alarm comes before it, and
+    none where another explains it.
+    """
     if injection.explained_by:
         return 0
-    units = set(places(injection) if injection.level == "ERROR" else ()) | {injection.others}
+    units = set(places(injection) if injection.level == "ERROR" or injection.earlier else ()) | {injection.others}
     return len(units - {""})
 
 

@@ -12,7 +12,7 @@ class Injection(Fault):
     minute. No action is credited."""
 
     name, title, unit = "autopilot_reboot", "autopilot rebooted", "autopilot"
-    condition = "autopilot_rebooted"
+    condition, earlier = "autopilot_rebooted", "autopilot_silent"
     layer = "link"
     cause = "the autopilot's power dipped, or its watchdog fired"
     healable = False

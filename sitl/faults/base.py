@@ -176,6 +176,7 @@ class Fault(ABC):
     condition: as what PHM must know it; it selects the ladder.
     level: ``ERROR``, for which a fault is opened, or ``WARN``, a transition.
     others: unit at which all other agents of its swarm must see it, too, and others_condition as what; empty: nowhere.
+    earlier: condition of the fault that is opened at `unit` before `condition` is known; empty: none.
     also: units of further faults that it causes, independent of the first, each with an alarm of its own.
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
     needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
@@ -184,6 +185,7 @@ class Fault(ABC):
     least: how many agents its swarm must have for it to be what it says.
     evidence: the earliest event on board that reveals it (a missed heartbeat, a missed period, a kernel event), and
     evidence_s: how many seconds after the injection that event happens, at the latest; None: not stated yet.
+    evidence_period_s: its period, where that event is periodic: on average it happens half a period earlier.
     """
 
     name: ClassVar[str]
@@ -195,6 +197,7 @@ class Fault(ABC):
     level: ClassVar[str] = "ERROR"
     others: ClassVar[str] = ""
     others_condition: ClassVar[str] = ""
+    earlier: ClassVar[str] = ""
     also: ClassVar[tuple[str, ...]] = ()
     healable: ClassVar[bool] = True
     passes: ClassVar[bool] = False
@@ -202,6 +205,7 @@ class Fault(ABC):
     least: ClassVar[int] = 1
     evidence: ClassVar[str] = ""
     evidence_s: ClassVar[float | None] = None
+    evidence_period_s: ClassVar[float] = 0.0
 
     def places(self, agent: Agent) -> tuple[str, ...]:
         """Units at which an alarm is due, exactly one at each; none where the condition is not reported as a fault."""

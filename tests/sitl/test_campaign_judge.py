@@ -8,7 +8,7 @@ import pytest
 
 from sitl.campaign.attempts import attempts
 from sitl.campaign.scoring import judge
-from sitl.campaign.times import reports
+from sitl.campaign.statustext import by_others, own
 from sitl.campaign.trial import OFF, Act, Load, Start, Summary, Trial, Warned
 from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PHM, Verdict
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, started, trial, verified
@@ -263,12 +263,13 @@ def test_a_failed_injection_is_not_scored() -> None:
 )
 def test_a_line_is_matched_to_its_fault(text: str, system: int, reported: bool) -> None:
     """By agent, bad level and slot: as a change or in the refresh. A WARN line does not match a fault with level ERROR."""
-    assert reports(line(1.0, text, system), injection(), 6) is reported
+    made = line(1.0, text, system)
+    assert (own(made, injection(), 6) or by_others(made, injection())) is reported
 
 
 def test_a_lost_radio_is_reported_by_other_agents() -> None:
     """Neighbours report a link fault, since the agent itself cannot."""
-    assert reports(line(1.0, "A03 no GCS radio, heard by A01 A02: 2 ERROR", 1), injection(layer="link"), 1)
+    assert by_others(line(1.0, "A03 no GCS radio, heard by A01 A02: 2 ERROR", 1), injection(layer="link"))
 
 
 @pytest.mark.parametrize(
@@ -281,7 +282,7 @@ def test_a_lost_radio_is_reported_by_other_agents() -> None:
         ({"passes": True}, "restart", 3.5, INJECTOR),
         ({}, "restart", 0.5, ITSELF),
         ({"unit": "container/ros_app"}, "restart", 0.5, DOCKER),
-        ({"world_broken": None}, "restart", 0.5, ACTION),
+        ({"world_broken": T0 + 0.1}, "restart", 3.5, ACTION),
     ],
 )
 def test_what_ended_a_fault(fault: dict[str, Any], by: str, world: float, ended_by: str) -> None:
