@@ -217,12 +217,12 @@ def test_received_beacons_are_sent_before_the_snapshot(bench: Bench) -> None:
 
     class Looked(Observer):
         def __init__(self) -> None:
-            part = type("Part", (), {"look": lambda self, *_: [SelfReportUpdate()]})()
-            self._beacons = self._diagnostics = part
+            part = type("Part", (), {"look": lambda self, *_, **__: [SelfReportUpdate()]})()
+            self._beacons = self._diagnostics = self._readiness = part
             self._names = type("Names", (), {"look": lambda self, _: False})()
 
         def _graph_message(self, *, notified: bool, late_s: float) -> GraphMessage | Tick:
             return Tick(1.0, late_s=late_s)
 
     order += [type(message).__name__ for message in Looked().look(late_s=0.5)]
-    assert order == ["SelfReportUpdate", "SelfReportUpdate", "Tick"]
+    assert order == ["SelfReportUpdate"] * 3 + ["Tick"]
