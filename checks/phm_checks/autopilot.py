@@ -43,6 +43,8 @@ class Autopilot(api.Check):
         self._age = StableNumber(share=1.0)
         self._lost_at: int | None = None
         """The reboots that were known when it was lost; None: it has not been lost since it was last OK."""
+        self._back = False
+        """It has been received since, and the end of that loss was reported."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -75,6 +77,7 @@ class Autopilot(api.Check):
         if fact.overdue and self._certain(world, fact):
             return self._lost(world, fact, early=True)
         self._age.forget("age")
+        self._back = True
         ended_by = "reboot" if self._lost_at is not None and fact.reboots > self._lost_at else ""
         if fact.rebooted_s is not None and fact.rebooted_s <= REPORT_S:
             # The autopilot's own messages show the reboot, so no other component can be the cause.
@@ -101,9 +104,14 @@ class Autopilot(api.Check):
             one.age_s + SAMPLED_S < quiet_s for one in link.senders if (one.system, one.component) != own
         )
 
+    def _begin_loss(self, fact: api.AutopilotFact) -> None:
+        """A reboot that was reported before this loss does not end it."""
+        if self._lost_at is None or self._back:
+            self._lost_at, self._back = fact.reboots, False
+
     def _awaited(self, fact: api.AutopilotFact) -> api.Result:
         """It reboots on command: neither lost nor known to be OK."""
-        self._lost_at = fact.reboots if self._lost_at is None else self._lost_at
+        self._begin_loss(fact)
         found = api.warn(
             f"the autopilot acknowledged a command to reboot {span(fact.rebooting_s or 0.0)} ago, expected to be back within "
             f"{span(REBOOTING_S)}",
@@ -116,7 +124,7 @@ class Autopilot(api.Check):
 
     def _lost(self, world: api.World, fact: api.AutopilotFact | None, *, early: bool = False) -> api.Result:
         if fact is not None:
-            self._lost_at = fact.reboots if self._lost_at is None else self._lost_at
+            self._begin_loss(fact)
         limit_s = self._settings.mavlink.autopilot_timeout
         if early and fact is not None and fact.due_s is not None:
             limit_s = fact.due_s

@@ -22,8 +22,8 @@ class Engine(api.Check):
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
-        """One check if any container is configured, else none."""
-        return [cls()] if settings.containers else []
+        """One check if any container is configured, or unknown ones are looked for, else none."""
+        return [cls()] if settings.containers or settings.docker.unknown_containers.level != "off" else []
 
     @property
     def units(self) -> Sequence[api.Unit]:

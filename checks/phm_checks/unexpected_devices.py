@@ -44,6 +44,8 @@ class UnexpectedDevices(api.Check):
             for fact in world.devices.matching(self._wanted.watch)
             if fact.path not in expected and not matches(fact.path, self._wanted.ignore)
         ]
+        ignored = self._ignored(world) if found else set()
+        found = [fact for fact in found if fact.path not in ignored]
         return unexpected(
             [(fact.path, fact.description) for fact in found],
             level=self._wanted.level,
@@ -52,6 +54,10 @@ class UnexpectedDevices(api.Check):
             condition="device_unexpected",
             remedy="unplug them, or add them to `containers[].devices` or host.unexpected_devices.ignore",
         )
+
+    def _ignored(self, world: api.World) -> set[str]:
+        """Paths of the devices behind links that match `ignore`."""
+        return {fact.path for pattern in self._wanted.ignore for fact in world.devices.matching([pattern])}
 
     def _real_paths(self, world: api.World) -> set[str]:
         """Paths of the configured devices, also those behind links such as /dev/serial/by-id/..."""

@@ -161,6 +161,17 @@ def test_an_earlier_reboot_does_not_end_a_later_silence() -> None:
     assert run(one, changed(rebooted_s=12.0, reboots=1)).evidence.ended_by == ""
 
 
+def test_a_reported_reboot_does_not_end_the_next_silence() -> None:
+    """The link hangs while the reboot is still reported; a second reboot ends its own silence."""
+    one = check()
+    run(one, changed(age_s=4.0))
+    assert run(one, changed(rebooted_s=0.2, reboots=1)).evidence.ended_by == "reboot"
+    for reboots, ended_by in ((1, ""), (2, "reboot")):
+        lost = run(one, changed(age_s=4.0, rebooted_s=14.0, reboots=1))
+        assert lost.level is api.Level.ERROR
+        assert run(one, changed(rebooted_s=16.0, reboots=reboots)).evidence.ended_by == ended_by
+
+
 def test_a_reboot_while_armed_ends_no_fault() -> None:
     """The vehicle may be falling."""
     one = check()

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
+from phm_checks.engine import Engine
 from phm_checks.unexpected_devices import UnexpectedDevices
 from phm_checks.unknown_containers import UnknownContainers
 
@@ -81,6 +82,18 @@ def test_an_engine_that_does_not_answer_is_stale() -> None:
         check.run(testing.world(docker=docker))
 
 
+def test_an_engine_that_is_down_is_an_alarm_without_configured_containers() -> None:
+    """The check needs the engine, so something must report its loss."""
+    wanted = testing.settings(docker={"unknown_containers": {"level": "warn"}})
+    (engine,) = Engine.build(wanted)
+    docker = testing.FakeDocker()
+    docker.fail("no answer")
+    result = engine.run(testing.world(docker=docker))
+    assert isinstance(result, api.Result)
+    assert (result.level, result.condition) == (api.Level.ERROR, "engine_down")
+    assert not list(Engine.build(testing.settings()))
+
+
 def test_configured_devices_are_expected() -> None:
     """Those of containers, also behind a link, and the serial ports of MAVLink."""
     assert devices(host()).level is api.Level.OK
@@ -97,6 +110,14 @@ def test_an_unexpected_device_is_named() -> None:
     )
     assert "video4" not in result.summary and not made.opened
     assert devices(made, watch=["/dev/video*"]).brief == "/dev/video4 unexpected"
+
+
+def test_an_ignored_device_may_be_named_by_its_link() -> None:
+    """As in `watch`: the link is followed, and the device appears with its real path."""
+    made = host("/dev/ttyUSB1", "/dev/ttyUSB2")
+    made.devices["/dev/serial/by-id/usb-FTDI_1"] = made.devices["/dev/ttyUSB1"]
+    result = devices(made, ignore=["/dev/video*", "/dev/serial/by-id/usb-FTDI*"])
+    assert result.brief == "/dev/ttyUSB2 unexpected"
 
 
 def test_the_checks_are_woken_by_events_of_unconfigured_things() -> None:

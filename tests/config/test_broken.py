@@ -326,6 +326,11 @@ BROKEN = [
            "mavlink.endpoints[0].container", ("unknown container 'rooter'",)),
     Broken("commands through no container", ONE + "mavlink: {application: ap}\n", 3, "mavlink.application",
            ("unknown container 'ap', did you mean 'app'?",)),
+    Broken("commands through a container and through nodes",
+           ONE + "ros: {nodes: [{name: /a, commands: true}]}\nmavlink: {application: app}\n", 4, "mavlink.application",
+           ("is 'app'", "nodes with 'commands: true' (line 3)", "remove one of the two")),
+    Broken("commands through nodes and none", "ros: {nodes: [{name: /a, commands: true}]}\nmavlink: {application: none}\n",
+           2, "mavlink.application", ("is 'none'", "(line 1)")),
     Broken("devices by folder", "host:\n  unexpected_devices: {watch: [/dev/*/by-id/x]}\n", 2,
            "host.unexpected_devices.watch[0]", ("is '/dev/*/by-id/x'", "a path below /dev")),
     # names of parts

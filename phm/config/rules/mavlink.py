@@ -37,6 +37,12 @@ def endpoints_are_unique(root: ConfigNode) -> None:
     application = root.get("mavlink", "application")
     if application.text not in ("", "auto", "none"):
         configured(application, known)
+    named = [node for node in root.get("ros", "nodes").records() if node.get("commands").value is True]
+    if named and application.text not in ("", "auto"):
+        application.add_problem(
+            f"is '{application.text}', but commands pass through the nodes with 'commands: true' (line {named[0].line}): "
+            "remove one of the two"
+        )
     autopilot = root.get("mavlink", "autopilot")
     if autopilot.value is True and not root.get("mavlink", "endpoints").value:
         autopilot.add_problem("is true, but there are no endpoints to receive it on: add one to 'mavlink.endpoints'")

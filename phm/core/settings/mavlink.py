@@ -95,7 +95,7 @@ class MavlinkSettings(Section):
     it is listed or runs with --pilot."""
     application: Name = "auto"
     """Key of the container through which commands pass to the autopilot, so that it is part of the command path. `auto`: inferred
-    unless `ros.nodes[].commands` names nodes; `none`: there is none."""
+    unless `ros.nodes[].commands` names nodes, and then the only value; `none`: there is none."""
     autopilot: bool = False
     """True: an autopilot must be received on these endpoints; else it is a fault."""
     autopilot_timeout: Annotated[Seconds, Field(ge=2, le=60)] = 3.5
