@@ -18,6 +18,7 @@ SETTLE_S = 3.0
 """A node that starts again within its running container is not ready for a moment, and its death may be known later."""
 UNANSWERED_S = 5.0
 """A lifecycle node that has not answered for this long is not ready."""
+BUSY = "PHM restarts nothing for this: it may be busy"
 LARGE_BPS, LARGE_PAUSE_S = 0.8e6, 2.5
 """Topics with more bytes per second are received only every two seconds (`phm.probes.ros.rates.topic_monitor`)."""
 
@@ -27,12 +28,15 @@ class Finding:
     """A requirement that is not met, or of which PHM cannot tell (`unknown`).
 
     short: for the operator's line. observed: it was observed directly, not inferred from silence or absence.
+    unanswered: only an answer is missing, which a busy node gives late. silent: only messages are, which it sends late.
     """
 
     words: str
     short: str = ""
     unknown: bool = False
     observed: bool = False
+    unanswered: bool = False
+    silent: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +67,14 @@ class Subject:
             return api.ok(f"{self.name[0].upper()}{self.name[1:]} is ready{what}", **values)
         level = Level.ERROR if self.ready.level == "error" else Level.WARN
         words = "; ".join(one.words for one in missing)
+        busy = any(one.unanswered for one in missing) and all(one.unanswered or one.silent for one in missing)
+        nothing = f". {BUSY}" if busy and level is Level.ERROR else ""
         return api.Result(
             level,
-            f"{self.name} runs and is not ready: {words}. {remedy}",
+            f"{self.name} runs and is not ready: {words}. {remedy}{nothing}",
             brief(last(self.unit), f"not ready: {missing[0].short}"[:30]),
             "not_ready",
-            self.container if level is Level.ERROR else "",
+            self.container if level is Level.ERROR and not busy else "",
             values,
             evidence=api.Evidence(conclusive=any(one.observed for one in missing)),
         )
@@ -117,7 +123,7 @@ class Requirements:
         if seen.problem:
             return Finding(f"{service} cannot be called: {clean(seen.problem)}", unknown=True)
         if seen.unanswered_s >= UNANSWERED_S:
-            return Finding(f"{service} has not answered for {span(seen.unanswered_s)}", "no answer")
+            return Finding(f"{service} has not answered for {span(seen.unanswered_s)}", "no answer", unanswered=True)
         return None if seen.answer else Finding(f"{service} has not answered yet", unknown=True)
 
     def _service(self, name: str) -> Finding | None:
@@ -142,7 +148,7 @@ class Requirements:
         if silent_s <= limit_s + (LARGE_PAUSE_S if large else 0.0):
             return None
         words = f"topic {name} is silent for {span(silent_s)}, expected a message at least every {span(limit_s)}"
-        return Finding(words, f"{last(name)} silent")
+        return Finding(words, f"{last(name)} silent", silent=True)
 
 
 def snapshot(world: api.World) -> api.RosFact:

@@ -100,6 +100,42 @@ def test_a_node_without_an_answer(fact: api.AnswerFact, up_s: float, level: api.
     assert result.level is level and words in result.summary and not result.evidence.conclusive
 
 
+UNANSWERED = api.AnswerFact("active", served=True, unanswered_s=6.0)
+
+
+@pytest.mark.parametrize(
+    ("ready", "fields", "target"),
+    [
+        ({"lifecycle": "active"}, {"lifecycle": {NODE: UNANSWERED}}, ""),
+        ({"call": "/a/s"}, {"calls": {"/a/s": UNANSWERED}}, ""),
+        (
+            {"lifecycle": "active", "topics": ["/a/plan"]},
+            {"lifecycle": {NODE: UNANSWERED}, "topics": received(9.0)},
+            "",
+        ),
+        (
+            {"lifecycle": "active", "services": ["/a/t"]},
+            {"lifecycle": {NODE: UNANSWERED}, "services": {"/a/t": 0}},
+            "ros_app",
+        ),
+        (
+            {"lifecycle": "active", "call": "/a/s"},
+            {"lifecycle": {NODE: api.AnswerFact("inactive", served=True)}, "calls": {"/a/s": UNANSWERED}},
+            "ros_app",
+        ),
+        ({"topics": ["/a/plan"]}, {"topics": received(9.0)}, "ros_app"),
+    ],
+)
+def test_a_node_that_only_does_not_answer_is_not_restarted(
+    ready: dict[str, Any], fields: dict[str, Any], target: str
+) -> None:
+    """It may be busy, e.g. in a long callback, and then it publishes nothing either. A state that was answered, and a server that
+    does not exist, are no such case."""
+    result = evaluate(build(**ready), **fields)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "not_ready", target)
+    assert ("PHM restarts nothing for this: it may be busy" in result.summary) is (not target)
+
+
 def test_a_node_that_was_started_again_has_its_start_up_time() -> None:
     """From unconfigured on, through inactive, it has `within`; a node that is only deactivated has not."""
     check = build(lifecycle="active", within="20s")
