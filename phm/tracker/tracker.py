@@ -70,7 +70,7 @@ class Tracker:
 
     def confirmed_bad(self, unit: str, mono: float) -> bool:
         """Whether the unit is ERROR and a run that began after `mono` confirmed it: a run of its own check with the published
-        condition, or, while its OK is held back, one that found a dependent in ERROR."""
+        condition and target, or, while its OK is held back, one that found a dependent in ERROR."""
         record = self._units[unit]
         if record.published.level is not Level.ERROR or record.started < mono:
             return False
@@ -78,7 +78,8 @@ class Tracker:
             return (
                 record.failing
                 and record.latest is not None
-                and record.latest.condition == record.published.result.condition
+                and (record.latest.condition, record.latest.target)
+                == (record.published.result.condition, record.published.result.target)
             )
         return any(self._units[name].failing and self._units[name].started >= mono for name in self._below(record))
 
@@ -423,9 +424,7 @@ class Tracker:
     def _publish(self, record: UnitRecord, result: Result, now: Stamp, effects: Effects, blocked_by: str = "") -> None:
         old, level = record.published, result.level
         changed = old.level is not level
-        reworded = (
-            not changed and level.bad and (old.result.condition, old.result.brief) != (result.condition, result.brief)
-        )
+        reworded = not changed and level.bad and _statement(old.result) != _statement(result)
         since = now if changed else old.since
         if level is Level.ERROR:
             self._faults.open(record, result, now, effects)
@@ -439,3 +438,8 @@ class Tracker:
             effects.events.append(Transition(now, old.level, record.published, changed_text=reworded))
         if changed and level is Level.ERROR:
             self._evaluate_dependents(record, now, effects)
+
+
+def _statement(result: Result) -> tuple[str, str, str]:
+    """What reporters and recovery take from a bad result: another one changes the fault that is open."""
+    return result.condition, result.brief, result.target

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -51,6 +52,21 @@ def test_a_hung_node_that_becomes_unreachable_is_not_restarted_after_landing(sta
     agent.found["nodes/one"] = HUNG
     agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
     agent.found["nodes/one"] = UNREACHABLE
+    agent.rest(5.0)
+    agent.armed = False
+    agent.rest(30.0)
+    assert agent.acted() == []
+    assert visible(agent)
+    assert agent.opened() == ["nodes/one"]
+
+
+def test_a_fault_that_loses_its_target_is_not_acted_on_after_landing(start: Start) -> None:
+    """Condition and text are the same as before: the newest result says that no restart helps."""
+    agent = start(critical=("app",))
+    agent.armed = True
+    agent.found["nodes/one"] = HUNG
+    agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
+    agent.found["nodes/one"] = replace(HUNG, target="")
     agent.rest(5.0)
     agent.armed = False
     agent.rest(30.0)

@@ -40,6 +40,17 @@ def test_dependencies_run_again_before_an_error_is_published() -> None:
     assert bench.opened == ["topics"]
 
 
+def test_a_result_with_another_target_confirms_no_action_on_the_first() -> None:
+    """The same condition and text, and nothing to act on: the fault follows the newest result."""
+    bench = chain()
+    bench.all_well()
+    bench.see("container", replace(BAD, target="app"))
+    bench.now += 1
+    bench.see("container", replace(BAD, target=""))
+    (fault,) = bench.tracker.open_faults()
+    assert fault.result.target == ""
+
+
 def test_only_the_root_cause_is_published_in_any_order() -> None:
     """Consequences seen before their cause raise no alarm."""
     bench = chain()
