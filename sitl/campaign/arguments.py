@@ -82,3 +82,6 @@ def _output(group: argparse._ArgumentGroup) -> None:
         action="store_true",
         help="write record and result into docs/development, and the figures of the README",
     )
+    group.add_argument(
+        "--incomplete", action="store_true", help="with --markdown: also while trials are missing, which the page says"
+    )

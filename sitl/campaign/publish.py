@@ -11,6 +11,7 @@ from typing import Any
 
 from sitl.campaign import seeds
 from sitl.campaign.groups import Group, groups
+from sitl.campaign.progress import progress
 from sitl.campaign.report import as_markdown, between_marks, wrapped
 from sitl.campaign.targets import percent
 from sitl.campaign.trial import Trial, load
@@ -88,6 +89,7 @@ def for_readme(trials: Sequence[Trial]) -> str:
 def _paragraph(group: Group) -> str:
     detection, response = group.mean(lambda f: f.detection.mean), group.mean(lambda f: f.response.mean)
     logged, published = group.mean(lambda f: f.logged.mean), group.mean(lambda f: f.published.mean)
+    done = progress(group.trials).words
     by_action, alarms = group.mean(lambda f: f.by_action), group.mean(lambda f: f.alarms_per_fault)
     sentences = [
         f"In a campaign of {group.all.injected} faults of every layer in a simulated swarm of {group.all.agents} agents "
@@ -99,7 +101,7 @@ def _paragraph(group: Group) -> str:
         "outside (16.6 %).",
         f"There were {'-' if alarms is None else f'{alarms.mean:.2f}'} alarms per fault and {group.all.false} false alarms.",
     ]
-    return " ".join(sentences)
+    return " ".join([f"The campaign is {done}." if done else "", *sentences]).strip()
 
 
 def _named(group: Group) -> str:

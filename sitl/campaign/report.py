@@ -11,6 +11,7 @@ from typing import Any
 
 from sitl.campaign import fault_rows, plots
 from sitl.campaign.groups import Group, groups
+from sitl.campaign.progress import progress
 from sitl.campaign.sections import problems, sections
 from sitl.campaign.targets import evaluated
 from sitl.campaign.trial import Trial
@@ -40,8 +41,10 @@ def description(found: Sequence[Group]) -> str:
     sentences = []
     for group in found:
         words = [" / ".join(str(value) for value in group.settings(key)) for key in ("day", "machine", "commit")]
-        planned = sum(max(int(trial.setting.get("planned", 0)) for trial in seed) for seed in _by_seed(group).values())
-        of = f" of {planned} planned" if planned and planned != group.all.trials else ""
+        done = progress(group.trials)
+        of = f" of {done.planned} planned" if done.missing else ""
+        if done.words:
+            sentences.append(f"{group.name}: {done.words.upper()}.")
         seeds = ", ".join(str(seed) for seed in group.settings("seed"))
         sentences.append(
             f"{group.name}: {words[0]}, {words[1]}, commit {words[2] or 'not recorded'}, seeds {seeds}, "
@@ -49,13 +52,6 @@ def description(found: Sequence[Group]) -> str:
             f"{group.all.trials}{of} trials, {group.all.injected} faults injected."
         )
     return "\n".join(sentences) or "No trial was run."
-
-
-def _by_seed(group: Group) -> dict[int, list[Trial]]:
-    found: dict[int, list[Trial]] = {}
-    for trial in group.trials:
-        found.setdefault(trial.campaign[2], []).append(trial)
-    return found
 
 
 def as_json(trials: Sequence[Trial]) -> str:

@@ -10,11 +10,12 @@ from rich.table import Table
 
 from sitl.campaign import table
 from sitl.campaign.groups import groups
+from sitl.campaign.progress import left
 from sitl.campaign.publish import PAGE, README, RECORD, publish
 from sitl.campaign.report import as_html, as_json, description
 from sitl.campaign.sections import problems
 from sitl.campaign.targets import short
-from sitl.campaign.trial import TRIAL, Trial
+from sitl.campaign.trial import Trial
 
 DONE, SHORT, NOT_DONE = 0, 1, 75
 """Exit codes: every target is met; some are not; stopped before the end (EX_TEMPFAIL): call again to go on."""
@@ -39,26 +40,20 @@ def show(trials: Sequence[Trial], asked: argparse.Namespace, console: Console, *
         if path is not None:
             path.write_text(make(trials), "utf-8")
             console.print(f"written: {path}", highlight=False)
-    if asked.markdown:
+    missing = left(trials)
+    incomplete = bool(missing) or not whole
+    if asked.markdown and incomplete and not asked.incomplete:
+        console.print(
+            f"not written: {RECORD}, {PAGE}, {README}: the campaign is incomplete. --incomplete writes them with a note",
+            highlight=False,
+        )
+    elif asked.markdown:
         publish(trials)
         console.print(f"written: {RECORD}, {PAGE}, {README}", highlight=False)
-    missing = left(trials)
-    if missing or not whole:
+    if incomplete:
         console.print(f"{missing or 'some'} of the planned trials are missing; call again to go on", highlight=False)
         return NOT_DONE
     return SHORT if short(found) else DONE
-
-
-def left(trials: Sequence[Trial]) -> int:
-    """Planned trials that are not in the record, those of seeds that were not begun included."""
-    planned = {trial.campaign: int(trial.setting.get("planned", 0)) for trial in trials}
-    seeds = {trial.campaign[:2]: int(trial.setting.get("seeds", 1)) for trial in trials}
-    made = [trial.campaign for trial in trials if trial.kind == TRIAL]
-    missing = sum(max(0, number - made.count(campaign)) for campaign, number in planned.items())
-    for kind, wanted in seeds.items():
-        begun = [number for campaign, number in planned.items() if campaign[:2] == kind]
-        missing += max(0, wanted - len(begun)) * max(begun)
-    return missing
 
 
 def _rich(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

@@ -7,15 +7,18 @@ from typing import Any
 import pytest
 
 from sitl.campaign.fault_catalog import EXPLAINS, explained
-from sitl.campaign.fault_rows import remarks
+from sitl.campaign.fault_rows import rare, remarks
 from sitl.campaign.groups import groups
 from sitl.campaign.metrics import figures
 from sitl.campaign.scoring import judge
-from sitl.campaign.table import beyond, endings, left_out
-from sitl.campaign.trial import Injection, Load, Start, Trial, Warned
+from sitl.campaign.table import beyond, endings, left_out, table2
+from sitl.campaign.targets import short
+from sitl.campaign.trial import Cost, Injection, Load, Start, Trial, Warned
 from sitl.campaign.verdict import ACTION, Verdict
 from sitl.faults import all_faults
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, started, trial, verified
+
+POSSIBLE = "Self-resolved: largest share that the injected faults allow"
 
 
 def only(made: Trial) -> Verdict:
@@ -195,3 +198,31 @@ def test_load_must_reach_the_limit_of_the_alarm(cpu: float, beside: int) -> None
     samples = [Load(T0 - 2 + second, cpu=cpu, memory=50.0, disk=50.0) for second in range(3)]
     judged = judge(trial(alarms=[alarm(0.4), alarm(1.0, "host/cpu", 5)], machine=samples))
     assert (len(judged.beside), len(judged.false)) == (beside, 1 - beside)
+
+
+def test_a_class_that_could_not_be_injected_is_listed() -> None:
+    """It was injected fewer than three times: never."""
+    failed = injection(fault="disk_full", title="disk full", moment=None, error="no such disk")
+    (group,) = groups([trial(), trial(number=2, injections=[failed], alarms=[], acts=[])])
+    assert [(each.title, each.injected) for each in group.all.classes] == [("disk full", 0), ("node killed", 1)]
+    assert "campaign: disk full: 0" in rare([group])
+
+
+def test_the_largest_possible_share_is_beside_the_self_resolved() -> None:
+    """Faults that no action can end are in the denominator: of PHM, ended by a timer, and those left to an operator."""
+    gone = injection(unit="", condition="", phm=True)
+    faults = [injection(), injection(healable=False), injection(passes=True), gone]
+    (group,) = groups([trial(number=number, injections=[each]) for number, each in enumerate(faults)])
+    assert group.all.by_action_possible == 0.25
+    names = [each[0] for each in table2([group])]
+    assert names.index(POSSIBLE) == names.index("Self-resolved: by action, of all injected") + 1
+
+
+def test_the_aims_of_the_cost_are_those_of_the_project() -> None:
+    """2.5 % of a core, and a proportional share of 75 MB, where it was measured."""
+    cost = [Cost(agent, 100.0, 2.7, 70.0, 80.0, 90.0) for agent in range(1, 9)]
+    assert {"Sidecar, CPU of one core, all runs: 2.70 %, aim <= 2.5 %", "Sidecar, PSS, mean: 80 MB, aim <= 75 MB"} <= {
+        each.removeprefix("campaign: ") for each in short(groups([trial(cost=cost)]))
+    }
+    unknown = [Cost(agent, 100.0, 2.0, 70.0) for agent in range(1, 9)]
+    assert not any("PSS" in each for each in short(groups([trial(cost=unknown)])))

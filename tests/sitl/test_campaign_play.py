@@ -13,9 +13,9 @@ from sitl.campaign import irregular, play
 from sitl.campaign.arguments import parser
 from sitl.campaign.groups import groups
 from sitl.campaign.plan import TrialPlan
+from sitl.campaign.progress import left
 from sitl.campaign.run import NotOk
 from sitl.campaign.schedule import schedule
-from sitl.campaign.show import left
 from sitl.campaign.trial import ABORTED, NOMINAL, OFF, TRIAL, Trial, load
 from tests.fakes.campaign_trials import injection, trial
 

@@ -12,9 +12,9 @@ import pytest
 
 from sitl.campaign import publish
 from sitl.campaign.main import default_record, main
+from sitl.campaign.progress import left
 from sitl.campaign.report import BEGIN, END, as_markdown
 from sitl.campaign.seeds import in_history, seed_of
-from sitl.campaign.show import left
 from sitl.campaign.trial import Trial, append, load
 from sitl.harness.compose_stack import ROOT
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
@@ -161,9 +161,32 @@ def test_planned_trials_that_are_missing_are_reported(root: Path) -> None:
     assert main(["--report-only", "--record", str(raw)]) == 75
 
 
+def test_an_incomplete_campaign_is_published_as_one(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only with `--incomplete`, and page and README say how much of it there is."""
+    monkeypatch.setattr(publish.publish, "__defaults__", (root,))
+    before, raw = (root / publish.PAGE).read_bytes(), root / "campaign.jsonl"
+    for each in campaign():
+        each.setting.update(planned=1, seeds=5)
+        append(raw, each)
+    asked = ["--report-only", "--record", str(raw), "--markdown"]
+    assert main(asked) == 75
+    assert "not written" in capsys.readouterr().out
+    assert (root / publish.PAGE).read_bytes() == before
+    assert not (root / publish.RECORD).exists()
+    assert main([*asked, "--incomplete"]) == 75
+    page, readme = ((root / file).read_text("utf-8") for file in (publish.PAGE, publish.README))
+    note = "INCOMPLETE: 2 OF 5 TRIALS, 2 OF 5 SEEDS COMPLETE"
+    assert note in " ".join(page.split())
+    assert f"The campaign is {note.lower()}." in " ".join(readme.split())
+    complete = campaign()
+    assert "ncomplete" not in as_markdown(complete) + publish.for_readme(complete)
+
+
 def test_the_results_are_those_of_the_record() -> None:
-    """The committed page and README are what the committed record gives; a page without a record says so, and then
-    every figure of the README is on the page.
+    """While no record is committed, page and README are written by hand: every figure of the README must be on the page,
+    which says that its record was not kept. With a record, both must be exactly what it gives.
     """
     page, readme = (ROOT / publish.PAGE).read_text("utf-8"), (ROOT / publish.README).read_text("utf-8")
     written = page.partition(BEGIN)[2].partition(END)[0]
