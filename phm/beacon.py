@@ -55,6 +55,7 @@ FORGET_S = 60.0
 MAX_NODES = 50
 """In one message; a process with more sends several."""
 MAX_NEIGHBOURS = 50
+"""Most nodes in `views`: PHM takes a list of so many as full, and what it does not contain as unknown."""
 MAX_TEXT = 40_000
 NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 MAX_NAME = 255
@@ -150,6 +151,11 @@ class _Neighbours:
         self._witness = witness
         self._heard: dict[str, tuple[str, float, float, float]] = {}
         """By full name: witness, when (monotonic), the period in which it greets, lateness of its executor."""
+        self._own: set[str] = set()
+
+    def add_own(self, name: str) -> None:
+        """A node of this process: nodes of its first namespace come before others when there are too many."""
+        self._own.add(_first_namespace(name))
 
     @property
     def processes(self) -> int:
@@ -164,11 +170,21 @@ class _Neighbours:
             if witness == self._witness or not 0.0 < period_s <= 60.0 or len(nodes) > MAX_NODES:
                 return
             for name, late_s in nodes.items():
-                known = name in self._heard or len(self._heard) < MAX_NEIGHBOURS
-                if known and NAME.fullmatch(name) and len(name) <= MAX_NAME and 0.0 <= late_s <= MAX_LATE_S:
+                valid = len(name) <= MAX_NAME and NAME.fullmatch(name) and 0.0 <= late_s <= MAX_LATE_S
+                if valid and (name in self._heard or self._has_space(name)):
                     self._heard[name] = (witness, at_s, period_s, float(late_s))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
             return
+
+    def _has_space(self, name: str) -> bool:
+        """Whether one more name fits; one of the own namespace takes the place of the longest silent other."""
+        if len(self._heard) < MAX_NEIGHBOURS:
+            return True
+        others = [other for other in self._heard if _first_namespace(other) not in self._own]
+        if not others or _first_namespace(name) not in self._own:
+            return False
+        del self._heard[min(others, key=lambda other: self._heard[other][1])]
+        return True
 
     def views(self, now_s: float) -> dict[str, dict[str, Any]]:
         """By full name; nodes that have been silent for long are removed."""
@@ -234,6 +250,7 @@ class _Hub:
         self._births += 1
         beacon = _NodeBeacon(node, f"{self._witness}.{self._births}", watch_executor)
         self._beacons.append(beacon)
+        self._neighbours.add_own(beacon.name)
         self._period_s = min(self._period_s, period_s)
         return beacon
 
@@ -316,6 +333,11 @@ def _join(node: Any, period_s: float, watch_executor: bool) -> _NodeBeacon:
         if hub is None:
             hub = _hubs[id(node.context)] = _Hub(node.context)
         return hub.add(node, period_s, watch_executor)
+
+
+def _first_namespace(name: str) -> str:
+    """`agent_1` of `/agent_1/nav/planner`; empty for a node without a namespace."""
+    return name[1:].partition("/")[0] if name.count("/") > 1 else ""
 
 
 def _portions(beacons: list[_NodeBeacon]) -> Iterator[list[_NodeBeacon]]:

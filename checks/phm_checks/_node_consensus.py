@@ -119,10 +119,13 @@ def _alone(node: str, hears: bool) -> Opinion:
 
 
 def _receives(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> bool | None:
-    """Whether the observer receives the other node; None: no opinion, as they have not had enough time to discover each other."""
+    """Whether the observer receives the other node; None: no opinion, as they have not had enough time to discover each other, or
+    its list of neighbours has no space for the node."""
     view = observer.views.get(node)
     if view is not None:
         return view.alive
+    if observer.full:
+        return None
     uptime_s = min(fact.heartbeats * fact.period_s for fact in (observer, other))
     return False if uptime_s >= MET_S else None
 

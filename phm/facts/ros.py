@@ -144,6 +144,7 @@ class BeaconFact:
     heartbeats: number since the node started, at most a second old; for a node that is not configured, as of its last
                 change.
     views:      what it reports about its neighbours, by full node name.
+    full:       its list of neighbours had no space for more: a node that `views` does not contain may be received.
     turns:      number of turns of its executor since the node started, as of the same time; 0: none yet, or the executor
                 is not watched, and late_s means nothing.
     witness:    the process that sends the beacon; all nodes of a process receive as one.
@@ -165,6 +166,7 @@ class BeaconFact:
     copied_by: str = ""
     not_counted_s: float = 0.0
     """The part of age_s in which the ROS child did not run."""
+    full: bool = False
 
     @property
     def silent_s(self) -> float:

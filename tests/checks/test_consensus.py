@@ -365,6 +365,18 @@ def test_a_node_that_most_nodes_do_not_receive_is_an_error() -> None:
     assert quorum.after(0, matrix(A, B, C)).level is api.Level.OK
 
 
+def test_an_observer_whose_list_of_neighbours_is_full_does_not_vote_on_others() -> None:
+    """In a large swarm, or after invented greetings, there is no space for a node of its own agent."""
+    beacons = {
+        A: beacon({B: True}, witness=A, full=True),
+        B: beacon({A: True}, witness=B, full=True),
+        C: beacon({A: True, B: True}, witness=C),
+    }
+    assert Quorum().after(60, beacons).level is api.Level.OK
+    beacons[A], beacons[B] = (beacon({C: False}, witness=name, full=True) for name in (A, B))
+    assert Quorum().after(60, beacons).condition == "quorum_dead", "what it states counts"
+
+
 def test_a_split_with_a_majority_is_an_error_that_names_the_sides() -> None:
     """The nodes of the smaller side are dead by majority; without a majority it stays a split."""
     quorum = Quorum(*ALL)

@@ -50,6 +50,39 @@ def test_a_beacon_is_parsed() -> None:
     assert fact == BeaconFact(0.0, 0.2, 0.0, "w.1", 5, {B: NeighbourFact(True, 0.4, 0.0)}, 3, "w")
 
 
+def test_a_full_list_of_neighbours_is_known_also_after_those_of_others_are_dropped() -> None:
+    """A node that it does not contain may have had no space in it; until the next list this stays so."""
+    book = ledger(A, B)
+    names = [f"/agent_9/n{number}" for number in range(MAX_NEIGHBOURS - 1)]
+    view = VIEWS[B]
+    book.add(BEACON_FORMAT, text(views=dict.fromkeys(names, view)), 1.0)
+    assert not registered(book, 1.0).beacons[A].full
+    book.add(BEACON_FORMAT, text(views=dict.fromkeys([*names, "/agent_9/x"], view)), 2.0)
+    book.add(BEACON_FORMAT, text(), 2.2)
+    fact = registered(book, 2.2).beacons[A]
+    assert fact.full and not fact.views
+
+
+def greet(neighbours: _Neighbours, *names: str, at_s: float = 1.0) -> None:
+    said = {"witness": "other", "period_s": 0.8, "nodes": dict.fromkeys(names, 0.0)}
+    neighbours.hear(HELLO_FORMAT, json.dumps(said), at_s)
+
+
+def test_nodes_of_the_own_namespace_take_the_place_of_others() -> None:
+    """Of those that have been silent for longest; among themselves, and from others, they lose none."""
+    neighbours = _Neighbours("w")
+    neighbours.add_own(A)
+    strangers = [f"/agent_9/n{number}" for number in range(MAX_NEIGHBOURS)]
+    greet(neighbours, *strangers[:1])
+    greet(neighbours, *strangers[1:], at_s=2.0)
+    greet(neighbours, B, "/agent_7/x", at_s=3.0)
+    seen = neighbours.views(3.0)
+    assert len(seen) == MAX_NEIGHBOURS and B in seen and not {strangers[0], "/agent_7/x"} & seen.keys()
+    own = [f"/agent_1/n{number}" for number in range(MAX_NEIGHBOURS)]
+    greet(neighbours, *own, at_s=4.0)
+    assert neighbours.views(4.0).keys() == {B, *own[:-1]}
+
+
 WRONG: list[Any] = [
     "",
     "{",

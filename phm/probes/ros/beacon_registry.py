@@ -182,8 +182,14 @@ class BeaconRegistry:
                 return  # two processes of one name: the first one still counts
             known = None
         else:
-            views = fact.views if has_views else known.fact.views
-            fact = replace(fact, rivals=known.fact.rivals, copied_by=known.fact.copied_by, views=views)
+            neighbours = fact if has_views else known.fact
+            fact = replace(
+                fact,
+                rivals=known.fact.rivals,
+                copied_by=known.fact.copied_by,
+                views=neighbours.views,
+                full=neighbours.full,
+            )
         if known is None or has_views or known.doubt or _differs(known.fact, fact):
             self._changed.add(name)
         self._received.add(name)

@@ -63,6 +63,7 @@ def beacons_in(text: str) -> Iterator[tuple[str, BeaconFact, bool]]:
             views=views,
             turns=_count(node["turns"]),
             witness=witness,
+            full=len(views) >= MAX_NEIGHBOURS,
         )
         facts.append((_name(name), fact, seen is not None))
     return iter(facts)
