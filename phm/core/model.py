@@ -248,7 +248,8 @@ class Fault:
     ok_since_start_s: total seconds for which the unit was published as OK since PHM last saw its target container start;
                       interruptions do not reset it.
     start_seen:       whether PHM saw that start at all. If not, the container has been running for longer than PHM.
-    pause_s:          the longest earlier ERROR of this unit that ended by itself, in seconds; 0: none did since PHM started.
+    pause_s:          the longest earlier ERROR of this unit that ended by itself, without a start of its container, in
+                      seconds; 0: none did since PHM started.
     generation:       the run of the target container in which the fault opened, as a check saw it last
                       (`phm.facts.ContainerFact.generation`). Empty if none is known or PHM was restarted since.
     """

@@ -74,7 +74,8 @@ class FaultRecords:
             return
         closed = replace(record.fault, closed=now, outcome=outcome, by=by)
         record.fault = None
-        if outcome is Outcome.RESOLVED and by == ITSELF:
+        restarted = record.container_started > closed.opened.mono
+        if outcome is Outcome.RESOLVED and by == ITSELF and not restarted:
             record.pause_s = max(record.pause_s, now.mono - closed.opened.mono)
         record.published = replace(record.published, fault="")
         effects.events.append(FaultClosed(now, closed))

@@ -105,7 +105,7 @@ class UnitRecord:
     """Its recovery did not bring back its dependents; until then its OK is not published."""
     fault: Fault | None = None
     pause_s: float = 0.0
-    """The longest of its faults that ended by itself."""
+    """The longest of its faults that ended by itself, without a start of its container."""
     escalated: bool = False
     given_up: Fault | None = None
     """The fault that recovery gave up on, while `escalated`."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from phm.api import Layer, Level, Slot, Unit, error, stale, warn
+from phm.api import Evidence, Layer, Level, Slot, Unit, error, stale, warn
 from phm.core.model import FaultClosed, FaultOpened, Outcome, Transition
 from phm.tracker import TrackedUnit
 from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
@@ -261,6 +261,32 @@ def test_a_fault_states_the_longest_earlier_pause_of_its_unit() -> None:
     bench.see("container", BAD)
     pauses = [event.fault.pause_s for event in bench.events if isinstance(event, FaultOpened)]
     assert pauses == pytest.approx([0.0, 3.0, 3.0, 3.0])
+
+
+@pytest.mark.parametrize("announced", [True, False])
+def test_what_a_restart_by_others_ended_was_no_pause(announced: bool) -> None:
+    """An operator, or the engine's restart policy: the unit did not return by itself. Known by the event or by a result."""
+    bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app")])
+
+    def fail(generation: str) -> None:
+        bench.later(5)
+        bench.see("nodes", BAD)
+        bench.see("container", OK.with_evidence(Evidence(generation=generation)))
+        bench.later(1)
+
+    bench.all_well()
+    fail("1")
+    bench.later(40)
+    if announced:
+        bench.take(bench.tracker.container_started("app", bench.stamp()))
+    bench.see("container", OK.with_evidence(Evidence(generation="2")))
+    bench.later(5)
+    bench.see("nodes", OK)
+    fail("2")
+    bench.see("nodes", OK)
+    fail("2")
+    faults = [event.fault for event in bench.events if isinstance(event, FaultOpened)]
+    assert [fault.pause_s for fault in faults] == pytest.approx([0.0, 0.0, 1.0])
 
 
 def test_a_warning_blocks_no_unit_and_opens_no_fault() -> None:
