@@ -21,41 +21,67 @@ _PROCESS = (
     "is not informed of their end"
 )
 _HEARTBEATS = "two heartbeats more than were ever missed must be missing: one lost frame is not a fault"
+_ORDER = "measured from the order, and the engine needs most of this time to carry it out"
+_PHM_DOWN = "nothing of PHM runs until Docker has restarted its container and Python has started"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why a class is detected later than twice its limit; it explains a ratio of at most `up_to`."""
+
+    words: str
+    up_to: float
+
+
 EXPLANATIONS = {
-    "address_silent": _DATA_PATH,
-    "autopilot_reboot": _HEARTBEATS,
-    "autopilot_silent": _HEARTBEATS,
-    "callback_blocked": _EXECUTOR,
-    "cpu_hog": "two seconds of full use: shorter peaks are normal",
-    "disk_full": "the free share is read once a second",
-    "executor_deadlocked": _EXECUTOR,
-    "gcs_radio_cut": "the radio reports the loss of the other one 3.4 s after its last packet (SiK firmware)",
-    "memory_full": "measured from the order to fill it, and filling 2 GB takes most of the time",
-    "memory_leak": _PROCESS,
-    "network_blocked": _DATA_PATH,
-    "node_duplicate": "a restarted node may overlap with the old one for 2 s, unless both send beacons",
-    "node_killed": _PROCESS,
-    "node_never_started": "the time in which the other nodes started",
-    "node_stopped": _PROCESS,
-    "overload_node_killed": _PROCESS,
-    "peer_lost": _HEARTBEATS,
-    "peer_split": _HEARTBEATS,
-    "phm_killed": "nothing of PHM runs until Docker has restarted its container and Python has started",
-    "sigterm_ignored": _PROCESS,
-    "topic_silent": _FIVE_PERIODS,
-    "topic_slow": "a rate must be wrong in two measurements, made once a second: jitter is not a fault",
-    "transport_blocked": _DATA_PATH,
+    "address_silent": Explanation(_DATA_PATH, 10),
+    "autopilot_reboot": Explanation(_HEARTBEATS, 6),
+    "autopilot_silent": Explanation(_HEARTBEATS, 6),
+    "callback_blocked": Explanation(_EXECUTOR, 70),
+    "cpu_hog": Explanation("two seconds of full use: shorter peaks are normal", 3.5),
+    "disk_full": Explanation("the free share is read once a second", 3),
+    "executor_deadlocked": Explanation(_EXECUTOR, 70),
+    "file_altered": Explanation(_ORDER, 5),
+    "file_deleted": Explanation(_ORDER, 5),
+    "file_not_executable": Explanation(_ORDER, 5),
+    "gcs_radio_cut": Explanation(
+        "the radio reports the loss of the other one 3.4 s after its last packet (SiK firmware)", 10
+    ),
+    "memory_full": Explanation("measured from the order to fill it, and filling 2 GB takes most of the time", 3),
+    "memory_leak": Explanation(_PROCESS, 8),
+    "network_blocked": Explanation(_DATA_PATH, 10),
+    "node_duplicate": Explanation(
+        "a restarted node may overlap with the old one for 2 s, unless both send beacons", 25
+    ),
+    "node_killed": Explanation(_PROCESS, 8),
+    "node_never_started": Explanation("the time in which the other nodes started", 4),
+    "node_stopped": Explanation(_PROCESS, 8),
+    "overload_node_killed": Explanation(_PROCESS, 8),
+    "peer_lost": Explanation(_HEARTBEATS, 5),
+    "peer_split": Explanation(_HEARTBEATS, 5),
+    "phm_killed": Explanation(_PHM_DOWN, 30),
+    "phm_killed_in_restart": Explanation(_PROCESS, 8),
+    "power_loss": Explanation(_PHM_DOWN, 50),
+    "sigterm_ignored": Explanation(_PROCESS, 8),
+    "topic_silent": Explanation(_FIVE_PERIODS, 20),
+    "topic_slow": Explanation(
+        "a rate must be wrong in two measurements, made once a second: jitter is not a fault", 12
+    ),
+    "transport_blocked": Explanation(_DATA_PATH, 20),
 }
-"""Why a class is detected later than twice its limit."""
+"""By fault. `up_to` is the longest time that the words and the measurements allow, divided by the limit."""
 UNEXPLAINED = "unexplained"
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One class. `ratio`: mean detection by the limit; None where one of them is not known."""
+    """One class. `latest_s`: the evidence, at the latest; `limit_s`: on average. `ratio`: mean detection by the limit;
+    None where one of them is not known.
+    """
 
     title: str
     evidence: str
+    latest_s: float | None
     limit_s: float | None
     detection_s: float | None
     ratio: float | None
@@ -70,9 +96,16 @@ def compared(found: Figures) -> list[Compared]:
 
 
 def _of_class(each: OfClass) -> Compared:
-    ratio = None
-    if each.evidence_s is not None and each.detection.mean is not None:
-        ratio = each.detection.mean / max(each.evidence_s, FLOOR_S)
-    late = ratio is not None and ratio > RATIO
-    words = EXPLANATIONS.get(each.fault, UNEXPLAINED) if late else ""
-    return Compared(each.title, each.evidence, each.evidence_s, each.detection.mean, ratio, words)
+    ratio = limit_s = None
+    if each.evidence_s is not None:
+        # Faults begin at any moment of a period.
+        limit_s = each.evidence_s - each.evidence_period_s / 2
+        if each.detection.mean is not None:
+            ratio = each.detection.mean / max(limit_s, FLOOR_S)
+    words = "" if ratio is None or ratio <= RATIO else _explained(each.fault, ratio)
+    return Compared(each.title, each.evidence, each.evidence_s, limit_s, each.detection.mean, ratio, words)
+
+
+def _explained(fault: str, ratio: float) -> str:
+    known = EXPLANATIONS.get(fault)
+    return UNEXPLAINED if known is None or ratio > known.up_to else f"{known.words} (up to {known.up_to:g})"

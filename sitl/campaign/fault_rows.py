@@ -44,7 +44,7 @@ FAULTS = (
     "alarms",
     "remarks",
 )
-EVIDENCE = ("fault", "earliest evidence", "at the latest after", "detected", "ratio", "explanation")
+EVIDENCE = ("fault", "earliest evidence", "at the latest after", "on average", "detected", "ratio", "explanation")
 DIFFERENCES = ("profile and load", "of", "key", "shipped", "here")
 LEAST = 3
 """Injections of each class."""
@@ -110,6 +110,7 @@ def evidence(found: Figures) -> Rows:
         (
             each.title,
             each.evidence or "not stated",
+            "-" if each.latest_s is None else f"{each.latest_s:g} s",
             "-" if each.limit_s is None else f"{each.limit_s:g} s",
             "-" if each.detection_s is None else f"{each.detection_s:.2f} s",
             number(each.ratio, "{:.1f}"),

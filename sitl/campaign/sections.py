@@ -77,7 +77,9 @@ def sections(groups: Sequence[Group]) -> list[Section]:
         Section(
             f"Evidence limit ({first.name})",
             "The earliest moment at which anything on board could know of the fault, and the mean detection divided by "
-            f"it. A limit below {FLOOR_S:g} s counts as {FLOOR_S:g} s. A ratio above {RATIO:g} needs an explanation.",
+            "its average: where the evidence is periodic, a fault begins at any moment of the period. A limit below "
+            f"{FLOOR_S:g} s counts as {FLOOR_S:g} s. A ratio above {RATIO:g} needs an explanation, which holds up to the "
+            "stated ratio.",
             fault_rows.EVIDENCE,
             fault_rows.evidence(first.all),
         ),

@@ -24,6 +24,7 @@ class Injection(Fault):
     layer = "container"
     cause = "the virtual cable between the container and its network is down, while the engine believes it connected"
     evidence, evidence_s = "the first message of a topic of 10 Hz that does not arrive", 0.2
+    evidence_period_s = 0.1
 
     _link = ""
 

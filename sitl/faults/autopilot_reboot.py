@@ -23,6 +23,7 @@ class Injection(Fault):
         "first missed heartbeat; that it is a reboot: the first heartbeat after it, which says BOOT",
         1.0,
     )
+    evidence_period_s = 1.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -17,6 +17,7 @@ class Injection(Fault):
     healable = False
     needs = frozenset({"air"})
     evidence, evidence_s = "first missed heartbeat", 1.0
+    evidence_period_s = 1.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -14,4 +14,5 @@ class Injection(NodeSignal):
     layer = "ros"
     cause = "a callback waits for a device, a disk or a service that does not answer"
     evidence, evidence_s = "the next message of its topic is missing", 0.2
+    evidence_period_s = 0.2
     signal_number = "37"

@@ -15,7 +15,7 @@ class Injection(Fault):
     condition = "paused"
     layer = "container"
     cause = "somebody froze the container's processes"
-    evidence, evidence_s = "the engine's event that the container is paused", 0.5
+    evidence, evidence_s = "the engine's event that the container is paused", 0.1
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

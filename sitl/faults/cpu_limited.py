@@ -22,6 +22,7 @@ class Injection(Fault):
     healable = False
     needs = frozenset({"starvation"})
     evidence, evidence_s = "the first period of 0.1 s in which the kernel stops the container", 0.3
+    evidence_period_s = 0.1
 
     _restore: list[str] = []
 

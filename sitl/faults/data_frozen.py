@@ -12,4 +12,5 @@ class Injection(ReadingFault):
     condition = "data_frozen"
     cause = "a driver publishes the last value of a sensor that has stopped measuring"
     evidence, evidence_s = "the first message with the value of the one before", 0.1
+    evidence_period_s = 0.1
     signal_number = "39"

@@ -14,4 +14,5 @@ class Injection(NodeSignal):
     layer = "ros"
     cause = "a callback waits for a lock that is never released, while other threads go on"
     evidence, evidence_s = "the next message of its topic is missing", 0.2
+    evidence_period_s = 0.2
     signal_number = "36"

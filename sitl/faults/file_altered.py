@@ -15,7 +15,7 @@ class Injection(Fault):
     condition = "file_altered"
     layer = "container"
     cause = "a file was overwritten, by a bad update or a damaged disk"
-    evidence, evidence_s = "the kernel's event of a change in the folder, once the engine has taken the content", 0.5
+    evidence, evidence_s = "the kernel's event of a change in the folder", 0.1
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

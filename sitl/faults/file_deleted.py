@@ -22,7 +22,7 @@ class Injection(Fault):
     condition = "file_missing"
     layer = "container"
     cause = "a file that the application needs was removed"
-    evidence, evidence_s = "the kernel's event of a change in the folder, once `docker exec` has begun", 0.5
+    evidence, evidence_s = "the kernel's event of a change in the folder", 0.1
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -15,7 +15,7 @@ class Injection(Fault):
     condition = "file_not_executable"
     layer = "container"
     cause = "a file came without its execute bits, as a copy over FAT or a wrong umask leaves it"
-    evidence, evidence_s = "the kernel's event of a change in the folder, once `docker exec` has begun", 0.5
+    evidence, evidence_s = "the kernel's event of a change in the folder", 0.1
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -18,6 +18,7 @@ class Injection(Fault):
     healable = False
     needs = frozenset({"air"})
     evidence, evidence_s = "the first HEARTBEAT of the ground station, one a second, that does not arrive", 1.0
+    evidence_period_s = 1.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -24,6 +24,7 @@ class Injection(Fault):
     layer = "container"
     cause = "the health check asks a server in the application that accepts connections and never answers"
     evidence, evidence_s = "the engine's timeout of the first health check that hangs", 33.0
+    evidence_period_s = 3.0
 
     def inject(self, agent: Agent) -> float:
         started = agent.run_in_app("cut", "-d ", "-f22", "/proc/1/stat")

@@ -24,6 +24,7 @@ class Injection(Fault):
     healable = False
     cause = "an SD card at its end of life, or a damaged file system, takes no more writes"
     evidence, evidence_s = "the first line that PHM cannot write, at the latest that of its next report", 3.0
+    evidence_period_s = 3.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

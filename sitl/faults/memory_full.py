@@ -23,7 +23,7 @@ class Injection(Fault):
     condition = "memory_high"
     layer = "companion"
     cause = "a process beside the application leaks memory"
-    evidence, evidence_s = "the available memory falls below the limit: the filling takes up to a second", 1.0
+    evidence, evidence_s = "the available memory falls below the limit, while it is filled", 0.4
     healable = False
     needs = frozenset({"alone", "configuration"})
 

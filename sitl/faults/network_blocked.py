@@ -18,6 +18,7 @@ class Injection(Fault):
     layer = "container"
     cause = "a firewall or a policy of the network swallows all that the application sends and gets"
     evidence, evidence_s = "the first message of a topic of 10 Hz that does not arrive", 0.2
+    evidence_period_s = 0.1
 
     _generation = ""
 

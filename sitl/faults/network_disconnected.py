@@ -15,7 +15,7 @@ class Injection(Fault):
     condition = "disconnected"
     layer = "container"
     cause = "the container was taken off its network"
-    evidence, evidence_s = "the engine's event of the disconnection", 0.3
+    evidence, evidence_s = "the engine's event of the disconnection", 0.1
 
     _network = ""
 

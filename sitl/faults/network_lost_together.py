@@ -19,7 +19,7 @@ class Injection(Fault):
     condition = "disconnected"
     layer = "container"
     cause = "a script or an operator disconnected everything from the network"
-    evidence, evidence_s = "the engine's events of the disconnections", 0.5
+    evidence, evidence_s = "the engine's events of the disconnections", 0.1
 
     _network = ""
 

@@ -14,6 +14,7 @@ class Injection(Fault):
     layer = "ros"
     cause = "a node hangs: its process is there and does nothing"
     evidence, evidence_s = "the next heartbeat of its beacon is missing", 0.2
+    evidence_period_s = 0.2
 
     _generation = ""
 

@@ -20,7 +20,7 @@ class Injection(Fault):
     cause = "the application crashed while other containers take all cores"
     also = ("host/cpu",)
     needs = frozenset({"alone", "starvation"})
-    evidence, evidence_s = "the engine's event that the container has ended", 0.5
+    evidence, evidence_s = "the engine's event that the container has ended", 0.1
 
     def inject(self, agent: Agent) -> float:
         with undoing(lambda: end_overload(agent)):

@@ -19,6 +19,7 @@ class Injection(Fault):
     needs = frozenset({"air", "peers"})
     least = 4
     evidence, evidence_s = "the first heartbeats of the peers, every 2 s in a swarm of eight, that do not arrive", 2.0
+    evidence_period_s = 2.0
 
     def inject(self, agent: Agent) -> float:
         agents = sorted(int(number) for number in agent.links.state()["agents"])

@@ -23,7 +23,7 @@ class Injection(Fault):
     condition = "node_missing"
     layer = "ros"
     cause = "PHM crashed, or lost its power, between a request to the engine and its end"
-    evidence, evidence_s = "the launcher's child has ended (SIGCHLD)", 0.3
+    evidence, evidence_s = "the launcher's child has ended (SIGCHLD)", 0.1
 
     _killed = 0
 

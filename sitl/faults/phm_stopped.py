@@ -24,6 +24,7 @@ class Injection(Fault):
     passes = True
     cause = "PHM hangs as a whole: stopped, or held by a library that never returns"
     evidence, evidence_s = "the kernel's state of the process, as its watchdog reads it every 0.25 s", 0.25
+    evidence_period_s = 0.25
 
     _pid = 0
 

@@ -26,7 +26,7 @@ class Injection(Fault):
     condition = "exited"
     layer = "container"
     cause = "the companion computer lost its power and booted again"
-    evidence, evidence_s = "PHM's first look at the engine, once the engine has started it", 4.0
+    evidence, evidence_s = "the kernel ends the process, and the engine reports the end of its container", 0.1
 
     def inject(self, agent: Agent) -> float:
         containers = list(_on_board(agent))

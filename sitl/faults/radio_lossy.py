@@ -22,6 +22,7 @@ class Injection(Fault):
     level = "WARN"
     needs = frozenset({"air"})
     evidence, evidence_s = "the next RADIO_STATUS, one for each HEARTBEAT of the autopilot", 1.0
+    evidence_period_s = 1.0
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

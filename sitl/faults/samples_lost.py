@@ -13,4 +13,5 @@ class Injection(ReadingFault):
     healable = False
     cause = "a bus or radio between sensor and driver loses every second sample"
     evidence, evidence_s = "the first message whose counter leaves out a number", 0.1
+    evidence_period_s = 0.1
     signal_number = "41"

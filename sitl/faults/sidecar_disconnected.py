@@ -15,7 +15,7 @@ class Injection(Fault):
     condition = "sidecar_disconnected"
     layer = "container"
     cause = "PHM's own container was taken off the application's network"
-    evidence, evidence_s = "the engine's event of the disconnection", 0.3
+    evidence, evidence_s = "the engine's event of the disconnection", 0.1
 
     def inject(self, agent: Agent) -> float:
         phm, network = agent.container("phm"), self._network(agent)

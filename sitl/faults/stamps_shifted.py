@@ -12,4 +12,5 @@ class Injection(ReadingFault):
     condition = "data_stamp"
     cause = "a sensor with its own clock uses another time zone or lost its time"
     evidence, evidence_s = "the first message with such a stamp", 0.1
+    evidence_period_s = 0.1
     signal_number = "40"

@@ -14,6 +14,7 @@ class Injection(Fault):
     layer = "ros"
     cause = "a node's source has stopped, the node itself is well"
     evidence, evidence_s = "the next message is missing, at 5 Hz", 0.2
+    evidence_period_s = 0.2
 
     _generation = ""
 

@@ -14,6 +14,7 @@ class Injection(Fault):
     layer = "ros"
     cause = "a node does not keep up: every second message is missing"
     evidence, evidence_s = "every second message is missing, at 5 Hz", 0.4
+    evidence_period_s = 0.4
 
     _generation = ""
 

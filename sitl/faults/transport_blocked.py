@@ -25,6 +25,7 @@ class Injection(Fault):
     layer = "ros"
     cause = "a firewall lets discovery through and no data, or shared memory is not shared"
     evidence, evidence_s = "the next message of its topics does not arrive outside of the container, at 5 Hz", 0.2
+    evidence_period_s = 0.2
 
     def inject(self, agent: Agent) -> float:
         domain = next(

@@ -15,7 +15,7 @@ class Injection(Fault):
     condition = "node_missing"
     layer = "container"
     cause = "two things that have nothing to do with each other break in the same moment"
-    evidence, evidence_s = "the kernel's events of a change in the folder and of the end of a process", 0.5
+    evidence, evidence_s = "the kernel's events of a change in the folder and of the end of a process", 0.1
 
     _generation = ""
 

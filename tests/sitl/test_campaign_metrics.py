@@ -244,10 +244,57 @@ def test_detection_is_compared_with_its_evidence() -> None:
     rows = {each.title: each for each in compared(group.all)}
     assert rows["node killed"].ratio == pytest.approx(5.0), "a limit of zero counts as 0.1 s"
     assert rows["node killed"].words == UNEXPLAINED
-    assert rows["topic silent"].words == EXPLANATIONS["topic_silent"]
+    assert rows["topic silent"].words.startswith(EXPLANATIONS["topic_silent"].words)
     assert (rows["other"].ratio, rows["other"].words) == (None, "")
     (line,) = unexplained(group)
     assert "node killed is detected after 5.0 times its limit" in line
+
+
+def test_periodic_evidence_counts_with_its_average() -> None:
+    """It happens half a period earlier than at the latest, on average."""
+    found = injection(evidence="heartbeat", evidence_s=3.2, evidence_period_s=3.0)
+    (group,) = groups([trial(injections=[found], alarms=[alarm(3.4)])])
+    (row,) = compared(group.all)
+    assert (row.latest_s, row.limit_s, row.ratio) == (3.2, pytest.approx(1.7), pytest.approx(2.0))
+
+
+def test_an_explanation_holds_up_to_its_ratio() -> None:
+    """A class that is detected later than its explanation says is unexplained."""
+    up_to = EXPLANATIONS["node_killed"].up_to
+    for after, words in ((up_to / 10 - 0.01, f"(up to {up_to:g})"), (up_to / 10 + 0.01, UNEXPLAINED)):
+        found = injection(evidence="process event", evidence_s=0.1)
+        (group,) = groups([trial(injections=[found], alarms=[alarm(after)])])
+        assert compared(group.all)[0].words.endswith(words)
+        assert len(unexplained(group)) == (words == UNEXPLAINED)
+
+
+@pytest.mark.parametrize(
+    ("fault", "measured_s"),
+    [
+        ("container_paused", 0.11),
+        ("file_altered", 0.30),
+        ("file_deleted", 0.26),
+        ("file_not_executable", 0.29),
+        ("memory_full", 0.4),
+        ("network_disconnected", 0.14),
+        ("network_lost_together", 0.2),
+        ("power_loss", 3.1),
+        ("radio_saturated", 0.8),
+        ("sidecar_disconnected", 0.11),
+        ("unhealthy", 1.94),
+    ],
+)
+def test_no_limit_is_above_what_phm_measures(fault: str, measured_s: float) -> None:
+    """PHM cannot know of a fault before the first evidence; 0.1 s is the least that a limit counts."""
+    each = all_faults()[fault]
+    assert each.evidence_s is not None
+    assert each.evidence_s - each.evidence_period_s / 2 <= measured_s
+
+
+def test_the_loss_of_power_has_the_evidence_of_a_killed_phm() -> None:
+    """Both end PHM at that moment."""
+    lost, killed = all_faults()["power_loss"], all_faults()["phm_killed"]
+    assert (lost.evidence, lost.evidence_s) == (killed.evidence, killed.evidence_s)
 
 
 def test_explanations_are_of_existing_faults() -> None:
