@@ -110,7 +110,7 @@ class AutopilotState:
         old_s = self._boot[1] if self._boot is not None else 0.0
         wrapped = old_s > WRAPS_AT_S - WRAP_S and new_s < WRAP_S
         if new_s < old_s - BACK_S and not wrapped:
-            self._reboot(now, armed=self._armed_at(now - new_s), began=now - new_s)
+            self._reboot(now, armed=self._armed_before(now - new_s, BACK_S), began=now - new_s)
         self._boot = (now, new_s)
 
     def ready(self, now: float) -> None:
@@ -188,8 +188,13 @@ class AutopilotState:
         """Whether it was armed before the start that is observed now. Disarmed heartbeats after a silence, or from one link
         while another one is behind, may be of that start."""
         recently = now - self._said_armed.get(True, float("-inf")) <= self._silent_s
-        moment = self._before_pause if self._before_pause is not None and now - self._resumed < START_S else now
-        return recently or self._armed_at(moment)
+        return recently or self._armed_before(now, START_S)
+
+    def _armed_before(self, moment: float, within_s: float) -> bool:
+        """The armed state before `moment`, or before the silence that ended less than `within_s` earlier."""
+        if self._before_pause is not None and moment - self._resumed < within_s:
+            moment = min(moment, self._before_pause)
+        return self._armed_at(moment)
 
     def _overdue(self, read_at: float | None) -> bool:
         speaks = read_at is not None and read_at - self._spoke < ALIVE_S

@@ -438,6 +438,17 @@ def test_a_late_time_of_the_last_run_is_the_same_reboot() -> None:
     assert (fact.reboots, fact.rebooted_armed) == (1, True)
 
 
+def test_the_time_since_boot_may_come_later_than_the_first_heartbeat() -> None:
+    """By another link, 1.3 s behind: from its time the start would be after that heartbeat."""
+    pilot = AutopilotState()
+    fly(pilot, times=True)
+    receive_heartbeat(pilot, 45.5)
+    receive_heartbeat(pilot, 46.5)
+    pilot.booted(47.0, 1_200)
+    fact = fact_of(pilot, 47.0)
+    assert (fact.reboots, fact.rebooted_armed) == (1, True)
+
+
 @pytest.mark.parametrize("by_time", [True, False])
 def test_a_second_reboot_within_the_start_counts(by_time: bool) -> None:
     """It has its own silence, or has run for less time than has passed since the first. In the air both count as armed."""
