@@ -52,6 +52,8 @@ class Injector:
             wait(at_work)
         for future in at_work:
             future.result()
+        # A cause that could not be injected explains nothing.
+        explained([each for each in injections if each.moment is not None])
 
     def clear(self, injections: Sequence[Injection]) -> None:
         """In reverse order."""

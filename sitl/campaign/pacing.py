@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 from sitl.campaign.trial import Trial
 
@@ -10,6 +10,10 @@ LASTING_S = 31.0
 """Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""
 WINDOW_S = 600.0
 """`recovery.window`: for so long an action counts against `recovery.budget`."""
+
+
+SAME_CLOCK_S = 60.0
+"""The wall clock may have been corrected by this much since the record was written."""
 
 
 class Pacing:
@@ -22,7 +26,17 @@ class Pacing:
 
     def ended(self, agent: int, unit: str, mono: float) -> None:
         """A fault at this unit is over."""
-        self._ended[agent, unit] = mono
+        self._ended[agent, unit] = max(mono, self._ended.get((agent, unit), mono))
+
+    def resume(self, trials: Iterable[Trial], now: float, utc: float) -> None:
+        """Take over what a record says about this swarm. Trials of before the machine's last boot are of another clock."""
+        for trial in trials:
+            if abs((utc - now) - (trial.utc - trial.began)) > SAME_CLOCK_S:
+                continue
+            self.note(trial)
+            for each in trial.injections:
+                if each.asked is not None:
+                    self.ended(each.agent, each.unit, each.cleared or trial.ended)
 
     def note(self, trial: Trial) -> None:
         """The trial is over."""

@@ -39,6 +39,8 @@ def play(asked: argparse.Namespace, to_do: Schedule, file: Path, console: Consol
         swarm, ours = _swarm(asked, to_do, progress)
         busy = BusyLoad(swarm) if to_do.load == BUSY else None
         runner = Runner(swarm, all_faults(), to_do.profile, progress, busy)
+        if not ours:
+            runner.resume(each for each in load(file) if each.campaign[0] == to_do.profile.name)
         try:
             runner.start()
             return _Sequence(runner, to_do, file, progress, asked).run()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import random
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -29,7 +29,7 @@ from sitl.swarm.swarm import Swarm, SwarmAgent
 
 Progress = Callable[[str], None]
 POLL_S = 0.05
-HEALED_LIMIT_S = 90.0
+INJECTED_LIMIT_S = 90.0
 AFTER_S = 10.0
 """How long a trial is watched after its faults are recovered or reported: longer than any grace, so late alarms are caught."""
 STILL_S = 10.0
@@ -100,6 +100,10 @@ class Runner:
                 restore(self.swarm, agent)
             self._well(WELL_LIMIT_S)
         self.watch.learn()
+
+    def resume(self, trials: Iterable[Trial]) -> None:
+        """Take over when this swarm had its last faults and actions."""
+        self._pacing.resume(trials, time.monotonic(), time.time())
 
     def stop(self) -> None:
         self.injector.stop()
@@ -192,7 +196,7 @@ class Runner:
         trial = self._begin(TRIAL, plan.number)
         try:
             self._inject(trial, plan.draws)
-            self._wait(partial(self._done, trial), HEALED_LIMIT_S)
+            self._wait(partial(self._done, trial), self._healed_limit_s(trial))
             self._wait(lambda: False, AFTER_S)
         finally:
             self._clear(trial)
@@ -236,13 +240,17 @@ class Runner:
     def _inject(self, trial: Trial, draws: Sequence[Draw]) -> None:
         trial.injections = self.injector.planned(draws)
         self.injector.inject(
-            trial.injections, lambda futures: self._wait(lambda: all(each.done() for each in futures), HEALED_LIMIT_S)
+            trial.injections, lambda futures: self._wait(lambda: all(each.done() for each in futures), INJECTED_LIMIT_S)
         )
 
     def _clear(self, trial: Trial) -> None:
         self.injector.clear(trial.injections)
         for each in trial.injections:
             self._pacing.ended(each.agent, each.unit, time.monotonic())
+
+    def _healed_limit_s(self, trial: Trial) -> float:
+        """How long the recovery of its faults may take: some can only be detected late."""
+        return self.profile.healed_limit_s + max((each.evidence_s or 0.0 for each in trial.injections), default=0.0)
 
     def _done(self, trial: Trial) -> bool:
         """Whether every fault is recovered, or reported where it cannot be recovered, or nothing more can be expected

@@ -69,6 +69,9 @@ class WorldObserver:
             return self._faults[injection.fault].restored(agent)
         except (DockerException, LookupError, OSError, RuntimeError, ValueError):
             return False if injection.world_seen else None
+        except Exception:  # e.g. a process that has just ended, or an archive that ends too early: nothing is known now
+            injection.world = None
+            return None
 
 
 def observe(injection: Injection, restored: bool | None, mono: float) -> None:

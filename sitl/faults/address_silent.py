@@ -23,8 +23,8 @@ class Injection(Fault):
     condition = "address_silent"
     layer = "container"
     cause = "the virtual cable between the container and its network is down, while the engine believes it connected"
-    evidence, evidence_s = "the first message of a topic of 10 Hz that does not arrive", 0.2
-    evidence_period_s = 0.1
+    evidence, evidence_s = "the first message of a topic of 5 Hz that does not arrive", 0.2
+    evidence_period_s = 0.2
 
     _link = ""
 

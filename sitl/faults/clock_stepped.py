@@ -20,7 +20,6 @@ class Injection(Fault):
     level = "WARN"
     layer = "companion"
     healable = False
-    passes = True
     cause = "a time source was found after the start, and the clock was set"
     evidence, evidence_s = "the next reading of the clock", 0.0
 

@@ -17,8 +17,8 @@ class Injection(Fault):
     condition = "address_silent"
     layer = "container"
     cause = "a firewall or a policy of the network swallows all that the application sends and gets"
-    evidence, evidence_s = "the first message of a topic of 10 Hz that does not arrive", 0.2
-    evidence_period_s = 0.1
+    evidence, evidence_s = "the first message of a topic of 5 Hz that does not arrive", 0.2
+    evidence_period_s = 0.2
 
     _generation = ""
 

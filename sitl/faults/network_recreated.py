@@ -31,9 +31,10 @@ class Injection(Fault):
         freeze(sidecar)
         try:
             old = agent.docker.networks.get(self._network).attrs
+            moment = time.monotonic()
             _remove(agent, self._network)
             _create(agent, old)
-            return time.monotonic()
+            return moment
         finally:
             sidecar.unpause()
 

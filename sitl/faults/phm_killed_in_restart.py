@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import time
+import select
 
+from sitl.faults._processes import held, kill
 from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault
 from sitl.faults.phm_killed import RUN, daemon
 
 ASKED_LIMIT_S = 40.0
-POLL_S = 0.005
 
 
 class Injection(Fault):
@@ -30,12 +28,13 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         app, phm = agent.app, daemon(agent)
         pid = int(app.attrs["State"]["Pid"])
-        moment = agent.signal_node("node_1", "KILL")
-        while os.path.exists(f"/proc/{pid}"):
-            if time.monotonic() - moment > ASKED_LIMIT_S:
+        with held([pid]) as apps, held([phm]) as daemons:
+            if not apps or not daemons:
+                raise LookupError(f"{app.name} or PHM does not run")
+            moment = agent.signal_node("node_1", "KILL")
+            if not select.select(apps, [], [], ASKED_LIMIT_S)[0]:
                 raise TimeoutError(f"PHM has not restarted {app.name} within {ASKED_LIMIT_S:g} s")
-            time.sleep(POLL_S)
-        os.kill(phm, signal.SIGKILL)
+            kill(daemons[0])
         self._killed = phm
         return moment
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import time
 from pathlib import Path
 
+from sitl.faults._processes import held, kill
 from sitl.faults._volumes import behind
 from sitl.faults.base import Agent, Fault
 from sitl.faults.phm_killed import RUN, daemon
@@ -35,14 +35,16 @@ class Injection(Fault):
 
     def inject(self, agent: Agent) -> float:
         folder, self._pid = behind(agent.sidecar, FOLDER), daemon(agent)
-        moment = time.monotonic()
-        for file in folder.iterdir():
-            if file.is_file():
-                _fill(file)
-        if not (folder / NAME).exists():  # nothing has happened yet that PHM keeps
-            (folder / NAME).write_bytes(os.urandom(LEAST))
-            os.chmod(folder / NAME, 0o644)
-        os.kill(self._pid, signal.SIGKILL)
+        with held([self._pid]) as daemons:
+            moment = time.monotonic()
+            for file in folder.iterdir():
+                if file.is_file():
+                    _fill(file)
+            if not (folder / NAME).exists():  # nothing has happened yet that PHM keeps
+                (folder / NAME).write_bytes(os.urandom(LEAST))
+                os.chmod(folder / NAME, 0o644)
+            for each in daemons:
+                kill(each)
         return moment
 
     def clear(self, agent: Agent) -> None:

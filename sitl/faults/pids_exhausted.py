@@ -51,13 +51,16 @@ class Injection(Fault):
         with undoing(lambda: self.clear(agent)):
             update(app, "--pids-limit", str(limit))
             start(agent, MARK, "python3", "-c", HOLD)
+            below = now = time.monotonic()
             while int((folder / "pids.current").read_text("ascii")) < limit:
+                below = now
                 if time.monotonic() > until_s:
                     raise TimeoutError(
                         f"{app.name} has not reached its limit of {limit} processes in {FULL_LIMIT_S:g} s"
                     )
                 time.sleep(0.01)
-        return time.monotonic()
+                now = time.monotonic()
+        return below
 
     def clear(self, agent: Agent) -> None:
         end(agent, MARK)

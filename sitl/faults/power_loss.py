@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
 import time
 
 from docker.errors import APIError
 from docker.models.containers import Container
 
+from sitl.faults._processes import held, kill
 from sitl.faults._world import app_runs, runs
 from sitl.faults.base import Agent, Fault
 
@@ -30,11 +29,12 @@ class Injection(Fault):
 
     def inject(self, agent: Agent) -> float:
         containers = list(_on_board(agent))
-        pids = [pid for container in containers for pid in _pids(container)]
-        moment = time.monotonic()
-        for pid in pids:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+        with contextlib.ExitStack() as stack:
+            # Of each container at once: asking the engine for the next one takes time.
+            found = [each for container in containers for each in stack.enter_context(held(_pids(container)))]
+            moment = time.monotonic()
+            for each in found:
+                kill(each)
         with contextlib.suppress(LookupError):
             _start(agent.router)
         return moment

@@ -101,6 +101,11 @@ def test_what_the_ground_cannot_receive_is_blind() -> None:
     assert kind(faults["topic_silent"]) == kind(faults["qos_mismatch"]) == "topics"
 
 
+def test_a_stepped_clock_does_not_pass() -> None:
+    """Nothing sets it back before it is cleared."""
+    assert not injection(all_faults()["clock_stepped"], Agent("p", "agent_1", docker=Mock()), TUNED).passes
+
+
 def test_an_unavailable_fault_is_rejected() -> None:
     """A fault that does not exist, or needs more agents, is named in the message."""
     with pytest.raises(ValueError, match="no such fault: nonsense"):

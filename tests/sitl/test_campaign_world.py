@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -13,11 +14,14 @@ import pytest
 from docker.errors import APIError
 
 from sitl.campaign.cost_meter import CostMeter, cpu_of
+from sitl.campaign.injector import Injector
 from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
+from sitl.campaign.plan import Draw
+from sitl.campaign.profiles import ALL
 from sitl.campaign.trial import Injection
 from sitl.campaign.world import WorldObserver, observe
 from sitl.faults.base import Agent, Fault
-from tests.fakes.campaign_trials import injection, trial, verified
+from tests.fakes.campaign_trials import T0, injection, trial, verified
 
 LIMIT_S = 20.0
 
@@ -96,6 +100,44 @@ def test_a_fault_that_was_not_injected_is_not_observed() -> None:
     assert (fault.asked, made.world_seen) == (0, False)
 
 
+def test_an_unexpected_error_ends_no_observation() -> None:
+    """A look that fails says nothing, and interrupts a series of looks at a restored world."""
+    fault = Observed(False, True, subprocess.TimeoutExpired("top", 2.0), True)
+    made = unseen(fault="observed", moment=time.monotonic())
+    observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
+    assert [observer._ask(made, Mock()) for _ in range(2)] == [False, True]
+    made.world = 5.0
+    assert observer._ask(made, Mock()) is None
+    assert [made.world, made.world_broken] == [None, None]
+    fault.asked = 0
+    observer.start([made])
+    until(lambda: fault.asked > 3 and made.world is not None)
+    observer.stop()
+
+
+def test_a_cause_that_was_not_injected_explains_nothing() -> None:
+    """Then the fault beside it must be reported by an alarm of its own."""
+
+    class Killed(Observed):
+        name, unit = "killed", "container/ros_app"
+
+        def inject(self, agent: Agent) -> float:
+            raise RuntimeError("refused")
+
+    class Cut(Observed):
+        name, unit = "cut", "network/ros_app"
+
+    faults = {"observed": Observed(None), "killed": Killed(None), "cut": Cut(None)}
+    agents = {3: Agent("p", "agent_3", docker=Mock(), number=3)}
+    injector = Injector(faults, agents, ALL["shipped"], lambda agent, unit: False)
+    for others, cause in (((), ""), (("cut",), "cut")):
+        made = injector.planned([Draw("observed", 3), *(Draw(name, 3) for name in others), Draw("killed", 3)])
+        assert made[0].explained_by == "killed"
+        injector.inject(made, lambda futures: None)
+        assert made[0].explained_by == cause
+        injector.stop()
+
+
 def cgroup(folder: Path, cpu_s: float) -> None:
     folder.mkdir(exist_ok=True)
     (folder / "cpuacct.usage").write_text(f"{cpu_s * 1e9:.0f}\n", "ascii")
@@ -154,6 +196,21 @@ def test_a_unit_rests_after_its_fault() -> None:
     assert pacing.ready_at([(3, "nodes/a")], 110.0) == 100.0 + LASTING_S
     assert pacing.ready_at([(3, "nodes/b"), (4, "nodes/a")], 110.0) == 110.0
     assert pacing.ready_at([], 110.0) == 110.0
+
+
+def test_a_resumed_campaign_knows_the_last_trials() -> None:
+    """Their faults and actions; those of before the last boot were on another clock."""
+    acts = [verified(0.0)]
+    acts[0].phase = "started"
+    made = trial(acts=acts, injections=[injection(asked=T0, cleared=T0 + 20, unit="nodes/a")])
+    offset = made.utc - made.began
+    for other_boot, ready in ((0.0, T0 + WINDOW_S), (5000.0, T0 + 30)):
+        pacing = Pacing(0)
+        pacing.resume([made], T0 + 30, T0 + 30 + offset + other_boot)
+        assert pacing.ready_at([(3, "nodes/b")], T0 + 30) == ready
+    pacing = Pacing(None)
+    pacing.resume([made], T0 + 30, T0 + 30 + offset)
+    assert pacing.ready_at([(3, "nodes/a")], T0 + 30) == T0 + 20 + LASTING_S
 
 
 def test_an_agent_waits_for_its_budget() -> None:
