@@ -127,11 +127,14 @@ def test_a_cause_that_was_not_injected_explains_nothing() -> None:
     class Cut(Observed):
         name, unit = "cut", "network/ros_app"
 
-    faults = {"observed": Observed(None), "killed": Killed(None), "cut": Cut(None)}
+    class Silent(Observed):
+        name, unit = "silent", "rates/agent_3/topic_1"
+
+    faults = {"silent": Silent(None), "killed": Killed(None), "cut": Cut(None)}
     agents = {3: Agent("p", "agent_3", docker=Mock(), number=3)}
     injector = Injector(faults, agents, ALL["shipped"], lambda agent, unit: False)
     for others, cause in (((), ""), (("cut",), "cut")):
-        made = injector.planned([Draw("observed", 3), *(Draw(name, 3) for name in others), Draw("killed", 3)])
+        made = injector.planned([Draw("silent", 3), *(Draw(name, 3) for name in others), Draw("killed", 3)])
         assert made[0].explained_by == "killed"
         injector.inject(made, lambda futures: None)
         assert made[0].explained_by == cause
