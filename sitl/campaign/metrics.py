@@ -153,7 +153,7 @@ def figures(trials: Sequence[Trial]) -> Figures:
         by_action_healable=_part(
             (verdict for verdict in verdicts if verdict.injection.healable), lambda each: each.by_action
         ),
-        by_action_possible=_part(verdicts, lambda each: each.injection.by_action_possible),
+        by_action_possible=_part(verdicts, lambda each: each.by_action_possible),
         endings={ending: ended[ending] for ending in ENDINGS},
         unconfirmed=sum(each.ended_by == ENDINGS[0] and not each.by_action for each in verdicts),
         never_broken=sum(each.never_broken for each in verdicts),

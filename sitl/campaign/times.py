@@ -70,14 +70,14 @@ def _claim(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
     units. A fault that another one explains is over with that one.
     """
     fault, ends, by = verdict.injection, [], []
-    if verdict.missed:
-        return
     back = [each for each in trial.starts if each.agent == fault.agent and begun <= each.mono <= until and each.report]
     if fault.phm and back:
         _complete_again(verdict, back[0], begun, until)
         return
     if fault.phm and verdict.detected_s is not None:
         verdict.claimed_s, verdict.by = verdict.detected_s, OWN_GUARD
+        return
+    if verdict.missed:
         return
     if verdict.through_cause and verdict.cause is not None:
         cause = verdict.cause

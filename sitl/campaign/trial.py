@@ -69,11 +69,6 @@ class Injection:
     world: float | None = None
     """When the world was observed to be restored and stayed so until the fault was cleared; None: it was not."""
 
-    @property
-    def by_action_possible(self) -> bool:
-        """An action of PHM can end it: neither PHM itself nor a timer of the injector does."""
-        return self.healable and bool(self.unit) and not (self.phm or self.passes)
-
 
 @dataclass
 class Alarm:

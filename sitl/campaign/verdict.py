@@ -74,14 +74,14 @@ class Verdict:
         """Not reported. The alarm of the fault that explains it reports it for as long as that one lasts; when that one
         is over and this one is not, nothing has reported this one.
         """
-        if self.cause is not None and not self.alarms:
+        if self.cause is not None and not self.since:
             lasts = self.observed and self.world_s is None
             return self.cause.missed or (lasts and self.cause.claimed_s is not None)
         return self.detected_s is None and not self.since
 
     @property
     def right(self) -> bool:
-        if self.cause is not None and not self.alarms:
+        if self.cause is not None and not self.since:
             return self.cause.right and not self.missed
         return not self.missed and not self.wrong
 
@@ -137,6 +137,12 @@ class Verdict:
     def never_broken(self) -> bool:
         """PHM's record says that an action has ended the fault, and the world was only ever seen as before."""
         return self.ended_by == ACTION and self.observed and not self.seen_broken
+
+    @property
+    def by_action_possible(self) -> bool:
+        """An action of PHM can end it: neither a restart of PHM nor a timer of the injector does."""
+        fault = self.injection
+        return fault.healable and bool(fault.unit) and not (fault.phm or fault.passes)
 
     @property
     def by_action(self) -> bool:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from sitl.campaign.collect import note
 from sitl.campaign.fault_catalog import EXPLAINS, explained
 from sitl.campaign.fault_rows import rare, remarks
 from sitl.campaign.groups import groups
@@ -14,7 +15,7 @@ from sitl.campaign.scoring import judge
 from sitl.campaign.table import beyond, endings, left_out, table2
 from sitl.campaign.targets import short
 from sitl.campaign.trial import Cost, Injection, Load, Start, Trial, Warned
-from sitl.campaign.verdict import ACTION, Verdict
+from sitl.campaign.verdict import ACTION, PHM, Verdict
 from sitl.faults import all_faults
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, started, trial, verified
 
@@ -226,3 +227,20 @@ def test_the_aims_of_the_cost_are_those_of_the_project() -> None:
     }
     unknown = [Cost(agent, 100.0, 2.0, 70.0) for agent in range(1, 9)]
     assert not any("PSS" in each for each in short(groups([trial(cost=unknown)])))
+
+
+def test_the_text_of_a_line_is_in_the_record() -> None:
+    """Alarms and warnings have the text of their STATUSTEXT: the check's, or else the unit."""
+    made = trial(alarms=[], acts=[])
+    event = {"unit": NODE, "slot": 6, "fault": "f", "mono": T0 + 1, "condition": "node_missing", "summary": "dead"}
+    note(made, 3, {**event, "event": "fault_opened", "brief": "node_1 dead"})
+    note(made, 3, {**event, "event": "transition", "old": "OK", "level": "WARN", "brief": ""})
+    assert [each.brief for each in made.alarms] == ["node_1 dead"]
+    assert [each.brief for each in made.warned] == [NODE]
+
+
+def test_a_phm_that_came_back_unreported_is_back() -> None:
+    """It did not warn of its own end, so the fault is missed; its complete report still ends it."""
+    gone = injection(unit="companion", condition="phm_restarted", layer="companion", phm=True, level="WARN")
+    verdict = only(trial(injections=[gone], alarms=[], acts=[], starts=[Start(3, T0 + 1.5, T0 + 3)]))
+    assert (verdict.missed, verdict.claimed_s, verdict.ended_by) == (True, 3.0, PHM)
