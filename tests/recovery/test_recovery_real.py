@@ -214,7 +214,7 @@ def test_a_slow_stop_is_not_interrupted(real: Any, phm: Start) -> None:
     """
     made = real.container(
         f"touch {NEEDED}; trap 'rm {NEEDED}; sleep 14; exit 7' TERM; while :; do sleep 0.1; done",
-        healthcheck={"test": ["CMD", "test", "-e", NEEDED], "interval": 10**9, "timeout": 10**9, "retries": 1},
+        healthcheck={"test": ["CMD", "test", "-e", NEEDED], "interval": 10**9, "timeout": 10**10, "retries": 1},
     )
     daemon = phm([{"name": made.name, "alias": "app", "recover": True}])
     threading.Thread(target=lambda: made.stop(timeout=60), daemon=True).start()
