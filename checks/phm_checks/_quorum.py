@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from phm import api
-from phm_checks._node_consensus import PHM, Agreement, Opinion, Verdict, silent
+from phm_checks._node_consensus import MET_S, PHM, Agreement, Opinion, Verdict, silent
 
 RECEIVED_S = 10.0
 """A node that PHM receives is dead if the majority has not received it for this long: a restarted node is discovered sooner."""
@@ -73,6 +73,44 @@ class DeadNodes:
         ]
         self.reported = frozenset(item.node for item in found)
         return found
+
+
+class ReceivedNodes:
+    """In which run of its container each node was received by another one: a restart restores only what that run had."""
+
+    def __init__(self, containers: Mapping[str, str]) -> None:
+        """containers: the container of each node, empty if unknown."""
+        self._containers = containers
+        self._runs: dict[str, tuple[str, float]] = {}
+        """By container: its generation, and since when it has been seen (monotonic seconds)."""
+        self._received: dict[str, str] = {}
+        """By node: the generation."""
+
+    def look(self, world: api.World, agreement: Agreement) -> None:
+        """Take a consensus."""
+        now = world.clock.mono()
+        for container in set(filter(None, self._containers.values())):
+            generation = _generation(world, container)
+            if generation != self._runs.get(container, ("", 0.0))[0]:
+                self._runs[container] = generation, now
+        for item in agreement.opinions:
+            generation, since = self._runs.get(self._containers.get(item.node, ""), ("", now))
+            alive = item.verdict in (Verdict.ALIVE, Verdict.HUNG) and any(observer != PHM for observer in item.heard_by)
+            if alive and generation and now - since >= MET_S:
+                self._received[item.node] = generation
+
+    def never(self, node: str) -> bool | None:
+        """Whether no other node has received it in this run of its container; None: the run is unknown."""
+        generation, _ = self._runs.get(self._containers.get(node, ""), ("", 0.0))
+        return self._received.get(node) != generation if generation else None
+
+
+def _generation(world: api.World, container: str) -> str:
+    try:
+        fact = world.docker.container(container)
+    except api.CannotTell:
+        return ""
+    return fact.generation if fact is not None else ""
 
 
 def ended(beacon: api.BeaconFact, late_s: float) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._node_consensus import PHM, Agreement, Opinion, Verdict, agree
-from phm_checks._quorum import SETTLE_S as QUORUM_SETTLE_S, DeadNodes, ended
+from phm_checks._quorum import SETTLE_S as QUORUM_SETTLE_S, DeadNodes, ReceivedNodes, ended
 from phm_checks._text import brief, joined, last, listed, span
 
 OLD_SNAPSHOT_S = 5.0
@@ -46,6 +46,7 @@ class Consensus(api.Check):
         self._open_faults = settings.ros.consensus.open_faults
         self._dead = DeadNodes(self._nodes)
         self._containers = {node: settings.container_of_node(node) for node in self._nodes}
+        self._received = ReceivedNodes(self._containers)
         keys = list(dict.fromkeys(filter(None, self._containers.values())))
         needs = [f"{check}/{key}" for key in keys for check in ("container", "network")]
         needs += [f"nodes/{api.topic_id(node)}" for node in self._nodes]
@@ -87,6 +88,7 @@ class Consensus(api.Check):
             del beacons[name]
         others = {name: receives(fact, name, self._nodes) for name in self._nodes if name not in beacons}
         agreement = agree(beacons, others, fact.age_s)
+        self._received.look(world, agreement)
         dead = self._dead.look(agreement, beacons, now)
         result = None if dead and self._open_faults else _copied(fact, beacons)
         return replace(result or self._judge(agreement, dead, fact, beacons), votes=_votes(agreement))
@@ -178,7 +180,8 @@ class Consensus(api.Check):
     ) -> api.Result:
         """ERROR for nodes that the majority has not received for long. Without a target if PHM does not receive the node
         either: then `nodes` knows a reason why it may be alive, such as a process that uses the CPU."""
-        received = [item for item in dead if PHM in item.heard_by]
+        received = [item.node for item in dead if PHM in item.heard_by]
+        received.sort(key=lambda node: self._received.never(node) is True)
         words = [
             f"{_names([item.node])} is dead by majority: it is not received by {_names(item.not_heard_by)}"
             + (f", but is received by {_names(item.heard_by)}" if item.heard_by else "")
@@ -191,9 +194,10 @@ class Consensus(api.Check):
             f"{joined([one for one in words if one])}: {step}",
             brief(last(dead[0].node), "dead by quorum"),
             "quorum_dead",
-            self._containers[received[0].node] if received else "",
+            self._containers[received[0]] if received else "",
             values,
             settle_s=0.0 if received else QUORUM_SETTLE_S,
+            evidence=api.Evidence(never_ok=self._received.never(received[0]) if received else None),
         )
 
 

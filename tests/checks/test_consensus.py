@@ -422,6 +422,33 @@ def test_a_restarted_node_is_another_case() -> None:
     assert quorum.after(3, restarted).condition == "quorum_dead"
 
 
+def test_a_node_never_received_in_this_run_of_its_container_is_not_restarted() -> None:
+    """The unit was OK for long before: of two containers, one was started again, and its node is not received since."""
+    containers = [{"name": "one"}, {"name": "two"}]
+    nodes = [{"name": A, "container": "one"}, {"name": B, "container": "one"}, {"name": C, "container": "two"}]
+    check = Consensus(testing.settings(containers=containers, ros={"nodes": nodes}))
+    clock, ros = testing.FakeClock(), testing.FakeRos(nodes=dict.fromkeys((A, B, C), 1))
+
+    def after(seconds: int, beacons: Mapping[str, api.BeaconFact], run: str) -> api.Result:
+        docker = testing.FakeDocker(testing.container("one"), testing.container("two", started_at=run))
+        for _ in range(seconds + 1):
+            ros.change(beacons=beacons)
+            result = check.run(testing.world(clock=clock, ros=ros, docker=docker))
+            clock.advance(1.0)
+        assert isinstance(result, api.Result)
+        return result
+
+    well, unseen = matrix(A, B, C), matrix(A, B, C, not_received=UNSEEN)
+    after(40, well, "first")
+    result = after(12, unseen, "first")
+    assert (result.condition, result.target, result.evidence.never_ok) == ("quorum_dead", "two", False)
+    after(2, well, "second")  # reports of its neighbours about the process before
+    result = after(12, unseen, "second")
+    assert (result.condition, result.evidence.never_ok) == ("quorum_dead", True)
+    after(20, well, "second")
+    assert after(12, unseen, "second").evidence.never_ok is False
+
+
 def test_phm_alone_is_not_a_majority() -> None:
     """No node has an opinion on a node that started a moment ago."""
     beacons = {A: beacon({}, witness=A, heartbeats=5), B: beacon({}, age_s=5.0, witness=B, heartbeats=5)}
