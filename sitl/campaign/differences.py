@@ -9,7 +9,10 @@ from docker import DockerClient
 from docker.models.containers import Container
 
 from phm.config.env_expansion import Expander
+from sitl.faults.base import Agent, Fault
 from sitl.harness.config_overrides import overridden, parsed
+from sitl.swarm import config
+from sitl.swarm.options import Options
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
 Difference = dict[str, Any]
@@ -24,10 +27,23 @@ def of_swarm(swarm: Swarm) -> list[Difference]:
     """Of the first agent: the others differ from it by their number alone."""
     agent = swarm.agents[0]
     return [
-        *of_configuration(agent.config.read_text("utf-8"), _environment(agent.sidecar)),
+        *of_configuration(agent.config.read_text("utf-8"), environment_of(agent.sidecar)),
         *of_container("application", _described(agent.app), _image(agent, agent.app)),
         *of_container("sidecar", _described(agent.sidecar), _image(agent, agent.sidecar)),
     ]
+
+
+def of_fault(
+    fault: Fault, agent: Agent, changes: Mapping[str, str], options: Options, environment: Mapping[str, str]
+) -> list[Difference]:
+    """What the trial of a fault changes on its agent beforehand: `shipped` is what the campaign has without it. Each
+    difference also has the `fault` and the number of the `agent`.
+    """
+    usual, here = (flat(config.text(options, agent.number, more), environment) for more in ({}, changes))
+    found = compare("configuration", usual, here)
+    if fault.prepared:
+        found.append({"of": "agent", "key": fault.prepared, "shipped": None, "here": "present"})
+    return [{**each, "fault": fault.name, "agent": agent.number} for each in found]
 
 
 def of_configuration(text: str, environment: Mapping[str, str] | None = None) -> list[Difference]:
@@ -101,6 +117,7 @@ def _image(agent: SwarmAgent, container: Container) -> dict[str, Any]:
     return described(client.images.get(str(container.attrs["Image"])).attrs["Config"])
 
 
-def _environment(container: Container) -> dict[str, str]:
+def environment_of(container: Container) -> dict[str, str]:
+    """The variables with which a container was created."""
     entries = container.attrs["Config"].get("Env") or ()
     return dict(entry.partition("=")[::2] for entry in entries)

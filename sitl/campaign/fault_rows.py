@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 
@@ -46,6 +47,9 @@ FAULTS = (
 )
 EVIDENCE = ("fault", "earliest evidence", "at the latest after", "on average", "detected", "ratio", "explanation")
 DIFFERENCES = ("profile and load", "of", "key", "shipped", "here")
+_SIDES = ("shipped", "here")
+VALUES = 3
+"""Shown of a key that differs between the trials of a fault."""
 LEAST = 3
 """Injections of each class."""
 
@@ -131,11 +135,33 @@ def unexplained(group: Group) -> list[str]:
 
 
 def differences(groups: Sequence[Group]) -> Rows:
-    """Computed differences from what is shipped."""
+    """Computed differences from what is shipped, then those of the trials of single faults."""
+    rows: Rows = []
+    for group in groups:
+        rows += [
+            (group.name, str(each.get("of", "")), str(each.get("key", "")), *(_value(each, key) for key in _SIDES))
+            for each in group.differences
+        ]
+        rows += _of_trials(group)
+    return rows
+
+
+def _of_trials(group: Group) -> Rows:
+    """One row for each fault and key, for any agent N, with all values that it had."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for trial in group.trials:
+        for each in trial.differences:
+            agent = re.compile(rf"(?<=agent_){each['agent']}\b|(?<=-){each['agent']}(?=-)")
+            of = f"{each['of']}, for {each['fault']}"
+            key, shipped, here = (
+                agent.sub("N", text) for text in (each["key"], *(_value(each, key) for key in _SIDES))
+            )
+            values = found.setdefault((of, key, shipped), [])
+            if here not in values:
+                values.append(here)
     return [
-        (group.name, str(each.get("of", "")), str(each.get("key", "")), _value(each, "shipped"), _value(each, "here"))
-        for group in groups
-        for each in group.differences
+        (group.name, *row, ", ".join(values[:VALUES]) + (f" and {len(values) - VALUES} more" * (len(values) > VALUES)))
+        for row, values in sorted(found.items())
     ]
 
 

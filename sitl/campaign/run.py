@@ -13,6 +13,7 @@ from typing import Any
 from phm.transport.priority import SIZES
 from sitl.campaign.busy import BusyLoad
 from sitl.campaign.cost_meter import CostMeter
+from sitl.campaign.differences import environment_of, of_fault
 from sitl.campaign.fault_catalog import LEFT_ALONE, OFF as RECOVERY_OFF
 from sitl.campaign.injector import Injector
 from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
@@ -186,14 +187,18 @@ class Runner:
         self._rest(plan.draws)
         self._keep_busy()
         changes: dict[int, dict[str, str]] = {}
+        differences = []
         for fault, agent in special:
             fault.prepare(agent)
-            changes.setdefault(agent.number, {}).update(fault.configuration(agent))
-        for number, mine in changes.items():
-            self._configure([self.agents[number]], mine)
+            mine = fault.configuration(agent)
+            changes.setdefault(agent.number, {}).update(mine)
+            differences += of_fault(fault, agent, mine, self.swarm.options, environment_of(agent.sidecar))
+        for number, more in changes.items():
+            self._configure([self.agents[number]], more)
         if special:
             self._well(WELL_LIMIT_S)
         trial = self._begin(TRIAL, plan.number)
+        trial.differences = differences
         try:
             self._inject(trial, plan.draws)
             self._wait(partial(self._done, trial), self._healed_limit_s(trial))

@@ -70,7 +70,8 @@ def sections(groups: Sequence[Group]) -> list[Section]:
         Section("Further figures", "", table.head("figure", groups), table.beyond(groups)),
         Section(
             "Differences from what is shipped",
-            "Computed from the configuration and the application of each profile.",
+            "Computed from the configuration and the application of each profile. `for FAULT`: in the trials of that "
+            "fault alone, on the agent N that gets it.",
             fault_rows.DIFFERENCES,
             fault_rows.differences(groups),
         ),

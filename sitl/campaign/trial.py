@@ -201,6 +201,8 @@ class Trial:
     machine: list[Load] = field(default_factory=list)
     changed: list[str] = field(default_factory=list)
     """With recovery off: what changed nevertheless."""
+    differences: list[dict[str, Any]] = field(default_factory=list)
+    """What this trial changed on single agents before it began: as `setting["differences"]`, with `fault` and `agent`."""
     aborted: str = ""
     """Of an aborted run: its kind, and the error that ended it."""
     setting: dict[str, Any] = field(default_factory=dict)

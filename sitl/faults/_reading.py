@@ -19,6 +19,7 @@ class ReadingFault(NodeSignal):
     layer = "ros"
     unit = "data/{agent}/reading"
     needs = frozenset({"configuration"})
+    prepared = "a topic `reading` from node_1 to node_2"
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:
         topic = (

@@ -179,6 +179,7 @@ class Fault(ABC):
     earlier: condition of the fault that is opened at `unit` before `condition` is known; empty: none.
     also: units of further faults that it causes, independent of the first, each with an alarm of its own.
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
+    prepared: what `prepare` adds to the agent, in words; empty: nothing.
     needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
     shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it; ``starvation``, somebody who
     judges its symptoms as those of one cause, which `sitl.bench.starvation` does.
@@ -201,6 +202,7 @@ class Fault(ABC):
     also: ClassVar[tuple[str, ...]] = ()
     healable: ClassVar[bool] = True
     passes: ClassVar[bool] = False
+    prepared: ClassVar[str] = ""
     needs: ClassVar[frozenset[str]] = frozenset()
     least: ClassVar[int] = 1
     evidence: ClassVar[str] = ""

@@ -27,6 +27,7 @@ class Injection(Fault):
     healable = False
     passes = True
     needs = frozenset({"configuration"})
+    prepared = "a relay between PHM and the engine's socket"
     evidence, evidence_s = "the engine closes the connection of PHM's event stream", 0.3
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:

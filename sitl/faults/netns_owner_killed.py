@@ -26,6 +26,7 @@ class Injection(Fault):
     layer = "container"
     cause = "a container died in whose network namespace another one lives"
     needs = frozenset({"configuration"})
+    prepared = "a container with a ROS node in the network namespace of the application"
     evidence, evidence_s = "the engine's event that the container has ended", 0.1
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:

@@ -82,6 +82,9 @@ def test_several_faults_on_one_agent_are_independent_or_explained() -> None:
         "cpu_limited",
         "topic_silent",
         "memory_leak",
+        "power_loss",
+        "phm_state_noise",
+        "phm_killed_in_restart",
     ):
         assert not fits(class_of(faults[name]), [other]), name
     agents = [Agent("p", f"agent_{number}", docker=Mock(), number=number) for number in (1, 2)]

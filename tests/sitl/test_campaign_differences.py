@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import json
 import sys
+from unittest import mock
 
 import pytest
 
 from sitl.application import app, graph
 from sitl.application.graph import ring
-from sitl.campaign.differences import compare, described, flat, of_configuration
+from sitl.campaign.differences import compare, described, flat, of_configuration, of_fault
 from sitl.campaign.fault_catalog import OFF
+from sitl.campaign.fault_rows import differences
+from sitl.campaign.groups import groups
 from sitl.campaign.profiles import ALL, NAMING
+from sitl.campaign.trial import Trial
+from sitl.faults import all_faults
+from sitl.faults.base import Agent, Fault
 from sitl.harness.config_overrides import overridden, parsed
 from sitl.swarm import config
 from sitl.swarm.options import Options
+from tests.fakes.campaign_trials import trial
 
 ENVIRONMENT = {"PHM_AGENT": "agent_1", "PHM_APP": "s-1-ros_app-1"}
 
@@ -64,6 +71,46 @@ def test_values_are_compared_by_their_path() -> None:
         {"of": "configuration", "key": "c", "shipped": None, "here": 4},
     ]
     assert of_configuration(overridden({})) == []
+
+
+@pytest.mark.parametrize("name", [name for name, fault in all_faults().items() if "configuration" in fault.needs])
+def test_a_trial_has_the_differences_that_its_fault_makes(name: str) -> None:
+    """From the configuration of the profile, on its agent; and what it adds to the agent."""
+    fault, options = all_faults()[name], Options(agents=3, name="s")
+    agent = Agent("s-2", "agent_2", docker=mock.Mock(), number=2)
+    found = of_fault(fault, agent, fault.configuration(agent), options, {**ENVIRONMENT, "PHM_AGENT": "agent_2"})
+    assert {(each["fault"], each["agent"]) for each in found} == {(name, 2)}
+    assert any(each["of"] == "configuration" for each in found)
+    assert "recovery.budget" not in {each["key"] for each in found}
+    prepares = type(fault).prepare is not Fault.prepare
+    assert [each["key"] for each in found if each["of"] == "agent"] == [fault.prepared] * prepares
+    assert bool(fault.prepared) == prepares
+
+
+def test_differences_of_trials_are_listed_by_fault() -> None:
+    """Those of several agents in one row, with their values."""
+
+    def made(agent: int, value: str) -> Trial:
+        of = {"fault": "memory_full", "agent": agent}
+        return trial(
+            setting={"profile": "tuned", "load": "quiet", "seed": 1},
+            differences=[
+                {"of": "configuration", "key": "host.memory.warn", "shipped": "85%", "here": value, **of},
+                {
+                    "of": "configuration",
+                    "key": f"nodes[/agent_{agent}/x]",
+                    "shipped": None,
+                    "here": f"s-{agent}-y",
+                    **of,
+                },
+            ],
+        )
+
+    rows = differences(groups([made(3, "40%"), made(1, "41%"), made(1, "40%"), made(2, "42%"), made(2, "43%")]))
+    assert rows == [
+        ("tuned, quiet", "configuration, for memory_full", "host.memory.warn", "85%", "40%, 41%, 42% and 1 more"),
+        ("tuned, quiet", "configuration, for memory_full", "nodes[/agent_N/x]", "absent", "s-N-y"),
+    ]
 
 
 def test_off_is_a_text() -> None:

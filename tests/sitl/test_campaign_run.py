@@ -172,3 +172,24 @@ def test_a_busy_run_without_its_load_is_listed() -> None:
     assert not irregular.unloaded(made("quiet", 10.0, 10.0))
     found = groups([made("busy", 10.0), made("quiet", 10.0)])
     assert irregular.rows(found)[1][1:] == ("-", "1")
+
+
+def test_a_trial_has_the_differences_that_it_made(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each fault that needs a configuration, also in an aborted trial."""
+
+    class Special(Planned):
+        needs = frozenset({"configuration"})
+
+        def configuration(self, agent: Agent) -> dict[str, str]:
+            return {"a": "b"}
+
+    runner.faults = {"planned": Special()}
+    runner.injector = Mock(planned=Mock(return_value=[]))
+    monkeypatch.setattr(run, "of_fault", lambda fault, agent, changes, options, environment: [{"key": changes["a"]}])
+    monkeypatch.setattr(run, "environment_of", lambda container: {})
+    assert runner.trial(PLAN).differences == [{"key": "b"}]
+    error = RuntimeError("no")
+    monkeypatch.setattr(runner, "_inject", Mock(side_effect=error))
+    with pytest.raises(RuntimeError):
+        runner.trial(PLAN)
+    assert runner.aborted("trial", 4, error).differences == [{"key": "b"}]
