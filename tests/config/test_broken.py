@@ -39,7 +39,7 @@ ONE = "containers:\n  - name: app\n"
 
 BROKEN = [
     # readiness
-    Broken("ready without a requirement", ONE + "    ready: {within: 5s}\n", 3, "containers[0].ready", ("services, topics",)),
+    Broken("ready without a requirement", ONE + "    ready: {within: 9s}\n", 3, "containers[0].ready", ("services, topics",)),
     Broken(
         "lifecycle state of a container", ONE + "    ready: {lifecycle: active, services: [/a/s]}\n", 3,
         "containers[0].ready.lifecycle", ("lifecycle", "services"),
@@ -63,6 +63,26 @@ BROKEN = [
     Broken(
         "verification before ready", ONE + "    ready: {services: [/a/s]}\nrecovery: {verify: 20s}\n", 4,
         "recovery.verify", ("'within' which is 30", "30 or more"),
+    ),
+    Broken(
+        "ready silence without topics", ONE + "    ready: {services: [/a/s], silence: 9s}\n", 3,
+        "containers[0].ready.silence", ("is never used without 'topics'",),
+    ),
+    Broken(
+        "ready within the grace", ONE + "    ready: {services: [/a/s], within: 5s}\n", 3,
+        "containers[0].ready.within", ("is 5, below ros.grace which is 8", "8 or more"),
+    ),
+    Broken(
+        "ready topic of PHM", "ros: {nodes: [{name: /a/one, ready: {topics: [/diagnostics]}}]}\n", 1,
+        "ros.nodes[0].ready.topics[0]", ("PHM publishes on /diagnostics itself", "ros.diagnostics.publish"),
+    ),
+    Broken(
+        "ready topic with PHM's verdict", ONE + "    ready: {topics: [phm/consensus]}\n", 3,
+        "containers[0].ready.topics[0]", ("PHM publishes on /phm/consensus itself", "ros.consensus.publish"),
+    ),
+    Broken(
+        "rate of PHM's verdict", "ros: {topics: [{name: /phm/consensus, rate: 1}]}\n", 1,
+        "ros.topics[0].rate", ("PHM publishes on /phm/consensus itself", "ros.consensus.publish"),
     ),
     # diagnostics of the application
     Broken(

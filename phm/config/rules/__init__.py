@@ -23,6 +23,7 @@ from phm.config.rules.limits import disks_are_unique, limits_are_in_order
 from phm.config.rules.mavlink import endpoints_are_unique, flight_critical_needs_autopilot, link_ids_are_unique
 from phm.config.rules.names import names_of_checks, names_of_recovery, needs_have_no_loop
 from phm.config.rules.readiness import (
+    ready_keys_have_an_effect,
     ready_names_something,
     ready_topics_are_not_monitored,
     ready_within_verification,
@@ -31,7 +32,7 @@ from phm.config.rules.ros import (
     diagnostics_are_known,
     examined_fields_exist,
     examined_topics_have_a_rate,
-    own_topics_have_no_rate,
+    own_topics_are_not_measured,
     relaunch_has_a_container,
     ros_names_are_unique,
     topic_nodes_exist,
@@ -60,9 +61,10 @@ RULES: tuple[Callable[[ConfigNode], None], ...] = (
     relaunch_has_a_container,
     topic_nodes_exist,
     diagnostics_are_known,
-    own_topics_have_no_rate,
+    own_topics_are_not_measured,
     examined_topics_have_a_rate,
     examined_fields_exist,
+    ready_keys_have_an_effect,
     ready_names_something,
     ready_topics_are_not_monitored,
     ready_within_verification,

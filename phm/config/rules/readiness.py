@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from phm.config.node import ConfigNode
 from phm.config.rules.common import bare, in_order, report_duplicates
-from phm.core.settings import ReadySettings, RecoverySettings, Seconds
+from phm.core.settings import ReadySettings, RecoverySettings, RosSettings, Seconds
 
 
 def ready_names_something(root: ConfigNode) -> None:
@@ -34,6 +35,20 @@ def ready_within_verification(root: ConfigNode) -> None:
     for ready, _ in _sections(root):
         if isinstance(ready.value, dict):
             in_order(ready.get("within"), root.get("recovery", "verify"), Seconds, defaults)
+
+
+def ready_keys_have_an_effect(root: ConfigNode) -> None:
+    """The grace of a start is `within` or `ros.grace`, whichever is longer; that of a lifecycle node also counts when it is started
+    again within its container."""
+    grace_s = root.get("ros", "grace").quantity(Seconds, RosSettings.model_fields["grace"].default)
+    for ready, _ in _sections(root):
+        if ready.get("silence").given and not ready.get("topics").value:
+            ready.get("silence").add_problem("is never used without 'topics': add it or remove this")
+        within_s = ready.get("within").quantity(Seconds, math.inf)
+        if within_s is not None and grace_s is not None and within_s < grace_s and not ready.get("lifecycle").given:
+            ready.get("within").add_problem(
+                f"is {within_s:g}, below ros.grace which is {grace_s:g} and is waited for: allowed is {grace_s:g} or more"
+            )
 
 
 def _sections(root: ConfigNode) -> Iterator[tuple[ConfigNode, tuple[str, ...]]]:

@@ -10,6 +10,12 @@ from phm.config.rules.common import bare, configured, container_key, report_dupl
 from phm.core.message_fields import UnknownField, demand_counter, demand_number, has_header
 from phm.core.settings import Hertz
 
+_OWN_TOPICS = (
+    ("diagnostics", "diagnostics", "; monitor the application's statuses with ros.diagnostics.watch"),
+    ("phm/consensus", "consensus", ""),
+)
+"""Name, the section of `ros` that turns it off, and what to use instead."""
+
 
 def relaunch_has_a_container(root: ConfigNode) -> None:
     """The container in which to run the command or to search for the process must be known."""
@@ -60,17 +66,19 @@ def diagnostics_are_known(root: ConfigNode) -> None:
             node.add_problem(unknown("node", node.text, nodes.values()) + " (or add it to 'ros.nodes')")
 
 
-def own_topics_have_no_rate(root: ConfigNode) -> None:
-    """PHM publishes on /diagnostics itself once a second, which would be counted with the application's messages."""
-    if root.get("ros", "diagnostics", "publish").value is False:
-        return
-    for topic in root.get("ros", "topics").records():
-        rate = topic.get("rate")
-        if bare(topic.get("name").text) == "diagnostics" and rate.given and rate.value is not None:
-            rate.add_problem(
-                "cannot be measured while PHM publishes on /diagnostics itself: leave it out, or set ros.diagnostics.publish to "
-                "false; monitor the application's statuses with ros.diagnostics.watch"
-            )
+def own_topics_are_not_measured(root: ConfigNode) -> None:
+    """PHM publishes on these itself, which would be counted with the application's messages."""
+    for name, key, instead in _OWN_TOPICS:
+        if root.get("ros", key, "publish").value is False:
+            continue
+        problem = f"cannot be measured while PHM publishes on /{name} itself: leave it out, or set ros.{key}.publish to false{instead}"
+        for topic in root.get("ros", "topics").records():
+            if bare(topic.get("name").text) == name and topic.get("rate").given:
+                topic.get("rate").add_problem(problem)
+        for entry in (*root.get("containers").records(), *root.get("ros", "nodes").records()):
+            for place in entry.get("ready", "topics").texts:
+                if bare(place.text) == name:
+                    place.add_problem(problem)
 
 
 def examined_topics_have_a_rate(root: ConfigNode) -> None:
