@@ -37,7 +37,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class TrialPlan:
-    """`number` counts from 1 in each seed. All draws are injected at the same time, those of one agent in this order."""
+    """`number` counts from 1 in each seed. Agents get their draws at the same time, those of one agent one after the other, in this order."""
 
     number: int
     draws: tuple[Draw, ...]

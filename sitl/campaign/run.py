@@ -175,7 +175,7 @@ class Runner:
         return trial
 
     def trial(self, plan: TrialPlan) -> Trial:
-        """Inject all faults at the same time, observe, clear, and wait until all is OK again. Raises NotOk if it does
+        """Inject the faults, those of one agent in sequence, observe, clear, and wait until all is OK. Raises NotOk if it does
         not recover.
         """
         faults = [self.faults[draw.fault] for draw in plan.draws]
