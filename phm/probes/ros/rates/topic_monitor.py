@@ -43,6 +43,7 @@ class TopicMonitor:
         self._name = topic.name
         self._expected_hz = topic.rate_hz
         self._tick_s = tick_s
+        self._silence_s = topic.silence_s
         self._estimator = RateEstimator(topic.rate_hz, topic.silence_s)
         self._data = DataMonitor(topic.data, topic.rate_hz) if topic.data is not None else None
         self._reader: Reader | None = None
@@ -56,13 +57,18 @@ class TopicMonitor:
         self._lonely_since_s: float | None = None
         self._twins_since_s: float | None = None
         self._mixed_at_s = -math.inf
+        self._publishers: tuple[EndpointFact, ...] = ()
+        self._requested_s: float | None = None
+        """Since when the kept messages of a latched topic are requested again; None: they have arrived."""
 
     def look(self, now_s: float, publishers: tuple[EndpointFact, ...]) -> RateFact:
         """Called once per tick, with the publishers that discovery lists now."""
         several = self._several(now_s, publishers)
+        self._request_again(now_s, publishers)
         listened = self._reader is not None
         self._follow(now_s, publishers, several)
         samples = self._take(now_s)
+        self._drop_unkept(now_s, samples)
         if self._data is not None and self._reader is not None:
             pause_s = PAUSE_S if self._large else 0.0
             self._data.look(now_s, self._type, self._reader.messages, pause_s=pause_s, mixed=several)
@@ -86,6 +92,22 @@ class TopicMonitor:
     def data(self) -> DataFact | None:
         """What the messages contain; None if they are not examined, or none was received yet."""
         return None if self._data is None else self._data.fact
+
+    def _request_again(self, now_s: float, publishers: tuple[EndpointFact, ...]) -> None:
+        """After a change of its publishers the message of a latched topic may be of one that is gone: a new subscription receives
+        what the present ones keep."""
+        before, self._publishers = self._publishers, publishers
+        if self._expected_hz or before == publishers or not _all_keep(before or publishers):
+            return
+        self._close()
+        self._open_at_s, self._requested_s = -math.inf, now_s
+
+    def _drop_unkept(self, now_s: float, samples: Sequence[Sample]) -> None:
+        """Forget the message if no present publisher has sent it again."""
+        if samples:
+            self._requested_s = None
+        elif self._requested_s is not None and now_s - self._requested_s > MATCH_S:
+            self._estimator, self._requested_s = RateEstimator(self._expected_hz, self._silence_s), None
 
     def _take(self, now_s: float) -> list[Sample]:
         if self._reader is None:
@@ -132,10 +154,7 @@ class TopicMonitor:
         elif several or len(publishers) > 1:
             # Also for a restarted node: whether the older one is gone shows in all samples, not in the newest.
             depth = min(DEPTH_MOST, PER_PUBLISHER * max(2, len(publishers)))
-        latched = not self._expected_hz and all(
-            (end.durability, end.reliability) == ("transient_local", "reliable") for end in publishers
-        )
-        return Quality(depth, latched and bool(publishers))
+        return Quality(depth, not self._expected_hz and bool(publishers) and _all_keep(publishers))
 
     def _open(self, quality: Quality) -> None:
         try:
@@ -175,3 +194,8 @@ class TopicMonitor:
         if self._lonely_since_s is not None and now_s - self._lonely_since_s > MATCH_S:
             return "QoS mismatch: the middleware does not connect PHM with the publisher (another partition, or another definition of its type?)"
         return ""
+
+
+def _all_keep(publishers: Sequence[EndpointFact]) -> bool:
+    """Whether they all keep their last message for later subscribers."""
+    return all((end.durability, end.reliability) == ("transient_local", "reliable") for end in publishers)
