@@ -246,7 +246,7 @@ def test_phm_gcs_behind_it_shows_the_vehicle(
 
     def records(event: str) -> list[dict[str, Any]]:
         news = [json.loads(line) for line in list(station.lines)]
-        return [record for record in news if record["event"] == event and record["agent"] == SYSTEM]
+        return [record for record in news if record["event"] == event and record.get("agent") == SYSTEM]
 
     until(
         lambda: [record for record in records("text") if record["text"].startswith(FAIL)],
