@@ -89,7 +89,7 @@ class SimulatedAutopilot:
         for sock in readable:
             port = ports[sock]
             for peer, message in port.receive(sock):
-                if not self._pilot.dumb:
+                if not self._pilot.rebooting:  # what was read before it hangs is still processed
                     self._take(port, peer, message)
         self._send(self._pilot.due(time.monotonic()))
         for port in (self.companion, self.ground):

@@ -8,6 +8,7 @@ they are. A program that such a process starts has the clock of the machine agai
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import re
 import struct
@@ -61,10 +62,11 @@ def shift(pid: int, offset_s: int, proc: Path = PROC) -> None:
 def _asleep(pid: int, proc: Path) -> bool:
     """Whether all threads of the process wait in the kernel, so that none is inside of the code. Stopping it as a debugger does would be safer, and
     is what PHM reports as a hung node."""
-    states = [
-        (task / "stat").read_text("ascii").rpartition(") ")[2][:1] for task in (proc / str(pid) / "task").iterdir()
-    ]
-    return set(states) == {"S"}
+    states = set()
+    for task in (proc / str(pid) / "task").iterdir():
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # this thread has just ended
+            states.add((task / "stat").read_text("ascii").rpartition(") ")[2][:1])
+    return states == {"S"}
 
 
 @dataclass(frozen=True)

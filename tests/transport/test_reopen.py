@@ -225,9 +225,10 @@ def test_a_spontaneous_recovery_is_not_credited_to_a_reopening(
             until(lambda: Phase.DONE in agent.phases(), "the reopening")
             stale.speak()
         until(agent.closed, "the fault being over")
-        assert agent.closed() == [
-            ("autopilot", "resolved", {"ran on": "reopen", "rebooted": "reboot"}.get(what, "itself"))
-        ]
+        (closed,) = agent.closed()
+        assert closed[:2] == ("autopilot", "resolved")
+        # Evidence of a reboot may arrive after the first heartbeat, when the fault is over already.
+        assert closed[2] in {"ran on": ("reopen",), "rebooted": ("reboot", "itself")}.get(what, ("itself",))
     finally:
         agent.daemon.stop()
 
