@@ -82,7 +82,7 @@ class SimulatedAutopilot:
     def _turn(self) -> None:
         self._follow_reboot()
         if self._pilot.hung:
-            time.sleep(0.05)
+            self._stopping.wait(0.05)
             return
         ports = {sock: port for port in (self.companion, self.ground) for sock in port.sockets()}
         readable, _, _ = select.select(list(ports), [], [], 0.05)

@@ -64,11 +64,6 @@ def _pids(container: Container) -> list[int]:
 
 
 def _start(container: Container) -> None:
-    """Start a container that was just killed. Raises TimeoutError when it does not end."""
-    until_s = time.monotonic() + DOWN_LIMIT_S
-    while container.attrs["State"]["Running"]:
-        if time.monotonic() > until_s:
-            raise TimeoutError(f"{container.name} has not ended within {DOWN_LIMIT_S:g} s")
-        time.sleep(0.05)
-        container.reload()
+    """Start a container that was just killed, as soon as the engine knows its end."""
+    container.wait(timeout=DOWN_LIMIT_S)
     container.start()

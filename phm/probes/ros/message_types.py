@@ -10,7 +10,8 @@ import importlib
 import importlib.util
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,42 +34,36 @@ def load_type(name: str, publishers: Iterable[Any] = ()) -> Any:
 
     publishers: rclpy's TopicEndpointInfo of its publishers; a class created from the name announces their type hash.
     """
-    match = _NAME.fullmatch(name)
-    if match is None:
-        raise UnknownType(f"type unknown: {name!r} is not the name of a ROS type")
-    package, kind, short = match.groups()
-    mounted = MountedPackages(os.environ.get(INSTALLS, "").split(os.pathsep))
-    try:
-        return _installed(package, kind, short, mounted)
-    except TypeUnavailable as reason:
-        reasons = [str(reason)]
-    try:
-        return _any_types.make(package, kind, short, _announced(name, publishers))
-    except TypeUnavailable as reason:
-        reasons.append(f"it cannot be read by its name alone, as {reason}")
-    try:
-        return _from_application(name, mounted, package, kind, short)
-    except TypeUnavailable as reason:
-        reasons.append(str(reason))
-    raise UnknownType(f"type unknown: {name} {'; '.join(reasons)}")
+
+    def opaque(package: str, kind: str, short: str) -> Any:
+        try:
+            return _any_types.make(package, kind, short, _announced(name, publishers))
+        except TypeUnavailable as reason:
+            raise TypeUnavailable(f"it cannot be read by its name alone, as {reason}") from None
+
+    return _load(name, "", [opaque])
 
 
 def load_decodable(name: str) -> Any:
     """The class of `package/msg/Type` for decoding messages: installed beside PHM, or in `ros.installs`. Raises UnknownType."""
+    return _load(name, "its fields cannot be read: ", [])
+
+
+def _load(name: str, words: str, others: Sequence[Callable[[str, str, str], Any]]) -> Any:
+    """Installed beside PHM, else by one of the other ways, and from the application's folders last."""
     match = _NAME.fullmatch(name)
     if match is None:
         raise UnknownType(f"type unknown: {name!r} is not the name of a ROS type")
-    package, kind, short = match.groups()
     mounted = MountedPackages(os.environ.get(INSTALLS, "").split(os.pathsep))
-    try:
-        return _installed(package, kind, short, mounted)
-    except TypeUnavailable as reason:
-        reasons = [str(reason)]
-    try:
-        return _from_application(name, mounted, package, kind, short)
-    except TypeUnavailable as reason:
-        reasons.append(str(reason))
-    raise UnknownType(f"type unknown: its fields cannot be read: {name} {'; '.join(reasons)}")
+    ways: list[Callable[[str, str, str], Any]]
+    ways = [partial(_installed, mounted), *others, partial(_from_application, name, mounted)]
+    reasons = []
+    for way in ways:
+        try:
+            return way(*match.groups())
+        except TypeUnavailable as reason:
+            reasons.append(str(reason))
+    raise UnknownType(f"type unknown: {words}{name} {'; '.join(reasons)}")
 
 
 def _from_application(name: str, mounted: MountedPackages, package: str, kind: str, short: str) -> Any:
@@ -77,7 +72,7 @@ def _from_application(name: str, mounted: MountedPackages, package: str, kind: s
     return _mounted[name]
 
 
-def _installed(package: str, kind: str, short: str, mounted: MountedPackages) -> Any:
+def _installed(mounted: MountedPackages, package: str, kind: str, short: str) -> Any:
     """Names come from the network: only names with the form of a message package are imported."""
     try:
         spec = importlib.util.find_spec(package)
