@@ -14,7 +14,7 @@ import pytest
 
 from phm.core.settings import RosSettings
 from phm.probes.ros import sandbox
-from phm.probes.ros.supervisor import child_environ
+from phm.probes.ros.child_environment import child_environ
 from tests.fakes.ros_bench import ROOT, Bench, seen, stale, until
 
 ALLOWED = {"send a datagram", "read the application's packages", "signal itself"}

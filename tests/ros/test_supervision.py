@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from phm.core.settings import ReadySettings, RosSettings
+from phm.probes.ros.child_environment import child_environ
 from phm.probes.ros.protocol import INSTALLS
-from phm.probes.ros.supervisor import NOT_INSTALLED, SupervisorLimits, child_environ, wanted
+from phm.probes.ros.supervisor import NOT_INSTALLED, SupervisorLimits
+from phm.probes.ros.wanted import wanted
 from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
 
 FAST = SupervisorLimits(start_s=2.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)

@@ -24,8 +24,8 @@ from phm.facts import (
     ros_variables,
 )
 from phm.probes.docker import own_ids
+from phm.probes.ros.child_environment import child_environ
 from phm.probes.ros.environment_differences import differences
-from phm.probes.ros.supervisor import child_environ
 
 FRESH_S = 10.0
 """How long an answer is used, and a failure: an engine that hangs must not delay the check each time."""

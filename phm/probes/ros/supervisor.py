@@ -11,23 +11,21 @@ import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-import phm
 from phm.core import threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.scheduling_delay import NOISE_S, ProcessStallMeter, SchedulingDelay
-from phm.core.settings import DataSettings, ReadySettings, RosSettings
+from phm.core.settings import ReadySettings, RosSettings
 from phm.facts import CannotTell, RosFact
 from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
+from phm.probes.ros.child_environment import child_environ
 from phm.probes.ros.child_process import ChildProcess
 from phm.probes.ros.graph_snapshot import GraphSnapshot, again_s
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
-    INSTALLS,
     LINE_LIMIT,
     GraphMessage,
     LogText,
@@ -37,10 +35,6 @@ from phm.probes.ros.protocol import (
     Publish,
     Sandbox,
     Tick,
-    Wanted,
-    WantedData,
-    WantedRange,
-    WantedTopic,
     decode,
     encode_order,
     encode_wanted,
@@ -48,6 +42,7 @@ from phm.probes.ros.protocol import (
 from phm.probes.ros.self_reports import SILENT_MISSES, Own, SelfReports
 from phm.probes.ros.stale_nodes import DOUBT_S, StaleNodes
 from phm.probes.ros.unnamed_participants import UNNAMED_S, UnnamedParticipants
+from phm.probes.ros.wanted import wanted
 
 NOT_INSTALLED = (
     "rclpy is not installed here: ROS checks are off; "
@@ -60,37 +55,6 @@ REPORTED_S = 30.0
 """How long a loss is reported."""
 MAX_LOG_TEXTS = 20
 """So many different log texts of the child are written to the log, each once."""
-
-# Defaults that the environment may override.
-_ENVIRONMENT = {
-    # Two arenas instead of one for each of the middleware's threads: 10 MB less.
-    "MALLOC_ARENA_MAX": "2",
-    # numpy is part of rclpy's messages and would start a thread for each core.
-    "OPENBLAS_NUM_THREADS": "1",
-    # The sidecar shares no /dev/shm with the application: over shared memory topics are listed but no data arrive.
-    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-}
-
-_VARIABLES = frozenset({"PATH", "HOME", "LANG", "LANGUAGE", "TZ", "CYCLONEDDS_URI", "OMP_NUM_THREADS"})
-_PREFIXES = (
-    "LC_",
-    "LD_",
-    "PYTHON",
-    "ROS_",
-    "RMW_",
-    "RCL_",
-    "RCUTILS_",
-    "AMENT_",
-    "COLCON_",
-    "FASTDDS_",
-    "FASTRTPS_",
-    "ZENOH_",
-    "MALLOC_",
-    "OPENBLAS_",
-    "PHM_ROS_",
-    "PHM_DEBUG_ROS_",
-)
-"""Environment variables of the interpreter, ROS and the middleware; the child receives no others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,69 +392,6 @@ class RosSupervisor:
     def _drain(self) -> None:
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self._wake)
-
-
-def wanted(ros: RosSettings, agent: str, ready: Sequence[ReadySettings] = ()) -> Wanted:
-    """The configuration of the child: full names of topics, and which of their rates it measures. ready: of the containers."""
-    topics = [
-        WantedTopic(
-            f"/{topic.name.lstrip('/')}",
-            topic.rate,
-            ros.silence if topic.silence is None else topic.silence,
-            None if topic.data is None else _wanted_data(topic.data),
-        )
-        for topic in ros.topics
-    ]
-    readiness = [*ready, *(node.ready for node in ros.nodes if node.ready is not None)]
-    # Rate 0: received as any latched topic; there is no rate to compare with.
-    topics += [WantedTopic(name, 0.0) for name in _full(name for one in readiness for name in one.topics)]
-    names = [node.name for node in ros.nodes]
-    names += [node for topic in ros.topics for node in (*topic.publishers, *topic.subscribers)]
-    return Wanted(
-        agent=agent,
-        domain=ros.domain,
-        topics=tuple(topics),
-        listen=tuple(f"/{name.lstrip('/')}" for name in ros.diagnostics.listen),
-        nodes=_full(names),
-        watch=tuple(entry.name for entry in ros.diagnostics.watch),
-        services=_full(name for one in readiness for name in one.services),
-        lifecycle=_full(node.name for node in ros.nodes if node.ready is not None and node.ready.lifecycle),
-        calls=_full(one.call for one in readiness if one.call is not None),
-    )
-
-
-def _wanted_data(data: DataSettings) -> WantedData:
-    return WantedData(
-        max_age_s=data.max_age,
-        order=data.order,
-        frozen_s=data.frozen,
-        counter=data.counter or "",
-        gaps_percent=data.gaps,
-        ranges=tuple(WantedRange(name, low, high) for name, (low, high) in data.ranges.items()),
-        hz=data.sample,
-    )
-
-
-def _full(names: Iterable[str]) -> tuple[str, ...]:
-    """Each name once, with its first slash."""
-    return tuple(dict.fromkeys(f"/{name.lstrip('/')}" for name in names))
-
-
-def child_environ(ros: RosSettings, environ: Mapping[str, str]) -> dict[str, str]:
-    """The variables that the child needs of the daemon's environment, which may contain secrets. Variables that are set
-    have priority."""
-    merged = {**_ENVIRONMENT, **{name: value for name, value in environ.items() if _needed(name)}}
-    if ros.domain is not None:
-        merged["ROS_DOMAIN_ID"] = str(ros.domain)
-    merged[INSTALLS] = os.pathsep.join(ros.installs)
-    # The child must run the same PHM, wherever the daemon found it.
-    home = str(Path(phm.__file__).resolve().parent.parent)
-    merged["PYTHONPATH"] = os.pathsep.join(part for part in (merged.get("PYTHONPATH", ""), home) if part)
-    return merged
-
-
-def _needed(name: str) -> bool:
-    return name in _VARIABLES or name.startswith(_PREFIXES)
 
 
 def _missing_sentence(missing: Missing) -> str:
