@@ -122,7 +122,7 @@ class Data(api.Check):
         return self._bad(
             topic, "data_stamp", f"stamp {shown} {'old' if late else 'ahead'}",
             f"{name}: its stamps are {_span(abs(age_s))} {'old' if late else 'in the future'}, allowed is {span_of(data.max_age)}: "
-            + ("its data wait before they are published, or " if 0 < age_s <= DAY_S else "")
+            + ("its messages wait before they are published, or " if 0 < age_s <= DAY_S else "")
             + "the clock of its source differs from the clock of this computer; check time synchronization",
             conclusive=not 0 < age_s <= AT_ONCE,
         )  # fmt: skip

@@ -68,7 +68,7 @@ def test_messages_within_their_limits_are_ok() -> None:
         (
             0.8,
             "odom stamp 0.8 s old",
-            "0.8 s old, allowed is 0.5 s: its data wait before they are published, or the clock",
+            "0.8 s old, allowed is 0.5 s: its messages wait before they are published, or the clock",
         ),
         (3600.0, "odom stamp 60 min old", "its stamps are 60 min old, allowed is 0.5 s"),
         (-3600.0, "odom stamp 60 min ahead", "60 min in the future, allowed is 0.5 s: the clock of its source differs"),
