@@ -51,6 +51,7 @@ from phm.facts import (
     AutopilotFact,
     BeaconFact,
     CannotTell,
+    ConnectionFact,
     ConsumerFact,
     ContainerFact,
     DataFact,
@@ -93,6 +94,7 @@ __all__ = [
     "BeaconFact",
     "CannotTell",
     "Check",
+    "ConnectionFact",
     "ConsumerFact",
     "ContainerFact",
     "ContainerSettings",
@@ -192,17 +194,17 @@ class Unit:
 class Check(ABC):
     """Base class of checks. Subclass it, name it, and return results for its units from `run`.
 
-    Class attributes: `name` (as in the entry point), `slot`, `layer`; `period_s` how often it runs between
+    Attributes of the class, or of an instance where no ClassVar: `name` (as in the entry point), `slot`, `layer`; `period_s` how often it runs between
     the passes (None: at each pass only); `deadline_s` after which it is overdue; `failures` how many runs
     in a row must be bad before it is reported. A user may override the last three in the configuration.
     """
 
     name: ClassVar[str]
-    slot: ClassVar[Slot]
+    slot: Slot
     layer: ClassVar[Layer]
-    period_s: ClassVar[float | None] = None
-    deadline_s: ClassVar[float] = 10.0
-    failures: ClassVar[int] = 1
+    period_s: float | None = None
+    deadline_s: float = 10.0
+    failures: int = 1
 
     @classmethod
     def build(cls, settings: Settings) -> Iterable[Check]:

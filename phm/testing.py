@@ -27,6 +27,7 @@ from phm.core.settings import Settings
 from phm.facts import (
     AutopilotFact,
     CannotTell,
+    ConnectionFact,
     ConsumerFact,
     ContainerFact,
     DeviceFact,
@@ -51,6 +52,7 @@ from phm.facts import (
     RosProbe,
     SelfFact,
     SelfProbe,
+    SocketProbe,
     SwarmFact,
     SwarmProbe,
     TreeFact,
@@ -495,6 +497,18 @@ class FakeSelf(_Fake):
         return self.fact
 
 
+class FakeSockets(_Fake):
+    """Servers by host and port; others refuse the connection."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.servers: dict[tuple[str, int], ConnectionFact] = {}
+
+    def connect(self, host: str, port: int, *, timeout_s: float, expect: str = "") -> ConnectionFact:
+        self._asked()
+        return self.servers.get((host, port), ConnectionFact("the connection was refused", 0.0))
+
+
 def world(
     *,
     clock: Clock | None = None,
@@ -508,6 +522,7 @@ def world(
     myself: SelfProbe | None = None,
     pressure: PressureProbe | None = None,
     environment: EnvironmentProbe | None = None,
+    sockets: SocketProbe | None = None,
 ) -> World:
     """A world of fakes, with those parts replaced that are given."""
     return World(
@@ -522,6 +537,7 @@ def world(
         myself=myself or FakeSelf(),
         pressure=pressure or FakePressure(),
         environment=environment or FakeEnvironment(),
+        sockets=sockets or FakeSockets(),
     )
 
 

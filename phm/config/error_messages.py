@@ -25,6 +25,9 @@ PATTERNS = {
     r"^[^=\s]+(=.*)?$": "'key' or 'key=value' without spaces in the key",
     r"^[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*$": "package/msg/Type, such as std_msgs/msg/String",
     r"^(tcp|tls|quic)/([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}$": "tcp/HOST:PORT, tls/HOST:PORT or quic/HOST:PORT",
+    r"^[A-Za-z0-9_.:-]+$": "the name or IP address of a host",
+    r"^[ -~]+$": "printable ASCII characters",
+    r"^https?://[^\s/@]+(/[!-~]*)?$": "http://HOST[:PORT]/PATH or https://..., without spaces and passwords",
     r"^(unix:///.+|tcp://.+)$": "unix:///path or tcp://host:port",
 }
 _WANTED = {
@@ -35,6 +38,7 @@ _WANTED = {
     "list_type": "a list",
     "dict_type": "a mapping",
     "model_type": "a section with keys",
+    "model_attributes_type": "a section with keys",
     "string_unicode": "text that is valid Unicode",
     "int_from_float": "a whole number",
     "int_parsing_size": "a smaller number",
@@ -52,6 +56,11 @@ def sentence(error: Mapping[str, Any]) -> str:
         return f"is missing{_description(path)}"
     if kind == "value_error":
         return str(context.get("error", error["msg"]))
+    if kind == "union_tag_invalid":
+        allowed = re.findall(r"'([^']*)'", str(context.get("expected_tags")))
+        return unknown("type", str(context.get("tag")), allowed)
+    if kind == "union_tag_not_found":
+        return "is missing: it says what the entry is, and which keys it has"
     if kind in _WANTED:
         return _wrong_type(kind, path, value)
     if kind in _RANGES:

@@ -19,6 +19,7 @@ from phm.config.env_expansion import Expander
 from phm.config.error_messages import sentence
 from phm.config.node import ConfigNode
 from phm.config.problems import ConfigError, Problem, dotted
+from phm.config.schema_lookup import without_types
 from phm.config.yaml_tree import MAX_BYTES, Tree, parse
 from phm.core.settings import Settings
 
@@ -109,6 +110,7 @@ def loads(
     if units_of is not None:
         units, needs = units_of(settings)
         rules.names_of_checks(root, known_checks or (), units)
+        rules.custom_needs_are_units(root, units)
         rules.needs_have_no_loop(root, {name: set(names) for name, names in needs.items()})
         if problems:
             raise ConfigError(problems)
@@ -124,7 +126,9 @@ def _validate(tree: Tree, file: str) -> tuple[Settings | None, list[Problem]]:
     problems = []
     for entry in found:
         # Pydantic marks a problem of a mapping's key.
-        path = tuple(part for part in entry["loc"] if part != "[key]")
+        path = without_types(tuple(part for part in entry["loc"] if part != "[key]"))
+        if str(entry["type"]).startswith("union_tag_"):
+            path = (*path, "type")
         if any(path[:end] in tree.bad for end in range(1, len(path) + 1)):
             continue  # its cause is already reported
         problems.append(Problem(file, tree.line(path), dotted(path), sentence(entry)))

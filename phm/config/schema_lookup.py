@@ -27,18 +27,48 @@ def model_of(annotation: Any) -> type[BaseModel] | None:
     return next((model for part in get_args(annotation) if (model := model_of(part))), None)
 
 
+def models_of(annotation: Any) -> tuple[type[BaseModel], ...]:
+    """All models in an annotation: several for a list whose entries have a `type`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return (annotation,)
+    return tuple(model for part in get_args(annotation) for model in models_of(part))
+
+
 def model_at(path: Path) -> type[BaseModel] | None:
     """The model whose keys are allowed at `path`; None where no model is."""
     model: type[BaseModel] | None = Settings
     inside = False
+    by_type: dict[str, type[BaseModel]] = {}
     for part in path:
         if isinstance(part, int) or inside:
             inside = False
             continue
+        if part in by_type:
+            model, by_type = by_type[part], {}
+            continue
         field = model.model_fields.get(part) if model else None
         model = model_of(field.annotation) if field else None
+        by_type = _by_type(field) if field else {}
         inside = field is not None and get_origin(field.annotation) is dict
     return model
+
+
+def without_types(path: Path) -> Path:
+    """A path of pydantic's, which names the `type` of an entry after its index, as a place of the file."""
+    kept: list[str | int] = []
+    for end, part in enumerate(path):
+        field = field_at(path[: end - 1]) if end >= 2 and isinstance(path[end - 1], int) else None
+        if field is None or part not in _by_type(field):
+            kept.append(part)
+    return tuple(kept)
+
+
+def _by_type(field: FieldInfo) -> dict[str, type[BaseModel]]:
+    """The models of a list by the `type` of an entry; empty for a list of one kind."""
+    models = models_of(field.annotation)
+    if len(models) < 2:
+        return {}
+    return {name: model for model in models for name in get_args(model.model_fields["type"].annotation)}
 
 
 def field_at(path: Path) -> FieldInfo | None:

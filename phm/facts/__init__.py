@@ -67,6 +67,7 @@ from phm.facts.ros_environment import (
     RosEnvironment as RosEnvironment,
     ros_variables as ros_variables,
 )
+from phm.facts.sockets import ConnectionFact as ConnectionFact, SocketProbe as SocketProbe
 from phm.facts.swarm import (
     PeerFact as PeerFact,
     SwarmFact as SwarmFact,
@@ -89,3 +90,4 @@ class World:
     myself: SelfProbe
     pressure: PressureProbe
     environment: EnvironmentProbe
+    sockets: SocketProbe

@@ -61,6 +61,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "autopilot_silent": ("reopen",),
     "disk_full": ("free_disk",),
     "cpu_starved": ("relieve",),
+    "custom_failed": ("restart",),
 }
 """Built-in ladders by condition. Conditions that are not listed are only reported: `restarting` because the engine's
 own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,

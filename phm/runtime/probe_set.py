@@ -25,6 +25,7 @@ from phm.probes.pressure import Pressure
 from phm.probes.reachability_monitor import ReachabilityMonitor
 from phm.probes.ros.environment import RosEnvironments
 from phm.probes.ros.supervisor import RosSupervisor
+from phm.probes.sockets import Sockets
 from phm.probes.swarm import SwarmMonitor
 from phm.transport.docker import DockerEngine
 from phm.transport.mavlink import MavlinkHub
@@ -66,6 +67,7 @@ class ProbeSet:
     notices: FileWatcher
     mavlink: MavlinkHub | None
     ros: RosSupervisor | None
+    sockets: Sockets
     world: World
 
     def start(self, *, links: bool = True) -> None:
@@ -132,7 +134,7 @@ class ProbeSet:
             found.append(("ros", self.ros.close))
         if self.pulse is not None:
             found.append(("pulse", self.pulse.stop))
-        found += [("notices", self.notices.close), ("engine", self.engine.close)]
+        found += [("notices", self.notices.close), ("sockets", self.sockets.close), ("engine", self.engine.close)]
         if self.watch is not None:
             found.append(("watch", self.watch.stop))
         return tuple(found)
@@ -199,6 +201,7 @@ def build_probes(
         else None
     )
     probe: RosProbe = ros if ros is not None else RosNotConfigured()
+    sockets = Sockets(clock)
     world = World(
         clock=clock,
         docker=docker,
@@ -211,8 +214,11 @@ def build_probes(
         myself=DaemonSelfProbe(read_self, ros, links),
         pressure=Pressure(engine, docker, settings.containers, settings.pressure, clock),
         environment=RosEnvironments(docker, settings.ros, clock),
+        sockets=sockets,
     )
-    return ProbeSet(engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, world)
+    return ProbeSet(
+        engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, sockets, world
+    )
 
 
 def _addressed(settings: Settings) -> bool:

@@ -18,6 +18,12 @@ from phm.config.rules.containers import (
     named_containers_exist,
     recovery_keys_need_opt_in,
 )
+from phm.config.rules.custom import (
+    custom_containers_exist,
+    custom_names_are_unique,
+    custom_needs_are_units,
+    custom_patterns_compile,
+)
 from phm.config.rules.fleet import fleet_certificates_are_used, fleet_has_endpoints, fleet_modes_match
 from phm.config.rules.limits import disks_are_unique, limits_are_in_order
 from phm.config.rules.mavlink import endpoints_are_unique, flight_critical_needs_autopilot, link_ids_are_unique
@@ -38,7 +44,7 @@ from phm.config.rules.ros import (
     topic_nodes_exist,
 )
 
-__all__ = ["check_all", "names_of_checks", "names_of_recovery", "needs_have_no_loop"]
+__all__ = ["check_all", "custom_needs_are_units", "names_of_checks", "names_of_recovery", "needs_have_no_loop"]
 
 
 def check_all(root: ConfigNode) -> None:
@@ -72,6 +78,9 @@ RULES: tuple[Callable[[ConfigNode], None], ...] = (
     link_ids_are_unique,
     limits_are_in_order,
     disks_are_unique,
+    custom_names_are_unique,
+    custom_containers_exist,
+    custom_patterns_compile,
     fleet_has_endpoints,
     fleet_modes_match,
     fleet_certificates_are_used,

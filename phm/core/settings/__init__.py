@@ -26,6 +26,7 @@ from phm.core.settings.base import (
     Section,
 )
 from phm.core.settings.containers import ContainerSettings, DeviceSettings, FileSettings
+from phm.core.settings.custom import CustomBase, CustomCheckSettings, CustomRecoverySettings, TcpCheckSettings
 from phm.core.settings.daemon import CheckSettings, DockerSettings, LogSettings, ProcessSettings
 from phm.core.settings.fleet import FleetEndpoint, FleetSettings, FleetTlsSettings
 from phm.core.settings.host import FreeDiskSettings, HostSettings, PressureSettings
@@ -50,6 +51,9 @@ __all__ = [
     "Celsius",
     "CheckSettings",
     "ContainerSettings",
+    "CustomBase",
+    "CustomCheckSettings",
+    "CustomRecoverySettings",
     "DataSettings",
     "DeviceSettings",
     "DiagnosticsSettings",
@@ -85,6 +89,7 @@ __all__ = [
     "Settings",
     "SigningSettings",
     "SwarmSettings",
+    "TcpCheckSettings",
     "TopicSettings",
     "WatchedDiagnosticSettings",
 ]
@@ -117,6 +122,8 @@ class Settings(Section):
     """The log on board."""
     notify: NotifySettings = NotifySettings()
     """Alerts to other services."""
+    custom: Annotated[list[CustomCheckSettings], Field(max_length=64)] = Field(default_factory=list)
+    """Own checks without code."""
     docker: DockerSettings = DockerSettings()
     """The Docker Engine."""
     process: ProcessSettings = ProcessSettings()

@@ -1,0 +1,90 @@
+"""What all types of `custom` checks share: period, slot, needs, level, text for the operator, recovery."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from phm import api
+from phm.api import Layer, Level, Slot
+from phm_checks._text import brief, clean
+
+DEADLINE_MARGIN_S = 5.0
+"""The probe ends at the entry's `timeout`; the run is overdue only if the probe does not."""
+FAILED = "custom_failed"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one run found. level: OK, WARN, or ERROR, which becomes the level of the entry.
+
+    text: a clause for the log, e.g. `port 80 of camera refused the connection`. short: the same in two or three words.
+    """
+
+    level: Level
+    text: str
+    short: str = ""
+    values: Mapping[str, api.Value] = field(default_factory=dict)
+
+
+def good(text: str, **values: api.Value) -> Finding:
+    return Finding(Level.OK, text, values=values)
+
+
+def bad(text: str, short: str, **values: api.Value) -> Finding:
+    return Finding(Level.ERROR, text, short, values)
+
+
+class CustomCheck(api.Check):
+    """Base of the types. A type overrides `look`, and `container` if it concerns one.
+
+    `look` returns what it found, or raises CannotTell. Text from outside may be passed on as it is: it is cleaned here.
+    """
+
+    name, slot, layer = "custom", Slot.USER_1, Layer.CUSTOM
+
+    def __init__(self, entry: Any, settings: api.Settings) -> None:
+        self.entry, self.settings = entry, settings
+        self.slot = Slot(entry.slot)
+        self.period_s, self.failures = entry.period, entry.failures
+        self.deadline_s = entry.timeout + DEADLINE_MARGIN_S
+
+    @property
+    def container(self) -> str:
+        """Key of the container that it concerns; empty: none."""
+        return ""
+
+    @property
+    def subject(self) -> str:
+        return str(self.entry.name)
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        target = self._acts_on or self.container
+        needs = (f"container/{target}",) if target else ()
+        return (api.Unit(f"{self.name}/{self.subject}", (*needs, *self.entry.needs), target, grace_s=self.entry.grace),)
+
+    @property
+    def wakes(self) -> frozenset[str]:
+        return frozenset(f"container:{key}" for key in {self._acts_on, self.container} if key)
+
+    @abstractmethod
+    def look(self, world: api.World) -> Finding:
+        """Ask the probe once and judge the answer."""
+
+    def run(self, world: api.World) -> api.Result:
+        found = self.look(world)
+        text = f"{self.subject}: {clean(found.text, 300)}"
+        if found.level is Level.OK:
+            return api.ok(text, **found.values)
+        level = Level.WARN if self.entry.level == "warn" else found.level
+        words = f"{text}. {clean(self.entry.advice)}" if self.entry.advice else text
+        short = self.entry.brief or brief(self.subject, found.short)
+        return api.Result(level, words, brief(short), FAILED, self._acts_on, found.values)
+
+    @property
+    def _acts_on(self) -> str:
+        """The container that recovery may act on; empty: it may not."""
+        return self.entry.recovery.container if self.entry.recovery is not None else ""

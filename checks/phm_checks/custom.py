@@ -1,0 +1,23 @@
+"""Slots 13 to 15: the checks of the section `custom`, which are written in YAML. One class for each type."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from phm import api
+from phm_checks._custom.base import CustomCheck
+from phm_checks._custom.tcp import Tcp
+
+TYPES: Mapping[str, type[CustomCheck]] = {
+    "tcp": Tcp,
+}
+
+
+class Custom(api.Check):
+    """All entries of `custom`, one instance each."""
+
+    name, slot, layer = "custom", api.Slot.USER_1, api.Layer.CUSTOM
+
+    @classmethod
+    def build(cls, settings: api.Settings) -> Iterable[api.Check]:
+        return [TYPES[entry.type](entry, settings) for entry in settings.custom]

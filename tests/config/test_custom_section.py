@@ -1,0 +1,57 @@
+"""The section `custom`: each mistake is named at its line, and what is allowed."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.config import ConfigError, loads
+
+APP = "containers:\n  - {name: app, recover: true}\n  - {name: other}\n"
+UNITS = ("container/app", "container/other", "custom/web", "custom/ssh")
+TCP = "name: ssh, type: tcp, host: localhost, port: 22"
+
+
+def refused(entries: str) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        loads(
+            f"{APP}custom:\n{entries}",
+            "phm.yaml",
+            environ={},
+            known_checks=("container", "custom"),
+            units_of=lambda settings: (UNITS, {}),
+        )
+    return [str(problem) for problem in caught.value.problems]
+
+
+@pytest.mark.parametrize(
+    ("entry", "problem"),
+    [
+        ("{name: a, host: x}", "custom[0].type: is missing: it says what the entry is"),
+        ("{name: a, type: tpc}", "custom[0].type: unknown type 'tpc', did you mean 'tcp'?"),
+        ("abc", "custom[0]: is text 'abc', expected a section with keys"),
+        (f"{{{TCP}, prot: 1}}", "custom[0].prot: unknown key 'prot', did you mean 'port'?"),
+        ("{name: a, type: tcp, host: x, port: 70000}", "custom[0].port: is 70000, allowed is 1 to 65535"),
+        ("{name: a, type: tcp, host: x/y, port: 7}", "custom[0].host: is 'x/y', allowed is the name or IP address"),
+        (f"{{{TCP}, period: 0.1}}", "custom[0].period: is 0.1, allowed is 0.5 to 3600 seconds"),
+        (f"{{{TCP}, brief: 'zu kalt °C'}}", "custom[0].brief: is 'zu kalt °C', allowed is printable ASCII characters"),
+        (f"{{{TCP}, needs: [contaner/app]}}", "custom[0].needs[0]: unknown unit 'contaner/app', did you mean 'container/app'"),
+        (f"{{{TCP}, needs: [container]}}", "custom[0].needs[0]: unknown unit 'container'"),
+        (f"{{{TCP}, needs: [custom/ssh]}}", "custom[0].needs[0]: is 'custom/ssh', the check itself"),
+        (f"{{{TCP}, recovery: {{container: ap}}}}", "custom[0].recovery.container: unknown container 'ap'"),
+        (f"{{{TCP}, recovery: {{container: other}}}}", "custom[0].recovery.container: is 'other', which has no 'recover: true' (line 3)"),
+        (f"{{{TCP}, level: warn, recovery: {{container: app}}}}", "custom[0].recovery: is never used with 'level: warn'"),
+        (f"{{{TCP}, grace: 60, recovery: {{container: app}}}}", "custom[0].grace: is 60, above 'verify' which is 30"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_named_with_its_line(entry: str, problem: str) -> None:
+    """The index in the list is the place, whatever the type."""
+    (found,) = refused(f"  - {entry}\n")
+    assert found.startswith(f"phm.yaml:5: {problem}")
+
+
+def test_names_are_unique_over_all_types() -> None:
+    """Each is a unit."""
+    web = "  - {name: ssh, type: http, url: http://localhost/}\n"
+    assert refused(f"  - {{{TCP}}}\n{web}") == [
+        "phm.yaml:6: custom[1].name: check 'ssh' is defined twice, first in line 5: keep one"
+    ]

@@ -1,0 +1,102 @@
+"""Connections to real servers on loopback."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from phm.core.clock import SystemClock
+from phm.facts import CannotTell
+from phm.probes.sockets import BANNER_BYTES, Sockets
+
+Serve = Callable[[Callable[[socket.socket], object]], int]
+
+
+@pytest.fixture
+def sockets() -> Iterator[Sockets]:
+    made = Sockets(SystemClock())
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def serve() -> Iterator[Serve]:
+    """Start a server for one connection on a free port, which is returned."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def start(answer: Callable[[socket.socket], object]) -> int:
+            def run() -> None:
+                with listener.accept()[0] as connection:
+                    answer(connection)
+
+            threading.Thread(target=run, daemon=True).start()
+            return int(listener.getsockname()[1])
+
+        yield start
+
+
+def test_a_listening_port_is_connected(sockets: Sockets, serve: Serve) -> None:
+    """By address and by name; `localhost` may have an IPv6 address first, at which nobody listens."""
+    port = serve(lambda connection: connection.recv(1))
+    fact = sockets.connect("localhost", port, timeout_s=5)
+    assert (fact.problem, fact.received) == ("", "")
+
+
+def test_a_closed_port_is_refused(sockets: Sockets) -> None:
+    """A server that has ended."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    assert sockets.connect("127.0.0.1", port, timeout_s=5).problem == "the connection was refused"
+
+
+def test_what_the_server_sends_first_is_read(sockets: Sockets, serve: Serve) -> None:
+    """Also in several parts, until it is what was expected."""
+
+    def answer(connection: socket.socket) -> None:
+        for part in (b"SSH", b"-2.0", b"-x\r\n"):
+            connection.sendall(part)
+        connection.recv(1)
+
+    fact = sockets.connect("127.0.0.1", serve(answer), timeout_s=5, expect="SSH-2.0")
+    assert fact.received.startswith("SSH-2.0")
+
+
+def test_a_silent_server_ends_at_the_deadline(sockets: Sockets, serve: Serve) -> None:
+    """The connection exists; nothing is received."""
+    stop = threading.Event()
+    fact = sockets.connect("127.0.0.1", serve(lambda _: stop.wait(30)), timeout_s=0.2, expect="SSH")
+    stop.set()
+    assert (fact.problem, fact.received) == ("", "")
+
+
+def test_a_server_that_never_stops_sending_is_cut(sockets: Sockets, serve: Serve) -> None:
+    """Its text is bounded, and so is the time."""
+
+    def answer(connection: socket.socket) -> None:
+        with contextlib.suppress(OSError):  # PHM closes
+            while True:
+                connection.sendall(b"x" * 65536)
+
+    fact = sockets.connect("127.0.0.1", serve(answer), timeout_s=5, expect="SSH")
+    assert 0 < len(fact.received) <= BANNER_BYTES
+
+
+def test_an_unknown_name_is_a_problem_of_the_server(sockets: Sockets) -> None:
+    """As of a container that is gone: Docker's name server forgets it. `.invalid` never exists (RFC 6761)."""
+    try:
+        problem = sockets.connect("server.invalid", 80, timeout_s=5).problem
+    except CannotTell as error:  # a machine without any name server
+        problem = str(error)
+    assert "server.invalid" in problem
+
+
+def test_after_the_end_nothing_is_connected() -> None:
+    """PHM that stops waits for no server."""
+    sockets = Sockets(SystemClock())
+    sockets.close()
+    with pytest.raises(CannotTell, match="PHM is stopping"):
+        sockets.connect("127.0.0.1", 1, timeout_s=30)
