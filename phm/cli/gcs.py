@@ -6,21 +6,21 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from phm.cli.gcs_options import check_ports, link_options, link_settings, make_station
 from phm.cli.gcs_requests import REQUESTS
+from phm.cli.gcs_web import Part, WebChoice, make_parts
+from phm.cli.web_options import address, web_options
 from phm.core import threads
 from phm.core.signals import Signals
 
 if TYPE_CHECKING:
-    from phm.core.clock import Clock
-    from phm.gcs.server import GcsServer
     from phm.gcs.station import GroundStation
 
 ONCE_S = 5.0
@@ -39,16 +39,6 @@ def _agents(ctx: click.Context, param: click.Parameter, value: str | None) -> tu
             raise click.BadParameter(f"{piece!r} is not a list of agents: ids are 1 to 250, e.g. 1,2,5-8")
         found.update(ids)
     return tuple(sorted(found))
-
-
-def _address(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:
-    """``HOST:PORT`` or ``PORT``."""
-    if value is None:
-        return None
-    host, _, port = value.rpartition(":")
-    if not port.isdecimal() or int(port) > 65535:
-        raise click.BadParameter(f"{value!r} needs a port from 0 to 65535, e.g. 8014 or 192.168.7.1:8014")
-    return host.strip("[]") or "127.0.0.1", int(port)
 
 
 class WithRequests(click.Command):
@@ -87,8 +77,13 @@ class WithRequests(click.Command):
     "--expect", metavar="IDS", callback=_agents, help="Agents to report as missing even if never heard, e.g. 1,2,5-8."
 )
 @click.option("--record", type=click.Path(dir_okay=False), help="Append every event to this file as JSON lines.")
+@click.option("--serve", metavar="[HOST:]PORT", callback=address, help="Serve the events to other programs by HTTP.")
+@web_options("all agents")
 @click.option(
-    "--serve", metavar="[HOST:]PORT", callback=_address, help="Serve the events to other programs by TCP and HTTP."
+    "--history",
+    metavar="FILE",
+    type=click.Path(dir_okay=False),
+    help="Where the page keeps its history; none: only in memory.  [default: phm/gcs-history.db in $XDG_STATE_HOME]",
 )
 @click.option(
     "--json",
@@ -117,6 +112,12 @@ def command(
     expect: tuple[int, ...],
     record: str | None,
     serve: tuple[str, int] | None,
+    web: tuple[str, int] | None,
+    token_file: str | None,
+    tls_cert: str | None,
+    tls_key: str | None,
+    behind_proxy: bool,
+    history: str | None,
     as_json: bool,
     once: bool,
     seconds: float | None,
@@ -136,14 +137,16 @@ def command(
     from phm.gcs.live import LiveView
     from phm.gcs.recorder import Recorder
 
+    choice = WebChoice(web, serve, token_file, tls_cert, tls_key, behind_proxy, history)
+    choice.check()
     clock = SystemClock()
     clock.measure()
     station = make_station(link_settings(urls, baud, key, unsigned), system, clock, expect, silent=silent, pilot=pilot)
     book = Recorder(record, station, clock) if record else None
-    server = _server(serve, station, clock) if serve else None
+    parts = [*make_parts(choice, station, clock), *([book] if book is not None else [])]
 
     def notes() -> list[str]:
-        return [part.about() for part in (server, book) if part is not None and part.about()]
+        return [part.about() for part in parts if part.about()]
 
     def warn(text: str) -> None:
         click.echo(text, err=True)
@@ -151,7 +154,7 @@ def command(
     good = True
     with _ending() as stop:
         show, console = ConsoleView(station, clock, _patient(stop), notes, warn), render.console()
-        with _running(station, book, server):
+        with _running(station, parts):
             check_ports(station)
             limit_s = seconds if seconds is not None else ONCE_S if once else None
             end = None if limit_s is None else clock.mono() + limit_s
@@ -186,14 +189,8 @@ def _patient(stop: threading.Event) -> Callable[[str], None]:
     return echo
 
 
-class _Part(Protocol):
-    def start(self) -> None: ...
-    def close(self) -> None: ...
-
-
 @contextmanager
-def _running(station: GroundStation, *others: _Part | None) -> Iterator[None]:
-    parts = [part for part in others if part is not None]
+def _running(station: GroundStation, parts: Sequence[Part]) -> Iterator[None]:
     for part in parts:
         part.start()
     station.start()
@@ -231,15 +228,3 @@ def _ending() -> Iterator[threading.Event]:
         finally:
             over.set()
             threads.join(thread, 2 * LOOK_S)
-
-
-def _server(address: tuple[str, int], station: GroundStation, clock: Clock) -> GcsServer:
-    from phm.gcs.server import GcsServer
-
-    try:
-        server = GcsServer(*address, station, clock)
-    except OSError as error:
-        reason = (error.strerror or str(error)).partition(" (while ")[0]
-        raise click.ClickException(f"--serve {address[0]}:{address[1]}: {reason}") from None
-    click.echo(f"serving events at {server.address[0]}:{server.address[1]}", err=True)
-    return server

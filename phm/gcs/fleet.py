@@ -19,7 +19,7 @@ from phm.swarm.peers import LOST_PERIODS, VIEW_LATE_PERIODS
 from phm.transport.priority import default_periods
 from phm.wire.tunnel import PeerState, PeerView, SwarmDigest
 
-MAX_AGENTS, MAX_PILOTS, MAX_STATIONS, MAX_RADIOS = 256, 256, 16, 16
+MAX_AGENTS, MAX_PILOTS, MAX_STATIONS, MAX_RADIOS = 512, 256, 16, 16
 PILOT_GUESS_S = 1.0
 """Autopilots and ground stations send a heartbeat a second."""
 STATION_S = RADIO_S = 10.0

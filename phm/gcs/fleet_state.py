@@ -6,7 +6,7 @@ its own agent, or about another one in a line that is made for that.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 from phm.core.model import Stamp
@@ -21,6 +21,7 @@ from phm.gcs.frames import (
     ONBOARD_CONTROLLER,
     POWEROFF,
     CommandAck,
+    ComputerStatus,
     Frame,
     Heartbeat,
     RadioStatus,
@@ -58,6 +59,8 @@ class FleetState:
             return []
         if isinstance(frame, CommandAck):
             return list(self._ack(frame, at))
+        if isinstance(frame, ComputerStatus):
+            return []  # for those who watch the frames
         return list(self._payload(frame, at))
 
     def links(self, found: Mapping[str, tuple[bool, str]], at: Stamp) -> list[GcsEvent]:
@@ -89,9 +92,9 @@ class FleetState:
                 found.append(GcsEvent(at, "hop", {**snapshot.who(agent), "hop": snapshot.hop(hop)}))
         return found
 
-    def snapshot(self, at: Stamp) -> dict[str, Any]:
-        """The state of all agents, JSON-able."""
-        return snapshot.fleet_json(self.fleet, at)
+    def snapshot(self, at: Stamp, *, moments: bool = False, only: Collection[int] | None = None) -> dict[str, Any]:
+        """The state of all agents, JSON-able: `snapshot.fleet_json`."""
+        return snapshot.fleet_json(self.fleet, at, moments=moments, only=only)
 
     # ------------------------------------------------------------ heartbeats
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from phm.wire.command import COMMAND_ACK, HEARTBEAT, STATUSTEXT, TUNNEL
+from phm.wire.command import COMMAND_ACK, HEARTBEAT, ONBOARD_COMPUTER_STATUS, STATUSTEXT, TUNNEL
 from phm.wire.text import one_line
 
 RADIO_STATUS = 109
-IDS = (HEARTBEAT, STATUSTEXT, TUNNEL, RADIO_STATUS, COMMAND_ACK)
+IDS = (HEARTBEAT, STATUSTEXT, TUNNEL, RADIO_STATUS, COMMAND_ACK, ONBOARD_COMPUTER_STATUS)
 GCS, ONBOARD_CONTROLLER = 6, 18
 """MAV_TYPE."""
 NO_AUTOPILOT = 8
@@ -23,6 +23,8 @@ RESULTS = ("ACCEPTED", "TEMPORARILY_REJECTED", "DENIED", "UNSUPPORTED", "FAILED"
 """MAV_RESULT by number."""
 _UNKNOWN = 255
 """In RADIO_STATUS."""
+_U32, _NO_HEAT = 2**32 - 1, 127
+"""Unknown in ONBOARD_COMPUTER_STATUS."""
 MAX_TEXT = 200
 """Characters that are kept of a text: escapes can make 50 characters longer."""
 
@@ -88,7 +90,23 @@ class CommandAck:
     signed: bool = False
 
 
-Frame = Heartbeat | StatusText | TunnelPayload | RadioStatus | CommandAck
+@dataclass(frozen=True, slots=True)
+class ComputerStatus:
+    """An ONBOARD_COMPUTER_STATUS: CPU and memory in percent, temperature in degrees Celsius; None if unknown."""
+
+    system: int
+    component: int
+    cpu: int | None
+    memory: float | None
+    temperature: int | None
+
+    def values(self) -> dict[str, float]:
+        """Those that are known, by name."""
+        found = {"cpu": self.cpu, "memory": self.memory, "temperature": self.temperature}
+        return {name: value for name, value in found.items() if value is not None}
+
+
+Frame = ComputerStatus | Heartbeat | StatusText | TunnelPayload | RadioStatus | CommandAck
 
 
 def parse(message: Any) -> Frame | None:
@@ -118,7 +136,22 @@ def parse(message: Any) -> Frame | None:
     if number == COMMAND_ACK:
         to = (message.target_system, message.target_component)
         return CommandAck(system, component, message.command, message.result, to, bool(message.get_signed()))
+    if number == ONBOARD_COMPUTER_STATUS:
+        return _computer(system, component, message)
     return None
+
+
+def _computer(system: int, component: int, message: Any) -> ComputerStatus:
+    cpu, heat = message.cpu_combined[0], message.temperature_core[0]
+    used, total = message.ram_usage, message.ram_total
+    known = total not in (0, _U32) and used != _U32 and used <= total
+    return ComputerStatus(
+        system,
+        component,
+        cpu if cpu <= 100 else None,
+        round(100 * used / total, 1) if known else None,
+        heat if heat != _NO_HEAT else None,
+    )
 
 
 def result_name(result: int) -> str:

@@ -5,8 +5,8 @@ What is unknown is null or missing, never a guess; the slots of a lost agent are
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from phm.core.model import Level, Slot, Stamp
@@ -22,6 +22,21 @@ from phm.wire.tunnel import PeerView, SwarmDigest
 
 UNKNOWN = "UNKNOWN"
 _RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """How moments are given: as seconds before `now` (`age_s`), or, for a page that counts up itself, as they are (`at`). All are
+    monotonic seconds of the ground."""
+
+    now: float
+    moments: bool = False
+
+    def of(self, mono: float | None, prefix: str = "") -> dict[str, float | None]:
+        """One key with its value; None: it never was."""
+        if self.moments:
+            return {f"{prefix}at": None if mono is None else round(mono, 2)}
+        return {f"{prefix}age_s": None if mono is None else seconds(max(0.0, self.now - mono))}
 
 
 def who(agent: Agent) -> dict[str, Any]:
@@ -41,13 +56,13 @@ def hop(found: BrokenHop | None) -> dict[str, Any] | None:
     return None if found is None else asdict(found)
 
 
-def pilot(found: Autopilot, now: float) -> dict[str, Any]:
+def pilot(found: Autopilot, now: float, times: Times | None = None) -> dict[str, Any]:
     return {
         "presence": found.phase(now).value,
         "armed": found.armed,
         "mode": found.mode,
         "state": state_name(found.state),
-        "age_s": seconds(found.presence.silent_s(now)),
+        **(times or Times(now)).of(found.presence.heard_s),
     }
 
 
@@ -92,19 +107,21 @@ def agent_status(agent: Agent, state: PresenceState, *, autopilot_lost: bool = F
     return UNKNOWN if worst is None else worst.name
 
 
-def fleet_json(fleet: Fleet, at: Stamp) -> dict[str, Any]:
-    """The state of all agents at one moment."""
-    look = fleet.look(at.mono)
+def fleet_json(
+    fleet: Fleet, at: Stamp, *, moments: bool = False, only: Collection[int] | None = None
+) -> dict[str, Any]:
+    """The state of all agents at one moment. moments: see Times. only: ids of the agents to include; None: all."""
+    look, times = fleet.look(at.mono), Times(at.mono, moments)
     agents = sorted(fleet.agents.values(), key=lambda agent: (agent.system, agent.component))
     return {
-        "agents": [_agent(fleet, look, agent, at.mono) for agent in agents],
-        "pilots": {str(system): pilot(found, at.mono) for system, found in sorted(fleet.pilots.items())},
+        "agents": [_agent(fleet, look, agent, times) for agent in agents if only is None or agent.system in only],
+        "pilots": {str(system): pilot(found, at.mono, times) for system, found in sorted(fleet.pilots.items())},
         "stations": [{"system": system, "component": component} for system, component in look.stations()],
         "radios": [
-            {"link": link, "age_s": seconds(at.mono - heard), **{key: getattr(said, key) for key in _RADIO}}
+            {"link": link, **times.of(heard), **{key: getattr(said, key) for key in _RADIO}}
             for link, (heard, said) in fleet.radios.items()
         ],
-        "swarm": _swarm(fleet.swarm, at.mono),
+        "swarm": _swarm(fleet.swarm, times),
         "links": [{"link": name, "open": is_open, "error": error} for name, (is_open, error) in fleet.links.items()],
         "refused": fleet.refused,
     }
@@ -114,8 +131,8 @@ def seconds(value: float | None) -> float | None:
     return None if value is None else round(value, 1)
 
 
-def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, now: float) -> dict[str, Any]:
-    state = look.state(agent)
+def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, times: Times) -> dict[str, Any]:
+    now, state = times.now, look.state(agent)
     heard_by, not_heard_by = look.heard_by(agent)
     said = fleet.swarm.digest
     level = said.levels.get(agent.system) if said is not None else None
@@ -127,23 +144,23 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, now: float) -> dict[
         "link": agent.link or None,
         "how": agent_status(agent, state, autopilot_lost=autopilot is not None and autopilot.lost(now)),
         "presence": state.value,
-        "age_s": seconds(agent.presence.silent_s(now)),
+        **times.of(agent.presence.heard_s),
         "period_s": seconds(agent.presence.period_s(fleet.guess_s)) if learned else None,
         "word": agent.word,
         "state": state_name(agent.state) or None,
         "slots": slots(agent.current) if state.there else {},
         "last_slots": slots(agent.levels),
         "hop": hop(look.hop(agent)),
-        "line": _line(agent, now),
-        "bad": _bad(agent, now) if state.there else [],
-        "advice": _advice(agent, now) if state.there else [],
+        "line": _line(agent, times),
+        "bad": _bad(agent, times) if state.there else [],
+        "advice": _advice(agent, times) if state.there else [],
         "containers": list(agent.containers),
-        "view": _view(agent, now),
+        "view": _view(agent, times),
         "heard_by": heard_by,
         "not_heard_by": not_heard_by,
         "hears_ground": None if agent.no_ground is None else not agent.no_ground,
         "swarm_says": level.name if level not in (None, Level.STALE) else None,
-        "pilot": pilot(autopilot, now) if autopilot is not None else None,
+        "pilot": pilot(autopilot, now, times) if autopilot is not None else None,
         "on_hold": agent.on_hold,
         "restarts": agent.restarts,
         "problem": agent.problem or None,
@@ -152,23 +169,23 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, now: float) -> dict[
     }
 
 
-def _line(agent: Agent, now: float) -> dict[str, Any] | None:
+def _line(agent: Agent, times: Times) -> dict[str, Any] | None:
     received = agent.last_text
     if received is None:
         return None
-    age_s = seconds(now - received.at.mono)
-    return {"text": received.text, "severity": received.severity, "age_s": age_s, "via": received.via or None}
+    age = times.of(received.at.mono)
+    return {"text": received.text, "severity": received.severity, **age, "via": received.via or None}
 
 
-def _bad(agent: Agent, now: float) -> list[dict[str, Any]]:
+def _bad(agent: Agent, times: Times) -> list[dict[str, Any]]:
     return [
-        {"slot": slot, "level": bad.level.name, "text": bad.text, "age_s": seconds(now - bad.at.mono)}
+        {"slot": slot, "level": bad.level.name, "text": bad.text, **times.of(bad.at.mono)}
         for slot, units in sorted(agent.bad.items())
         for bad in units.values()
     ]
 
 
-def _advice(agent: Agent, now: float) -> list[dict[str, Any]]:
+def _advice(agent: Agent, times: Times) -> list[dict[str, Any]]:
     return [
         {
             "fault": one.fault,
@@ -176,24 +193,24 @@ def _advice(agent: Agent, now: float) -> list[dict[str, Any]]:
             "action": one.action,
             "target": one.target,
             "valid_s": one.valid_s,
-            "age_s": seconds(now - one.at.mono),
+            **times.of(one.at.mono),
         }
         for one in agent.advice.values()
     ]
 
 
-def _view(agent: Agent, now: float) -> dict[str, Any] | None:
+def _view(agent: Agent, times: Times) -> dict[str, Any] | None:
     if agent.view is None or agent.view_at is None:
         return None
-    return {**view(agent.view), "age_s": seconds(now - agent.view_at.mono)}
+    return {**view(agent.view), **times.of(agent.view_at.mono)}
 
 
-def _swarm(swarm: SwarmState, now: float) -> dict[str, Any] | None:
+def _swarm(swarm: SwarmState, times: Times) -> dict[str, Any] | None:
     if swarm.digest is None and not swarm.line:
         return None
     ages = {
-        "line_age_s": seconds(now - swarm.line_at.mono) if swarm.line_at else None,
-        "digest_age_s": seconds(now - swarm.digest_at.mono) if swarm.digest_at else None,
+        **times.of(swarm.line_at.mono if swarm.line_at else None, "line_"),
+        **times.of(swarm.digest_at.mono if swarm.digest_at else None, "digest_"),
     }
     body = digest(swarm.digest) if swarm.digest is not None else {"members": None, "alive": None, "levels": {}}
     by = swarm.line_by or swarm.digest_by

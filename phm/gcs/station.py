@@ -11,7 +11,7 @@ import logging
 import secrets
 import threading
 import uuid
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -50,7 +50,9 @@ _LISTENING = ("udpin:", "tcpin:")
 
 
 @dataclass(frozen=True, slots=True)
-class _Heard:
+class Received:
+    """A frame as it was received, from which link and when."""
+
     frame: Frame
     raw: bytes
     link: str
@@ -80,8 +82,9 @@ class GroundStation:
         signed = settings.signing.key is not None and settings.signing.unsigned != "all"
         self._store, self._hub = FleetState(expected, self.ids, signed=signed), MavlinkHub(settings, system, clock)
         self._filter = IngressFilter()
-        self._frames: BoundedQueue[_Heard] = BoundedQueue(clock, MAX_WAITING, refuse_new=True)
+        self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_WAITING, refuse_new=True)
         self._queues: tuple[SubscriberQueue, ...] = ()
+        self._watchers: tuple[BoundedQueue[Received], ...] = ()
         self._number = 0
         self._problems: tuple[str, ...] = ()
         self._twin = ""
@@ -147,14 +150,19 @@ class GroundStation:
         with self._lock:
             self._queues = (*self._queues, queue)
 
-    def snapshot(self) -> tuple[int, GcsEvent]:
-        """The state of all agents, and the number of the last event in it."""
+    def watch(self, queue: BoundedQueue[Received]) -> None:
+        """Put all accepted frames into this queue from now on: heartbeats that change nothing are no events."""
+        with self._lock:
+            self._watchers = (*self._watchers, queue)
+
+    def snapshot(self, *, moments: bool = False, only: Collection[int] | None = None) -> tuple[int, GcsEvent]:
+        """The state of all agents, and the number of the last event in it. moments, only: as in `snapshot.fleet_json`."""
         with self._lock:
             at = self._clock.stamp()
             body = {
                 "system": self.ids[0],
                 "component": self.ids[1],
-                **self._store.snapshot(self._judged_at(at)),
+                **self._store.snapshot(self._judged_at(at), moments=moments, only=only),
                 "problems": list(self._problems),
                 "frames_refused": self._filter.refused + self._frames.dropped,
             }
@@ -182,7 +190,7 @@ class GroundStation:
         with self._limits:
             allowed = self._filter.allow(sender, at.mono)
         if allowed:
-            self._frames.put(_Heard(frame, raw, link, at))
+            self._frames.put(Received(frame, raw, link, at))
 
     # ------------------------------------------------------------ the station's thread
 
@@ -199,6 +207,8 @@ class GroundStation:
             if not self._filter.is_copy(one.raw, one.link, one.at.mono):
                 with self._lock:
                     self._publish(self._store.hear(one.frame, one.link, one.at))
+                for queue in self._watchers:
+                    queue.put(one)
         now = self._clock.mono()
         if now - self._beat_at >= HEARTBEAT_S:
             self._beat_at = now

@@ -5,10 +5,12 @@ from __future__ import annotations
 import socket
 from typing import Any
 
+from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
-from phm.gcs.events import GcsEvent
+from phm.gcs.events import GcsEvent, encode
 from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Frame, Heartbeat, StatusText, TunnelPayload
+from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.testing import FakeClock
 from phm.transport.dialect import mavlink
 from phm.wire import status_word, tunnel
@@ -78,6 +80,30 @@ class Ground:
 def events(news: list[GcsEvent], event: str) -> list[dict[str, Any]]:
     """Bodies of the events of one kind."""
     return [dict(one.body) for one in news if one.event == event]
+
+
+class Source:
+    """A station for those who take events: its snapshot is the number of the last one."""
+
+    def __init__(self) -> None:
+        self._queues: list[SubscriberQueue] = []
+        self._number, self._clock = 0, SystemClock()
+
+    def subscribe(self, queue: SubscriberQueue) -> None:
+        self._queues.append(queue)
+
+    def snapshot(self) -> tuple[int, GcsEvent]:
+        return self._number, GcsEvent(self._clock.stamp(), "snapshot", {"agents": []})
+
+    def line(self, number: int, news: GcsEvent) -> bytes:
+        return encode(news, "run", number)
+
+    def say(self, text: str = "x") -> int:
+        self._number += 1
+        news = GcsEvent(self._clock.stamp(), "said", {"text": text})
+        for queue in self._queues:
+            queue.put(QueuedEvent(self._number, news, self.line(self._number, news)))
+        return self._number
 
 
 class Wire:

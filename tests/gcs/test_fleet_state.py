@@ -494,14 +494,14 @@ def test_other_ground_stations_are_listed_while_they_are_received(ground: Ground
 
 
 def test_forged_agents_do_not_displace_real_ones() -> None:
-    """There is room for 256; a departed agent is displaced, a present or expected one is not."""
+    """There is room for 512; a departed agent is displaced, a present or expected one is not."""
     ground = Ground(expected=(100,))
     ground.hear(*(Heartbeat(number, 193, 18, 8, 0, 1 << 30, 4) for number in range(1, 100)))
     for component in range(200, 210):
         ground.hear(*(Heartbeat(number, component, 18, 8, 0, 1 << 30, 4) for number in range(1, 251)))
     snapshot = ground.snapshot()
-    assert len(snapshot["agents"]) == 256
-    assert snapshot["refused"] > 2000
+    assert len(snapshot["agents"]) == 512
+    assert snapshot["refused"] > 1900
     assert {one["agent"] for one in snapshot["agents"] if one["component"] == 193} == set(range(1, 101))
     ground.clock.advance(300)
     ground.hear(phm_heartbeat(150))

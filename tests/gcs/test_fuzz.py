@@ -68,7 +68,7 @@ class Link:
         snapshot = {**self.ground.snapshot(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
         json.dumps(snapshot, allow_nan=False)
         Console(file=io.StringIO(), width=80).print(table.render(snapshot, height=24))
-        assert len(snapshot["agents"]) <= 256
+        assert len(snapshot["agents"]) <= 512
 
 
 @HARD

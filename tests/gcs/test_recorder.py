@@ -9,7 +9,7 @@ from phm.gcs import recorder
 from phm.gcs.recorder import Recorder
 from phm.wire import json_log
 from tests.fakes.until import until
-from tests.gcs.test_server import Source
+from tests.gcs.bench import Source
 
 
 def made(path: Path, source: Source, **limits: int) -> Recorder:

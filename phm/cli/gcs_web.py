@@ -1,0 +1,84 @@
+"""The page and the stream of `phm gcs`: `--web` and `--serve`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import click
+
+from phm.cli.web_options import listen_options, listening, require_aiohttp
+
+if TYPE_CHECKING:
+    from phm.core.clock import Clock
+    from phm.gcs.station import GroundStation
+
+
+class Part(Protocol):
+    """A part of `phm gcs` with a thread of its own. about: a note for the operator, empty for none."""
+
+    def start(self) -> None: ...
+    def close(self) -> None: ...
+    def about(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class WebChoice:
+    """The options as given. history: a path, `none`, or None for the default."""
+
+    web: tuple[str, int] | None
+    serve: tuple[str, int] | None
+    token_file: str | None
+    tls_cert: str | None
+    tls_key: str | None
+    behind_proxy: bool
+    history: str | None
+
+    def check(self) -> None:
+        """Raises UsageError and ClickException."""
+        needs = {
+            "--token-file": self.token_file,
+            "--tls-cert": self.tls_cert,
+            "--tls-key": self.tls_key,
+            "--behind-proxy": self.behind_proxy,
+        }
+        given = [option for option, value in needs.items() if value]
+        if given and self.web is None and self.serve is None:
+            raise click.UsageError(f"{given[0]} is for --web and --serve.")
+        if self.history is not None and self.web is None:
+            raise click.UsageError("--history is for --web.")
+        for option, wanted in (("--web", self.web), ("--serve", self.serve)):
+            if wanted is not None:
+                require_aiohttp(option)
+
+
+def make_parts(choice: WebChoice, station: GroundStation, clock: Clock) -> list[Part]:
+    """The servers that are wanted, not yet started. Raises ClickException."""
+    found: list[Part] = []
+    if choice.serve is not None:
+        found.append(_stream(choice, choice.serve, station, clock))
+    if choice.web is not None:
+        found.append(_page(choice, choice.web, station, clock))
+    return found
+
+
+def _stream(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> Part:
+    from phm.gcs.web import stream
+
+    options = listen_options(
+        where, choice.token_file, choice.tls_cert, choice.tls_key, behind_proxy=choice.behind_proxy, stream=True
+    )
+    server = listening("--serve", where, lambda: stream.serve(station, options, clock))
+    click.echo(f"serving events at {server.address[0]}:{server.address[1]}", err=True)
+    return server
+
+
+def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> Part:
+    from phm.gcs.web.page import GroundPage
+
+    options = listen_options(
+        where, choice.token_file, choice.tls_cert, choice.tls_key, behind_proxy=choice.behind_proxy
+    )
+    page = listening("--web", where, lambda: GroundPage(station, options, clock))
+    click.echo(f"page at {page.url}", err=True)
+    return page

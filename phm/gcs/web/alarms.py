@@ -1,0 +1,87 @@
+"""CRITICAL lines that nobody has acknowledged, and agents that are silenced for a time. Thread-safe; the caller brings time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from phm.gcs.alarms import CRITICAL
+from phm.gcs.events import GcsEvent
+
+SHORTEST_S, LONGEST_S = 1.0, 24 * 3600.0
+MAX_AGENTS = 600
+
+
+@dataclass(slots=True)
+class _Alarm:
+    """at: monotonic, of the first line that is not acknowledged."""
+
+    count: int = 0
+    at: float = 0.0
+    silent_until: float = 0.0
+
+
+class AlarmBook:
+    """By name of the agent."""
+
+    def __init__(self) -> None:
+        self._alarms: dict[str, _Alarm] = {}
+        self._all_silent_until = 0.0
+        self._lock = threading.Lock()
+        self.changed: set[str] = set()
+        """Agents whose alarm has changed since this was emptied; empty name: all."""
+
+    def take(self, event: GcsEvent, name: str) -> None:
+        """Take an event; name: of the agent that it is about."""
+        body = event.body
+        if event.event != "text" or not body["phm"] or body["repeat"] or body["severity"] > CRITICAL or not name:
+            return
+        with self._lock:
+            if name not in self._alarms and len(self._alarms) >= MAX_AGENTS:
+                return
+            alarm = self._alarms.setdefault(name, _Alarm())
+            alarm.at = event.at.mono if not alarm.count else alarm.at
+            alarm.count += 1
+            self.changed.add(name)
+
+    def row(self, name: str, now: float) -> dict[str, Any] | None:
+        """For the row of an agent; None: no alarm, and not silenced."""
+        with self._lock:
+            alarm = self._alarms.get(name) or _Alarm()
+            until = max(alarm.silent_until, self._all_silent_until)
+            if not alarm.count and until <= now:
+                return None
+            silent = round(until, 2) if until > now else None
+            return {"count": alarm.count, "at": round(alarm.at, 2) if alarm.count else None, "silent_until": silent}
+
+    def control(self, body: Mapping[str, Any], now: float) -> None:
+        """`acknowledge`, `silence` for `for_s`, `unsilence`; agent null: all. Raises ValueError."""
+        what, name, for_s = body.get("do"), body.get("agent"), body.get("for_s")
+        if what not in ("acknowledge", "silence", "unsilence"):
+            raise ValueError("do is acknowledge, silence or unsilence")
+        if name is not None and not isinstance(name, str):
+            raise ValueError("agent is a name, or null for all")
+        if what == "silence" and (
+            isinstance(for_s, bool) or not isinstance(for_s, (int, float)) or not SHORTEST_S <= for_s <= LONGEST_S
+        ):
+            raise ValueError(f"for_s is {SHORTEST_S:g} to {LONGEST_S:g} seconds")
+        with self._lock:
+            if what == "acknowledge":
+                for alarm in self._chosen(name):
+                    alarm.count = 0
+            else:
+                self._silence(name, now + float(for_s or 0.0) if what == "silence" else 0.0)
+            self.changed.add(name or "")
+
+    def _chosen(self, name: str | None) -> list[_Alarm]:
+        return [alarm for known, alarm in self._alarms.items() if name in (None, known)]
+
+    def _silence(self, name: str | None, until: float) -> None:
+        if name is None:
+            self._all_silent_until = until
+            for alarm in self._alarms.values():
+                alarm.silent_until = 0.0 if not until else alarm.silent_until
+        elif name in self._alarms or len(self._alarms) < MAX_AGENTS:
+            self._alarms.setdefault(name, _Alarm()).silent_until = until

@@ -1,0 +1,182 @@
+"""Keeps the view of the page up to date with what a ground station receives. One thread.
+
+An agent's row is made anew when a frame of its vehicle has arrived, and all rows once a second, because time passes.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Collection, Mapping
+from typing import Any, Protocol
+
+from phm import __version__
+from phm.core import threads
+from phm.core.bounded_queue import BoundedQueue
+from phm.core.clock import Clock
+from phm.core.model import Slot
+from phm.gcs.events import GcsEvent
+from phm.gcs.frames import CommandAck, ComputerStatus
+from phm.gcs.station import Received
+from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
+from phm.gcs.web import events, rows
+from phm.gcs.web.alarms import AlarmBook
+from phm.gcs.web.view import View
+
+logger = logging.getLogger(__name__)
+
+FLUSH_S = 0.1
+"""At most so often there is a message: changes in between go together."""
+ALL_S = 1.0
+MAX_FRAMES = 8192
+MAX_EVENTS = 500
+"""Events of one message."""
+CLOSE_LIMIT_S = 3.0
+SLOTS = {str(int(slot)): slot.short for slot in Slot}
+
+Json = dict[str, Any]
+
+
+class Station(Protocol):
+    """What is shown: `phm.gcs.station.GroundStation`, or a replay."""
+
+    run: str
+    silent: bool
+
+    def subscribe(self, queue: SubscriberQueue) -> None: ...
+    def watch(self, queue: BoundedQueue[Received]) -> None: ...
+    def snapshot(self, *, moments: bool = False, only: Collection[int] | None = None) -> tuple[int, GcsEvent]: ...
+
+
+class Taker(Protocol):
+    """Takes what arrives, in the thread of the feed; must not wait."""
+
+    def frame(self, received: Received) -> None: ...
+    def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None: ...
+    def turn(self, now: float) -> None:
+        """Called often."""
+
+
+class StationFeed:
+    """takers: the history and the requests."""
+
+    def __init__(
+        self, station: Station, view: View, clock: Clock, alarms: AlarmBook, takers: Collection[Taker] = ()
+    ) -> None:
+        self._station, self._view, self._clock = station, view, clock
+        self._alarms, self._takers = alarms, tuple(takers)
+        self._events = SubscriberQueue(clock)
+        self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_FRAMES)
+        self._dirty: set[int] = set()
+        self._armed: dict[str, float] = {}
+        self._values: dict[int, Json] = {}
+        self._all_at = float("-inf")
+        self.ground: Json = {}
+        """Further keys of the ground; replaced, never changed."""
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="phm-web-feed", daemon=True)
+        view.run = station.run
+        view.put(ground=self._about())
+        station.subscribe(self._events)
+        station.watch(self._frames)
+
+    def start(self) -> None:
+        threads.start(self._thread)
+
+    def close(self) -> None:
+        self._stop.set()
+        self._frames.wake()
+        threads.join(self._thread, CLOSE_LIMIT_S)
+
+    def turn(self) -> None:
+        """Take over what has arrived."""
+        for received in self._frames.take(0.0):
+            self._frame(received)
+        lines = [self._event(item) for item in self._events.take(0.0)]
+        now = self._clock.mono()
+        for taker in self._takers:
+            taker.turn(now)
+        changed, self._alarms.changed = self._alarms.changed, set()
+        if now - self._all_at >= ALL_S or changed:
+            self._all_at = now
+            self._put(None)
+        elif self._dirty:
+            self._put(self._dirty)
+        self._dirty = set()
+        for start in range(0, len(lines), MAX_EVENTS):
+            self._view.add_events(lines[start : start + MAX_EVENTS])
+
+    def reset(self) -> None:
+        """After a jump of the time in a replay: nothing before it counts."""
+        for queue in (self._frames, self._events):
+            queue.take(0.0)
+        self._armed.clear()
+        self._values.clear()
+        self._dirty.clear()
+        ground, agents = self._look(None)
+        self._view.replace({**self._about(), **ground}, agents)
+
+    # ------------------------------------------------------------ the thread
+
+    def _loop(self) -> None:
+        while not self._stop.is_set():
+            try:
+                self.turn()
+            except Exception:  # a defect in one row must not end the thread
+                logger.exception("updating the page failed")
+            self._clock.wait(self._stop, FLUSH_S)
+
+    def _frame(self, received: Received) -> None:
+        frame = received.frame
+        if not isinstance(frame, CommandAck):
+            self._dirty.add(frame.system)
+        if isinstance(frame, ComputerStatus):
+            self._values[frame.system] = {**frame.values(), "at": round(received.at.mono, 2)}
+        for taker in self._takers:
+            taker.frame(received)
+
+    def _event(self, item: QueuedEvent) -> Json:
+        line = events.from_line(item.line)
+        self._alarms.take(item.event, line["who"])
+        number = item.event.body.get("agent") or item.event.body.get("system")
+        if isinstance(number, int):
+            self._dirty.add(number)
+        for taker in self._takers:
+            taker.event(item, line)
+        return line
+
+    def _put(self, only: Collection[int] | None) -> None:
+        ground, agents = self._look(only)
+        self._view.put(ground={**ground, **self.ground}, agents=agents, complete=only is None)
+
+    def _look(self, only: Collection[int] | None) -> tuple[Json, dict[str, Json]]:
+        """The keys of the ground, and the rows of agents."""
+        _number, event = self._station.snapshot(moments=True, only=only)
+        body = dict(event.body)
+        now = event.at.mono
+        del body["pilots"]  # they are in the rows
+        return body, {agent["name"]: self._row(agent, now) for agent in body.pop("agents")}
+
+    def _row(self, agent: Mapping[str, Any], now: float) -> Json:
+        name, pilot = agent["name"], agent["pilot"]
+        if pilot is None or not pilot["armed"]:
+            self._armed.pop(name, None)
+        elif name not in self._armed:
+            self._armed[name] = round(float(pilot["at"]), 2)
+        more = {"alarm": self._alarms.row(name, now), "armed_at": self._armed.get(name)}
+        return rows.row(agent, **more, values=self._values.get(agent["agent"], {}))
+
+    def _about(self) -> Json:
+        """What does not change."""
+        return {
+            "page": "gcs",
+            "version": __version__,
+            "slots": SLOTS,
+            "silent": self._station.silent,
+            "rate": 1,
+            "replay": None,
+            "clients": 0,
+            "dropped": 0,
+            "history": None,
+            **self.ground,
+        }

@@ -1,0 +1,1 @@
+"""What the page remembers: samples, events and faults, in SQLite."""

@@ -1,0 +1,91 @@
+"""The files of the page, and who uses it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from aiohttp import hdrs, web
+
+from phm.gcs.web.access import Problem, answer, public, read_json, view
+from phm.gcs.web.options import OPERATE
+from phm.gcs.web.server_keys import GATE
+from phm.gcs.web.site import Site
+from phm.gcs.web.static_files import StaticFile, load
+
+MAX_TOKEN = 1000
+
+
+def routes(site: Site) -> Sequence[web.RouteDef]:
+    found = load()
+
+    def file(request: web.Request, name: str) -> web.Response:
+        if name not in found:
+            raise Problem(404, "there is no such file")
+        return _response(request, found[name])
+
+    async def index(request: web.Request) -> web.Response:
+        return file(request, "index.html")
+
+    async def checks(request: web.Request) -> web.Response:
+        return file(request, "checks.html")
+
+    async def static(request: web.Request) -> web.Response:
+        return file(request, request.match_info["name"])
+
+    async def session(request: web.Request) -> web.Response:
+        """Where no token is needed, the sender may operate: only programs of this machine can ask."""
+        gate = request.app[GATE]
+        role, csrf = gate.session(request)
+        if role or gate.sessions.tokens is not None:
+            return answer(_about(site, role, csrf, login=not role))
+        return _begin(request, site, OPERATE)
+
+    async def login(request: web.Request) -> web.Response:
+        gate = request.app[GATE]
+        token = (await read_json(request)).get("token")
+        if gate.sessions.tokens is None:
+            return _begin(request, site, OPERATE)
+        if not isinstance(token, str) or len(token) > MAX_TOKEN:
+            raise Problem(400, 'send {"token": "..."}')
+        return _begin(request, site, gate.check_token(request, token))
+
+    async def logout(request: web.Request) -> web.Response:
+        gate = request.app[GATE]
+        gate.sessions.end(request.cookies.get(gate.cookie, ""))
+        response = answer({})
+        response.del_cookie(gate.cookie, path="/")
+        return response
+
+    return [
+        web.get("/", public(index)),
+        web.get("/checks", public(checks)),
+        web.get("/static/{name:.+}", public(static)),
+        web.get("/api/session", public(session)),
+        web.post("/api/login", public(login)),
+        web.post("/api/logout", view(logout)),
+    ]
+
+
+def _response(request: web.Request, file: StaticFile) -> web.Response:
+    """no-cache: the browser asks each time, and a new version of PHM is used at once."""
+    headers = {hdrs.ETAG: f'"{file.etag}"', hdrs.CACHE_CONTROL: "no-cache"}
+    if request.headers.get(hdrs.IF_NONE_MATCH) == headers[hdrs.ETAG]:
+        return web.Response(status=304, headers=headers)
+    text = file.content_type.startswith(("text/", "application/", "image/svg"))
+    return web.Response(
+        body=file.body, content_type=file.content_type, charset="utf-8" if text else None, headers=headers
+    )
+
+
+def _begin(request: web.Request, site: Site, role: str) -> web.Response:
+    gate = request.app[GATE]
+    gate.sessions.end(request.cookies.get(gate.cookie, ""))
+    key, session = gate.sessions.begin(role, site.clock.mono())
+    response = answer(_about(site, session.role, session.csrf, login=False))
+    secure = gate.options.tls is not None or gate.options.behind_proxy
+    response.set_cookie(gate.cookie, key, path="/", httponly=True, samesite="Strict", secure=secure)
+    return response
+
+
+def _about(site: Site, role: str, csrf: str | None, *, login: bool) -> dict[str, object]:
+    return {"role": role or None, "csrf": csrf, "login": login, "page": site.page}

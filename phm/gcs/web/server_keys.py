@@ -1,0 +1,11 @@
+"""What a handler finds in its application."""
+
+from __future__ import annotations
+
+from aiohttp import web
+
+from phm.gcs.web.access import Gate
+from phm.gcs.web.clients import Clients
+
+GATE: web.AppKey[Gate] = web.AppKey("gate", Gate)
+CLIENTS: web.AppKey[Clients] = web.AppKey("clients", Clients)

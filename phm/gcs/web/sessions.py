@@ -1,0 +1,85 @@
+"""Who is logged in, and who has failed to. Not thread-safe: one event loop. The caller brings time."""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections import OrderedDict, deque
+from dataclasses import dataclass
+
+from phm.gcs.web.options import OPERATE, VIEW, Tokens
+
+IDLE_S = 12 * 3600.0
+MAX_SESSIONS = 256
+FAILURES, FAILURES_ALL, WINDOW_S = 5, 50, 60.0
+"""Wrong tokens of one address, and of all, within the window."""
+MAX_ADDRESSES = 1000
+
+
+@dataclass(slots=True)
+class Session:
+    """csrf: to be sent with each change."""
+
+    role: str
+    csrf: str
+    used: float
+
+
+class Sessions:
+    """tokens: None where no login is needed."""
+
+    def __init__(self, tokens: Tokens | None) -> None:
+        self.tokens = tokens
+        self._sessions: OrderedDict[str, Session] = OrderedDict()
+        self._failed: OrderedDict[str, deque[float]] = OrderedDict()
+        self._failed_all: deque[float] = deque(maxlen=FAILURES_ALL)
+
+    def begin(self, role: str, now: float) -> tuple[str, Session]:
+        """A new session with its secret."""
+        key, session = secrets.token_urlsafe(32), Session(role, secrets.token_urlsafe(32), now)
+        self._sessions[key] = session
+        while len(self._sessions) > MAX_SESSIONS:
+            self._sessions.popitem(last=False)
+        return key, session
+
+    def find(self, key: str, now: float) -> Session | None:
+        session = self._sessions.get(key)
+        if session is None:
+            return None
+        if now - session.used > IDLE_S:
+            del self._sessions[key]
+            return None
+        session.used = now
+        self._sessions.move_to_end(key)
+        return session
+
+    def end(self, key: str) -> None:
+        self._sessions.pop(key, None)
+
+    def role_of(self, token: str) -> str:
+        """Empty for a wrong token. Takes as long whatever is wrong with it."""
+        if self.tokens is None:
+            return ""
+        said = token.encode("utf-8", "surrogateescape")
+        operate = _equal(said, self.tokens.operate)
+        view = _equal(said, self.tokens.view)
+        return OPERATE if operate else VIEW if view else ""
+
+    def blocked(self, address: str, now: float) -> bool:
+        """Whether there were too many wrong tokens from this address, or from all together."""
+        failed = self._failed.get(address, ())
+        recent = sum(now - at <= WINDOW_S for at in failed)
+        recent_all = sum(now - at <= WINDOW_S for at in self._failed_all)
+        return recent >= FAILURES or recent_all >= FAILURES_ALL
+
+    def failed(self, address: str, now: float) -> None:
+        self._failed.setdefault(address, deque(maxlen=FAILURES)).append(now)
+        self._failed.move_to_end(address)
+        self._failed_all.append(now)
+        while len(self._failed) > MAX_ADDRESSES:
+            self._failed.popitem(last=False)
+
+
+def _equal(said: bytes, token: str) -> bool:
+    """In constant time; an empty token equals nothing."""
+    return hmac.compare_digest(said, token.encode("ascii")) and bool(token)
