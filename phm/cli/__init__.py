@@ -27,6 +27,7 @@ VERBS = {
     "validate": "Validate a configuration file and list every problem.",
     "learn": "Watch a healthy agent and write a configuration for it.",
     "checks": "List the installed checks.",
+    "new-check": "Write the package of a new check.",
     "status": "Show daemon and agent status.",
     "faults": "List open and recent faults, or show one with its timeline.",
     "reload": "Reload the configuration of the running daemon.",

@@ -1,4 +1,4 @@
-"""Writes the folder of `phm init`; files that exist are replaced only on request."""
+"""Writes the folders of `phm init` and `phm new-check`; files that exist are replaced only on request."""
 
 from __future__ import annotations
 
@@ -37,6 +37,16 @@ def write(folder: Path, texts: Mapping[str, str], *, force: bool) -> None:
         beside.write_text(text, encoding="utf-8")
         beside.chmod(0o644)
         os.replace(beside, folder / name)
+
+
+def write_new(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write files into a folder that does not exist yet. Paths are relative to it. Raises FileExistsError, and OSError."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir()
+    for name, text in texts.items():
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
 
 
 def make_log_folder(path: Path) -> None:
