@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from phm.api import Check
 from phm.checking.scheduler import ScheduledCheck
@@ -36,6 +37,27 @@ class CheckPlan:
     def pass_limit_s(self) -> float:
         """Maximum duration of a report pass in seconds: the longest deadline of any check plus one second."""
         return max((entry.deadline_s for entry in self.scheduled), default=0.0) + 1.0
+
+
+def unit_rows(plan: CheckPlan) -> list[dict[str, Any]]:
+    """One entry per unit, in slot order. `needs` are direct dependencies; `blocks` are direct and indirect dependents."""
+    known = {entry.unit.id for entry in plan.tracked}
+    return [
+        {
+            "unit": entry.unit.id,
+            "check": entry.check,
+            "slot": int(entry.slot),
+            "needs": [need for need in entry.needs if need in known],
+            "blocks": list(plan.graph.downstream(entry.unit.id)),
+            "target": entry.unit.target,
+            "settle_s": entry.unit.settle_s,
+            "grace_s": entry.unit.grace_s,
+            "memory_s": entry.unit.memory_s,
+            "failures": entry.failures,
+            "suspect": entry.unit.suspect,
+        }
+        for entry in plan.tracked
+    ]
 
 
 def build_plan(settings: Settings, checks: Mapping[str, type[Check]]) -> CheckPlan:

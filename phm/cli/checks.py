@@ -27,8 +27,10 @@ def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: boo
     Exit code 0; 1: a check cannot be loaded, or none is installed; 78: the configuration is invalid.
     """
     if as_graph:
+        from phm.checking.plan import unit_rows
+
         plan = load_configuration(config).plan
-        click.echo(json.dumps(_graph_json(plan), indent=2) if as_json else "\n".join(_tree(plan)))
+        click.echo(json.dumps(unit_rows(plan), indent=2) if as_json else "\n".join(_tree(plan)))
         ctx.exit(0)
     rows = _rows()
     if as_json:
@@ -40,28 +42,6 @@ def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: boo
     if not rows:
         click.echo("No checks are installed: install the package phm-sidecar.", err=True)
     ctx.exit(0 if rows and not any(row["problem"] for row in rows) else 1)
-
-
-def _graph_json(plan: CheckPlan) -> list[dict[str, Any]]:
-    """One entry per unit, in slot order. `needs` are direct dependencies; `blocks` are direct and indirect dependents."""
-    graph = plan.graph
-    known = {entry.unit.id for entry in plan.tracked}
-    return [
-        {
-            "unit": entry.unit.id,
-            "check": entry.check,
-            "slot": int(entry.slot),
-            "needs": [need for need in entry.needs if need in known],
-            "blocks": list(graph.downstream(entry.unit.id)),
-            "target": entry.unit.target,
-            "settle_s": entry.unit.settle_s,
-            "grace_s": entry.unit.grace_s,
-            "memory_s": entry.unit.memory_s,
-            "failures": entry.failures,
-            "suspect": entry.unit.suspect,
-        }
-        for entry in plan.tracked
-    ]
 
 
 def _tree(plan: CheckPlan) -> Iterator[str]:

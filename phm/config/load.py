@@ -67,7 +67,7 @@ def load(
     """
     file = find(path)
     return loads(
-        _read(file),
+        read_file(file),
         str(file),
         environ=os.environ if environ is None else environ,
         known_checks=known_checks,
@@ -162,7 +162,7 @@ def _interval(environ: Mapping[str, str]) -> tuple[float | None, list[Problem]]:
 _READING = os.O_RDONLY | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
-def _read(path: FilePath) -> str:
+def read_file(path: FilePath) -> str:
     """The file's text. Raises `ConfigError`; never blocks, whatever kind of file it is."""
     try:
         handle = os.open(path, _READING)

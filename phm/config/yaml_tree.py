@@ -84,7 +84,7 @@ def parse(text: str, file: str, expander: Expander) -> Tree:
     tree = Tree()
     node = None
     try:
-        node = _compose(text)
+        node = compose(text)
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         problem = f"the character {shown(chr(error.character))} is not allowed in YAML: remove it"
@@ -108,7 +108,8 @@ def parse(text: str, file: str, expander: Expander) -> Tree:
     return tree
 
 
-def _compose(text: str) -> yaml.Node | None:
+def compose(text: str) -> yaml.Node | None:
+    """The nodes of the document, within the limits; None when it is empty. Raises `yaml.YAMLError`."""
     loader = _Loader(text)
     try:
         return loader.get_single_node()

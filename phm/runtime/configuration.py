@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from phm.api import Check, Unit
 from phm.checking.plan import CheckPlan, plan_checks
 from phm.checking.registry import ACTIONS, checks, find as find_installed, usable
-from phm.config import ConfigError, Problem, find, load
+from phm.config import ConfigError, Problem, find, load, loads
 from phm.core.dependency_graph import DependencyCycle
 from phm.core.settings import Settings
 from phm.recovery.base import Action
@@ -37,6 +38,15 @@ def read(path: str | None, environ: Mapping[str, str] | None = None, *, links: b
     links: False: settings and checks as if there were no MAVLink endpoints.
     """
     file = str(find(path))
+    return _read(file, partial(load, file, environ=environ), links=links)
+
+
+def read_text(text: str, file: str, environ: Mapping[str, str]) -> Configuration:
+    """As `read`, from the text of a file that need not exist. Raises `ConfigError` with every problem."""
+    return _read(file, partial(loads, text, file, environ=environ), links=True)
+
+
+def _read(file: str, load: Callable[..., Settings], *, links: bool) -> Configuration:
     installed = checks()
     built: dict[str, tuple[Check, ...]] = {}
 
@@ -51,7 +61,7 @@ def read(path: str | None, environ: Mapping[str, str] | None = None, *, links: b
         return known, {name: _checks_needed(name, units_of_check) for name, units_of_check in units.items()}
 
     actions = tuple(usable(find_installed(ACTIONS, Action)))
-    settings = load(file, environ=environ, known_checks=tuple(installed), known_actions=actions, units_of=units_of)
+    settings = load(known_checks=tuple(installed), known_actions=actions, units_of=units_of)
     if not links:
         settings = _without_links(settings)
     try:
