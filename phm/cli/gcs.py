@@ -86,6 +86,13 @@ class WithRequests(click.Command):
     help="Where the page keeps its history; none: only in memory.  [default: phm/gcs-history.db in $XDG_STATE_HOME]",
 )
 @click.option(
+    "--edit",
+    metavar="FILE",
+    multiple=True,
+    type=click.Path(exists=True, dir_okay=False),
+    help="Configuration of an agent on this computer that the page may write; may be repeated.",
+)
+@click.option(
     "--json",
     "as_json",
     is_flag=True,
@@ -118,6 +125,7 @@ def command(
     tls_key: str | None,
     behind_proxy: bool,
     history: str | None,
+    edit: tuple[str, ...],
     as_json: bool,
     once: bool,
     seconds: float | None,
@@ -137,7 +145,7 @@ def command(
     from phm.gcs.live import LiveView
     from phm.gcs.recorder import Recorder
 
-    choice = WebChoice(web, serve, token_file, tls_cert, tls_key, behind_proxy, history)
+    choice = WebChoice(web, serve, token_file, tls_cert, tls_key, behind_proxy, history, edit)
     choice.check()
     clock = SystemClock()
     clock.measure()

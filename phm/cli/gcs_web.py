@@ -24,7 +24,7 @@ class Part(Protocol):
 
 @dataclass(frozen=True)
 class WebChoice:
-    """The options as given. history: a path, `none`, or None for the default."""
+    """The options as given. history: a path, `none`, or None for the default. edit: files that the page may write."""
 
     web: tuple[str, int] | None
     serve: tuple[str, int] | None
@@ -33,6 +33,7 @@ class WebChoice:
     tls_key: str | None
     behind_proxy: bool
     history: str | None
+    edit: tuple[str, ...] = ()
 
     def check(self) -> None:
         """Raises UsageError and ClickException."""
@@ -45,6 +46,8 @@ class WebChoice:
         given = [option for option, value in needs.items() if value]
         if given and self.web is None and self.serve is None:
             raise click.UsageError(f"{given[0]} is for --web and --serve.")
+        if self.edit and self.web is None:
+            raise click.UsageError("--edit is for --web.")
         if self.history is not None and self.web is None:
             raise click.UsageError("--history is for --web.")
         for option, wanted in (("--web", self.web), ("--serve", self.serve)):
@@ -74,11 +77,15 @@ def _stream(choice: WebChoice, where: tuple[str, int], station: GroundStation, c
 
 
 def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> Part:
+    from phm.gcs.web.config_editor import ConfigEditor
     from phm.gcs.web.page import GroundPage
+    from phm.gcs.web.routes import checks
+    from phm.runtime.configuration import plan_of
 
     options = listen_options(
         where, choice.token_file, choice.tls_cert, choice.tls_key, behind_proxy=choice.behind_proxy
     )
-    page = listening("--web", where, lambda: GroundPage(station, options, clock))
+    extra = {checks.EXTRA: ConfigEditor(plan_of, choice.edit)}
+    page = listening("--web", where, lambda: GroundPage(station, options, clock, extra))
     click.echo(f"page at {page.url}", err=True)
     return page

@@ -46,6 +46,11 @@ def read_text(text: str, file: str, environ: Mapping[str, str]) -> Configuration
     return _read(file, partial(loads, text, file, environ=environ), links=True)
 
 
+def plan_of(text: str, file: str, environ: Mapping[str, str]) -> CheckPlan:
+    """The plan of `read_text`."""
+    return read_text(text, file, environ).plan
+
+
 def _read(file: str, load: Callable[..., Settings], *, links: bool) -> Configuration:
     installed = checks()
     built: dict[str, tuple[Check, ...]] = {}

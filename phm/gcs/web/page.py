@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from phm.core.clock import Clock
 from phm.gcs.station import GroundStation
 from phm.gcs.web.alarms import AlarmBook
@@ -14,11 +16,13 @@ from phm.gcs.web.view import View
 
 
 class GroundPage:
-    """Listens from the start. Raises OSError when it cannot."""
+    """Listens from the start. Raises OSError when it cannot. extra: see `Site`."""
 
-    def __init__(self, station: GroundStation, options: ListenOptions, clock: Clock) -> None:
+    def __init__(
+        self, station: GroundStation, options: ListenOptions, clock: Clock, extra: Mapping[str, object] | None = None
+    ) -> None:
         self._view, alarms = View(clock), AlarmBook()
-        site = Site(self._view, clock, alarms=alarms, stream=station, on_clients=self._count)
+        site = Site(self._view, clock, alarms=alarms, stream=station, on_clients=self._count, extra=extra or {})
         self.server = WebServer(site, options)
         self._feed = StationFeed(station, self._view, clock, alarms)
         station.subscribe(LineTap(clock, self.server, "/stream"))
