@@ -43,6 +43,8 @@ from phm.facts import (
     HostProbe,
     LinkFact,
     LinkProbe,
+    MessageProbe,
+    MessageValue,
     OtherContainer,
     PressureFact,
     PressureProbe,
@@ -52,6 +54,8 @@ from phm.facts import (
     RosProbe,
     SelfFact,
     SelfProbe,
+    SerialFact,
+    SerialProbe,
     SocketProbe,
     SwarmFact,
     SwarmProbe,
@@ -67,9 +71,11 @@ __all__ = [
     "FakeFiles",
     "FakeHost",
     "FakeLinks",
+    "FakeMessages",
     "FakePressure",
     "FakeRos",
     "FakeSelf",
+    "FakeSerial",
     "FakeSwarm",
     "container",
     "settings",
@@ -509,6 +515,31 @@ class FakeSockets(_Fake):
         return self.servers.get((host, port), ConnectionFact("the connection was refused", 0.0))
 
 
+class FakeMessages(_Fake):
+    """Values of fields of MAVLink messages, by message and field."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fields: dict[tuple[str, str], tuple[MessageValue, ...]] = {}
+
+    def values(self, message: str, field: str, *, component: int, instance: int | None) -> tuple[MessageValue, ...]:
+        self._asked()
+        found = self.fields.get((message, field), ())
+        return tuple(value for value in found if instance in (None, value.instance))
+
+
+class FakeSerial(_Fake):
+    """What arrived on serial ports, by path."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ports: dict[str, SerialFact] = {}
+
+    def look(self, path: str, *, baud: int, line: str) -> SerialFact:
+        self._asked()
+        return self.ports.get(path, SerialFact(problem="it has not been opened yet"))
+
+
 def world(
     *,
     clock: Clock | None = None,
@@ -523,6 +554,8 @@ def world(
     pressure: PressureProbe | None = None,
     environment: EnvironmentProbe | None = None,
     sockets: SocketProbe | None = None,
+    messages: MessageProbe | None = None,
+    serial: SerialProbe | None = None,
 ) -> World:
     """A world of fakes, with those parts replaced that are given."""
     return World(
@@ -538,6 +571,8 @@ def world(
         pressure=pressure or FakePressure(),
         environment=environment or FakeEnvironment(),
         sockets=sockets or FakeSockets(),
+        messages=messages or FakeMessages(),
+        serial=serial or FakeSerial(),
     )
 
 

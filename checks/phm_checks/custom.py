@@ -6,10 +6,20 @@ from collections.abc import Iterable, Mapping
 
 from phm import api
 from phm_checks._custom.base import CustomCheck
+from phm_checks._custom.lifecycle import Lifecycle
+from phm_checks._custom.mavlink import Mavlink
+from phm_checks._custom.serial import Serial
+from phm_checks._custom.service import Service
 from phm_checks._custom.tcp import Tcp
+from phm_checks._custom.topic import Topic
 
 TYPES: Mapping[str, type[CustomCheck]] = {
+    "lifecycle": Lifecycle,
+    "mavlink": Mavlink,
+    "serial": Serial,
+    "service": Service,
     "tcp": Tcp,
+    "topic": Topic,
 }
 
 

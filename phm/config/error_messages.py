@@ -15,6 +15,11 @@ PATTERNS = {
     r"^[A-Za-z0-9][A-Za-z0-9_.-]*$": "letters, digits, '_', '.' and '-', the first a letter or a digit",
     r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$": "a ROS name such as /agent_1/node_1: "
     "words of letters, digits and '_' that start with no digit, with '/' between",
+    r"^[a-z][a-z0-9_]*(\[\d{1,5}\])?(\.[a-z][a-z0-9_]*(\[\d{1,5}\])?)*$": "the name of a field, e.g. pose.position.z or cells[0].voltage",
+    r"^[A-Za-z][A-Za-z0-9_]*(\[\d{1,3}\])?$": "the name of a field, e.g. battery_remaining or voltages[0]",
+    r"^[A-Z][A-Z0-9_]*$": "the name of a MAVLink message in capital letters, e.g. BATTERY_STATUS",
+    r"^/dev/.": "a path below /dev",
+    r"^[a-z][a-z0-9_]*/srv/[A-Z][A-Za-z0-9]*$": "package/srv/Type, such as std_srvs/srv/Trigger",
     r"^/": "an absolute path, one that starts with '/'",
     r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$": "the name of a field, e.g. twist.linear.x, without an index",
     r"^[^/]+$": "a name, or a pattern with '*' and '?', without '/'",

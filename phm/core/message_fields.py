@@ -24,7 +24,7 @@ FieldsOf = Callable[[str], Mapping[str, str] | None]
 
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(?:msg/)?([A-Z][A-Za-z0-9]*)")
 _LITERAL = re.compile(r"^    _fields_and_field_types = (\{.*?^    \})", re.DOTALL | re.MULTILINE)
-_ARRAY = re.compile(r"(?:sequence<(.+?)(?:, \d+)?>|(.+)\[\d+\])")
+_ARRAY = re.compile(r"(?:sequence<(.+?)(?:, \d+)?>|(.+)\[(\d+)\])")
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
@@ -57,9 +57,10 @@ def has_header(type_name: str, of: FieldsOf = fields_of) -> bool | None:
 
 
 def field_type(type_name: str, name: str, of: FieldsOf = fields_of) -> str | None:
-    """Type of the field `a.b.c`; None if a type on the way is not installed. Raises UnknownField."""
+    """Type of the field `a.b.c` or `a[0].b`; None if a type on the way is not installed. Raises UnknownField."""
     current = type_name
-    for part in name.split("."):
+    for step in name.split("."):
+        part, bracket, index = step.partition("[")
         if _ARRAY.fullmatch(current):
             raise UnknownField(
                 f"{part!r} is a field of the elements of an array: only arrays of numbers can be examined"
@@ -73,7 +74,19 @@ def field_type(type_name: str, name: str, of: FieldsOf = fields_of) -> str | Non
             more = f" and {len(fields) - _LISTED} more" if len(fields) > _LISTED else ""
             raise UnknownField(f"{current} has no field {part!r}; it has {', '.join(list(fields)[:_LISTED])}{more}")
         current = fields[part]
+        if bracket:
+            current = _element(part, current, int(index.rstrip("]")))
     return current
+
+
+def _element(name: str, array_type: str, index: int) -> str:
+    """The type of the elements of an array. Raises UnknownField if it is none, or is too short."""
+    array = _ARRAY.fullmatch(array_type)
+    if array is None:
+        raise UnknownField(f"{name} is of type {array_type}, not an array: remove the index")
+    if array[3] and index >= int(array[3]):
+        raise UnknownField(f"{name} has {array[3]} elements: the highest index is {int(array[3]) - 1}")
+    return array[1] or array[2]
 
 
 def demand_number(type_name: str, name: str, of: FieldsOf = fields_of) -> None:
@@ -82,6 +95,17 @@ def demand_number(type_name: str, name: str, of: FieldsOf = fields_of) -> None:
     array = _ARRAY.fullmatch(found or "")
     if found is not None and (array[1] or array[2] if array else found) not in NUMBERS:
         raise UnknownField(f"{name} of {type_name} is of type {found}, not a number")
+
+
+def demand_value(type_name: str, name: str, of: FieldsOf = fields_of, *, number: bool = False) -> None:
+    """Raises UnknownField if the field is known not to be a number, an array of numbers or, unless `number`, a text."""
+    found = field_type(type_name, name, of)
+    if found is None or (not number and re.fullmatch(r"w?string(<\d+>)?", found)):
+        return
+    array = _ARRAY.fullmatch(found)
+    if (array[1] or array[2] if array else found) not in NUMBERS:
+        wanted = "a number" if number else "a number or a text"
+        raise UnknownField(f"{name} of {type_name} is of type {found}, not {wanted}")
 
 
 def demand_counter(type_name: str, name: str, of: FieldsOf = fields_of) -> int | None:

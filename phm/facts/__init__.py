@@ -41,6 +41,7 @@ from phm.facts.links import (
     RadioFact as RadioFact,
     SenderFact as SenderFact,
 )
+from phm.facts.mavlink_messages import MessageProbe as MessageProbe, MessageValue as MessageValue
 from phm.facts.pressure import (
     ConsumerFact as ConsumerFact,
     PressureFact as PressureFact,
@@ -53,6 +54,7 @@ from phm.facts.ros import (
     DataFact as DataFact,
     DiagnosticFact as DiagnosticFact,
     EndpointFact as EndpointFact,
+    FieldFact as FieldFact,
     NameFact as NameFact,
     NeighbourFact as NeighbourFact,
     OutsideFact as OutsideFact,
@@ -67,6 +69,7 @@ from phm.facts.ros_environment import (
     RosEnvironment as RosEnvironment,
     ros_variables as ros_variables,
 )
+from phm.facts.serial_ports import SerialFact as SerialFact, SerialProbe as SerialProbe
 from phm.facts.sockets import ConnectionFact as ConnectionFact, SocketProbe as SocketProbe
 from phm.facts.swarm import (
     PeerFact as PeerFact,
@@ -91,3 +94,5 @@ class World:
     pressure: PressureProbe
     environment: EnvironmentProbe
     sockets: SocketProbe
+    messages: MessageProbe
+    serial: SerialProbe

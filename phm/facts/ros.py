@@ -79,6 +79,24 @@ class OutsideFact:
 
 
 @dataclass(frozen=True, slots=True)
+class FieldFact:
+    """The value of one field in the newest examined message (a check of type `topic`). Of an array: of all its elements."""
+
+    field: str
+    """As configured, e.g. `status.level` or `ranges[0]`."""
+    low: float | None = None
+    """The lowest number; None: text, an empty array, or no number but NaN. Infinity is the largest finite number."""
+    high: float | None = None
+    """The highest; with several publishers, of all of them."""
+    nan: bool = False
+    """Whether a number is NaN."""
+    text: str = ""
+    """The text of a text field, from outside and shortened."""
+    problem: str = ""
+    """Why the field cannot be read; empty: it was read."""
+
+
+@dataclass(frozen=True, slots=True)
 class DataFact:
     """What the messages of one topic contain, from the few that are examined (`ros.topics[].data`). With several publishers,
     each number is that of the worst."""
@@ -103,6 +121,8 @@ class DataFact:
     lost_percent: float | None = None
     """Share of the counter's values that were not published."""
     outside: tuple[OutsideFact, ...] = ()
+    fields: tuple[FieldFact, ...] = ()
+    """The fields that checks of type `topic` name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,11 +217,12 @@ class DiagnosticFact:
 
 @dataclass(frozen=True, slots=True)
 class AnswerFact:
-    """What a service answers that PHM calls repeatedly: `get_state` of a lifecycle node, or a service of `ready.call`."""
+    """What a service answers that PHM calls repeatedly: `get_state` of a lifecycle node, a service of `ready.call`, or one of a
+    check of type `service`."""
 
     answer: str = ""
-    """The newest answer of the current server: a lifecycle state, e.g. `active`; `true` or `false` of std_srvs/srv/Trigger.
-    Empty before the first one."""
+    """The newest answer of the current server: a lifecycle state, e.g. `active`; `true` or `false` as `success` of its response,
+    and `true` if that has no such field. Empty before the first one."""
     detail: str = ""
     """The text of that answer, from outside."""
     served: bool = False
@@ -229,9 +250,10 @@ class RosFact:
     lost_s:      since more beacons arrived than PHM reads; None: never. A beacon that has been silent for longer is left
                  out, because its silence proves nothing.
     listened_s:  how long this child has existed, interruptions included.
-    services:    how often discovery lists a server of each service of `ready.services`, by full name.
-    lifecycle:   states of the nodes with `ready.lifecycle`, by full name.
-    calls:       answers of the services of `ready.call`, by full name.
+    services:    how often discovery lists a server of each service of `ready.services` or of a check of type `service`, by
+                 full name.
+    lifecycle:   states of the nodes with `ready.lifecycle` or a check of type `lifecycle`, by full name.
+    calls:       answers of the services that are called, by full name.
     """
 
     age_s: float

@@ -80,6 +80,13 @@ class Devices:
     def matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
         return self._worker.call(lambda: self._matching(patterns), LOOK_S)
 
+    def place(self, path: str) -> Path:
+        """Where PHM finds the device at the host's `path`, links followed as on the host. Raises FileNotFoundError."""
+        real = self._resolve(PurePosixPath(os.path.normpath(path)), [])
+        if real is None:
+            raise FileNotFoundError(errno.ENOENT, "it does not exist", path)
+        return self._place(real)
+
     def _matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
         self._check_root()
         fresh = [self._watch_folders(PurePosixPath(pattern)) for pattern in patterns]

@@ -21,10 +21,13 @@ from phm.probes.files import Files
 from phm.probes.host import Host, clock_synchronized
 from phm.probes.inotify import FileWatcher
 from phm.probes.links import Links
+from phm.probes.mavlink_messages import MavlinkMessages
 from phm.probes.pressure import Pressure
 from phm.probes.reachability_monitor import ReachabilityMonitor
 from phm.probes.ros.environment import RosEnvironments
 from phm.probes.ros.supervisor import RosSupervisor
+from phm.probes.ros.wanted import uses_ros
+from phm.probes.serial_ports import SerialPorts
 from phm.probes.sockets import Sockets
 from phm.probes.swarm import SwarmMonitor
 from phm.transport.docker import DockerEngine
@@ -68,6 +71,7 @@ class ProbeSet:
     mavlink: MavlinkHub | None
     ros: RosSupervisor | None
     sockets: Sockets
+    serial: SerialPorts
     world: World
 
     def start(self, *, links: bool = True) -> None:
@@ -134,7 +138,12 @@ class ProbeSet:
             found.append(("ros", self.ros.close))
         if self.pulse is not None:
             found.append(("pulse", self.pulse.stop))
-        found += [("notices", self.notices.close), ("sockets", self.sockets.close), ("engine", self.engine.close)]
+        found += [
+            ("notices", self.notices.close),
+            ("sockets", self.sockets.close),
+            ("serial", self.serial.close),
+            ("engine", self.engine.close),
+        ]
         if self.watch is not None:
             found.append(("watch", self.watch.stop))
         return tuple(found)
@@ -196,17 +205,21 @@ def build_probes(
     )
     ready = [entry.ready for entry in settings.containers if entry.ready is not None]
     ros = (
-        RosSupervisor(settings.ros, settings.agent.name, clock, lambda: wake("ros"), note, ready=ready)
-        if settings.ros.used or ready
+        RosSupervisor(
+            settings.ros, settings.agent.name, clock, lambda: wake("ros"), note, ready=ready, custom=settings.custom
+        )
+        if settings.ros.used or ready or uses_ros(settings.custom)
         else None
     )
     probe: RosProbe = ros if ros is not None else RosNotConfigured()
     sockets = Sockets(clock)
+    devices = Devices(settings.host, clock, notices, lambda: wake("device"), lambda: wake("other_device"))
+    serial = SerialPorts(clock, devices.place)
     world = World(
         clock=clock,
         docker=docker,
         files=Files(docker, engine, settings.docker, clock, notices, lambda: wake("file")),
-        devices=Devices(settings.host, clock, notices, lambda: wake("device"), lambda: wake("other_device")),
+        devices=devices,
         host=Host(settings.host, clock),
         ros=probe,
         links=links,
@@ -215,9 +228,11 @@ def build_probes(
         pressure=Pressure(engine, docker, settings.containers, settings.pressure, clock),
         environment=RosEnvironments(docker, settings.ros, clock),
         sockets=sockets,
+        messages=MavlinkMessages(hub, settings, clock, links.autopilot),
+        serial=serial,
     )
     return ProbeSet(
-        engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, sockets, world
+        engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, sockets, serial, world
     )
 
 

@@ -6,7 +6,9 @@ without a deadline.
 
 from __future__ import annotations
 
+import importlib
 import os
+from typing import Any
 
 # pymavlink reads this when it is imported; without it some versions speak protocol 1.
 os.environ["MAVLINK20"] = "1"
@@ -35,4 +37,21 @@ mavlink.mavlink_map[RADIO] = _Radio
 SAME = {RADIO: mavlink.MAVLINK_MSG_ID_RADIO_STATUS}
 """Message ids on the wire that mean other ids."""
 
-__all__ = ["SAME", "mavlink"]
+
+def message_class(name: str) -> Any | None:
+    """The class of a message by its name, of the common dialect, else of ArduPilot's, whose messages are then decoded too; None:
+    unknown. ArduPilot's dialect takes 5 MB of memory, so it is imported only for a message of it."""
+    found = _by_name(mavlink, name)
+    if found is None:
+        found = _by_name(importlib.import_module("pymavlink.dialects.v20.ardupilotmega"), name)
+        if found is not None:
+            found = mavlink.mavlink_map.setdefault(found.id, found)
+    return found
+
+
+def _by_name(dialect: Any, name: str) -> Any | None:
+    found = getattr(dialect, f"MAVLink_{name.lower()}_message", None)
+    return found if found is not None and getattr(found, "msgname", "") == name else None
+
+
+__all__ = ["SAME", "mavlink", "message_class"]

@@ -27,7 +27,7 @@ def refused(entries: str) -> list[str]:
     ("entry", "problem"),
     [
         ("{name: a, host: x}", "custom[0].type: is missing: it says what the entry is"),
-        ("{name: a, type: tpc}", "custom[0].type: unknown type 'tpc', did you mean 'tcp'?"),
+        ("{name: a, type: tccp}", "custom[0].type: unknown type 'tccp', did you mean 'tcp'?"),
         ("abc", "custom[0]: is text 'abc', expected a section with keys"),
         (f"{{{TCP}, prot: 1}}", "custom[0].prot: unknown key 'prot', did you mean 'port'?"),
         ("{name: a, type: tcp, host: x, port: 70000}", "custom[0].port: is 70000, allowed is 1 to 65535"),

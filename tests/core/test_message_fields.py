@@ -6,7 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from phm.core.message_fields import UnknownField, demand_counter, demand_number, field_type, fields_of, has_header
+from phm.core.message_fields import (
+    UnknownField,
+    demand_counter,
+    demand_number,
+    demand_value,
+    field_type,
+    fields_of,
+    has_header,
+)
 
 MODULE = """
 raise RuntimeError("executed")
@@ -117,3 +125,34 @@ def test_a_counter_is_a_single_number() -> None:
     for name in ("name", "status.sats", "status.ok"):
         with pytest.raises(UnknownField, match="not an integer"):
             demand_counter(FIX, name)
+
+
+def test_an_element_of_an_array_is_named_by_its_index() -> None:
+    """Also one on the way to a field of a message in it."""
+    assert [field_type(STATUS, name) for name in ("sats[7]", "cov[8]", "all[0].all[3].seq")] == [
+        "int32",
+        "double",
+        "uint32",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "words"),
+    [
+        ("cov[9]", False, "cov has 9 elements: the highest index is 8"),
+        ("seq[0]", False, "seq is of type uint32, not an array: remove the index"),
+        ("all", False, "is of type sequence<phm_test_msgs/Status>, not a number or a text"),
+        ("all[0]", False, "is of type phm_test_msgs/Status, not a number or a text"),
+        ("level", True, "is of type octet, not a number"),
+    ],
+)
+def test_a_value_is_a_number_or_a_text(name: str, number: bool, words: str) -> None:
+    """A text only where no number is needed."""
+    for good in ("seq", "cov", "cov[0]", "ok", "other.x"):
+        demand_value(STATUS, good, number=number)
+    demand_value(FIX, "name")
+    with pytest.raises(UnknownField, match="is of type string, not a number"):
+        demand_value(FIX, "name", number=True)
+    with pytest.raises(UnknownField) as caught:
+        demand_value(STATUS, name, number=number)
+    assert words in str(caught.value)

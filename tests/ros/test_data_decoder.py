@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import random
+import sys
 from collections.abc import Mapping
 from typing import Any
 
 import pytest
 
 from phm.core.message_fields import fields_of, has_header
+from phm.facts import FieldFact
 from phm.probes.ros.data.decoder import MAX_DECODED, Decoder, Undecodable, class_fields
 from phm.probes.ros.data.raw_message import digest, stamp_ns
 from phm.probes.ros.protocol import WantedData, WantedRange
@@ -110,6 +112,64 @@ def test_bytes_between_fields_are_not_content(counter: str) -> None:
         for padding in (b"\0\0\0\0\0", b"\1\2\3\4\5")
     }
     assert len(contents) == 1
+
+
+def fields(message: Any, type_name: str, *names: str) -> dict[str, FieldFact]:
+    """The reported values of the fields of a message."""
+    from rclpy.serialization import serialize_message
+
+    found = Decoder(WantedData(fields=names), type_name)
+    assert found.problem == ""
+    return {one.field: one for one in found.read(bytes(serialize_message(message))).fields}
+
+
+def test_values_of_fields_are_reported() -> None:
+    """Numbers, true and false, elements by index, also of messages in arrays, the range of an array, and text, shortened."""
+    from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovariance
+    from std_msgs.msg import Bool
+
+    polygon = PolygonStamped()
+    polygon.header.stamp.sec, polygon.header.frame_id = 7, "x" * 300
+    polygon.polygon.points = [Point32(x=1.0), Point32(x=2.0)]
+    found = fields(
+        polygon, "geometry_msgs/msg/PolygonStamped", "header.stamp.sec", "header.frame_id", "polygon.points[1].x"
+    )
+    assert (found["header.stamp.sec"].low, found["polygon.points[1].x"].high) == (7.0, 2.0)
+    assert (found["header.frame_id"].low, found["header.frame_id"].text) == (None, "x" * 100)
+    pose = PoseWithCovariance(covariance=[float(number) for number in range(36)])
+    found = fields(pose, "geometry_msgs/msg/PoseWithCovariance", "covariance", "covariance[35]")
+    assert found["covariance"] == FieldFact("covariance", 0.0, 35.0)
+    assert found["covariance[35]"] == FieldFact("covariance[35]", 35.0, 35.0)
+    assert fields(Bool(data=True), "std_msgs/msg/Bool", "data")["data"] == FieldFact("data", 1.0, 1.0)
+
+
+def test_values_that_are_no_numbers_are_reported_as_such() -> None:
+    """NaN apart, infinity as the largest number: both would end the message to the daemon."""
+    from std_msgs.msg import Float64, Float64MultiArray
+
+    array = "std_msgs/msg/Float64MultiArray"
+    assert fields(Float64(data=float("nan")), "std_msgs/msg/Float64", "data")["data"] == FieldFact("data", nan=True)
+    assert fields(Float64(data=float("-inf")), "std_msgs/msg/Float64", "data")["data"].low == -sys.float_info.max
+    some = fields(Float64MultiArray(data=[1.0, float("nan"), 3.0]), array, "data")["data"]
+    assert some == FieldFact("data", 1.0, 3.0, nan=True)
+    assert fields(Float64MultiArray(), array, "data")["data"] == FieldFact("data")
+
+
+def test_a_wrong_field_does_not_hide_the_others() -> None:
+    """An own check must not end what `ros.topics[].data` examines, or another own check."""
+    from geometry_msgs.msg import Point32, PolygonStamped
+
+    polygon = PolygonStamped()
+    polygon.polygon.points = [Point32(x=12.0)]
+    names = ("polygon.points[0].x", "polygon.volts", "polygon.points[9].x", "header")
+    found = fields(polygon, "geometry_msgs/msg/PolygonStamped", *names)
+    assert found["polygon.points[0].x"].low == 12.0
+    assert "has no field 'volts'; it has points" in found["polygon.volts"].problem
+    assert "1 elements in the newest message, none with index 9" in found["polygon.points[9].x"].problem
+    assert "not a number or a text" in found["header"].problem
+    unknown = Decoder(WantedData(order=True, fields=("x",)), "absent_msgs/msg/X")
+    assert (unknown.problem, unknown.usable) == ("", False)
+    assert unknown.unreadable[0].problem.startswith("type unknown: its fields cannot be read: absent_msgs/msg/X is not")
 
 
 def test_a_counter_is_not_content() -> None:

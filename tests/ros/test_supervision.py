@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from phm.core.settings import ReadySettings, RosSettings
+from phm.core.settings import ReadySettings, RosSettings, Settings
 from phm.probes.ros.child_environment import child_environ
-from phm.probes.ros.protocol import INSTALLS
+from phm.probes.ros.protocol import INSTALLS, WantedCall, decode_wanted, encode_wanted
 from phm.probes.ros.supervisor import NOT_INSTALLED, SupervisorLimits
-from phm.probes.ros.wanted import wanted
+from phm.probes.ros.wanted import uses_ros, wanted
 from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
 
 FAST = SupervisorLimits(start_s=2.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)
@@ -199,5 +199,36 @@ def test_what_readiness_needs_is_requested_once() -> None:
         "a",
         [ReadySettings(services=["s", "/r"], topics=["/t"], call="c")],
     )
-    assert (looked_for.services, looked_for.lifecycle, looked_for.calls) == (("/s", "/r"), ("/a/b",), ("/c",))
+    assert (looked_for.services, looked_for.lifecycle, looked_for.calls) == (
+        ("/s", "/r"),
+        ("/a/b",),
+        (WantedCall("/c"),),
+    )
     assert [(topic.name, topic.rate_hz) for topic in looked_for.topics] == [("/u", None), ("/t", 0.0)]
+
+
+def test_own_checks_are_requested_once_and_beside_the_rest() -> None:
+    """A topic that is measured already keeps its rate and data and gets the fields; one without a rate is received."""
+    topics = [{"name": "/odom", "rate": 10, "data": {"order": True, "sample": 4}}, {"name": "/plain"}]
+    custom = Settings.model_validate(
+        {
+            "custom": [
+                {"name": "a", "type": "topic", "topic": "odom", "field": "x", "min": 0.0},
+                {"name": "b", "type": "topic", "topic": "/odom", "field": "y[1]", "max": 1.0},
+                {"name": "c", "type": "topic", "topic": "/odom", "field": "x", "max": 9.0},
+                {"name": "d", "type": "topic", "topic": "/plain"},
+                {"name": "e", "type": "service", "service": "reset"},
+                {"name": "f", "type": "service", "service": "/ask", "call": "a_msgs/srv/Ask", "period": 30.0},
+                {"name": "g", "type": "lifecycle", "node": "planner"},
+            ]
+        }
+    ).custom
+    looked_for = wanted(RosSettings.model_validate({"topics": topics}), "a", custom=custom)
+    odom, plain = looked_for.topics
+    assert odom.data is not None
+    assert (odom.rate_hz, odom.data.order, odom.data.hz, odom.data.fields) == (10, True, 4, ("x", "y[1]"))
+    assert (plain.name, plain.rate_hz, plain.data) == ("/plain", 0.0, None)
+    assert (looked_for.services, looked_for.lifecycle) == (("/reset", "/ask"), ("/planner",))
+    assert looked_for.calls == (WantedCall("/ask", "a_msgs/srv/Ask", 30.0, 30.0),)
+    assert decode_wanted(encode_wanted(looked_for)) == looked_for
+    assert uses_ros(custom) and not uses_ros([])

@@ -24,6 +24,13 @@ from phm.config.rules.custom import (
     custom_needs_are_units,
     custom_patterns_compile,
 )
+from phm.config.rules.custom_values import (
+    custom_fields_exist,
+    custom_mavlink_has_a_link,
+    custom_serial_ports_are_read_once,
+    custom_services_have_one_type,
+    own_topics_are_not_custom,
+)
 from phm.config.rules.fleet import fleet_certificates_are_used, fleet_has_endpoints, fleet_modes_match
 from phm.config.rules.limits import disks_are_unique, limits_are_in_order
 from phm.config.rules.mavlink import endpoints_are_unique, flight_critical_needs_autopilot, link_ids_are_unique
@@ -81,6 +88,11 @@ RULES: tuple[Callable[[ConfigNode], None], ...] = (
     custom_names_are_unique,
     custom_containers_exist,
     custom_patterns_compile,
+    custom_fields_exist,
+    custom_mavlink_has_a_link,
+    custom_serial_ports_are_read_once,
+    custom_services_have_one_type,
+    own_topics_are_not_custom,
     fleet_has_endpoints,
     fleet_modes_match,
     fleet_certificates_are_used,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from phm.config.node import ConfigNode
 from phm.config.problems import shown, unknown
+from phm.core.message_fields import UnknownField
 from phm.core.settings import ContainerSettings
 
 
@@ -59,6 +60,14 @@ def in_order(low: ConfigNode, high: ConfigNode, kind: object, defaults: tuple[fl
         low.add_problem(f"is {small:g}, above {high.path[-1]!r} which is {big:g}: allowed is {big:g} or less")
     else:
         high.add_problem(f"is {big:g}, below {low.path[-1]!r} which is {small:g}: allowed is {small:g} or more")
+
+
+def demand_field_of_type(demand: Callable[[str, str], object], kind: str, place: ConfigNode, name: str) -> None:
+    """Add a problem if the message type has no such field. demand: raises UnknownField for a type and a field."""
+    try:
+        demand(kind, name)
+    except UnknownField as error:
+        place.add_problem(str(error))
 
 
 def shortest_path(graph: dict[str, set[str]], start: str, end: str) -> list[str] | None:

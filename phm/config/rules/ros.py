@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from phm.config.node import ConfigNode
 from phm.config.problems import unknown
-from phm.config.rules.common import bare, configured, container_key, report_duplicates
-from phm.core.message_fields import UnknownField, demand_counter, demand_number, has_header
+from phm.config.rules.common import bare, configured, container_key, demand_field_of_type, report_duplicates
+from phm.core.message_fields import demand_counter, demand_number, has_header
 from phm.core.settings import Hertz
 
 _OWN_TOPICS = (
@@ -113,17 +111,10 @@ def examined_fields_exist(root: ConfigNode) -> None:
                     f"needs a stamp, but {kind} does not begin with a std_msgs/Header: remove this"
                 )
         if data.get("counter").text:
-            _demand(demand_counter, kind, data.get("counter"), data.get("counter").text)
+            demand_field_of_type(demand_counter, kind, data.get("counter"), data.get("counter").text)
         for name, limits in data.get("ranges").items():
             if isinstance(name, str):
-                _demand(demand_number, kind, limits, name)
-
-
-def _demand(demand: Callable[[str, str], object], kind: str, place: ConfigNode, name: str) -> None:
-    try:
-        demand(kind, name)
-    except UnknownField as error:
-        place.add_problem(str(error))
+                demand_field_of_type(demand_number, kind, limits, name)
 
 
 def _number(value: object) -> bool:

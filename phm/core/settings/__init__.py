@@ -26,7 +26,17 @@ from phm.core.settings.base import (
     Section,
 )
 from phm.core.settings.containers import ContainerSettings, DeviceSettings, FileSettings
-from phm.core.settings.custom import CustomBase, CustomCheckSettings, CustomRecoverySettings, TcpCheckSettings
+from phm.core.settings.custom import (
+    CustomBase,
+    CustomCheckSettings,
+    CustomRecoverySettings,
+    LifecycleCheckSettings,
+    MavlinkCheckSettings,
+    SerialCheckSettings,
+    ServiceCheckSettings,
+    TcpCheckSettings,
+    TopicCheckSettings,
+)
 from phm.core.settings.daemon import CheckSettings, DockerSettings, LogSettings, ProcessSettings
 from phm.core.settings.fleet import FleetEndpoint, FleetSettings, FleetTlsSettings
 from phm.core.settings.host import FreeDiskSettings, HostSettings, PressureSettings
@@ -67,11 +77,13 @@ __all__ = [
     "FreeDiskSettings",
     "Hertz",
     "HostSettings",
+    "LifecycleCheckSettings",
     "Limit",
     "LogSettings",
     "MaintenanceSettings",
     "ManualStop",
     "ManualStopSettings",
+    "MavlinkCheckSettings",
     "MavlinkSettings",
     "Name",
     "NodeReadySettings",
@@ -86,10 +98,13 @@ __all__ = [
     "RosSettings",
     "Seconds",
     "Section",
+    "SerialCheckSettings",
+    "ServiceCheckSettings",
     "Settings",
     "SigningSettings",
     "SwarmSettings",
     "TcpCheckSettings",
+    "TopicCheckSettings",
     "TopicSettings",
     "WatchedDiagnosticSettings",
 ]

@@ -53,6 +53,8 @@ class WantedData:
     gaps_percent: float = 5.0
     ranges: tuple[WantedRange, ...] = ()
     hz: float = 2.0
+    fields: tuple[str, ...] = ()
+    """Fields whose newest value is reported."""
 
     @property
     def header(self) -> bool:
@@ -72,13 +74,24 @@ class WantedTopic:
 
 
 @dataclass(frozen=True, slots=True)
+class WantedCall:
+    """A service that is called repeatedly. kind: its type, whose request has no fields. repeat_s: time after which a call
+    without an answer is repeated."""
+
+    service: str
+    kind: str = "std_srvs/srv/Trigger"
+    period_s: float = 2.0
+    repeat_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
 class Wanted:
     """What the child monitors. domain: None means ROS_DOMAIN_ID. tick_s: time between two looks. full_s: between two complete
     graph messages.
 
     listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of the configured nodes and of the nodes
-    named in topics. watch: patterns of the configured statuses. services: those of `ready.services`. lifecycle: nodes with
-    `ready.lifecycle`. calls: services of `ready.call`. All names are full.
+    named in topics. watch: patterns of the configured statuses. services: those whose servers are counted. lifecycle: nodes
+    whose state is read. calls: services that are called. All names are full.
     """
 
     agent: str
@@ -91,7 +104,7 @@ class Wanted:
     watch: tuple[str, ...] = ()
     services: tuple[str, ...] = ()
     lifecycle: tuple[str, ...] = ()
-    calls: tuple[str, ...] = ()
+    calls: tuple[WantedCall, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,9 +223,10 @@ def decode_wanted(line: bytes | str) -> Wanted:
     try:
         data = _parsed(line)
         topics = tuple(_topic(**topic) for topic in data.pop("topics"))
-        for key in ("listen", "nodes", "watch", "services", "lifecycle", "calls"):
+        calls = tuple(WantedCall(**call) for call in data.pop("calls"))
+        for key in ("listen", "nodes", "watch", "services", "lifecycle"):
             data[key] = tuple(data[key])
-        return Wanted(topics=topics, **data)
+        return Wanted(topics=topics, calls=calls, **data)
     except (AttributeError, KeyError, TypeError) as error:
         raise ProtocolError(f"not a configuration: {error}") from error
 
@@ -221,6 +235,7 @@ def _topic(data: Any = None, **fields: Any) -> WantedTopic:
     if data is None:
         return WantedTopic(**fields)
     ranges = tuple(WantedRange(**limits) for limits in data.pop("ranges"))
+    data["fields"] = tuple(data["fields"])
     return WantedTopic(**fields, data=WantedData(ranges=ranges, **data))
 
 

@@ -1,6 +1,6 @@
-"""Readiness in the child: which services have a server, states of lifecycle nodes, and answers of services of type Trigger.
+"""Readiness in the child: which services have a server, states of lifecycle nodes, and answers of services without request fields.
 
-`get_state` changes nothing in a node; of the other services only those of `ready.call` are called. Nothing here waits: a
+`get_state` changes nothing in a node; of the other services only those are called for which the configuration asks. Nothing here waits: a
 call is sent in one look, and its answer is read in a later one.
 """
 
@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from phm.facts.ros import AnswerFact
-from phm.probes.ros.protocol import Message, ReadinessUpdate, Wanted
+from phm.probes.ros.message_types import UnknownType, load_decodable
+from phm.probes.ros.protocol import Message, ReadinessUpdate, Wanted, WantedCall
 
 STATES: Mapping[int, str] = {
     1: "unconfigured",
@@ -27,8 +28,8 @@ STATES: Mapping[int, str] = {
 }
 """lifecycle_msgs/msg/State. The text of a state is not used: it comes from another participant."""
 UNKNOWN = "unknown"
-STATE_S, TRIGGER_S = 1.0, 2.0
-"""Time between two calls of one service."""
+STATE_S = 1.0
+"""Time between two calls of one `get_state`."""
 CHANGED_S = 0.2
 """The same for `get_state` after a change of the graph, which may follow from a transition."""
 ANSWER_S = 2.0
@@ -53,7 +54,7 @@ class ReadinessReader:
         self._node = node
         self._services = wanted.services
         self._states = {name: _lifecycle(node, name) for name in wanted.lifecycle}
-        self._calls = {name: _trigger(node, name) for name in wanted.calls}
+        self._calls = {call.service: (_called(node, call), call.period_s) for call in wanted.calls}
         self._used = bool(wanted.services or wanted.lifecycle or wanted.calls)
         self._reported: ReadinessUpdate | None = None
         self._due_s = 0.0
@@ -65,7 +66,7 @@ class ReadinessReader:
         update = ReadinessUpdate(
             {name: servers(self._node, name) for name in self._services},
             {name: call.look(now_s, CHANGED_S if graph_changed else STATE_S) for name, call in self._states.items()},
-            {name: call.look(now_s, TRIGGER_S) for name, call in self._calls.items()},
+            {name: call.look(now_s, period_s) for name, (call, period_s) in self._calls.items()},
         )
         if update == self._reported and now_s < self._due_s:
             return []
@@ -76,9 +77,12 @@ class ReadinessReader:
 class RepeatedCall:
     """A service that is called again and again by a client that is in no executor."""
 
-    def __init__(self, node: Any, service: str, kind: Any, read: Callable[[Any], Answer]) -> None:
-        """kind: the class of the service. read: what to keep of a response."""
-        self._node, self._service, self._kind, self._read = node, service, kind, read
+    def __init__(
+        self, node: Any, service: str, kind: Any, read: Callable[[Any], Answer], repeat_s: float = ANSWER_S
+    ) -> None:
+        """kind: the class of the service. read: what to keep of a response. repeat_s: a call without an answer for this long
+        is repeated."""
+        self._node, self._service, self._kind, self._read, self._repeat_s = node, service, kind, read, repeat_s
         self._client = node.create_client(kind, service)
         self._fact = AnswerFact()
         self._called_s: float | None = None
@@ -119,7 +123,7 @@ class RepeatedCall:
         return answer
 
     def _call(self, now_s: float, rest_s: float) -> None:
-        if now_s - self._last_called_s < (rest_s if self._called_s is None else ANSWER_S):
+        if now_s - self._last_called_s < (rest_s if self._called_s is None else self._repeat_s):
             return
         if not self._client.service_is_ready():
             return
@@ -155,22 +159,32 @@ def _lifecycle(node: Any, name: str) -> RepeatedCall | _Impossible:
     def read(response: Any) -> Answer:
         return STATES.get(response.current_state.id, UNKNOWN), ""
 
-    return _repeated(node, f"{name}/get_state", "lifecycle_msgs", "GetState", read)
-
-
-def _trigger(node: Any, service: str) -> RepeatedCall | _Impossible:
-    def read(response: Any) -> Answer:
-        return "true" if response.success else "false", response.message[:MAX_TEXT]
-
-    return _repeated(node, service, "std_srvs", "Trigger", read)
-
-
-def _repeated(
-    node: Any, service: str, package: str, kind: str, read: Callable[[Any], Answer]
-) -> RepeatedCall | _Impossible:
+    service = f"{name}/get_state"
     try:
-        return RepeatedCall(node, service, getattr(importlib.import_module(f"{package}.srv"), kind), read)
+        kind = importlib.import_module("lifecycle_msgs.srv").GetState
+        return RepeatedCall(node, service, kind, read)
     except ImportError:
-        return _Impossible(_MISSING.format(package, package.replace("_", "-")))
+        return _Impossible(_MISSING.format("lifecycle_msgs", "lifecycle-msgs"))
     except Exception as error:  # exceptions of rclpy and pybind, e.g. for a name that ROS refuses
+        return _Impossible(str(error))
+
+
+def _called(node: Any, wanted: WantedCall) -> RepeatedCall | _Impossible:
+    """A service whose request has no fields. Of the response, `success` and `message` count, where it has them."""
+
+    def read(response: Any) -> Answer:
+        succeeded = getattr(response, "success", True) is not False
+        return "true" if succeeded else "false", str(getattr(response, "message", ""))[:MAX_TEXT]
+
+    package = wanted.kind.partition("/")[0]
+    try:
+        kind = load_decodable(wanted.kind)
+        if fields := kind.Request.get_fields_and_field_types():
+            return _Impossible(
+                f"{wanted.kind} has a request with fields ({', '.join(fields)}): PHM sends only empty requests"
+            )
+        return RepeatedCall(node, wanted.service, kind, read, wanted.repeat_s)
+    except UnknownType:
+        return _Impossible(_MISSING.format(package, package.replace("_", "-")))
+    except Exception as error:  # as above
         return _Impossible(str(error))

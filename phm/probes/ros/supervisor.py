@@ -18,7 +18,7 @@ from phm.core import threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.scheduling_delay import NOISE_S, ProcessStallMeter, SchedulingDelay
-from phm.core.settings import ReadySettings, RosSettings
+from phm.core.settings import CustomCheckSettings, ReadySettings, RosSettings
 from phm.facts import CannotTell, RosFact
 from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.probes.ros.child_environment import child_environ
@@ -102,13 +102,14 @@ class RosSupervisor:
         command: Sequence[str] = COMMAND,
         limits: SupervisorLimits = SupervisorLimits(),
         ready: Sequence[ReadySettings] = (),
+        custom: Sequence[CustomCheckSettings] = (),
     ) -> None:
-        """agent: name of this agent, for its statuses on /diagnostics. ready: `ready` of the containers."""
+        """agent: name of this agent, for its statuses on /diagnostics. ready: `ready` of the containers. custom: own checks."""
         self._clock = clock
         self._on_change = on_change
         self._on_note = on_note
         self._environ = child_environ(ros, os.environ if environ is None else environ)
-        looked_for = wanted(ros, agent, ready)
+        looked_for = wanted(ros, agent, ready, custom)
         self._first_line = encode_wanted(looked_for)
         self._nodes = frozenset(looked_for.nodes)
         self._blank = GraphSnapshot(

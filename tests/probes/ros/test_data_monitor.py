@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
 from typing import Any
 
 import pytest
 
-from phm.facts import DataFact
-from phm.probes.ros.data.data_monitor import MOST, DataMonitor
-from phm.probes.ros.data.decoder import Decoder, Undecodable
+from phm.facts import DataFact, FieldFact
+from phm.probes.ros.data.data_monitor import MOST, DataMonitor, worst_of
+from phm.probes.ros.data.decoder import Decoded, Decoder, Undecodable
 from phm.probes.ros.protocol import WantedData, WantedRange
 from phm.probes.ros.reader import RawMessage
 from tests.fakes.ros_messages import SECOND, stamped
@@ -33,11 +32,12 @@ class FakeDecoder(Decoder):
     def usable(self) -> bool:
         return bool(self._wanted.counter or self._wanted.ranges)
 
-    def read(self, data: bytes) -> tuple[float | None, Mapping[str, str], bytes]:
+    def read(self, data: bytes) -> Decoded:
         self.read_count += 1
         if data.endswith(b"!"):
             raise Undecodable("a message cannot be decoded: no")
-        return data[-1], {"x": "1"} if self._wanted.ranges and data[-1] % 2 else {}, data[:-1] + b"\0"
+        outside = {"x": "1"} if self._wanted.ranges and data[-1] % 2 else {}
+        return Decoded(data[-1], outside, data[:-1] + b"\0", (FieldFact("x", data[-1], data[-1]),))
 
 
 class Bench:
@@ -63,6 +63,18 @@ class Bench:
         self.monitor.look(self.now_s, type_name, messages, **how)
         assert self.monitor.fact is not None
         return self.monitor.fact
+
+
+def test_a_field_has_the_values_of_all_publishers() -> None:
+    """The newest of each, from the lowest to the highest."""
+    bench = Bench(counter="seq", fields=("x",))
+    bench.look(bench.message(b"....\7"), bench.message(b"....\3", writer=TWO))
+    fact = bench.look(*(bench.message(b"....\5") for _ in range(2)))
+    for _ in range(2):
+        fact = bench.look(bench.message(b"....\4"), bench.message(b"....\2", writer=TWO))
+    assert fact.fields == (FieldFact("x", 2, 4),)
+    facts = [DataFact(fields=(FieldFact("x", nan=True),)), DataFact(fields=(FieldFact("x", 1, 1, problem="no"),))]
+    assert worst_of(facts).fields == (FieldFact("x", 1, 1, nan=True, problem="no"),)
 
 
 def test_nothing_is_known_without_a_message() -> None:

@@ -8,9 +8,36 @@ from pydantic import Field
 
 from phm.core.settings.custom.base import CustomBase, CustomRecoverySettings
 from phm.core.settings.custom.http import HttpCheckSettings
+from phm.core.settings.custom.lifecycle import LifecycleCheckSettings
+from phm.core.settings.custom.limits import LimitedCheckSettings
+from phm.core.settings.custom.mavlink import MavlinkCheckSettings
+from phm.core.settings.custom.serial import SerialCheckSettings
+from phm.core.settings.custom.service import ServiceCheckSettings
 from phm.core.settings.custom.tcp import TcpCheckSettings
+from phm.core.settings.custom.topic import TopicCheckSettings
 
-__all__ = ["CustomBase", "CustomCheckSettings", "CustomRecoverySettings", "HttpCheckSettings", "TcpCheckSettings"]
+__all__ = [
+    "CustomBase",
+    "CustomCheckSettings",
+    "CustomRecoverySettings",
+    "HttpCheckSettings",
+    "LifecycleCheckSettings",
+    "LimitedCheckSettings",
+    "MavlinkCheckSettings",
+    "SerialCheckSettings",
+    "ServiceCheckSettings",
+    "TcpCheckSettings",
+    "TopicCheckSettings",
+]
 
-CustomCheckSettings = Annotated[HttpCheckSettings | TcpCheckSettings, Field(discriminator="type")]
+CustomCheckSettings = Annotated[
+    HttpCheckSettings
+    | LifecycleCheckSettings
+    | MavlinkCheckSettings
+    | SerialCheckSettings
+    | ServiceCheckSettings
+    | TcpCheckSettings
+    | TopicCheckSettings,
+    Field(discriminator="type"),
+]
 """One entry of `custom`; its key `type` decides which keys it has."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from phm.core.message_fields import has_header
-from phm.facts.ros import DataFact
+from phm.facts.ros import DataFact, FieldFact
 from phm.probes.ros.data.decoder import Decoder, Undecodable
 from phm.probes.ros.data.publisher_data import Examined, PublisherData
 from phm.probes.ros.data.raw_message import NoHeader, digest, stamp_ns
@@ -110,10 +110,12 @@ class DataMonitor:
                 header = False
                 if self._wanted.header:
                     self._problem = f"a message has no valid header: {error}"
-        if self._decoder.usable:
+        if not self._decoder.usable:
+            found = replace(found, fields=self._decoder.unreadable)
+        else:
             try:
-                counter, outside, data = self._decoder.read(data)
-                found = replace(found, counter=counter, outside=outside)
+                counter, outside, data, fields = self._decoder.read(data)
+                found = replace(found, counter=counter, outside=outside, fields=fields)
             except Undecodable as error:
                 self._problem = str(error)
             if self._wanted.counter and message.sequence is None:
@@ -138,4 +140,21 @@ def worst_of(facts: Sequence[DataFact]) -> DataFact:
         frozen_s=max((fact.frozen_s for fact in facts), default=0.0),
         lost_percent=max(losses, default=None),
         outside=tuple({found.field: found for fact in facts for found in fact.outside}.values()),
+        fields=_merged([found for fact in facts for found in fact.fields]),
     )
+
+
+def _merged(fields: Sequence[FieldFact]) -> tuple[FieldFact, ...]:
+    """Each field once, with the values of all publishers. Of different texts the first counts, and a problem before any value."""
+    merged: dict[str, FieldFact] = {}
+    for one in fields:
+        before = merged.get(one.field, one)
+        merged[one.field] = FieldFact(
+            one.field,
+            min((low for low in (before.low, one.low) if low is not None), default=None),
+            max((high for high in (before.high, one.high) if high is not None), default=None),
+            before.nan or one.nan,
+            before.text,
+            before.problem or one.problem,
+        )
+    return tuple(merged.values())

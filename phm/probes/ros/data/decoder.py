@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
-from phm.core.message_fields import HEADER, UnknownField, demand_counter, demand_number
+from phm.core.message_fields import HEADER, UnknownField, demand_counter, demand_number, demand_value
+from phm.facts.ros import FieldFact
 from phm.probes.ros.message_types import UnknownType, load_decodable
 from phm.probes.ros.protocol import WantedData
 
 MAX_DECODED = 200_000
 """Longest message in bytes that is decoded; Python needs about 10 ms for the worst of this length."""
-MAX_TEXT = 40
+MAX_TEXT, MAX_FIELD_TEXT = 40, 100
 _BEFORE = 12
 """Bytes of encapsulation and stamp, which `phm.probes.ros.data.raw_message.digest` leaves out."""
 
@@ -21,8 +23,21 @@ class Undecodable(ValueError):
     """A message, or all of this type, cannot be decoded; the text says why."""
 
 
+class Decoded(NamedTuple):
+    """What one message contains: the counter, the fields outside of their range, the content to compare, in which the counter is 0,
+    and the fields whose value is reported."""
+
+    counter: float | None
+    outside: Mapping[str, str]
+    content: bytes
+    fields: tuple[FieldFact, ...] = ()
+
+
 class Decoder:
-    """For one type. problem: why a configured part cannot be examined for any message of it; empty if all can."""
+    """For one type. problem: why a configured part cannot be examined for any message of it; empty if all can.
+
+    unreadable: the same for fields whose value is reported, so that a wrong one does not hide what else is examined.
+    """
 
     def __init__(self, wanted: WantedData, type_name: str) -> None:
         self._wanted = wanted
@@ -30,11 +45,15 @@ class Decoder:
         self._deserialize: Any = None
         self.counter_bits: int | None = None
         self.problem = ""
-        if wanted.counter or wanted.ranges:
+        self.unreadable: tuple[FieldFact, ...] = ()
+        self._fields: tuple[str, ...] = ()
+        if wanted.counter or wanted.ranges or wanted.fields:
             try:
                 self._prepare(type_name)
             except (UnknownType, UnknownField) as error:
-                self._message, self.problem = None, str(error)
+                self._message = None
+                self.problem = str(error) if wanted.counter or wanted.ranges else ""
+                self.unreadable = tuple(FieldFact(name, problem=str(error)) for name in wanted.fields)
 
     def _prepare(self, type_name: str) -> None:
         from rclpy.serialization import deserialize_message
@@ -46,6 +65,12 @@ class Decoder:
             demand_number(type_name, limits.field, class_fields)
         if self._wanted.counter:
             self.counter_bits = demand_counter(type_name, self._wanted.counter, class_fields)
+        for name in self._wanted.fields:
+            try:
+                demand_value(type_name, name, class_fields)
+                self._fields += (name,)
+            except UnknownField as error:
+                self.unreadable += (FieldFact(name, problem=str(error)),)
         self._message, self._deserialize = found, deserialize_message
 
     @property
@@ -53,8 +78,8 @@ class Decoder:
         """Whether there is anything to decode."""
         return self._message is not None
 
-    def read(self, data: bytes) -> tuple[float | None, Mapping[str, str], bytes]:
-        """The counter, the fields outside of their range, and the content to compare, in which the counter is 0. Raises Undecodable."""
+    def read(self, data: bytes) -> Decoded:
+        """Raises Undecodable."""
         if len(data) > MAX_DECODED:
             raise Undecodable(
                 f"messages of more than {MAX_DECODED // 1000} kB are not decoded, this one has {len(data)} bytes"
@@ -66,6 +91,7 @@ class Decoder:
                 for limits in self._wanted.ranges
                 if (text := _outside(_value(message, limits.field), limits.low, limits.high))
             }
+            fields = tuple(_field(message, name) for name in self._fields)
             counter = _value(message, self._wanted.counter) if self._wanted.counter else math.nan
             if self._wanted.frozen_s is not None:
                 if self._wanted.counter:
@@ -74,7 +100,7 @@ class Decoder:
                 data = bytes(_BEFORE) + b"".join(_content(message, first=True))
         except Exception as error:  # exceptions of rclpy and pybind: what was sent is not such a message
             raise Undecodable(f"a message cannot be decoded: {str(error)[:200]}") from error
-        return counter if math.isfinite(counter) else None, outside, data
+        return Decoded(counter if math.isfinite(counter) else None, outside, data, (*fields, *self.unreadable))
 
 
 def _content(value: Any, *, first: bool = False) -> Iterator[bytes]:
@@ -110,6 +136,33 @@ def _value(message: Any, name: str) -> Any:
     for part in name.split("."):
         message = getattr(message, part)
     return message
+
+
+def _field(message: Any, name: str) -> FieldFact:
+    """The value of `a.b` or `a[0].b`."""
+    value = message
+    for step in name.split("."):
+        part, bracket, index = step.partition("[")
+        value = getattr(value, part)
+        if bracket:
+            place = int(index.rstrip("]"))
+            if place >= len(value):
+                return FieldFact(
+                    name, problem=f"{part} has {len(value)} elements in the newest message, none with index {place}"
+                )
+            value = value[place]
+    if isinstance(value, str):
+        return FieldFact(name, text=value[:MAX_FIELD_TEXT])
+    values: Sequence[Any] = value if hasattr(value, "__len__") else (value,)
+    values = values.tolist() if hasattr(values, "tolist") else values
+    numbers = [number for number in values if number == number]  # false for NaN
+    low, high = (min(numbers), max(numbers)) if numbers else (None, None)
+    return FieldFact(name, _finite(low), _finite(high), len(numbers) < len(values))
+
+
+def _finite(number: float | None) -> float | None:
+    """The pipe to the daemon has no infinity."""
+    return None if number is None else max(-sys.float_info.max, min(sys.float_info.max, float(number)))
 
 
 def _outside(value: Any, low: float | None, high: float | None) -> str:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from phm.facts.ros import DataFact, OutsideFact
+from phm.facts.ros import DataFact, FieldFact, OutsideFact
 from phm.probes.ros.protocol import WantedData
 
 KEPT = 10
@@ -28,7 +28,7 @@ class Examined:
     """One message. at_s: when it was taken, monotonic. age_s: reception minus stamp; None: there is no stamp. stamp_ns: likewise.
 
     sequence: number of the publication; None if the middleware has none. counter: value of the configured field.
-    outside: fields with a value outside of their range, with that value as text.
+    outside: fields with a value outside of their range, with that value as text. fields: those whose value is reported.
     """
 
     at_s: float
@@ -38,6 +38,7 @@ class Examined:
     content: bytes | None = None
     counter: float | None = None
     outside: Mapping[str, str] = field(default_factory=dict)
+    fields: tuple[FieldFact, ...] = ()
 
 
 class PublisherData:
@@ -99,6 +100,7 @@ class PublisherData:
             frozen_s=round(self._frozen_s, 3),
             lost_percent=None if lost_percent is None else round(lost_percent, 2),
             outside=self._newest_outside(),
+            fields=() if self.last is None else self.last.fields,
         )
 
     # ---- stamps
