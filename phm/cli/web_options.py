@@ -72,7 +72,7 @@ def listen_options(
     behind_proxy: bool,
     stream: bool = False,
 ) -> ListenOptions:
-    """stream: it is for `--serve`, where nobody can change anything and any address is allowed. Raises ClickException."""
+    """stream: it is for `--serve`, where no client can change anything and any address is allowed. Raises ClickException."""
     from phm.gcs.web.options import ListenOptions, OptionError, read_tokens, tls_context
 
     try:

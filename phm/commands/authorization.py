@@ -51,7 +51,7 @@ def authorize(
 ) -> Authorization:
     """allowed: `mavlink.commands`. signing: only signed commands are accepted, and only until `command_age_s` seconds after signing."""
     try:
-        request: Request | None = parse(command.command, command.params, command.name_hash)
+        request: Request | None = parse(command.command, command.params, command.name_hash, command.for_s)
         wrong = ""
     except UnknownCommand as error:
         if command.broadcast:

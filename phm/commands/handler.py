@@ -8,7 +8,17 @@ from phm.commands.requests import AddNote, HoldContainer, OperatorRequest, Ping,
 from phm.commands.services import CommandServices
 from phm.core.clock import Clock
 from phm.core.model import Fault
-from phm.wire.command import ApproveAction, CommandResult, RestartContainer, RunChecks, container_hash, fault_number
+from phm.wire.command import (
+    ApproveAction,
+    CommandResult,
+    HoldPlace,
+    PlaceRequest,
+    ReleasePlace,
+    RestartContainer,
+    RunChecks,
+    container_hash,
+    fault_number,
+)
 
 CHECK_EVERY_S = 2.0
 
@@ -40,14 +50,12 @@ class CommandHandler:
                 return self._run_checks()
             case ApproveAction(fault):
                 return self._approve(fault)
-            case RestartContainer(place, name_hash):
-                return self._restart(place, name_hash, by)
+            case RestartContainer() | HoldPlace() | ReleasePlace():
+                return self._at_place(request, by)
             case HoldContainer(container, for_s, reason):
-                text, data = self._services.holds.hold(container, for_s, reason, by)
-                return Reply(CommandResult.ACCEPTED, text, data)
+                return self._hold(container, for_s, reason, by)
             case ReleaseContainer(container):
-                text, data = self._services.holds.release(container, by)
-                return Reply(CommandResult.ACCEPTED, text, data)
+                return self._release(container, by)
             case AddNote(text):
                 self._services.note("NOTE", text)
                 return Reply(CommandResult.ACCEPTED, f"noted: {text}")
@@ -74,8 +82,17 @@ class CommandHandler:
             )
         return Reply(CommandResult.ACCEPTED, self._services.approve(found[0].id))
 
-    def _restart(self, place: int, name_hash: int, by: str) -> Reply:
-        count = len(self._containers)
+    def _hold(self, container: str, for_s: float | None, reason: str, by: str) -> Reply:
+        text, data = self._services.holds.hold(container, for_s, reason, by)
+        return Reply(CommandResult.ACCEPTED, text, data)
+
+    def _release(self, container: str, by: str) -> Reply:
+        text, data = self._services.holds.release(container, by)
+        return Reply(CommandResult.ACCEPTED, text, data)
+
+    def _at_place(self, request: PlaceRequest, by: str) -> Reply:
+        """What is requested of a container by its position. The hash of its name protects against a changed configuration."""
+        place, name_hash, count = request.place, request.name_hash, len(self._containers)
         if place > count:
             return Reply(CommandResult.FAILED, f"container {place} does not exist: {count} are configured")
         name = self._containers[place - 1]
@@ -84,7 +101,13 @@ class CommandHandler:
                 CommandResult.DENIED,
                 f"container {place} is {name}, not the chosen one: the configuration has changed, list the containers again",
             )
-        return Reply(CommandResult.ACCEPTED, self._services.restart(name, by))
+        match request:
+            case HoldPlace(for_s=for_s):
+                return self._hold(name, for_s, "", by)
+            case ReleasePlace():
+                return self._release(name, by)
+            case _:
+                return Reply(CommandResult.ACCEPTED, self._services.restart(name, by))
 
 
 def numbered(faults: Iterable[Fault], number: int) -> list[Fault]:

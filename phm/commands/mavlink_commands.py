@@ -36,9 +36,9 @@ from phm.wire.command import (
     ApproveAction,
     Command,
     CommandResult,
+    PlaceRequest,
     RepeatMessage,
     Request,
-    RestartContainer,
     SendContainers,
     SendDetails,
     SendMessage,
@@ -118,6 +118,7 @@ class MavlinkCommands:
             broadcast=message.target_component == 0,
             age_s=getattr(message, "_age_s", 0.0),
             name_hash=message.param3,
+            for_s=message.param4,
         )
         authorization = authorize(command, self._allowed, signing=self._port.signs, command_age_s=self._command_age_s)
         if isinstance(authorization, Ignore):
@@ -166,7 +167,7 @@ class MavlinkCommands:
             what = f"command {command.command} {command.params}"
         else:
             request = authorization.request
-            reply, acts = self._execute(request, command), isinstance(request, (ApproveAction, RestartContainer))
+            reply, acts = self._execute(request, command), isinstance(request, (ApproveAction, PlaceRequest))
             what = describe(request)
         self._dedup.record(command, frame, reply.result, now)
         self._acknowledge(command, reply.result)

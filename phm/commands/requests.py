@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from phm.wire.command import ApproveAction, CommandResult, RestartContainer, RunChecks
+from phm.wire.command import ApproveAction, CommandResult, PlaceRequest, RunChecks
 from phm.wire.text import one_line
 
 MAX_NOTE = 500
@@ -46,7 +46,7 @@ class Reload:
 
 
 SocketRequest = Ping | AddNote | HoldContainer | ReleaseContainer | Reload | ApproveAction
-OperatorRequest = SocketRequest | RunChecks | RestartContainer
+OperatorRequest = SocketRequest | RunChecks | PlaceRequest
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,13 @@ from phm.wire.command import (
     APPROVE,
     CHECK,
     CONTAINERS,
+    HOLD,
+    ONBOARD_COMPUTER_STATUS,
+    RELEASE,
     REPLY_TEXT,
     REQUEST_MESSAGE,
     RESTART,
+    SET_MESSAGE_INTERVAL,
     TUNNEL,
     USER_1,
     container_hash,
@@ -34,12 +38,14 @@ HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class OperatorCommand:
-    """A MAVLink command. text: for the operator. name_hash: param3, of the container's name; 0: none."""
+    """A MAVLink command. text: for the operator. name_hash: param3, of the container's name; 0: none. for_s: param4,
+    the seconds of a hold; 0: as configured on board."""
 
     text: str
     command: int
     params: tuple[float, float]
     name_hash: int = 0
+    for_s: float = 0.0
 
     @property
     def has_reply(self) -> bool:
@@ -60,6 +66,27 @@ def restart(place: int, name: str = "") -> OperatorCommand:
     """place: position of the container in the configuration, from 1. name: the agent refuses if another one is there; empty: any."""
     text = f"restart {name or f'container {place}'}"
     return OperatorCommand(text, USER_1, (RESTART, place), container_hash(name) if name else 0)
+
+
+def hold(place: int, name: str, for_s: float | None = None) -> OperatorCommand:
+    """for_s: seconds; None: as configured on board."""
+    text = f"hold {name}{f' for {for_s:g} s' if for_s else ''}"
+    return OperatorCommand(text, USER_1, (HOLD, place), container_hash(name), for_s or 0.0)
+
+
+def release(place: int, name: str) -> OperatorCommand:
+    return OperatorCommand(f"release {name}", USER_1, (RELEASE, place), container_hash(name))
+
+
+def details(fault: int) -> OperatorCommand:
+    return OperatorCommand(f"details of #{fault}" if fault else "details", REQUEST_MESSAGE, (TUNNEL, fault))
+
+
+def report_load(every_s: float) -> OperatorCommand:
+    """Have it send CPU, memory and temperature; 0: no longer."""
+    text = f"report load every {every_s:g} s" if every_s else "stop reporting load"
+    interval_us = every_s * 1e6 or -1.0
+    return OperatorCommand(text, SET_MESSAGE_INTERVAL, (ONBOARD_COMPUTER_STATUS, interval_us))
 
 
 def list_containers() -> OperatorCommand:
@@ -88,6 +115,8 @@ class Exchange:
         self.name, self.command, self._send = name, command, send
         self.result = ""
         """Name of the MAV_RESULT; `TIMEOUT` without an answer."""
+        self.late = False
+        """The answer came after it was given up."""
         self.reply = ""
         self._attempts, self._at = 1, now
         self._send(0)
@@ -105,7 +134,8 @@ class Exchange:
         body = event.body
         if body.get("name") != self.name:
             return
-        if event.event == "ack" and body["command"] == self.command.command and not self.result:
+        if event.event == "ack" and body["command"] == self.command.command and self.result in ("", "TIMEOUT"):
+            self.late = self.result == "TIMEOUT"
             self.result, self._at = body["result"], now
         elif event.event == "detail" and body["fault"] == REPLY_TEXT:
             self.reply = body["text"]

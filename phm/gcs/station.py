@@ -130,7 +130,7 @@ class GroundStation:
         """Send a command to one agent, on the link by which it is received; never waits. confirmation: counts repetitions from 0."""
         # The last parameter is unused by PHM, which takes equal frames within seconds for copies of one: programs that were started
         # one after another send equal ones.
-        rest = (float(command.name_hash), 0.0, 0.0, 0.0, self._nonce)
+        rest = (float(command.name_hash), command.for_s, 0.0, 0.0, self._nonce)
         self._hub.send(
             mavlink.MAVLink_command_long_message(
                 system, component, command.command, confirmation, *map(float, command.params), *rest

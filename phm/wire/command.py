@@ -12,6 +12,8 @@ The contract for ground stations (`docs/reference/mavlink.md`, Commands)::
         1    run all checks now
         2    approve the recommended action for the fault with number param2
         3    restart the container at position param2 in the configuration, from 1; param3 the hash of its name, 0 or NaN: not given
+        4    hold the container at position param2; param3 as above; param4 seconds, 0 or NaN: the configured length
+        5    release the container at position param2; param3 as above
 
 The answer to MAV_CMD_USER_1 is also sent as text, in a TUNNEL to the sender.
 A fault's number is the part of its id after the dash: 17 of ``ab12-17``.
@@ -29,7 +31,7 @@ from phm.wire.text import one_line
 COMMAND_INT, COMMAND_LONG, COMMAND_ACK = 75, 76, 77
 HEARTBEAT, STATUSTEXT, TUNNEL, ONBOARD_COMPUTER_STATUS = 0, 253, 385, 390
 SET_MESSAGE_INTERVAL, REQUEST_MESSAGE, USER_1 = 511, 512, 31010
-CHECK, APPROVE, RESTART = 1, 2, 3
+CHECK, APPROVE, RESTART, HOLD, RELEASE = 1, 2, 3, 4, 5
 CONTAINERS = -1
 """param2 of a request for TUNNEL."""
 CONTAINERS_TEXT, REPLY_TEXT = "containers", "reply"
@@ -60,6 +62,7 @@ class Permission(str, Enum):
     CHECK = "check"
     APPROVE = "approve"
     RESTART = "restart"
+    HOLD = "hold"
 
 
 READ_ONLY = frozenset((Permission.STATUS, Permission.DETAILS))
@@ -68,7 +71,7 @@ READ_ONLY = frozenset((Permission.STATUS, Permission.DETAILS))
 @dataclass(frozen=True, slots=True)
 class Command:
     """One command as received. broadcast: addressed to all components of the system. age_s: seconds since it was signed.
-    name_hash: param3 as received."""
+    name_hash, for_s: param3 and param4 as received."""
 
     command: int
     params: tuple[float, float]
@@ -80,6 +83,7 @@ class Command:
     broadcast: bool = False
     age_s: float = 0.0
     name_hash: float = 0.0
+    for_s: float = 0.0
 
     @property
     def sender(self) -> str:
@@ -134,7 +138,25 @@ class RestartContainer:
     name_hash: int = 0
 
 
-Request = SendMessage | SendDetails | SendContainers | RepeatMessage | RunChecks | ApproveAction | RestartContainer
+@dataclass(frozen=True, slots=True)
+class HoldPlace:
+    """Keep recovery from the container at this position. for_s: seconds, None for the configured length."""
+
+    place: int
+    name_hash: int = 0
+    for_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReleasePlace:
+    """End the hold of the container at this position."""
+
+    place: int
+    name_hash: int = 0
+
+
+PlaceRequest = RestartContainer | HoldPlace | ReleasePlace
+Request = SendMessage | SendDetails | SendContainers | RepeatMessage | RunChecks | ApproveAction | PlaceRequest
 
 
 class UnknownCommand(Exception):
@@ -145,8 +167,8 @@ class InvalidParameters(Exception):
     """The command is supported, its parameters are not allowed; the message says which."""
 
 
-def parse(command: int, params: tuple[float, float], name_hash: float = 0.0) -> Request:
-    """The request. params: param1 and param2. name_hash: param3. Raises UnknownCommand and InvalidParameters."""
+def parse(command: int, params: tuple[float, float], name_hash: float = 0.0, for_s: float = 0.0) -> Request:
+    """The request. params: param1 and param2. name_hash: param3. for_s: param4. Raises UnknownCommand and InvalidParameters."""
     if command not in (REQUEST_MESSAGE, SET_MESSAGE_INTERVAL, USER_1):
         raise UnknownCommand(f"command {command}")
     what = _whole(params[0], "param1")
@@ -154,7 +176,7 @@ def parse(command: int, params: tuple[float, float], name_hash: float = 0.0) -> 
         return _message(what, params[1])
     if command == SET_MESSAGE_INTERVAL:
         return _repeat(what, params[1])
-    return _operation(what, params[1], name_hash)
+    return _operation(what, params[1], name_hash, for_s)
 
 
 def required_permission(request: Request) -> Permission:
@@ -167,6 +189,8 @@ def required_permission(request: Request) -> Permission:
         RunChecks: Permission.CHECK,
         ApproveAction: Permission.APPROVE,
         RestartContainer: Permission.RESTART,
+        HoldPlace: Permission.HOLD,
+        ReleasePlace: Permission.HOLD,
     }
     return words[type(request)]
 
@@ -188,6 +212,10 @@ def describe(request: Request) -> str:
             return f"approve the action for fault {fault}"
         case RestartContainer(place, _):
             return f"restart container {place}"
+        case HoldPlace(place, _, for_s):
+            return f"hold container {place}{f' for {for_s:g} s' if for_s else ''}"
+        case ReleasePlace(place, _):
+            return f"release container {place}"
 
 
 def fault_number(fault_id: str) -> int | None:
@@ -222,10 +250,10 @@ def _repeat(what: int, interval_us: float) -> Request:
     return RepeatMessage(what, interval_us / 1e6)
 
 
-def _operation(what: int, second: float, third: float) -> Request:
+def _operation(what: int, second: float, third: float, fourth: float) -> Request:
     if what == CHECK:
         return RunChecks()
-    if what not in (APPROVE, RESTART):
+    if what not in (APPROVE, RESTART, HOLD, RELEASE):
         raise UnknownCommand(f"operation {what}")
     chosen = _whole(second, "param2")
     if chosen == 0:
@@ -233,7 +261,10 @@ def _operation(what: int, second: float, third: float) -> Request:
     if what == APPROVE:
         return ApproveAction(chosen)
     # Ground stations that do not know this parameter send 0 or NaN.
-    return RestartContainer(chosen, 0 if math.isnan(third) else _whole(third, "param3"))
+    named = 0 if math.isnan(third) else _whole(third, "param3")
+    if what == HOLD:
+        return HoldPlace(chosen, named, None if math.isnan(fourth) else _whole(fourth, "param4") or None)
+    return ReleasePlace(chosen, named) if what == RELEASE else RestartContainer(chosen, named)
 
 
 def _whole(value: float, name: str) -> int:

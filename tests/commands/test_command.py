@@ -15,8 +15,10 @@ from phm.wire.command import (
     ApproveAction,
     Command,
     CommandResult,
+    HoldPlace,
     InvalidParameters,
     Permission,
+    ReleasePlace,
     RepeatMessage,
     Request,
     RestartContainer,
@@ -53,6 +55,8 @@ KNOWN: list[tuple[int, float, float, Request, Permission]] = [
     (31010, 1, NAN, RunChecks(), Permission.CHECK),
     (31010, 2, 17, ApproveAction(17), Permission.APPROVE),
     (31010, 3, 1, RestartContainer(1), Permission.RESTART),
+    (31010, 4, 1, HoldPlace(1), Permission.HOLD),
+    (31010, 5, 2, ReleasePlace(2), Permission.HOLD),
 ]
 WRONG = [
     (512, NAN, 0),
@@ -87,7 +91,7 @@ UNKNOWN = [
     (511, 0, 1e6),
     (511, 148, 1e7),
     (31010, 0, 0),
-    (31010, 4, 1),
+    (31010, 6, 1),
     (31011, 1, 0),
     (246, 1, 0),
 ]
@@ -155,6 +159,19 @@ def test_any_numbers_are_accepted_or_rejected(command: int, first: float, second
         assert second == (wanted.fault if isinstance(wanted, ApproveAction) else wanted.place) >= 1
 
 
+@pytest.mark.parametrize(("fourth", "wanted"), [(0, None), (NAN, None), (600, 600)])
+def test_a_hold_has_a_length_or_the_configured_one(fourth: float, wanted: float | None) -> None:
+    """And the hash of the container's name, as a restart."""
+    assert parse(31010, (4, 2), 17.0, fourth) == HoldPlace(2, 17, wanted)
+
+
+@pytest.mark.parametrize("fourth", [-1, 0.5, INF, 2**25])
+def test_a_hold_of_another_length_is_refused(fourth: float) -> None:
+    """It is not rounded."""
+    with pytest.raises(InvalidParameters, match="param4"):
+        parse(31010, (4, 2), 0.0, fourth)
+
+
 @pytest.mark.parametrize(
     ("name", "expected"), [("ab12-17", 17), ("ab-1-3", 3), ("F1", None), ("ab-", None), ("ab-1x", None), ("-", None)]
 )
@@ -170,14 +187,14 @@ def asked(command: int, first: float, second: float, *, signed: bool = False, br
 def test_a_command_is_accepted_with_permission_and_required_signature() -> None:
     """Every known command x every set of permissions x signed or not x signing on or off x to all or to us."""
     done = 0
-    sets = [frozenset(chosen) for size in range(6) for chosen in itertools.combinations(sorted(WORDS), size)]
+    sets = [frozenset(chosen) for size in range(7) for chosen in itertools.combinations(sorted(WORDS), size)]
     for (command, first, second, wanted, needed), allowed, signed, signing, broadcast in itertools.product(
         KNOWN, sets, (False, True), (False, True), (False, True)
     ):
         authorization = authorize(
             asked(command, first, second, signed=signed, broadcast=broadcast), allowed, signing=signing
         )
-        acts = needed in (Permission.CHECK, Permission.APPROVE, Permission.RESTART)
+        acts = needed not in (Permission.STATUS, Permission.DETAILS)
         if broadcast and acts:
             assert isinstance(authorization, Ignore)
         elif (signing and not signed) or needed.value not in allowed:
@@ -186,7 +203,7 @@ def test_a_command_is_accepted_with_permission_and_required_signature() -> None:
         else:
             assert authorization == Accept(wanted)
             done += 1
-    assert done == 3 * 16 * (len(KNOWN) + sum(1 for row in KNOWN if row[4] in (Permission.STATUS, Permission.DETAILS)))
+    assert done == 3 * 32 * (len(KNOWN) + sum(1 for row in KNOWN if row[4] in (Permission.STATUS, Permission.DETAILS)))
 
 
 @pytest.mark.parametrize("given_", UNKNOWN)

@@ -112,7 +112,9 @@ class MavlinkSettings(Section):
     """WARN above so many damaged packets a second (RADIO_STATUS.rxerrors); 0: not checked."""
     loss: Percent = 20.0
     """WARN when more frames from the other end of a serial port are lost, by gaps in its sequence numbers."""
-    commands: list[Literal["status", "details", "check", "approve", "restart"]] = Field(default=["status", "details"])
+    commands: list[Literal["status", "details", "check", "approve", "restart", "hold"]] = Field(
+        default=["status", "details"]
+    )
     """What the ground may request by MAVLink commands; the first two only read. See docs/reference/mavlink.md."""
     signing: SigningSettings = SigningSettings()
     """Signed messages."""

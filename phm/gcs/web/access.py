@@ -56,13 +56,13 @@ def public(handler: Handler) -> Handler:
 
 
 def view(handler: Handler) -> Handler:
-    """Whoever may look."""
+    """The roles view and operate."""
     handler.phm_role = VIEW  # type: ignore[attr-defined]
     return handler
 
 
 def operate(handler: Handler) -> Handler:
-    """Whoever may change something."""
+    """The role operate."""
     handler.phm_role = OPERATE  # type: ignore[attr-defined]
     return handler
 
@@ -190,7 +190,7 @@ class Gate:
     def _check_role(self, request: web.Request, needed: str, *, changes: bool) -> None:
         role, csrf = self.session(request)
         if not role and needed == VIEW and not changes and self.sessions.tokens is None:
-            return  # whoever can ask could open a session first: programs of this machine need not
+            return  # any sender could open a session first: programs of this machine need not
         if not role:
             raise Problem(401, "log in first")
         if needed == OPERATE and role != OPERATE:

@@ -1,4 +1,4 @@
-"""CRITICAL lines that nobody has acknowledged, and agents that are silenced for a time. Thread-safe; the caller brings time."""
+"""CRITICAL lines that are not acknowledged, and agents that are silenced for a time. Thread-safe; the caller brings time."""
 
 from __future__ import annotations
 

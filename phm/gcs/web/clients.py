@@ -74,7 +74,7 @@ class StreamClient:
 
 
 class Clients:
-    """All clients of one server. on_change: is told how many there are, and how many were dropped."""
+    """All clients of one server. on_change: takes how many there are, and how many were dropped."""
 
     def __init__(self, clock: Clock, on_change: Callable[[int, int], None] | None = None) -> None:
         self._clock, self._on_change = clock, on_change or (lambda count, dropped: None)

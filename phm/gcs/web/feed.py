@@ -1,6 +1,6 @@
 """Keeps the view of the page up to date with what a ground station receives. One thread.
 
-An agent's row is made anew when a frame of its vehicle has arrived, and all rows once a second, because time passes.
+An agent's row is built again when a frame of its vehicle has arrived, and all rows once a second, because time passes.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from phm.gcs.station import GroundStation
 from phm.gcs.web.alarms import AlarmBook
 from phm.gcs.web.feed import StationFeed
 from phm.gcs.web.options import ListenOptions
+from phm.gcs.web.requests import RequestDesk
 from phm.gcs.web.server import WebServer
 from phm.gcs.web.site import Site
 from phm.gcs.web.stream import LineTap
@@ -22,9 +23,18 @@ class GroundPage:
         self, station: GroundStation, options: ListenOptions, clock: Clock, extra: Mapping[str, object] | None = None
     ) -> None:
         self._view, alarms = View(clock), AlarmBook()
-        site = Site(self._view, clock, alarms=alarms, stream=station, on_clients=self._count, extra=extra or {})
+        desk = RequestDesk(station, self._view, clock)
+        site = Site(
+            self._view,
+            clock,
+            requests=desk,
+            alarms=alarms,
+            stream=station,
+            on_clients=self._count,
+            extra=extra or {},
+        )
         self.server = WebServer(site, options)
-        self._feed = StationFeed(station, self._view, clock, alarms)
+        self._feed = StationFeed(station, self._view, clock, alarms, [desk])
         station.subscribe(LineTap(clock, self.server, "/stream"))
 
     @property
