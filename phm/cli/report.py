@@ -1,0 +1,117 @@
+"""`phm report`: what failed, when and why, from logs after the flight. Implemented in `phm.review`."""
+
+from __future__ import annotations
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from phm.cli.options import json_option
+
+if TYPE_CHECKING:
+    from phm.review.part import Part
+
+EXTRA = ("msgspec", "jinja2")
+
+
+@click.command(epilog="Example: phm report logs/ ground.jsonl --html flight.html")
+@click.argument("paths", metavar="PATH...", nargs=-1, required=True)
+@click.option("--flight", metavar="N", type=click.IntRange(min=1), help="Only this flight, as the report counts them.")
+@click.option("--html", metavar="FILE", type=click.Path(dir_okay=False), help="Write one page that needs no network.")
+@json_option
+@click.option("--csv", "as_csv", is_flag=True, help="Print the faults as CSV.")
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    paths: tuple[str, ...],
+    flight: int | None,
+    html: str | None,
+    as_json: bool,
+    as_csv: bool,
+    as_markdown: bool,
+) -> None:
+    """Report what failed, when and why, from logs after the flight.
+
+    PATH is a log of an agent, a record of `phm gcs --record`, or a folder with any number of them; rotated and compressed files are
+    included. Exit code 0; 1: there is no record, or not that flight.
+    """
+    if as_json + as_csv + as_markdown > 1:
+        raise click.UsageError("choose one of --json, --csv and --markdown")
+    _need(EXTRA)
+    from phm.review import document, record
+
+    try:
+        made = document.build(record.build(_read(paths)), flight)
+    except document.NoFlight as error:
+        raise click.ClickException(str(error)) from None
+    if html is not None:
+        _write_page(made, html)
+    if as_json:
+        click.echo(json.dumps(made, separators=(",", ":")))
+    elif as_csv or as_markdown:
+        from phm.review import tables
+
+        click.echo(tables.faults_csv(made) if as_csv else tables.markdown(made), nl=False)
+    else:
+        _show(made)
+        if html is not None:
+            click.echo(f"page: {html}")
+
+
+def _need(modules: tuple[str, ...]) -> None:
+    missing = [module for module in modules if find_spec(module) is None]
+    if missing:
+        raise click.ClickException(
+            f"{', '.join(missing)} not installed: install PHM with its extra, phm-sidecar[report]"
+        )
+
+
+def _read(paths: tuple[str, ...]) -> Part:
+    """Read all files, with a progress bar on a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from phm.review import gather
+
+    try:
+        found = gather.find(paths)
+    except gather.NoRecord as error:
+        raise click.ClickException(str(error)) from None
+    console = Console(stderr=True)
+    columns = (TextColumn("reading"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("reading", total=found.bytes)
+        return gather.read(found, lambda count: bar.advance(task, count))
+
+
+def _write_page(made: dict[str, Any], path: str) -> None:
+    from phm.review import page
+
+    try:
+        Path(path).write_text(page.render(made), "utf-8")
+    except OSError as error:
+        raise click.ClickException(f"cannot write {path}: {error.strerror}") from None
+
+
+def _show(made: dict[str, Any]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    from phm.cli import render
+    from phm.review import tables
+
+    target = render.console()
+    for sentence in made["sentences"]:
+        target.print(Text(sentence))
+    if made["clocks"]["missing"]:
+        target.print(Text(f"Times: {made['clocks']['missing']}."))
+    for title, head, rows in tables.tables(made):
+        table = Table(*head, title=title, title_justify="left", box=None, pad_edge=False)
+        for row in rows:
+            table.add_row(*(Text(cell) for cell in row))
+        target.print()
+        target.print(table)

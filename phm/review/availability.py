@@ -1,0 +1,83 @@
+"""How much of the time each unit, layer, container, node and topic was not in ERROR, and how long nothing was known about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from phm.review.levels import RANK, Segment, of_agent, seconds
+from phm.review.record import Agent
+
+Json = dict[str, Any]
+KINDS = {
+    "container": "container",
+    "health": "container",
+    "nodes": "node",
+    "node_ready": "node",
+    "topics": "topic",
+    "rates": "topic",
+    "data": "topic",
+}
+"""What the subject of a check's unit is."""
+MOST_ROWS = 400
+
+
+def rows(agent: Agent, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
+    """One row for each layer, container, node and topic of the agent, and one for the agent (`kind` agent)."""
+    about = {unit: body for run, _ in agent.runs for unit, body in run.units.items()}
+    groups: dict[tuple[str, str], list[Sequence[Segment]]] = {("agent", agent.name): list(units.values())}
+    for unit, segments in units.items():
+        body = about.get(unit, {})
+        check, _, subject = unit.partition("/")
+        if body.get("layer"):
+            groups.setdefault(("layer", body["layer"]), []).append(segments)
+        kind = KINDS.get(check)
+        if kind and subject:
+            groups.setdefault((kind, subject), []).append(segments)
+    found = [_row(agent, kind, name, of_agent(each, agent.cover), begin, end) for (kind, name), each in groups.items()]
+    order = ("agent", "layer", "container", "node", "topic")
+    return sorted((row for row in found if row is not None), key=lambda row: (order.index(row["kind"]), row["name"]))[
+        :MOST_ROWS
+    ]
+
+
+def _row(agent: Agent, kind: str, name: str, segments: Sequence[Segment], begin: float, end: float) -> Json | None:
+    spent = seconds(segments, begin, end)
+    if not spent:
+        return None
+    known = sum(spent.get(level, 0.0) for level in RANK if level != "STALE")
+    errors = spent.get("ERROR", 0.0)
+    return {
+        "agent": agent.name,
+        "kind": kind,
+        "name": name,
+        "ok_s": round(spent.get("OK", 0.0), 3),
+        "warn_s": round(spent.get("WARN", 0.0), 3),
+        "error_s": round(errors, 3),
+        "unknown_s": round(spent.get("STALE", 0.0), 3),
+        "availability": None if known <= 0 else round(1 - errors / known, 6),
+    }
+
+
+def unknown(agent: Agent, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
+    """Units that were STALE, the longest first: blocked by a known fault, or not known at all."""
+    blocked: dict[str, list[tuple[float, str]]] = {}
+    for t, change in agent.changes:
+        blocked.setdefault(change.unit, []).append((t, change.blocked_by))
+    found: list[Json] = []
+    for unit, segments in units.items():
+        spent = {True: 0.0, False: 0.0}
+        changes = blocked.get(unit, [])
+        for first, last, level in segments:
+            if level == "STALE":
+                cause = next((by for t, by in reversed(changes) if t <= first + 1e-6), "")
+                spent[bool(cause)] += max(0.0, min(last, end) - max(first, begin))
+        if spent[True] + spent[False] > 0.05:
+            row = {
+                "agent": agent.name,
+                "unit": unit,
+                "blocked_s": round(spent[True], 3),
+                "unknown_s": round(spent[False], 3),
+            }
+            found.append(row)
+    return sorted(found, key=lambda row: (-row["unknown_s"], -row["blocked_s"]))[:100]

@@ -1,0 +1,160 @@
+"""One time axis for all records: that of the ground, or of each agent where no ground says more.
+
+A run of PHM has one monotonic clock, which never jumps, so all its lines have right distances. What may be wrong is where the run
+lies in UTC. Two things are observed by an agent and by the ground at nearly the same time: the autopilot's heartbeat that says
+armed or disarmed for the first time, and a line about a change, which the ground receives within a second. Each pair of
+such observations is a vote for an offset; the offset is where most votes agree.
+"""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from phm.review.ground_part import GroundRun
+from phm.review.part import STEP_S, Run
+
+WINDOW_S = 2.5
+"""Votes for one offset differ at most by this: an autopilot's heartbeat comes once a second, a line may wait for the radio."""
+OWN_ERROR_S = 1.0
+"""Is added to half of the spread of the votes, because all of them may be late."""
+MOST_EACH = 60
+"""Observations of one kind that are compared."""
+WORDS = {"FAIL": "ERROR", "WARN": "WARN"}
+Observed = dict[tuple[object, ...], list[float]]
+
+
+@dataclass
+class Clock:
+    """How the monotonic clock of a run becomes UTC: `t = mono + shift`.
+
+    offset_s: what was added to the run's own UTC to get the reference's; None: unknown. error_s: how wrong that may be. by: what
+    it is derived from. applied: the offset is larger than its error, so it is part of `shift`. steps: jumps of the run's UTC.
+    """
+
+    shift: float
+    offset_s: float | None = None
+    error_s: float | None = None
+    votes: int = 0
+    by: str = ""
+    applied: bool = False
+    steps: tuple[tuple[float, float], ...] = ()
+
+    def t(self, mono: float) -> float:
+        return mono + self.shift
+
+
+def own_clock(clock: Sequence[tuple[float, float]], end: float) -> Clock:
+    """By the run's own UTC: of the differences of its two clocks the one that held longest. clock: as in `Run.clock`."""
+    if not clock:
+        return Clock(0.0)
+    held: list[tuple[float, float, float]] = []
+    for place, (mono, difference) in enumerate(clock):
+        until = clock[place + 1][0] if place + 1 < len(clock) else max(end, mono)
+        held.append((until - mono, mono, difference))
+    shift = max(held)[2]
+    pairs = itertools.pairwise(clock)
+    steps = [(after[0], after[1] - before[1]) for before, after in pairs if abs(after[1] - before[1]) > STEP_S]
+    return Clock(shift, steps=tuple(steps))
+
+
+def ground_clock(grounds: Iterable[GroundRun]) -> dict[str, Clock]:
+    return {ground.run: own_clock(ground.clock, _end(ground.cover.spans)) for ground in grounds}
+
+
+def align(run: Run, grounds: Sequence[tuple[GroundRun, Clock]]) -> Clock:
+    """The clock of a run, by the ground where that is possible."""
+    clock = own_clock(run.clock, _end(run.cover.spans))
+    mine = _of_agent(run, clock)
+    heard: Observed = {}
+    for ground, its in grounds:
+        for key, times in _of_ground(ground, its, run.agent_id).items():
+            heard.setdefault(key, []).extend(times)
+    differences = [
+        theirs - own
+        for key in mine.keys() & heard.keys()
+        for theirs in heard[key][:MOST_EACH]
+        for own in mine[key][:MOST_EACH]
+    ]
+    agreed = vote(differences)
+    if agreed is None:
+        if grounds:
+            clock.by = "the ground received nothing that the log has, too: no line about a change and no arming"
+        return clock
+    clock.offset_s, clock.error_s, clock.votes = agreed
+    clock.by = "lines and armings that the ground received, too"
+    clock.applied = abs(agreed[0]) > agreed[1]
+    if clock.applied:
+        clock.shift += agreed[0]
+    return clock
+
+
+def vote(differences: Sequence[float]) -> tuple[float, float, int] | None:
+    """(offset, error, number of votes); None when there is none, or two offsets have as many votes."""
+    ordered = sorted(differences)
+    if not ordered:
+        return None
+    ranges = [(bisect_right(ordered, first + WINDOW_S), place) for place, first in enumerate(ordered)]
+    end, begin = max(ranges, key=lambda one: one[0] - one[1])
+    chosen = ordered[begin:end]
+    for other_end, other in ranges:
+        apart = ordered[other] > chosen[-1] + WINDOW_S or ordered[other_end - 1] < chosen[0] - WINDOW_S
+        if apart and other_end - other == len(chosen):
+            return None
+    return statistics.median(chosen), (chosen[-1] - chosen[0]) / 2 + OWN_ERROR_S, len(chosen)
+
+
+def continue_by_autopilot(before: tuple[Run, Clock], run: Run, clock: Clock) -> None:
+    """Place a later run of the same agent by the autopilot, which went on while PHM restarted.
+
+    Only where the two clocks disagree by more than their error although the autopilot has not rebooted: its time since boot has
+    grown.
+    """
+    earlier, its = before
+    if clock.offset_s is not None or not earlier.boots or not run.boots:
+        return
+    last, first = earlier.boots[max(earlier.boots)], run.boots[min(run.boots)]
+    went_on = (_begin(run.cover.spans) - first[1]) >= (_end(earlier.cover.spans) - last[1])
+    offset, error = its.t(last[1]) - clock.t(first[1]), (last[2] - last[1] + first[2] - first[1]) / 2 + OWN_ERROR_S
+    if not went_on or abs(offset) <= error:
+        return
+    clock.offset_s, clock.error_s, clock.votes = offset, error, int(min(last[0], first[0]))
+    clock.by, clock.applied = "the autopilot's time since boot, as in the run before", True
+    clock.shift += offset
+
+
+def _of_agent(run: Run, clock: Clock) -> Observed:
+    found: Observed = {}
+    for change in run.changes:
+        if change.brief and change.level in ("ERROR", "WARN") and not change.text_only:
+            slot = run.units.get(change.unit, {}).get("slot")
+            found.setdefault((slot, change.level, change.brief), []).append(clock.t(change.mono))
+    for mark in run.marks:
+        if mark.what == "flight" and not mark.body.get("continued"):
+            found.setdefault(("armed", bool(mark.body["began"])), []).append(clock.t(mark.mono))
+    return found
+
+
+def _of_ground(ground: GroundRun, clock: Clock, agent: int) -> Observed:
+    found: Observed = {}
+    for mono, which, slot, word, brief in ground.texts:
+        if which == agent and word in WORDS:
+            found.setdefault((slot, WORDS[word], brief), []).append(clock.t(mono))
+    was: bool | None = None
+    for mono, system, armed in ground.armed:
+        if system == agent:
+            if was is not None and armed is not was:
+                found.setdefault(("armed", armed), []).append(clock.t(mono))
+            was = armed
+    return found
+
+
+def _begin(spans: Sequence[Sequence[float]]) -> float:
+    return min((span[0] for span in spans), default=0.0)
+
+
+def _end(spans: Sequence[Sequence[float]]) -> float:
+    return max((span[1] for span in spans), default=0.0)

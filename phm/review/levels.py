@@ -1,0 +1,132 @@
+"""Levels over time: of each unit, and the worst of an agent. A segment is (begin, end, level); where PHM did not run is none."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from phm.review.record import Agent, Record
+from phm.review.spans import Span, clipped
+
+Segment = tuple[float, float, str]
+RANK = ("ERROR", "WARN", "STALE", "OK")
+"""The first of these that a unit has is the agent's level. `n/a` does not count."""
+
+
+def of_units(agent: Agent) -> dict[str, list[Segment]]:
+    """Each unit's levels, from the first line about it in a run to the end of the run."""
+    found: dict[str, list[Segment]] = {}
+    for run, clock in agent.runs:
+        cover = [[clock.t(begin), clock.t(end)] for begin, end in run.cover.spans]
+        points: dict[str, list[tuple[float, str]]] = {
+            unit: [(clock.t(body["at"]), body["level"])] for unit, body in run.units.items()
+        }
+        for change in run.changes:
+            if not change.text_only and change.unit in points:
+                points[change.unit].append((clock.t(change.mono), change.level))
+        end = cover[-1][1] if cover else 0.0
+        for unit, known in points.items():
+            segments = found.setdefault(unit, [])
+            for place, (t, level) in enumerate(known):
+                until = known[place + 1][0] if place + 1 < len(known) else end
+                segments += (
+                    [(begin, stop, level) for begin, stop in clipped([[t, until]], *_outer(cover))] if until > t else []
+                )
+    return {unit: _cut(segments, agent.cover) for unit, segments in found.items()}
+
+
+def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span]) -> list[Segment]:
+    """The worst level of all units at each moment."""
+    edges: list[tuple[float, int, str]] = []
+    for segments in units:
+        for begin, end, level in segments:
+            if level in RANK:
+                edges += [(begin, 1, level), (end, -1, level)]
+    edges.sort(key=lambda edge: edge[0])
+    counts: Counter[str] = Counter()
+    result: list[Segment] = []
+    since, level = 0.0, ""
+    for t, step, name in edges:
+        counts[name] += step
+        worst = next((each for each in RANK if counts[each] > 0), "")
+        if worst == level:
+            continue
+        if level and t > since:
+            result.append((since, t, level))
+        since, level = t, worst
+    return _cut(_joined(result), cover)
+
+
+def of_ground(record: Record, agent: int) -> list[Segment]:
+    """An agent's worst level as the ground received it, for agents without a log."""
+    result: list[Segment] = []
+    for ground, clock in record.grounds:
+        known = [(clock.t(mono), level) for mono, which, level in ground.levels if which == agent]
+        known += [
+            (clock.t(mono), "")
+            for mono, which, presence, _ in ground.presence
+            if which == agent and presence != "alive"
+        ]
+        known.sort()
+        end = clock.t(ground.cover.spans[-1][1]) if ground.cover.spans else 0.0
+        for place, (t, level) in enumerate(known):
+            until = known[place + 1][0] if place + 1 < len(known) else end
+            if level and until > t:
+                result.append((t, until, level))
+    return _joined(sorted(result))
+
+
+def gaps(record: Record, agent: int) -> list[Span]:
+    """When the ground did not receive the agent: from its last heartbeat to the next one."""
+    found: list[Span] = []
+    for ground, clock in record.grounds:
+        since: float | None = None
+        for mono, which, presence, silent_s in ground.presence:
+            if which != agent:
+                continue
+            if presence == "lost":
+                since = clock.t(mono) - silent_s
+            elif since is not None:
+                found.append([since, clock.t(mono)])
+                since = None
+        if since is not None and ground.cover.spans:
+            found.append([since, clock.t(ground.cover.spans[-1][1])])
+    return sorted(found)
+
+
+def seconds(segments: Iterable[Segment], begin: float, end: float) -> dict[str, float]:
+    """Seconds in each level between begin and end."""
+    found: dict[str, float] = {}
+    for first, last, level in segments:
+        length = min(last, end) - max(first, begin)
+        if length > 0:
+            found[level] = found.get(level, 0.0) + length
+    return found
+
+
+def _outer(cover: Sequence[Span]) -> tuple[float, float]:
+    return (cover[0][0], cover[-1][1]) if cover else (0.0, 0.0)
+
+
+def _cut(segments: Iterable[Segment], cover: Sequence[Span]) -> list[Segment]:
+    """Without the times in which PHM did not run. Both ascend, so that each span is looked at once."""
+    result: list[Segment] = []
+    place = 0
+    for begin, end, level in sorted(segments):
+        while place < len(cover) and cover[place][1] <= begin:
+            place += 1
+        for span in cover[place:]:
+            if span[0] >= end:
+                break
+            result.append((max(begin, span[0]), min(end, span[1]), level))
+    return result
+
+
+def _joined(segments: Sequence[Segment]) -> list[Segment]:
+    result: list[Segment] = []
+    for begin, end, level in segments:
+        if result and result[-1][2] == level and begin <= result[-1][1] + 1e-6:
+            result[-1] = (result[-1][0], end, level)
+        else:
+            result.append((begin, end, level))
+    return result

@@ -1,0 +1,349 @@
+"""What a report keeps of the events of one piece of a record, in bounded memory. Parts of several processes are merged."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from phm.review.events import Event, numbers
+from phm.review.ground_part import GroundRun
+from phm.review.lines import Problems
+from phm.review.series import Series
+from phm.review.spans import Cover
+
+MOST_RUNS = 2000
+MOST_UNITS = 1000
+MOST_EVENTS = 200_000
+"""Of one run and kind; more are counted and left out."""
+MOST_SERIES = 64
+STEP_S = 0.2
+"""A change of the difference between the two clocks of this size is a step."""
+COVER_S = 30.0
+PLOTTED = (
+    "cpu_percent",
+    "memory_percent",
+    "temperature_c",
+    "disk_percent",
+    "rssi",
+    "remrssi",
+    "noise",
+    "remnoise",
+    "txbuf_percent",
+    "tx_bytes_s",
+    "rx_bytes_s",
+    "hz",
+)
+"""Beginnings of the names of values that are plotted."""
+MEASURED = frozenset(("host", "radio", "link", "rates", "autopilot"))
+"""Checks with such values."""
+
+
+@dataclass
+class Change:
+    """A transition of a unit."""
+
+    seq: int
+    mono: float
+    unit: str
+    level: str
+    old: str
+    summary: str
+    brief: str
+    condition: str
+    blocked_by: str
+    fault: str
+    text_only: bool
+    values: dict[str, Any]
+    """Of an ERROR alone."""
+
+
+@dataclass
+class Mark:
+    """A line that is not about a unit: note, hold, flight, action, lost. body: its further keys."""
+
+    seq: int
+    mono: float
+    what: str
+    text: str
+    body: dict[str, Any]
+
+
+@dataclass
+class Run:
+    """One run of PHM on one agent: its lines share a `boot_id` and a monotonic clock."""
+
+    agent: str
+    agent_id: int
+    boot_id: str
+    version: str = ""
+    interval_s: float = 0.0
+    started: float | None = None
+    lines: int = 0
+    left_out: int = 0
+    cover: Cover = field(default_factory=lambda: Cover(COVER_S))
+    numbers: Cover = field(default_factory=lambda: Cover(1.0))
+    clock: list[tuple[float, float]] = field(default_factory=list)
+    """(mono, utc - mono), at the first line and after each step."""
+    changes: list[Change] = field(default_factory=list)
+    marks: list[Mark] = field(default_factory=list)
+    faults: dict[str, dict[str, Any]] = field(default_factory=dict)
+    units: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """check, slot, layer, target, and the first level with its time."""
+    reports: array[float] = field(default_factory=lambda: array("d"))
+    report_s: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    """Sum and largest of the time that a report took."""
+    check_ms: dict[str, list[float]] = field(default_factory=dict)
+    """Of each check: number of lines, sum and largest of `duration_ms`."""
+    boots: dict[int, list[float]] = field(default_factory=dict)
+    """By number of reboots: how often, least and largest of mono minus the autopilot's time since boot."""
+    armed: list[tuple[float, bool]] = field(default_factory=list)
+    """(mono, whether the autopilot was armed), when a line of its check says something new: for logs without flights."""
+    series: dict[str, Series] = field(default_factory=dict)
+
+    def merge(self, other: Run) -> None:
+        self.version, self.interval_s = self.version or other.version, self.interval_s or other.interval_s
+        self.started = self.started if other.started is None else other.started
+        self.lines, self.left_out = self.lines + other.lines, self.left_out + other.left_out
+        self.cover.merge(other.cover)
+        self.numbers.merge(other.numbers)
+        self.clock = sorted({*self.clock, *other.clock})
+        self.changes += other.changes
+        self.marks += other.marks
+        for fault, known in other.faults.items():
+            mine = self.faults.setdefault(fault, known)
+            if mine is not known:
+                self.faults[fault] = {**known, **mine} if mine["closed_at"] is not None else {**mine, **known}
+                opened = [each["opened_at"] for each in (mine, known) if each["opened_at"] is not None]
+                self.faults[fault]["opened_at"] = min(opened) if opened else None
+        for unit, body in other.units.items():
+            mine = self.units.setdefault(unit, body)
+            if body["at"] < mine["at"]:
+                self.units[unit] = body
+        self.reports.extend(other.reports)
+        self.armed = sorted({*self.armed, *other.armed})
+        self.report_s = [self.report_s[0] + other.report_s[0], max(self.report_s[1], other.report_s[1])]
+        for check, (count, whole, most) in other.check_ms.items():
+            had = self.check_ms.setdefault(check, [0.0, 0.0, 0.0])
+            self.check_ms[check] = [had[0] + count, had[1] + whole, max(had[2], most)]
+        for number, seen in other.boots.items():
+            had = self.boots.setdefault(number, seen)
+            self.boots[number] = [had[0] + seen[0], min(had[1], seen[1]), max(had[2], seen[2])]
+        for name, series in other.series.items():
+            if name in self.series:
+                self.series[name].merge(series)
+            elif len(self.series) < MOST_SERIES:
+                self.series[name] = series
+
+
+class Part:
+    """Takes events in the order of the file."""
+
+    def __init__(self) -> None:
+        self.runs: dict[tuple[str, str], Run] = {}
+        self.grounds: dict[str, GroundRun] = {}
+        self.problems = Problems()
+        self.lines = 0
+        self.bytes = 0
+        self._texts: dict[str, str] = {}
+
+    def take(self, event: Event, path: str) -> None:
+        self.lines += 1
+        if event.boot_id:
+            self._line(event, path)
+        elif event.run:
+            if event.run not in self.grounds and len(self.grounds) >= MOST_RUNS:
+                self.problems.add("more runs of the ground than a report takes", path)
+                return
+            self.grounds.setdefault(event.run, GroundRun(event.run)).take(event)
+        else:
+            self.problems.add("neither boot_id nor run: not a record of PHM", path)
+
+    def merge(self, other: Part) -> None:
+        for key, run in other.runs.items():
+            if key in self.runs:
+                self.runs[key].merge(run)
+            elif len(self.runs) < MOST_RUNS:
+                self.runs[key] = run
+        for name, ground in other.grounds.items():
+            if name in self.grounds:
+                self.grounds[name].merge(ground)
+            elif len(self.grounds) < MOST_RUNS:
+                self.grounds[name] = ground
+        self.problems.merge(other.problems)
+        self.lines, self.bytes = self.lines + other.lines, self.bytes + other.bytes
+
+    def _line(self, event: Event, path: str) -> None:
+        key = (str(event.agent), event.boot_id)
+        run = self.runs.get(key)
+        if run is None:
+            if len(self.runs) >= MOST_RUNS:
+                self.problems.add("more runs of PHM than a report takes", path)
+                return
+            run = self.runs[key] = Run(str(event.agent)[:80], event.agent_id, event.boot_id[:40])
+        run.lines += 1
+        run.cover.add(event.mono)
+        run.numbers.add(float(event.seq))
+        difference = event.utc_s - event.mono
+        if (not run.clock or abs(difference - run.clock[-1][1]) > STEP_S) and len(run.clock) < 1000:
+            run.clock.append((event.mono, difference))
+        handler = _HANDLERS.get(event.event)
+        if handler is not None:
+            handler(self, run, event)
+
+    def _same(self, text: str) -> str:
+        """One object for equal texts: a summary comes many times."""
+        if len(self._texts) > 50_000:
+            self._texts.clear()
+        return self._texts.setdefault(text, text)
+
+    def _unit(self, run: Run, event: Event) -> None:
+        """A unit in a report or at a change: where it belongs, and its measurements."""
+        if event.unit not in run.units:
+            if len(run.units) >= MOST_UNITS:
+                run.left_out += 1
+                return
+            run.units[event.unit] = {
+                "check": event.check or event.unit.partition("/")[0],
+                "slot": event.slot,
+                "layer": event.layer,
+                "target": event.target or "",
+                "level": event.old if event.event == "transition" else event.level,
+                "at": event.mono,
+                "summary": self._same(event.summary[:500]),
+            }
+        if event.check in MEASURED:
+            _measure(run, event)
+        if event.duration_ms is not None and (event.check in run.check_ms or len(run.check_ms) < MOST_SERIES):
+            spent = run.check_ms.setdefault(event.check, [0.0, 0.0, 0.0])
+            spent[0], spent[1], spent[2] = spent[0] + 1, spent[1] + event.duration_ms, max(spent[2], event.duration_ms)
+
+    def _change(self, run: Run, event: Event) -> None:
+        self._unit(run, event)
+        if len(run.changes) >= MOST_EVENTS:
+            run.left_out += 1
+            return
+        same = self._same
+        run.changes.append(
+            Change(
+                event.seq,
+                event.mono,
+                same(event.unit),
+                same(event.level),
+                same(event.old),
+                same(event.summary[:1000]),
+                same(event.brief),
+                same(event.condition),
+                same(event.blocked_by),
+                str(event.fault or ""),
+                event.changed_text,
+                dict(list(numbers(event.values).items())[:20]) if event.level == "ERROR" else {},
+            )
+        )
+
+    def _fault(self, run: Run, event: Event) -> None:
+        name = str(event.fault or "")
+        if not name or (name not in run.faults and len(run.faults) >= MOST_EVENTS):
+            run.left_out += 1
+            return
+        closed = event.event == "fault_closed"
+        known = run.faults.setdefault(name, {"opened_at": None, "closed_at": None})
+        known.update(
+            unit=event.unit,
+            slot=event.slot,
+            layer=event.layer,
+            condition=event.condition,
+            summary=event.summary,
+            brief=event.brief,
+            target=event.target or "",
+            outcome=event.outcome or "open",
+            by=str(event.by or ""),
+            blocks=event.blocks[:50],
+            consequences=event.consequences[:50],
+            suspects=event.suspects[:50],
+            duration_s=event.duration_s,
+        )
+        if closed:
+            known["closed_at"] = event.mono
+            if known["opened_at"] is None and event.duration_s is not None:
+                known["opened_at"] = event.mono - max(0.0, event.duration_s)
+        else:
+            known["opened_at"] = event.mono
+
+    def _report(self, run: Run, event: Event) -> None:
+        if len(run.reports) < MOST_EVENTS:
+            run.reports.append(event.mono)
+        run.report_s = [run.report_s[0] + event.took_s, max(run.report_s[1], event.took_s)]
+
+    def _start(self, run: Run, event: Event) -> None:
+        run.version, run.interval_s, run.started = event.version[:40], event.interval_s, event.mono
+
+    def _mark(self, run: Run, event: Event) -> None:
+        if len(run.marks) >= MOST_EVENTS:
+            run.left_out += 1
+            return
+        body: dict[str, Any] = {}
+        text = event.text
+        if event.event == "action":
+            body = {
+                "fault": str(event.fault or ""),
+                "unit": event.unit,
+                "action": event.action,
+                "phase": event.phase,
+                "target": event.target or "",
+                "attempt": event.attempt,
+            }
+            text = event.detail
+        elif event.event == "flight":
+            body = {"number": event.number, "began": event.began, "duration_s": event.duration_s}
+        elif event.event == "lost":
+            body, text = {"lines": event.lines}, event.reason
+        elif event.event == "hold":
+            body = {"target": event.target, "began": event.began}
+        run.marks.append(
+            Mark(event.seq, event.mono, event.event, self._same(text[:1000]), {"kind": event.kind, **body})
+        )
+
+
+def _measure(run: Run, event: Event) -> None:
+    for name, value in numbers(event.values).items():
+        if isinstance(value, bool):
+            if name == "armed" and (not run.armed or run.armed[-1][1] is not value) and len(run.armed) < MOST_UNITS:
+                run.armed.append((event.mono, value))
+            continue
+        if not isinstance(value, (int, float)):
+            continue
+        if name == "boot_s":
+            _boot(run, event, float(value))
+        elif name.startswith(PLOTTED):
+            key = f"{event.unit} {name}"
+            series = run.series.get(key)
+            if series is None:
+                if len(run.series) >= MOST_SERIES:
+                    continue
+                series = run.series[key] = Series()
+            series.add(event.mono, float(value))
+
+
+def _boot(run: Run, event: Event, boot_s: float) -> None:
+    """When the autopilot booted, on the clock of the run. The unit's line is newer than its measurement: hence the least."""
+    count = numbers(event.values).get("reboots")
+    moment = event.mono - boot_s
+    seen = run.boots.setdefault(count if isinstance(count, int) else 0, [0.0, moment, moment])
+    seen[0], seen[1], seen[2] = seen[0] + 1, min(seen[1], moment), max(seen[2], moment)
+
+
+_HANDLERS: dict[str, Callable[[Part, Run, Event], None]] = {
+    "start": Part._start,
+    "transition": Part._change,
+    "unit": Part._unit,
+    "fault_opened": Part._fault,
+    "fault_closed": Part._fault,
+    "report": Part._report,
+    "action": Part._mark,
+    "flight": Part._mark,
+    "hold": Part._mark,
+    "note": Part._mark,
+    "lost": Part._mark,
+}

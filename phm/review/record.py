@@ -1,0 +1,181 @@
+"""The merged record on one time axis: agents with their runs, and the ground. Times `t` are UTC seconds of the reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from phm.review.clocks import Clock, align, continue_by_autopilot, ground_clock
+from phm.review.ground_part import GroundRun
+from phm.review.part import Change, Mark, Part, Run
+from phm.review.spans import Cover, Span, joined
+
+QUIET_S = 30.0
+"""At least so long nothing may be written before PHM counts as not running; and not less than 2.5 reports."""
+
+
+@dataclass
+class Agent:
+    """One agent. cover: when its PHM wrote; armed: when its autopilot was, as far as known."""
+
+    name: str
+    id: int
+    runs: list[tuple[Run, Clock]] = field(default_factory=list)
+    cover: list[Span] = field(default_factory=list)
+    armed: list[Span] = field(default_factory=list)
+    changes: list[tuple[float, Change]] = field(default_factory=list)
+    marks: list[tuple[float, Mark]] = field(default_factory=list)
+    faults: list[dict[str, Any]] = field(default_factory=list)
+    reports: list[float] = field(default_factory=list)
+
+    @property
+    def end(self) -> float:
+        return self.cover[-1][1] if self.cover else 0.0
+
+
+@dataclass
+class Record:
+    """agents by name; grounds with their clocks; part: problems and counts of the files."""
+
+    agents: list[Agent]
+    grounds: list[tuple[GroundRun, Clock]]
+    part: Part
+
+    @property
+    def begin(self) -> float:
+        return min((span[0] for span in self._spans()), default=0.0)
+
+    @property
+    def end(self) -> float:
+        return max((span[1] for span in self._spans()), default=0.0)
+
+    def _spans(self) -> list[Span]:
+        own = [span for agent in self.agents for span in agent.cover]
+        ground = [[clock.t(span[0]), clock.t(span[1])] for one, clock in self.grounds for span in one.cover.spans]
+        return own or ground
+
+
+def build(part: Part) -> Record:
+    """Sort, remove what two files have twice, align, and put each agent's runs together."""
+    clocks = ground_clock(part.grounds.values())
+    grounds = [(ground, clocks[ground.run]) for ground in part.grounds.values()]
+    agents: dict[tuple[str, int], Agent] = {}
+    for run in part.runs.values():
+        _once(run)
+        agents.setdefault((run.agent, run.agent_id), Agent(run.agent, run.agent_id)).runs.append(
+            (run, align(run, grounds))
+        )
+    names = [name for name, _ in agents]
+    for (name, number), agent in agents.items():
+        agent.name = name or f"agent {number}"
+        if names.count(name) > 1:
+            agent.name = f"{agent.name} (id {number})"
+        _join(agent)
+    for number in sorted(
+        {agent for ground, _ in grounds for agent in _heard(ground)} - {agent.id for agent in agents.values()}
+    ):
+        agents["", number] = Agent(
+            next((g.names[number] for g, _ in grounds if number in g.names), f"A{number:02d}"), number
+        )
+    for agent in agents.values():
+        _armed(agent, grounds)
+    return Record(sorted(agents.values(), key=lambda agent: (agent.id, agent.name)), grounds, part)
+
+
+def _heard(ground: GroundRun) -> set[int]:
+    return {agent for _, agent, _ in ground.levels} | {agent for _, agent, _, _ in ground.presence}
+
+
+def _once(run: Run) -> None:
+    """In the order of the monotonic clock, each number once."""
+    run.clock = _ordered_clock(run.clock)
+    changes = {(change.seq, change.mono, change.unit): change for change in run.changes}
+    run.changes = sorted(changes.values(), key=lambda change: (change.mono, change.seq))
+    marks = {(mark.seq, mark.mono): mark for mark in run.marks}
+    run.marks = sorted(marks.values(), key=lambda mark: (mark.mono, mark.seq))
+    run.cover.tolerance = max(QUIET_S, 2.5 * run.interval_s)
+    run.cover.merge(Cover(0.0))
+    run.numbers.merge(Cover(0.0))
+
+
+def _ordered_clock(clock: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Without the first lines of pieces, which repeat the difference before."""
+    kept: list[tuple[float, float]] = []
+    for mono, difference in sorted(clock):
+        if not kept or abs(difference - kept[-1][1]) > 0.2:
+            kept.append((mono, difference))
+    return kept
+
+
+def _join(agent: Agent) -> None:
+    agent.runs.sort(key=lambda one: one[1].t(one[0].cover.spans[0][0]) if one[0].cover.spans else 0.0)
+    for before, (run, clock) in zip(agent.runs, agent.runs[1:], strict=False):
+        continue_by_autopilot(before, run, clock)
+    agent.runs.sort(key=lambda one: one[1].t(one[0].cover.spans[0][0]) if one[0].cover.spans else 0.0)
+    spans: list[Span] = []
+    for run, clock in agent.runs:
+        spans += [[clock.t(begin), clock.t(end)] for begin, end in run.cover.spans]
+        agent.changes += [(clock.t(change.mono), change) for change in run.changes]
+        agent.marks += [(clock.t(mark.mono), mark) for mark in run.marks]
+        agent.reports += [clock.t(mono) for mono in run.reports]
+        for name, fault in run.faults.items():
+            agent.faults.append(_fault(name, fault, run, clock))
+    agent.cover = joined(spans)
+    agent.faults = _continued(agent.faults)
+    agent.reports = sorted(set(agent.reports))
+    agent.changes.sort(key=lambda one: one[0])
+    agent.marks.sort(key=lambda one: one[0])
+
+
+def _fault(name: str, fault: dict[str, Any], run: Run, clock: Clock) -> dict[str, Any]:
+    opened, closed = fault["opened_at"], fault["closed_at"]
+    begin = clock.t(opened if opened is not None else closed)
+    check = run.units.get(fault["unit"], {}).get("check") or fault["unit"].partition("/")[0]
+    return {
+        **fault,
+        "fault": name,
+        "check": check,
+        "opened": begin,
+        "closed": None if closed is None else clock.t(closed),
+    }
+
+
+def _continued(faults: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A fault that stayed open over a restart of PHM keeps its id, and is one fault."""
+    by_id: dict[str, dict[str, Any]] = {}
+    for fault in sorted(faults, key=lambda one: float(one["opened"])):
+        had = by_id.get(fault["fault"])
+        if had is None:
+            by_id[fault["fault"]] = fault
+        elif had["closed"] is None:
+            by_id[fault["fault"]] = {**fault, "opened": had["opened"]}
+    return sorted(by_id.values(), key=lambda one: float(one["opened"]))
+
+
+def _armed(agent: Agent, grounds: list[tuple[GroundRun, Clock]]) -> None:
+    """From the flights in its log, else from what its check of the autopilot says; from the ground where it has no log."""
+    edges = [
+        (t, bool(mark.body["began"]), mark.body.get("duration_s")) for t, mark in agent.marks if mark.what == "flight"
+    ]
+    end = agent.end
+    if not edges:
+        edges = [(clock.t(mono), armed, None) for run, clock in agent.runs for mono, armed in run.armed]
+    if not agent.runs:
+        edges = [
+            (clock.t(mono), armed, None)
+            for ground, clock in grounds
+            for mono, which, armed in ground.armed
+            if which == agent.id
+        ]
+        end = max((clock.t(ground.cover.spans[-1][1]) for ground, clock in grounds if ground.cover.spans), default=0.0)
+    spans: list[Span] = []
+    since: float | None = None
+    for t, began, duration_s in sorted(edges, key=lambda edge: edge[0]):
+        if began:
+            since = t if since is None else since
+        elif since is not None or duration_s:
+            spans.append([since if since is not None else t - float(duration_s or 0.0), t])
+            since = None
+    if since is not None and end > since:
+        spans.append([since, end])
+    agent.armed = joined(spans)

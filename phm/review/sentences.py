@@ -1,0 +1,102 @@
+"""The record in five sentences."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from datetime import datetime, timezone
+from typing import Any
+
+from phm.review.check_rates import by_action, counted
+from phm.wire.report import clock_text
+
+Json = dict[str, Any]
+ADVICE = re.compile(r": ([a-z][^:]+)$")
+"""What to do, at the end of the sentence of a fault: after its last colon."""
+
+
+def build(document: Json) -> list[str]:
+    """Duration and agents; faults; what is open; the worst agent and PHM itself; what to do before the next flight."""
+    return [_what(document), _faults(document), _open(document), _worst(document), _next(document)]
+
+
+def length(seconds: float | None) -> str:
+    """``45 s``, ``12 min 30 s``, ``3 h 05 min``."""
+    if seconds is None:
+        return "an unknown time"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def day(t: float) -> str:
+    return f"{datetime.fromtimestamp(t, timezone.utc):%Y-%m-%d}" if 0 < t < 1e10 else "?"
+
+
+def _what(document: Json) -> str:
+    window, agents = document["window"], document["agents"]
+    which = f"Flight {window['flight']}" if window["flight"] else "The record"
+    flown = "" if window["flight"] else f" and {_count(len(document['flights']), 'flight')}"
+    when = f"from {clock_text(window['begin'])[:19]} to {clock_text(window['end'])[11:19]} UTC"
+    return f"{which} lasted {length(window['duration_s'])}, {when}, with {_count(len(agents), 'agent')}{flown}."
+
+
+def _faults(document: Json) -> str:
+    faults = counted(document["faults"])
+    if not faults:
+        return "There was no fault."
+    actions = sum(by_action(fault) for fault in faults)
+    resolved = sum(fault["outcome"] == "resolved" for fault in faults)
+    times = [fault["lasted_s"] for fault in faults if fault["outcome"] == "resolved"]
+    mean = f", after {length(sum(times) / len(times))} on average" if times else ""
+    head = f"There {'was' if len(faults) == 1 else 'were'} {_count(len(faults), 'fault')}"
+    return f"{head}: {actions} ended by an action of PHM and {resolved - actions} otherwise{mean}."
+
+
+def _open(document: Json) -> str:
+    faults = counted(document["faults"])
+    left = [fault for fault in faults if fault["outcome"] == "open"]
+    given_up = sum(fault["outcome"] == "escalated" for fault in faults)
+    if not left and not given_up:
+        return "No fault was open at the end, and PHM gave up on none."
+    names = ", ".join(f"{fault['agent']} {fault['brief'] or fault['unit']}" for fault in left[:3])
+    more = f" and {len(left) - 3} more" if len(left) > 3 else ""
+    opened = f"{_count(len(left), 'fault')} {'was' if len(left) == 1 else 'were'} open at the end" + (
+        f" ({names}{more})" if left else ""
+    )
+    return f"{opened}, and PHM gave up on {given_up}."
+
+
+def _worst(document: Json) -> str:
+    uptime = document["phm"]["uptime"]
+    ran = "PHM's own uptime is unknown" if uptime is None else f"PHM ran {100 * uptime:.2f} % of the time"
+    bad = [agent for agent in document["agents"] if agent["error_s"] > 0]
+    if not bad:
+        return f"No agent was in ERROR; {ran}."
+    worst = max(bad, key=lambda agent: (agent["error_s"], agent["faults"]))
+    return f"{worst['agent']} was worst, with {_count(worst['faults'], 'fault')} and {length(worst['error_s'])} in ERROR; {ran}."
+
+
+def _next(document: Json) -> str:
+    faults = counted(document["faults"])
+    left = [fault for fault in faults if fault["outcome"] in ("open", "escalated")]
+    if left:
+        first = left[-1]
+        advice = ADVICE.search(first["summary"])
+        what = advice.group(1).rstrip(".") if advice else f"look at {first['unit']}"
+        return f"Before the next flight, on {first['agent']} ({first['unit']}): {what}."
+    repeated = Counter((fault["agent"], fault["unit"]) for fault in faults).most_common(1)
+    if repeated and repeated[0][1] > 1:
+        (agent, unit), count = repeated[0]
+        return f"Before the next flight, find out why {unit} of {agent} failed {count} times; each time it recovered."
+    lost = sum(agent["lost_lines"] + agent["missing_lines"] for agent in document["agents"])
+    if lost:
+        return f"Before the next flight, check the disks: {lost} lines of the logs are missing."
+    return "Nothing in the record has to be done before the next flight."
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}" if number == 1 else f"{number} {word}s"

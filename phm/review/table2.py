@@ -1,0 +1,94 @@
+"""Table 2 of the PHM paper for any logs with INJECT events: notes that begin with `INJECT`, by `phm note "INJECT ..."`.
+
+The definitions are those of docs/development/campaign.md, as far as a log alone allows: what ended a fault is what PHM's record
+says, without a second observer.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from phm.review.check_rates import by_action, counted
+from phm.review.record import Agent
+
+Json = dict[str, Any]
+INJECT = re.compile(r"inject\b", re.IGNORECASE)
+STEPS = ("advised", "refused", "done", "failed", "verified", "escalated")
+"""Phases with which a step of PHM's response to a fault is complete."""
+PAPER = {
+    "response_s": 14.82,
+    "detection_s": 5.2,
+    "self_resolved": 0.166,
+    "phm_uptime": 0.9677,
+    "agents": 8,
+    "interval_s": 20.0,
+}
+
+
+def build(
+    agents: Sequence[Agent], faults: Sequence[Json], uptime: Mapping[str, float], begin: float, end: float
+) -> Json | None:
+    """None when nothing was injected."""
+    injected: list[Json] = []
+    for agent in agents:
+        moments = [
+            (t, mark.text)
+            for t, mark in agent.marks
+            if mark.what == "note" and INJECT.match(mark.text) and begin <= t <= end
+        ]
+        mine = sorted(
+            (fault for fault in counted(faults) if fault["agent"] == agent.name),
+            key=lambda fault: float(fault["opened"]),
+        )
+        for place, (t, text) in enumerate(moments):
+            until = moments[place + 1][0] if place + 1 < len(moments) else math.inf
+            injected.append(_injection(agent, t, text, _caused(mine, text, t, until)))
+    if not injected:
+        return None
+    known = [one for one in injected if one["fault"] is not None]
+    return {
+        "paper": PAPER,
+        "agents": len(agents),
+        "interval_s": sorted({run.interval_s for agent in agents for run, _ in agent.runs if run.interval_s}),
+        "injected": len(injected),
+        "detected": len(known),
+        "first_alarm_s": _mean([one["alarm_s"] for one in known]),
+        "detection_s": _mean([one["logged_s"] for one in known]),
+        "response_s": _mean([one["published_s"] for one in known]),
+        "self_resolved": sum(one["by_action"] for one in known) / len(injected),
+        "phm_uptime": _mean(list(uptime.values())),
+        "injections": injected,
+    }
+
+
+def _caused(faults: Sequence[Json], text: str, t: float, until: float) -> Json | None:
+    """The first fault after an injection and before the next one; one whose subject the text names goes first."""
+    after = [fault for fault in faults if t <= fault["opened"] < until]
+    named = [fault for fault in after if (fault["unit"].partition("/")[2] or fault["unit"]) in text]
+    return next(iter(named or after), None)
+
+
+def _injection(agent: Agent, t: float, text: str, fault: Json | None) -> Json:
+    row: Json = {"agent": agent.name, "t": round(t, 3), "text": text, "fault": None, "by_action": False}
+    if fault is None:
+        return {**row, "alarm_s": None, "logged_s": None, "published_s": None}
+    steps = [step["t"] for step in fault["steps"] if step["phase"] in STEPS]
+    place = bisect_left(agent.reports, fault["opened"])
+    published = agent.reports[place] - t if place < len(agent.reports) else None
+    return {
+        **row,
+        "fault": fault["fault"],
+        "by_action": by_action(fault),
+        "alarm_s": round(fault["opened"] - t, 3),
+        "logged_s": round(max([fault["opened"], *steps]) - t, 3),
+        "published_s": None if published is None else round(published, 3),
+    }
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(sum(known) / len(known), 4) if known else None

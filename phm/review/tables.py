@@ -1,0 +1,176 @@
+"""The report as tables of text: for the terminal, Markdown and CSV. Pure."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import Any
+
+from phm.review.sentences import length
+from phm.review.table2 import PAPER
+from phm.wire.report import clock_text
+from phm.wire.text import one_line
+
+Json = dict[str, Any]
+Table = tuple[str, tuple[str, ...], list[tuple[str, ...]]]
+"""Title, head, rows."""
+COLUMNS = (
+    "agent", "fault", "unit", "check", "slot", "layer", "condition", "target", "opened", "closed", "lasted_s", "acted_after_s",
+    "outcome", "by", "brief", "summary", "consequences", "blocks", "suspects",
+)  # fmt: skip
+"""Of the CSV file: one row for each fault."""
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""A spreadsheet takes a cell that begins so for a formula; such cells of text begin with an apostrophe."""
+MOST_ROWS = 30
+
+
+def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
+    """What the terminal and Markdown show. most: rows of a table; a last row counts the others."""
+    found: list[Table] = []
+    head: tuple[str, ...]
+    if document["table2"]:
+        found.append(("Table 2 of the paper", ("metric", "paper", "this record"), table2_rows(document["table2"])))
+    found.append(
+        (
+            "Agents",
+            ("agent", "faults", "ERROR", "WARN", "unknown", "PHM ran", "armed"),
+            [_agent(row) for row in document["agents"]],
+        )
+    )
+    if document["faults"]:
+        head = ("agent", "at (UTC)", "fault", "unit", "lasted", "ended", "what")
+        found.append(("Faults", head, [_fault(row) for row in document["faults"]]))
+        checks = [_check(row) for row in document["checks"] if row["faults"]]
+        found.append(("Checks", ("check", "faults", "MTBF (95 %)", "MTTR"), checks))
+    low = [row for row in document["availability"] if row["availability"] is not None and row["availability"] < 1]
+    if low:
+        head = ("agent", "of", "availability", "in ERROR", "unknown")
+        found.append(
+            (
+                "Availability below 100 %",
+                head,
+                [_available(row) for row in sorted(low, key=lambda row: float(row["availability"]))],
+            )
+        )
+    found.append(
+        ("Clocks", ("agent", "run", "offset", "error", "by"), [_clock(row) for row in document["clocks"]["runs"]])
+    )
+    if document["files"]["problems"]:
+        head = ("problem", "how often", "first in")
+        found.append(("Not read", head, [_problem(row) for row in document["files"]["problems"]]))
+    return [(title, head, _cut(rows, most, len(head))) for title, head, rows in found]
+
+
+def markdown(document: Json) -> str:
+    """For an issue or a wiki."""
+    parts = ["# Flight report", "", " ".join(map(_cell, document["sentences"])), ""]
+    if document["clocks"]["missing"]:
+        parts += [f"Times: {document['clocks']['missing']}.", ""]
+    for title, head, rows in tables(document, most=10_000):
+        parts += [f"## {title}", "", f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+        parts += [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+        parts.append("")
+    return "\n".join(parts)
+
+
+def faults_csv(document: Json) -> str:
+    """One row for each fault, RFC 4180; times in seconds since 1970, lists joined by spaces."""
+    out = io.StringIO()
+    writer = csv.writer(out)
+    writer.writerow(COLUMNS)
+    for fault in document["faults"]:
+        writer.writerow([_csv(fault[column]) for column in COLUMNS])
+    return out.getvalue()
+
+
+def table2_rows(table: Json) -> list[tuple[str, ...]]:
+    """The rows of the paper, with what this record says."""
+    interval = " / ".join(f"{each:g} s" for each in table["interval_s"]) or "-"
+    return [
+        ("Parameter: Reactivation Interval", f"{PAPER['interval_s']:g} s", interval),
+        ("Parameter: SITL Agents", f"{PAPER['agents']:g}", str(table["agents"])),
+        ("Faults injected", "not stated", f"{table['injected']}, {table['detected']} detected"),
+        ("Average PHM Response", f"{PAPER['response_s']} s", _seconds(table["response_s"])),
+        ("Average Fault Detection", f"{PAPER['detection_s']} s", _seconds(table["detection_s"])),
+        ("First alarm", "not stated", _seconds(table["first_alarm_s"])),
+        ("Self-Resolved Faults", f"{100 * PAPER['self_resolved']:.1f} %", _percent(table["self_resolved"], 1)),
+        ("PHM Uptime", f"{100 * PAPER['phm_uptime']:.2f} %", _percent(table["phm_uptime"], 2)),
+    ]
+
+
+def _agent(row: Json) -> tuple[str, ...]:
+    armed = sum(end - begin for begin, end in row["armed"])
+    times = (length(row["error_s"]), length(row["warn_s"]), length(row["unknown_s"]))
+    name = row["agent"] if row["logged"] else f"{row['agent']} (no log)"
+    return (name, str(row["faults"]), *times, _percent(row["uptime"], 2), length(armed))
+
+
+def _fault(row: Json) -> tuple[str, ...]:
+    ways = {"resolved": f"by {row['by'] or 'itself'}", "reattributed": f"follows from {row['by']}"}
+    ended = ways.get(str(row["outcome"]), str(row["outcome"]))
+    when = clock_text(row["opened"])
+    return (
+        row["agent"],
+        when,
+        row["fault"],
+        row["unit"],
+        length(row["lasted_s"]),
+        ended,
+        row["brief"] or row["summary"],
+    )
+
+
+def _check(row: Json) -> tuple[str, ...]:
+    high = length(row["mtbf_high_s"]) if row["mtbf_high_s"] else "more"
+    return (
+        row["check"],
+        str(row["faults"]),
+        f"{length(row['mtbf_s'])} ({length(row['mtbf_low_s'])} to {high})",
+        _seconds(row["mttr_s"]),
+    )
+
+
+def _available(row: Json) -> tuple[str, ...]:
+    name = row["kind"] if row["kind"] == "agent" else f"{row['kind']} {row['name']}"
+    return (row["agent"], name, _percent(row["availability"], 3), length(row["error_s"]), length(row["unknown_s"]))
+
+
+def _clock(row: Json) -> tuple[str, ...]:
+    offset = "unknown" if row["offset_s"] is None else f"{row['offset_s']:+.2f} s"
+    offset += "" if row["applied"] or row["offset_s"] is None else " (within its error, not applied)"
+    steps = f"; its UTC jumped {len(row['steps'])} times" if row["steps"] else ""
+    return (row["agent"], row["boot_id"], offset, _seconds(row["error_s"]), (row["by"] or "its own clock") + steps)
+
+
+def _problem(row: Json) -> tuple[str, ...]:
+    return (row["what"], str(row["count"]), f"{row['file']}:{row['line']}" if row["line"] else row["file"])
+
+
+def _cut(rows: Sequence[tuple[str, ...]], most: int, width: int) -> list[tuple[str, ...]]:
+    kept = [tuple(one_line(cell) for cell in row) for row in rows[:most]]
+    if len(rows) > most:
+        kept.append((f"and {len(rows) - most} more", *[""] * (width - 1)))
+    return kept
+
+
+def _seconds(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} s"
+
+
+def _percent(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{100 * value:.{digits}f} %"
+
+
+def _cell(text: str) -> str:
+    """Text from a log is not Markdown."""
+    escaped = one_line(text)
+    for sign in "\\`*_[]<>|#":
+        escaped = escaped.replace(sign, f"\\{sign}" if sign not in "<>" else {"<": "&lt;", ">": "&gt;"}[sign])
+    return escaped
+
+
+def _csv(value: object) -> object:
+    if isinstance(value, list):
+        value = " ".join(map(str, value))
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value

@@ -1,0 +1,93 @@
+"""Agents with wrong clocks are put on the ground's time, with an error that is stated."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+
+from phm.review.clocks import own_clock, vote
+from tests.review.records import T0, Flown, Ground, report
+
+
+def swarm(folder: Path, wrong_s: float) -> None:
+    """An agent with a wrong clock, and the ground that receives two lines and both edges of a flight."""
+    agent, ground = Flown(folder / "agent", wrong_s=wrong_s), Ground(folder / "ground.jsonl")
+    ground.event(0, "pilot", system=1, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0)
+    agent.until(100)
+    agent.arm(True)
+    ground.event(100.6, "pilot", system=1, presence="alive", armed=True, mode=5, state="ACTIVE", age_s=0.0)
+    for moment, unit in ((150, "nodes/node_1"), (200, "container/ros_app")):
+        agent.until(moment)
+        ground.text(moment + 0.3, 1, 6 if unit.startswith("nodes") else 2, f"{unit} gone")
+        agent.fail(unit)
+    agent.until(300)
+    agent.arm(False)
+    ground.event(300.1, "pilot", system=1, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0)
+    agent.until(320)
+    agent.close()
+    ground.close()
+
+
+@pytest.mark.parametrize("wrong_s", [-86_400.0, -7.5, 3600.0])
+def test_a_wrong_clock_is_corrected_by_what_the_ground_received_too(tmp_path: Path, wrong_s: float) -> None:
+    """The offset is right within its stated error, and is applied to all times of the agent."""
+    swarm(tmp_path, wrong_s)
+    made = report(tmp_path)
+    clock = made["clocks"]["runs"][0]
+    assert clock["applied"] and clock["votes"] == 4
+    assert clock["offset_s"] == pytest.approx(-wrong_s, abs=clock["error_s"])
+    assert clock["error_s"] < 2.0
+    assert made["faults"][0]["opened"] == pytest.approx(T0 + 150, abs=clock["error_s"])
+
+
+def test_an_offset_within_its_error_is_shown_and_not_applied(tmp_path: Path) -> None:
+    """A clock that is right stays as it is: the delay of the radio is not its error."""
+    swarm(tmp_path, 0.0)
+    made = report(tmp_path)
+    clock = made["clocks"]["runs"][0]
+    assert (clock["applied"], clock["votes"]) == (False, 4)
+    assert abs(clock["offset_s"]) < clock["error_s"]
+    assert made["faults"][0]["opened"] == T0 + 150
+
+
+def test_without_a_record_of_the_ground_it_is_said_that_clocks_are_not_compared(tmp_path: Path) -> None:
+    """What is missing is named; no number is invented."""
+    with_clock = Flown(tmp_path)
+    with_clock.until(100)
+    with_clock.close()
+    clocks = report(tmp_path)["clocks"]
+    assert clocks["reference"] == "each agent"
+    assert clocks["missing"].startswith("no record of the ground (`phm gcs --record`)")
+    assert clocks["runs"][0]["offset_s"] is None
+
+
+def test_a_step_of_utc_does_not_move_events_of_the_same_run(tmp_path: Path) -> None:
+    """Distances are those of the monotonic clock; UTC is the one that held longest, and the step is listed."""
+    made = Flown(tmp_path, wrong_s=-500.0)
+    made.until(20)
+    made.clock.jump_utc(500.0)
+    made.until(200)
+    made.fail("nodes/node_1")
+    made.until(260)
+    made.close()
+    document = report(tmp_path)
+    assert document["window"]["begin"] == pytest.approx(T0)
+    assert document["faults"][0]["opened"] == pytest.approx(T0 + 200)
+    assert document["clocks"]["runs"][0]["steps"] == [[pytest.approx(T0 + 40), 500.0]]
+
+
+def test_the_offset_is_where_most_votes_agree() -> None:
+    """Repeated lines give wrong pairs; they agree with nothing. A tie decides nothing."""
+    rng = random.Random(7)
+    noise = [rng.uniform(-1e5, 1e5) for _ in range(200)]
+    offset, error, votes = vote([*noise, 41.2, 41.9, 42.3, 42.6]) or (0.0, 0.0, 0)
+    assert votes >= 4 and offset == pytest.approx(42.0, abs=error)
+    assert vote([10.0, 500.0]) is None
+    assert vote([]) is None
+
+
+def test_a_clock_without_lines_is_the_monotonic_one() -> None:
+    """There is nothing to derive UTC from."""
+    assert own_clock([], 0.0).shift == 0.0
