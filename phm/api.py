@@ -43,8 +43,10 @@ from phm.core.settings import (
     RosSettings,
     Settings,
     TopicSettings,
+    TrendSettings,
     WatchedDiagnosticSettings,
 )
+from phm.core.trend import Forecast, Trend
 from phm.facts import (
     AnswerFact,
     Attachment,
@@ -115,6 +117,7 @@ __all__ = [
     "FieldFact",
     "FileFact",
     "FileSettings",
+    "Forecast",
     "GcsFact",
     "HostFact",
     "HostReadings",
@@ -154,6 +157,8 @@ __all__ = [
     "TopicFact",
     "TopicSettings",
     "TreeFact",
+    "Trend",
+    "TrendSettings",
     "Unit",
     "Value",
     "WatchedDiagnosticSettings",

@@ -9,6 +9,7 @@ from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
 from phm_checks._restart_loop import OTHER_STARTS, STABLE_S, RestartLoop
+from phm_checks._restart_trend import RestartTrend
 from phm_checks._text import brief, clean, span
 
 _CODES = {
@@ -42,8 +43,15 @@ class Container(PerContainer):
     period_s = 5.0
     """No event signals that a restarted container has run for long enough."""
 
-    def __init__(self, entry: api.ContainerSettings, steady_s: float = STABLE_S, by_hand: int = OTHER_STARTS) -> None:
+    def __init__(
+        self,
+        entry: api.ContainerSettings,
+        trends: api.TrendSettings,
+        steady_s: float = STABLE_S,
+        by_hand: int = OTHER_STARTS,
+    ) -> None:
         super().__init__(entry)
+        self._trend = RestartTrend(trends.restarts, trends.confidence)
         self._restarts = RestartLoop(steady_s, by_hand)
 
     @classmethod
@@ -51,7 +59,7 @@ class Container(PerContainer):
         """One check per container. A run shorter than the grace period of its nodes does not count as stable."""
         steady_s = max(STABLE_S, settings.ros.grace)
         by_hand = max(OTHER_STARTS, settings.recovery.budget + 1)
-        return [cls(entry, steady_s, by_hand) for entry in settings.containers]
+        return [cls(entry, settings.trends, steady_s, by_hand) for entry in settings.containers]
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -70,13 +78,15 @@ class Container(PerContainer):
                 "the configuration",
                 "missing",
             )
-        self._restarts.look(fact, world.clock.mono())
+        now_s = world.clock.mono()
+        self._restarts.look(fact, now_s)
+        self._trend.look(fact, now_s)
         values: dict[str, api.Value] = {"restart_count": fact.restart_count}
         if fact.running:
-            return self._running(fact, {"pid": fact.pid, **values})
+            return self._running(fact, {"pid": fact.pid, **values}, more_often=self._trend.rising(now_s))
         return self._stopped(fact, {"exit_code": fact.exit_code, **values})
 
-    def _running(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:
+    def _running(self, fact: api.ContainerFact, values: dict[str, api.Value], *, more_often: bool) -> api.Result:
         starts = self._restarts
         if starts.looping:
             who = f"{starts.by_hand} times" if not starts.by_engine else f"by Docker (restart {fact.restart_count})"
@@ -93,6 +103,15 @@ class Container(PerContainer):
                 brief=brief(self.key, "was restarted"),
                 condition="restarted",
                 target=self.key,
+                **values,
+            )
+        if more_often:
+            return api.warn(
+                f"{self.key} was restarted {self._trend.count} times in {span(self._trend.window_s)}, at ever shorter intervals: "
+                f"see `docker logs {fact.name}` and `docker inspect` for why, before it no longer starts",
+                brief=brief(self.key, f"{self._trend.count} restarts, rising"),
+                condition="restarts_rising",
+                target="",
                 **values,
             )
         return api.ok(f"Container {self.key} is running", **values)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._ahead import Ahead
 from phm_checks._cpu import Cpu
 from phm_checks._host_pressure import HostPressure
 from phm_checks._text import StableNumber, brief, clean, joined, listed, span
@@ -31,6 +32,9 @@ class Host(api.Check):
         self._cpu = Cpu(settings)
         self._memory = Threshold(limits.memory.warn, limits.memory.error)
         self._disks: dict[str, Threshold] = {}
+        self._trends = settings.trends
+        self._filling: dict[str, Ahead] = {}
+        self._growing = Ahead(self._trends.memory, self._trends.confidence)
         self._heat = Threshold(limits.temperature_warn, limits.temperature_error)
         self._step: tuple[float, float] | None = None
         self._window_s = settings.pressure.host_window
@@ -58,7 +62,7 @@ class Host(api.Check):
             "host/cpu": self._cpu.judge(fact, now, world),
             "host/memory": _with(self._judge_memory(fact, now), api.HostReadings(memory_percent=fact.memory_percent)),
             "host/io": self._judge_io(fact, now),
-            "host/disk": _with(self._judge_disks(fact), api.HostReadings(disks=disks)),
+            "host/disk": _with(self._judge_disks(fact, now), api.HostReadings(disks=disks)),
             "host/temperature": _with(
                 self._judge_temperature(fact),
                 api.HostReadings(temperature_c=fact.temperature_c, fans_rpm=tuple(fact.fans_rpm)),
@@ -76,8 +80,17 @@ class Host(api.Check):
         }
         level = self._memory.level(used)
         findings = [stalled] if stalled is not None else []
+        soon = self._growing.soon(now, used, self._limits.memory.error)
         if level is Level.OK:
             self._steady.forget("memory")
+            if soon is not None and stalled is None:
+                words = (
+                    f"memory at {used:.0f} % reaches {self._limits.memory.error:g} % {self._growing.words(soon)}: find the "
+                    "leak (`docker stats`), or give its container a memory limit"
+                )
+                findings.append(
+                    self._bad(Level.WARN, words, f"memory full {self._growing.short(soon)}", "memory_filling", values)
+                )
         else:
             words = (
                 f"memory at {used:.0f} %, {fact.memory_available_bytes / 1e6:.0f} MB available, expected below "
@@ -119,10 +132,10 @@ class Host(api.Check):
         )
         return self._bad(level, words, f"disk stalls {self._steady.show('io', mean):.0f} %", "io_pressure", values)
 
-    def _judge_disks(self, fact: api.HostFact) -> api.Result:
+    def _judge_disks(self, fact: api.HostFact, now: float) -> api.Result:
         if not fact.disks:
             return api.bypass("No disk is monitored.")
-        findings = [self._judge_disk(disk) for disk in fact.disks]
+        findings = [self._judge_disk(disk, now) for disk in fact.disks]
         first = api.worst(findings)
         values: dict[str, api.Value] = {}
         for finding in findings:
@@ -132,7 +145,7 @@ class Host(api.Check):
         summary = joined([finding.summary for finding in findings if finding.level is not Level.OK])
         return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
 
-    def _judge_disk(self, disk: api.DiskFact) -> api.Result:
+    def _judge_disk(self, disk: api.DiskFact, now: float) -> api.Result:
         path = clean(disk.path, 80)
         if disk.problem:
             return api.stale(f"disk {path} cannot be read: {clean(disk.problem)}")
@@ -146,8 +159,16 @@ class Host(api.Check):
             f"disk_total_bytes {path}": disk.total_bytes,
         }
         level = graded.level(most)
+        ahead = self._filling.setdefault(disk.path, Ahead(self._trends.disk, self._trends.confidence))
+        soon = ahead.soon(now, most, self._limits.disk.error)
         if level is Level.OK:
             self._steady.forget(disk.path)
+            if soon is not None:
+                words = (
+                    f"disk {path} at {most:.0f} % {what} reaches {self._limits.disk.error:g} % {ahead.words(soon)}: find what "
+                    f"writes to it, {disk.free_bytes / 1e6:.0f} MB are free"
+                )
+                return self._bad(Level.WARN, words, f"disk {path} full {ahead.short(soon)}", "disk_filling", values)
             return api.ok(f"Disk {path} is {disk.used_percent:.0f} % full", **values)
         words = (
             f"disk {path} at {most:.0f} % {what}, {disk.free_bytes / 1e6:.0f} MB free, expected below "

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Level, Slot
+from phm_checks._ahead import Ahead
 from phm_checks._cpu_consumers import OUTSIDE, top_consumer
 from phm_checks._per_container import PerContainer
 from phm_checks._pressure_window import PressureDelta, PressureWindow
@@ -29,8 +30,12 @@ class Pressure(PerContainer):
     name, slot = "pressure", Slot.HOST
     period_s = 1.0
 
-    def __init__(self, entry: api.ContainerSettings, limits: api.PressureSettings, grace_s: float) -> None:
+    def __init__(
+        self, entry: api.ContainerSettings, limits: api.PressureSettings, trends: api.TrendSettings, grace_s: float
+    ) -> None:
         super().__init__(entry)
+        self._growing = Ahead(trends.memory, trends.confidence)
+        self._generation = ""
         self._limits, self._grace_s = limits, grace_s
         self._window = PressureWindow(max(limits.window, IO_S))
         self._throttled = WindowThreshold(limits.throttled.warn, limits.throttled.error)
@@ -48,7 +53,7 @@ class Pressure(PerContainer):
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
         entries = [entry for entry in settings.containers if cls.wanted(entry)]
-        return [cls(entry, settings.pressure, settings.ros.grace) for entry in entries]
+        return [cls(entry, settings.pressure, settings.trends, settings.ros.grace) for entry in entries]
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -79,7 +84,7 @@ class Pressure(PerContainer):
             finding
             for finding in (
                 self._judge_limit(fact, over, newest),
-                self._judge_memory(fact, over, newest, world.clock.mono()),
+                self._judge_memory(fact, over, newest, world.clock.mono()) or self._judge_growth(fact),
                 self._judge_io(newest),
                 self._judge_pids(fact, over),
                 self._judge_waiting(world, over, newest),
@@ -141,6 +146,21 @@ class Pressure(PerContainer):
             "--memory`), or find the leak"
         )
         return self._bad(level, words, f"memory limit{short} too small", "memory_pressure")
+
+    def _judge_growth(self, fact: api.PressureFact) -> api.Result | None:
+        """Memory without the page cache, which the kernel can evict. A container without a limit is judged with the host."""
+        if fact.generation != self._generation:
+            self._generation = fact.generation
+            self._growing.forget()
+        used, limit = fact.without_cache_bytes, fact.memory_limit
+        soon = None if limit is None else self._growing.soon(fact.at, used, limit)
+        if soon is None or used is None or limit is None:
+            return None
+        words = (
+            f"{self.key} uses {_size(used)} and reaches its memory limit of {_size(limit)} {self._growing.words(soon)}, growing "
+            f"by {_size(round(soon.slope * 60))} a minute: find the leak, or raise the limit (`mem_limit:`)"
+        )
+        return self._bad(Level.WARN, words, f"memory full {self._growing.short(soon)}", "memory_filling")
 
     def _judge_io(self, newest: PressureDelta) -> api.Result | None:
         over = self._window.over(IO_S, full=True)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
+from phm_checks._ahead import Ahead
 from phm_checks._command_path import link_id, link_of, named, radio_id, silent, starting, target_of, with_radio
 from phm_checks._text import StableNumber, brief, joined, span
 
@@ -15,6 +16,8 @@ FULL_PERCENT = 20
 """With less of the transmit buffer free, commands and status are delayed in the radio."""
 EASE_MARGIN, EASE_ERRORS, EASE_PERCENT = 4.0, 0.5, 30
 """Hysteresis: a reported problem ends only when the value is better than its limit by so much."""
+FADE_WINDOW_S, FADE_LEAST_S = 120.0, 20.0
+"""A vehicle that flies away loses its margin within minutes."""
 GRACE_S = 5.0
 """Time for the first RADIO_STATUS after PHM started or the link came back."""
 
@@ -30,6 +33,8 @@ class Radio(api.Check):
         self._label = named("radio", entry, with_radio(settings))
         self._age, self._margin = StableNumber(share=1.0), StableNumber(share=0.5)
         self._was: frozenset[str] = frozenset()
+        trends = settings.trends
+        self._fading = Ahead(trends.radio, trends.confidence, window_s=FADE_WINDOW_S, least_s=FADE_LEAST_S)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -61,7 +66,7 @@ class Radio(api.Check):
         if fact is None or fact.silent_s > limit_s:
             return self._lost(link, fact, limit_s)
         self._age.forget("age")
-        return self._judged(fact)
+        return self._judged(fact, world.clock.mono() - fact.age_s)
 
     def _lost(self, link: api.LinkFact | None, fact: api.RadioFact | None, limit_s: float) -> api.Result:
         age_s = None if fact is None else fact.age_s
@@ -80,8 +85,8 @@ class Radio(api.Check):
             radio_age_s=None if age_s is None else round(age_s, 1),
         )
 
-    def _judged(self, fact: api.RadioFact) -> api.Result:
-        findings = [*self._weak(fact), *self._full(fact), *self._damaged(fact)]
+    def _judged(self, fact: api.RadioFact, at_s: float) -> api.Result:
+        findings = [*(self._weak(fact) or self._fades(fact, at_s)), *self._full(fact), *self._damaged(fact)]
         self._was = frozenset(finding.condition for finding in findings)
         values = _values(fact)
         if not findings:
@@ -107,6 +112,20 @@ class Radio(api.Check):
                 "look for interference",
                 brief=brief(f"{self._label}:", f"weak, margin {shown:.0f}"),
                 condition="radio_weak",
+            )
+        ]
+
+    def _fades(self, fact: api.RadioFact, at_s: float) -> list[api.Result]:
+        margins = [margin for margin in (fact.margin, fact.remmargin) if margin is not None]
+        soon = self._fading.soon(at_s, min(margins, default=None), self._limits.radio_margin)
+        if soon is None:
+            return []
+        return [
+            api.warn(
+                f"the radio's signal is {min(margins):.0f} above the noise and falls below {self._limits.radio_margin:g} "
+                f"{self._fading.words(soon)}: the link may be lost then; reduce the distance, or turn the antenna",
+                brief=brief(f"{self._label}:", f"weak {self._fading.short(soon)}"),
+                condition="radio_fading",
             )
         ]
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._ahead import Ahead
 from phm_checks._environment_advice import advice
 from phm_checks._node_activity import FRESH_S, turned_s
 from phm_checks._text import StableNumber, brief, clean, last, span
@@ -31,6 +32,8 @@ LATE_S = 0.1
 """An executor with a larger delay is waiting for the CPU."""
 DOUBTS = 2.5
 """So many standard deviations of a rate are added to its tolerance: normal jitter of a publisher is not a fault."""
+JITTER_SHARE = 0.5
+"""Of the period: samples with more jitter are as likely in the wrong period as in their own."""
 WITNESSES = 2
 """When so many nodes of one container, and all of them, are silent, the transport is blocked: not all of them idle together."""
 
@@ -41,6 +44,7 @@ class _Memory:
 
     off_since: float | None = None
     reported: api.Result | None = None
+    widening: Ahead | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +67,14 @@ class Rates(api.Check):
     name, slot, layer = "rates", Slot.RATES, Layer.ROS
     period_s = 1.0
 
-    def __init__(self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit], grace_s: float) -> None:
+    def __init__(
+        self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit], grace_s: float, trends: api.TrendSettings
+    ) -> None:
         self._topics = tuple(topics)
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
         self._grace_s = grace_s
-        self._memory = {topic.name: _Memory() for topic in topics}
+        self._memory = {topic.name: _Memory(widening=Ahead(trends.jitter, trends.confidence)) for topic in topics}
         self._hz = StableNumber(share=0.1)
 
     @classmethod
@@ -85,7 +91,7 @@ class Rates(api.Check):
             )
             for topic in topics
         ]
-        return [cls(topics, units, settings.ros.grace)] if topics else []
+        return [cls(topics, units, settings.ros.grace, settings.trends)] if topics else []
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -252,7 +258,7 @@ class Rates(api.Check):
         if off <= warn + 1e-6:
             memory.off_since = None
             self._hz.forget(case.name)
-            return api.ok(f"{case.name}: {hz:.3f}", **case.values)
+            return self._widening(case, measured, memory, now) or api.ok(f"{case.name}: {hz:.3f}", **case.values)
         if memory.off_since is None:
             memory.off_since = now
         sure = self._changed(seen, fact)
@@ -271,6 +277,22 @@ class Rates(api.Check):
             case,
         )
         return replace(result, settle_s=0.0) if sure else result
+
+    def _widening(self, case: _Case, measured: api.RateFact, memory: _Memory, now: float) -> api.Result | None:
+        """Samples that come ever more irregularly, at the right rate: something on their way runs out of room."""
+        limit_s, ahead = JITTER_SHARE / case.rate, memory.widening
+        jitter_s = measured.jitter_s
+        soon = None if ahead is None else ahead.soon(now, jitter_s, limit_s)
+        if soon is None or ahead is None or jitter_s is None or jitter_s >= limit_s:
+            return None
+        return self._bad(
+            Level.WARN,
+            "jitter_rising",
+            f"jitter rises, {ahead.short(soon)} half",
+            f"{case.name}: its jitter of {1000 * jitter_s:.0f} ms rises to half of its period, {1000 * limit_s:.0f} ms, "
+            f"{ahead.words(soon)}: look for a queue, a log or a disk that fills, and for growing load",
+            case,
+        )
 
     def _changed(self, seen: api.TopicFact, fact: api.RosFact) -> bool:
         """Whether the rate has certainly changed: each measurement shows it, and the machine is not slow in general."""

@@ -42,6 +42,8 @@ class PressureFact:
     io: StallFact | None = None
     memory_bytes: int | None = None
     """Memory in use, including the page cache."""
+    without_cache_bytes: int | None = None
+    """Memory in use without pages of files, which the kernel can evict; up to 10 s old."""
     memory_limit: int | None = None
     reread_pages: int | None = None
     """Pages that were evicted from memory and needed again, so that a process had to wait for them (refaults)."""

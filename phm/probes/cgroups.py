@@ -148,6 +148,19 @@ def _read_v1(group: Cgroup, at: float) -> PressureFact:
     )
 
 
+def without_cache(group: Cgroup, used: int | None) -> int | None:
+    """Bytes of the `used` memory without pages of files, active or not: both can be evicted. Reads memory.stat."""
+    table = _table(f"{group.memory or group.unified}/memory.stat")
+    return less_cache(used, table)
+
+
+def less_cache(used: int | None, table: Mapping[str, int]) -> int | None:
+    """The same from the lines of memory.stat; version 1 has those of the group and its children as `total_...`."""
+    pages = [table.get(f"total_{name}", table.get(name)) for name in ("inactive_file", "active_file")]
+    known = [count for count in pages if count is not None]
+    return None if used is None or len(known) < len(pages) else max(0, used - sum(known))
+
+
 def used_by_all(root: Path) -> dict[str, float]:
     """CPU seconds used by each container, by full id; for at most MOST_GROUPS containers."""
     first = root if (root / "cgroup.controllers").exists() else root / "cpuacct"

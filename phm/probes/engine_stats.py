@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from phm.facts import ContainerFact, PressureFact
-from phm.probes.cgroups import NEAR_LIMIT
+from phm.probes.cgroups import NEAR_LIMIT, less_cache
 
 SOURCE = "engine statistics"
 NOT_SEEN = ("waiting for CPU, memory and disk", "refused processes")
@@ -34,6 +34,7 @@ def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float
         throttled_periods=_number(throttling.get("throttled_periods")),
         throttled_s=None if throttled_ns is None else throttled_ns / 1e9,
         memory_bytes=used,
+        without_cache_bytes=_without_cache(details, used),
         memory_limit=limit if limit is not None and 0 < limit < _NO_LIMIT else None,
         reread_pages=_reread(details, used, limit),
         pids=_number(pids.get("current")),
@@ -48,6 +49,10 @@ def _reread(details: Mapping[str, Any], used: int | None, limit: int | None) -> 
         return None
     faults, refaults = _number(details.get("pgmajfault")), _number(details.get("workingset_refault"))
     return faults if faults is None or not refaults else min(faults, refaults)
+
+
+def _without_cache(details: Mapping[str, Any], used: int | None) -> int | None:
+    return less_cache(used, {name: count for name in details if (count := _number(details[name])) is not None})
 
 
 def _pids_limit(pids: Mapping[str, Any]) -> int | None:

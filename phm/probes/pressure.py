@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from phm.core.clock import Clock
@@ -17,6 +17,8 @@ from phm.transport.docker import DockerEngine, EngineMissing
 ENGINE_EVERY_S = 2.0
 """Time between two requests for the engine's statistics of a container, which cost about 40 times as much as reading
 files."""
+CACHE_EVERY_S = 10.0
+"""Time between two readings of a container's memory.stat, which takes longer than all other files together."""
 
 
 @dataclass(slots=True)
@@ -28,6 +30,8 @@ class _Entry:
     group: cgroups.Cgroup | None = None
     answer: PressureFact | None = None
     asked_at: float = float("-inf")
+    without_cache: int | None = None
+    cache_at: float = float("-inf")
 
 
 class Pressure:
@@ -68,12 +72,19 @@ class Pressure:
         if entry.group is None:
             return None
         try:
-            return cgroups.read(entry.group, self._clock.mono())
+            return self._with_cache(entry, entry.group, cgroups.read(entry.group, self._clock.mono()))
         except OSError:
             entry.group = None
             return None
         except ValueError as error:
             raise CannotTell(f"the files of its cgroup cannot be parsed ({error})") from error
+
+    @staticmethod
+    def _with_cache(entry: _Entry, group: cgroups.Cgroup, fact: PressureFact) -> PressureFact:
+        if fact.at - entry.cache_at >= CACHE_EVERY_S:
+            entry.cache_at = fact.at
+            entry.without_cache = cgroups.without_cache(group, fact.memory_bytes)
+        return replace(fact, without_cache_bytes=entry.without_cache)
 
     def _look_again(self, name: str, entry: _Entry) -> PressureFact | None:
         if self._clock.mono() - entry.asked_at < ENGINE_EVERY_S:
@@ -82,7 +93,7 @@ class Pressure:
         entry.id = container.id if container is not None and container.running else ""
         if container is None or not container.running:
             return None
-        entry.group = cgroups.find(self._root, container)
+        entry.group, entry.cache_at = cgroups.find(self._root, container), float("-inf")
         found = self._by_files(entry)
         if found is not None:
             return found

@@ -15,6 +15,8 @@ from phm.tracker.units import Starvation, TrackerView, UnitRecord
 WAITING = frozenset({"cpu_throttled", "cpu_starved", "cpu_high", "memory_pressure", "io_pressure"})
 """Conditions of pressure units that mean that tasks are stalled. `memory_high` alone does not: memory is used up, but nothing waits."""
 OF_HOST = frozenset({"cpu_high", "memory_pressure", "io_pressure"})
+FORECASTS = frozenset({"memory_filling"})
+"""Conditions of pressure units that say what may come: nothing waits yet."""
 UNKNOWN_PRESSURE_S = 10.0
 """A pressure unit that becomes STALE keeps its last state for this long: an overloaded Docker Engine returns no statistics."""
 BEFORE_PRESSURE_S = 5.0
@@ -52,6 +54,7 @@ _VIEWS = Explanation("the neighbours' beacons are late, or read late")
 
 EXPLAINED: Mapping[str, Explanation] = {
     "rate_low": _SLOW,
+    "jitter_rising": _SLOW,
     "silent": Explanation(f"{_SLOW.evidence}; not where its executor ran 2 s after a message was due"),
     "data_stamp": Explanation("messages wait before they are published; not where stamps differ by more than 10 s"),
     "data_gaps": Explanation("its publisher does not read its input in time"),
@@ -137,8 +140,11 @@ def undecided(record: UnitRecord) -> bool:
 
 def may_become_explained(record: UnitRecord, view: TrackerView) -> bool:
     """Whether a pressure unit may become ERROR soon: it is WARN, or its newest measurement is above the limit."""
-    latest = (other.latest for other in pressure_units(record, view))
-    return any(result is not None and (result.level is Level.WARN or result.evidence.rising) for result in latest)
+    latest = [other.latest for other in pressure_units(record, view) if other.latest is not None]
+    return any(
+        (result.level is Level.WARN and result.condition not in FORECASTS) or result.evidence.rising
+        for result in latest
+    )
 
 
 def predates(record: UnitRecord, pressure_unit: UnitRecord) -> bool:

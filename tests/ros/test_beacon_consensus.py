@@ -48,7 +48,7 @@ class Scene:
             fits = values.get("alive") == alive and (not observers or values.get("observers") == observers)
             return result if fits and result.condition == condition else None
 
-        found = until(matches, f"{alive} alive, {condition or 'no trouble'}: {self.run()}", limit_s=30.0)
+        found = until(matches, f"{alive} alive, {condition or 'no trouble'}: {self.run()}", limit_s=120.0)
         assert isinstance(found, api.Result)
         return found
 

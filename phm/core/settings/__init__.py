@@ -52,6 +52,7 @@ from phm.core.settings.ros import (
     TopicSettings,
     WatchedDiagnosticSettings,
 )
+from phm.core.settings.trends import TrendSettings
 
 __all__ = [
     "AbsolutePath",
@@ -106,6 +107,7 @@ __all__ = [
     "TcpCheckSettings",
     "TopicCheckSettings",
     "TopicSettings",
+    "TrendSettings",
     "WatchedDiagnosticSettings",
 ]
 
@@ -131,6 +133,8 @@ class Settings(Section):
     """Limits for the companion computer."""
     pressure: PressureSettings = PressureSettings()
     """Limits of pressure on containers and on the computer."""
+    trends: TrendSettings = TrendSettings()
+    """Warnings of what will fail at the present rate."""
     recovery: RecoverySettings = RecoverySettings()
     """Automatic recovery."""
     log: LogSettings = LogSettings()

@@ -60,6 +60,11 @@ Hertz = Annotated[float, BeforeValidator(_quantity("rate")), _schema("rate"), Fi
 Percent = Annotated[float, BeforeValidator(_quantity("share")), _schema("share"), Field(ge=0, le=100)]
 
 
+Confidence = Annotated[
+    float, BeforeValidator(_quantity("share")), _schema("share"), Field(ge=50, le=99.9, allow_inf_nan=False)
+]
+
+
 Celsius = Annotated[
     float, BeforeValidator(_quantity("temperature")), _schema("temperature"), Field(allow_inf_nan=False)
 ]

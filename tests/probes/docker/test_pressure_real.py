@@ -135,6 +135,15 @@ def test_a_page_cache_at_the_memory_limit_is_not_pressure(real: Any, engine: Doc
         threading.Event().wait(LOOK_S)
 
 
+def test_the_page_cache_is_not_taken_for_a_leak(real: Any, engine: DockerEngine, source: str) -> None:
+    """A recorder fills it, up to any limit."""
+    made = real.container(STREAM, mem_limit="40m", memswap_limit="40m")
+    agent = Agent(engine, made.name, source)
+    agent.until(lambda result: (result.values.get("memory_bytes") or 0) > (36 << 20), "a full page cache")  # type: ignore[operator]
+    fact = wait_until(lambda: agent.world.pressure.container("ros_app"), "a running container", lambda: agent.seen[-1])
+    assert fact.without_cache_bytes is not None and fact.without_cache_bytes < (20 << 20)
+
+
 def test_a_restarted_container_is_evaluated_from_zero(real: Any, engine: DockerEngine, source: str) -> None:
     """Its counters start at 0, in another cgroup of the same name."""
     made = real.container(BUSY, cpu_quota=3000, cpu_period=100000)
