@@ -53,7 +53,7 @@ class Trend:
         self._newest_s = float("-inf")
 
     def add(self, at_s: float, value: float) -> None:
-        """Take a measurement. One that follows the last point too soon, or is no number, is not kept."""
+        """Take a measurement. One that follows the last point too soon, or is not a number, is not kept."""
         points = self._points
         if not math.isfinite(value):
             return

@@ -114,7 +114,7 @@ def pressure(
 
 
 def test_a_container_that_grows_to_its_limit_is_reported() -> None:
-    """By its working set: the page cache fills any limit, and is no leak."""
+    """By its working set: the page cache fills any limit, and is not a leak."""
     result = pressure(120, lambda second: 100 * MIB + second * MIB // 2)[-1]
     assert (result.level, result.condition) == (api.Level.WARN, "memory_filling")
     assert result.brief.startswith("ros_app memory full in ") and result.target == "ros_app"
@@ -195,5 +195,5 @@ def test_restarts_that_become_more_frequent_are_reported() -> None:
 
 @pytest.mark.parametrize("at_s", [(600, 1200, 1800, 2400, 2700), (100, 300, 800, 2000), (2500, 2900)])
 def test_restarts_without_a_trend_are_not_reported(at_s: tuple[int, ...]) -> None:
-    """Even, ever rarer, or too few to tell."""
+    """Even, ever rarer, or too few."""
     assert restarted(*at_s).level is api.Level.OK

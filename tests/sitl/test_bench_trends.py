@@ -1,4 +1,4 @@
-"""The back-test of the forecasts tells failing series from harmless ones."""
+"""The back-test of the forecasts: failing series are reported, harmless ones are not."""
 
 from __future__ import annotations
 
