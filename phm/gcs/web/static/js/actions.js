@@ -1,0 +1,99 @@
+// What an operator may request of an agent: with a confirmation that says what will happen, and the answer in words.
+
+import { getJson, mayOperate, postJson } from "./api.js";
+import { button, byId, el, render, said } from "./dom.js";
+import { checkSession } from "./live.js";
+import { on, store } from "./store.js";
+import { toast } from "./toasts.js";
+import { clock } from "./words.js";
+
+const HOLD_MINUTES = [5, 10, 30, 60];
+const STATES = { sent: "sent, no answer yet", answered: "answered", timeout: "no answer" };
+const told = new Map();
+
+export function startActions() {
+  on("requests", () => {
+    for (const request of store.requests.values()) tellResult(request);
+  });
+}
+
+/** The sentence about a request, once for each of its states. */
+function tellResult(request) {
+  const state = `${request.state} ${request.accepted} ${request.late}`;
+  const before = told.get(request.id);
+  told.set(request.id, state);
+  if (before === undefined || before === state || request.state === "sent") return;
+  toast(request.sentence || `${request.agent} ${request.text}: ${STATES[request.state]}`, request.accepted ? "ok" : "error");
+}
+
+/** Fill `place` with the choices for this agent. */
+export async function showChoices(place, name) {
+  let found;
+  try {
+    found = await getJson("api/choices", { agent: name });
+  } catch (error) {
+    found = { choices: [], note: error.status === 404 ? "No requests are possible here." : `No requests: ${error.message}.` };
+    checkSession(error);
+  }
+  render(place, [name, found, mayOperate()], () => [
+    ...(mayOperate() ? found.choices.map((choice) => choiceButton(name, choice)) : []),
+    mayOperate() ? null : el("p", { class: "quiet", text: "This session may look, not act: its role is view." }),
+    found.note ? el("p", { class: "quiet" }, said(found.note)) : null,
+  ]);
+}
+
+function choiceButton(name, choice) {
+  const strong = choice.do === "approve" || choice.do === "restart";
+  return button(choice.text, () => start(name, choice), { class: strong ? "act strong" : "act" });
+}
+
+function start(name, choice) {
+  const body = { agent: name, do: choice.do };
+  for (const key of ["fault", "container", "for_s"]) if (choice[key] !== undefined) body[key] = choice[key];
+  if (!choice.confirm) return send(body);
+  const minutes = choice.do === "hold" ? holdTime() : null;
+  confirmed(name, choice, minutes, () => send(minutes ? { ...body, for_s: 60 * Number(minutes.value) } : body));
+}
+
+function holdTime() {
+  const select = el("select", { id: "hold-time" }, ...HOLD_MINUTES.map((count) => el("option", { value: count, text: `${count} minutes` })));
+  select.value = "10";
+  return select;
+}
+
+function confirmed(name, choice, minutes, send) {
+  const dialog = byId("dialog");
+  const cancel = button("Cancel", () => dialog.close(), { autofocus: true });
+  dialog.replaceChildren(
+    el("h2", { id: "dialog-title" }, `${name}: `, said(choice.text)),
+    el("p", {}, said(choice.will || "The agent is asked to do this.")),
+    ...(minutes ? [el("p", {}, el("label", { for: "hold-time", text: "For " }), minutes)] : []),
+    el("p", { class: "quiet", text: "The agent decides. Its answer is shown here." }),
+    el("div", { class: "controls" }, cancel, button(`Yes, ${choice.do}`, () => { dialog.close(); send(); }, { class: "act strong" })));
+  dialog.showModal();
+  cancel.focus();
+}
+
+async function send(body) {
+  if (store.link !== "live") return toast("Not sent: there is no connection to the server.", "error");
+  try {
+    const request = await postJson("api/requests", body);
+    if (!told.has(request.id)) told.set(request.id, `${request.state} ${request.accepted} ${request.late}`);
+    toast(request.sentence || `${request.agent} ${request.text}: sent`, "info");
+  } catch (error) {
+    toast(`${body.agent}: not sent: ${error.message}`, "error");
+    checkSession(error);
+  }
+}
+
+/** Requests to this agent and their answers, the newest first. */
+export function requestList(name) {
+  const found = [...store.requests.values()].filter((request) => request.agent === name).reverse().slice(0, 8);
+  if (!found.length) return null;
+  return el("ul", { class: "requests" }, ...found.map((request) => {
+    const grade = request.state === "sent" ? "info" : request.accepted ? "ok" : "error";
+    return el("li", { class: `g-${grade}` }, el("time", { text: clock(request.sent_utc_s) }),
+      said(request.sentence || `${request.text}: ${STATES[request.state] ?? request.state}`),
+      request.late ? el("span", { class: "quiet", text: " (late)" }) : null);
+  }));
+}

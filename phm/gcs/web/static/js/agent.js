@@ -1,0 +1,214 @@
+// One agent: where its path is broken, its layers and checks, open faults, requests, plots, what others say, recent events.
+
+import { alarm } from "./alarms.js";
+import { requestList, showChoices } from "./actions.js";
+import { getJson, mayOperate } from "./api.js";
+import { button, byId, el, render, said, setClass, setText } from "./dom.js";
+import { eventLine } from "./events.js";
+import { path } from "./path.js";
+import { startPlots, stopPlots } from "./plots.js";
+import { ageOf, now, on, store } from "./store.js";
+import { LAYERS, PRESENCE, age, ago, cell, clock, pilotWords, received, slotLong, stateClass } from "./words.js";
+
+const FAULTS_EVERY_MS = 5000;
+const CHOICE_KEYS = ["advice", "containers", "on_hold", "presence"];
+let shown = "";
+let parts = {};
+let faults = [];
+let faultsNote = "";
+let timer = 0;
+let choicesFor = "";
+
+export function startAgent() {
+  on("rows", (names) => names.has(shown) && show());
+  on("events", (found) => found.some((event) => event.who === shown) && recent());
+  on("requests", () => shown && requests());
+  on("link", () => shown && (show(), store.link === "live" && loadFaults()));
+  on("tick", ages);
+}
+
+/** Show this agent beside the grid; empty: none. */
+export function showAgent(name) {
+  if (name === shown) return;
+  shown = name;
+  clearInterval(timer);
+  stopPlots();
+  const panel = byId("panel");
+  panel.hidden = !name;
+  document.body.classList.toggle("paneled", Boolean(name));
+  if (!name) return panel.replaceChildren();
+  [faults, faultsNote, choicesFor] = [[], "", ""];
+  build(panel, name);
+  show();
+  recent();
+  requests();
+  loadFaults();
+  timer = setInterval(loadFaults, FAULTS_EVERY_MS);
+  startPlots(parts.plots, name);
+  parts.title.focus();
+}
+
+function build(panel, name) {
+  parts = {
+    title: el("h2", { tabindex: "-1", text: name }), state: el("span"), age: el("span", { class: "age" }), facts: el("p", { class: "facts" }),
+    alarm: el("div", { class: "own-alarm" }), gone: el("p", { class: "gone", hidden: true }), path: el("div"), choices: el("div", { class: "choices" }),
+    requests: el("div"), layers: el("div", { class: "layers" }), faults: el("div"), views: el("div"), plots: el("div"), events: el("div"),
+  };
+  panel.setAttribute("aria-label", `Agent ${name}`);
+  panel.replaceChildren(
+    el("header", {}, parts.title, parts.state, parts.age, el("a", { class: "close", href: "#/swarm", text: "Close", "aria-label": `Close ${name}` })),
+    parts.facts, parts.alarm, parts.gone,
+    section("Path of a command", parts.path), section("Open faults", parts.faults), section("Requests", parts.choices, parts.requests),
+    section("Layers and checks", parts.layers), section("Plots", parts.plots), section("The ground's view and the swarm's", parts.views),
+    section("Recent events", parts.events));
+  panel.scrollTop = 0;
+}
+
+function section(title, ...children) {
+  return el("section", {}, el("h3", { text: title }), ...children);
+}
+
+function show() {
+  const agent = store.agents.get(shown);
+  if (parts.gone) {
+    parts.gone.hidden = Boolean(agent);
+    setText(parts.gone, "This agent is not known now.");
+  }
+  if (!agent) return;
+  setText(parts.state, agent.how);
+  setClass(parts.state, `state ${stateClass(agent.how)}`);
+  const [, pilot] = pilotWords(agent.pilot);
+  render(parts.facts, [agent.presence, pilot, agent.link, agent.restarts, agent.on_hold, agent.period_s, agent.pilot?.mode], () =>
+    [PRESENCE[agent.presence] ?? agent.presence, `autopilot ${pilot}`, agent.link ? `link ${agent.link}` : "",
+      agent.period_s ? `a heartbeat each ${agent.period_s} s` : "", agent.restarts ? `PHM restarted ${agent.restarts} times` : "",
+      agent.on_hold ? "on hold" : ""].filter(Boolean).map((text) => el("span", { class: "fact" }, said(text))));
+  showAlarm(agent);
+  render(parts.path, agent.hops, () => path(agent.hops ?? []));
+  render(parts.layers, [received(agent), agent.slots, agent.last_slots, agent.bad, agent.checks], () => layers(agent));
+  render(parts.views, viewKey(agent), () => views(agent));
+  showFaults(agent);
+  const key = JSON.stringify(CHOICE_KEYS.map((name) => agent[name]));
+  if (key !== choicesFor && store.link === "live") {
+    choicesFor = key;
+    showChoices(parts.choices, shown);
+  }
+  ages();
+}
+
+function showAlarm(agent) {
+  const count = agent.alarm?.count ?? 0;
+  const until = agent.alarm?.silent_until ?? null;
+  render(parts.alarm, [count, until, mayOperate()], () => {
+    if (!count && !until) return [];
+    const words = [count ? `${count} CRITICAL not acknowledged` : "", until ? `silenced for ${age(until - (now() ?? until))}` : ""];
+    return [el("strong", { text: words.filter(Boolean).join(", ") }), ...(mayOperate() ? [
+      count ? button("Acknowledge", () => alarm({ do: "acknowledge", agent: shown })) : null,
+      until ? button("End the silence", () => alarm({ do: "unsilence", agent: shown }))
+        : button("Silence 10 min", () => alarm({ do: "silence", agent: shown, for_s: 600 })),
+    ] : [])];
+  });
+}
+
+function ages() {
+  const agent = store.agents.get(shown);
+  if (!agent) return;
+  setText(parts.age, agent.at === null ? "never received" : `heartbeat ${ago(ageOf(agent.at))}`);
+  for (const node of byId("panel").querySelectorAll("[data-at]")) setText(node, ago(ageOf(Number(node.dataset.at))));
+}
+
+function since(at) {
+  return el("span", { class: "since", "data-at": at });
+}
+
+function layers(agent) {
+  return LAYERS.map(([layer, title, slots]) => {
+    const checks = (agent.checks ?? []).filter((check) => check.layer === layer);
+    const lines = checks.length ? checks.map(checkLine) : slots.map((slot) => slotLine(agent, slot));
+    return el("section", { class: "layer" }, el("h4", { text: title }), el("ul", {}, ...lines));
+  });
+}
+
+function checkLine(check) {
+  const name = { OK: "ok", WARN: "warn", ERROR: "error" }[check.level] ?? "none";
+  return el("li", {}, el("span", { class: `slot ${name}`, text: name === "none" ? "–" : check.level }),
+    el("span", { class: "reasons" }, el("strong", {}, said(check.unit)), check.text ? el("p", {}, said(check.text)) : null));
+}
+
+function slotLine(agent, slot) {
+  const [name, text] = cell(agent, slot);
+  const reasons = (agent.bad ?? []).filter((bad) => String(bad.slot) === slot);
+  const last = name === "lost" ? agent.last_slots?.[slot] : "";
+  const words = { ok: "works", warn: "limited", error: "failed", none: "unknown or unused", lost: "not received" }[name];
+  return el("li", {}, el("span", { class: `slot ${name}`, text }), el("span", { class: "reasons" },
+    el("strong", { text: `${slot} ${slotLong(slot)} ` }), el("span", { class: "quiet", text: last ? `last: ${last}` : words }),
+    ...reasons.map((bad) => el("p", { class: `r-${bad.level}` }, said(bad.text), " ", since(bad.at)))));
+}
+
+async function loadFaults() {
+  const name = shown;
+  if (!name || store.link !== "live") return;
+  let found = [];
+  let note = "";
+  try {
+    found = (await getJson("api/history/faults", { agent: name, open: 1 })).faults;
+  } catch (error) {
+    note = error.status === 404 ? "There is no history: steps of faults are not kept." : `No faults: ${error.message}.`;
+  }
+  if (name !== shown) return;
+  [faults, faultsNote] = [found, note];
+  const agent = store.agents.get(shown);
+  if (agent) showFaults(agent);
+}
+
+const STEPS = ["detected", "confirmed", "action", "proof"];
+
+function showFaults(agent) {
+  render(parts.faults, [faults, faultsNote, agent.advice, agent.bad?.length], () => [
+    ...(agent.advice ?? []).map((one) => el("p", { class: "advice" }, el("strong", { text: `Waits for an approval: fault ${one.fault}: ` }),
+      said(`${one.action} ${one.target}`), " ", since(one.at))),
+    ...faults.map(faultItem),
+    !faults.length && !agent.advice?.length ? el("p", { class: "quiet",
+      text: agent.bad?.length ? `Reported as bad: see below. ${faultsNote}` : faultsNote || "No open fault is known." }) : null,
+  ]);
+}
+
+function faultItem(fault) {
+  const reached = new Set(fault.steps.map((step) => (step.step === "advised" || step.step === "approved" ? "confirmed" : step.step)));
+  return el("article", { class: "fault" }, el("h4", {}, said(fault.unit || slotLong(fault.slot)), ": ", said(fault.text)),
+    el("ol", { class: "stages", "aria-label": "Stages" }, ...STEPS.map((step) =>
+      el("li", { class: reached.has(step) ? "reached" : "", text: `${step}${reached.has(step) ? "" : " –"}` }))),
+    el("ol", { class: "steps" }, ...fault.steps.map((step) => el("li", {}, el("time", { text: clock(step.utc_s) }),
+      el("strong", { text: step.step }), " ", said(step.text)))));
+}
+
+function viewKey(agent) {
+  const view = agent.view ? { ...agent.view, at: null } : null;
+  return [agent.how, agent.swarm_says, agent.heard_by, agent.not_heard_by, agent.hears_ground, view, agent.view?.at];
+}
+
+function views(agent) {
+  const heard = { true: "yes", false: "NO", null: "not reported" };
+  const list = (names) => (names?.length ? names.map((number) => `A${String(number).padStart(2, "0")}`).join(" ") : "none");
+  const peers = Object.entries(agent.view?.peers ?? {}).filter(([, seen]) => seen !== "alive");
+  const differs = agent.swarm_says && agent.swarm_says !== agent.how;
+  const line = (term, ...words) => [el("dt", { text: term }), el("dd", {}, ...words)];
+  return el("dl", { class: "views" },
+    ...line("The ground says", el("span", { class: `state ${stateClass(agent.how)}`, text: agent.how })),
+    ...line("The swarm says", el("span", { class: `state ${stateClass(agent.swarm_says)}`, text: agent.swarm_says ?? "nothing" }),
+      differs ? el("strong", { class: "differs", text: " ≠ they differ" }) : ""),
+    ...line("Received by", list(agent.heard_by)), ...line("Not received by", list(agent.not_heard_by)),
+    ...line("It receives the ground", heard[String(agent.hears_ground)] ?? "not reported"),
+    ...(agent.view ? line("Its own view", `autopilot ${agent.view.autopilot ? "received" : "NOT received"}, radio ${agent.view.radio ? "works" : "NOT"}, `,
+      peers.length ? `peers not alive: ${peers.map(([number, seen]) => `A${number.padStart(2, "0")} ${seen}`).join(", ")}, ` : "all peers alive, ",
+      since(agent.view.at)) : line("Its own view", "not received")));
+}
+
+function recent() {
+  const found = store.events.filter((event) => event.who === shown).slice(-20).reverse();
+  parts.events?.replaceChildren(found.length ? el("ol", { class: "log" }, ...found.map((event) => eventLine(event, false)))
+    : el("p", { class: "quiet", text: "No event since this page was opened." }));
+}
+
+function requests() {
+  parts.requests.replaceChildren(...[requestList(shown)].filter(Boolean));
+}
