@@ -1,0 +1,194 @@
+"""A real `phm gcs --web`, a fleet that sends real frames to it over UDP, and a headless Chromium that shows the page."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from phm.core.model import Level, Slot
+from phm.transport.dialect import mavlink
+from phm.wire import tunnel
+from phm.wire.tunnel import PeerState, PeerView, SwarmDigest
+from tests.fakes.mavlink import free_port
+from tests.fakes.until import until
+from tests.gcs.web.swarm import Vehicle
+
+ROOT = Path(__file__).parents[4]
+LIMIT_MS = 30_000
+CHROMIUM = "/usr/bin/chromium"
+SWITCHES = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+ERROR, WARN, STALE = Level.ERROR, Level.WARN, Level.STALE
+Levels = Mapping[Slot, Level]
+
+
+class GroundProcess:
+    """`phm gcs --web` as an operator starts it; can be killed and started again at the same address."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.mavlink, self.port = free_port(socket.SOCK_DGRAM), free_port()
+        self._folder, self._options = folder, options
+        self._log = (folder / "gcs.log").open("ab")
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}/"
+
+    @property
+    def pid(self) -> int:
+        assert self._process is not None
+        return self._process.pid
+
+    def start(self) -> None:
+        """Returns when the page is served."""
+        words = [sys.executable, "-m", "phm.cli", "gcs", f"udpin:127.0.0.1:{self.mavlink}", "--web", f"127.0.0.1:{self.port}"]
+        history = ["--history", str(self._folder / "history.db")]
+        self._process = subprocess.Popen(
+            [*words, *history, *self._options], cwd=ROOT, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log,
+            env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'checks'}", "HOME": str(self._folder)},
+        )  # fmt: skip
+        until(self._serves, "the page", lambda: (self._folder / "gcs.log").read_text()[-2000:])
+
+    def _serves(self) -> bool:
+        assert self._process is not None
+        assert self._process.poll() is None, (self._folder / "gcs.log").read_text()
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=5)
+        with contextlib.closing(connection), contextlib.suppress(OSError):
+            connection.request("GET", "/")
+            return connection.getresponse().status == 200
+        return False
+
+    def kill(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait(30)
+            self._process = None
+
+    def close(self) -> None:
+        self.kill()
+        self._log.close()
+
+
+class Fleet:
+    """Agents that send a heartbeat each second from one thread, spread over it. Changed by the test at any time."""
+
+    def __init__(self, port: int, numbers: range | list[int], period_s: float = 1.0) -> None:
+        self.vehicles = {number: Vehicle(number, port) for number in numbers}
+        self.levels: dict[int, Levels] = {}
+        self.armed: dict[int, bool] = {}
+        self.silent: set[int] = set()
+        self._period_s = period_s
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="test-fleet", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join(10)
+        for vehicle in self.vehicles.values():
+            vehicle.close()
+
+    def _loop(self) -> None:
+        pause_s = self._period_s / max(1, len(self.vehicles))
+        due_s = time.monotonic()
+        while True:
+            for number, vehicle in self.vehicles.items():
+                due_s += pause_s
+                if self._stop.wait(max(0.0, due_s - time.monotonic())):
+                    return
+                if number not in self.silent:
+                    levels = self.levels.get(number, {})
+                    vehicle.beat(levels, 6 if ERROR in levels.values() else 4)
+                    if number in self.armed:
+                        vehicle.pilot(armed=self.armed[number])
+
+    def say(self, number: int, words: str, severity: int = 2) -> None:
+        self.vehicles[number].say(words, severity)
+
+    def tell(self, number: int, message: tunnel.TunnelMessage) -> None:
+        payload = tunnel.encode(message)
+        padded = payload.ljust(128, b"\0")
+        self.vehicles[number].send(mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, len(payload), padded))
+
+
+def a_bad_day(fleet: Fleet) -> None:
+    """Faults of several kinds, as a swarm reports them."""
+    fleet.levels.update({
+        2: {Slot.NODES: ERROR, Slot.TOPICS: ERROR}, 5: {Slot.HOST: WARN}, 7: {Slot.CONTAINER: ERROR, Slot.NODES: STALE, Slot.TOPICS: STALE},
+        9: {Slot.RATES: WARN, Slot.RADIO: WARN},
+    })  # fmt: skip
+    for number in fleet.vehicles:
+        fleet.armed[number] = number % 3 != 0
+    fleet.say(2, "A02 FAIL 11111001 6 planner dead")
+    fleet.say(5, "A05 WARN 9 disk / 91%", 4)
+    fleet.say(7, "A07 FAIL 10111--1 2 ros_app exited (137)")
+    fleet.say(7, "A07 ADVISE 2 restart ros_app #17 60s", 4)
+    fleet.say(9, "A09 WARN 8 /camera 4.1 Hz, want 10", 4)
+    peers = {number: PeerState.ALIVE for number in fleet.vehicles}
+    for number in fleet.vehicles:
+        fleet.tell(number, PeerView(1, True, True, True, {peer: seen for peer, seen in peers.items() if peer != number}))
+    levels = {number: Level.OK for number in fleet.vehicles} | {2: ERROR, 5: WARN, 7: ERROR}
+    fleet.tell(1, SwarmDigest(len(fleet.vehicles), len(fleet.vehicles), levels))
+
+
+@contextlib.contextmanager
+def chromium() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(SWITCHES))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextlib.contextmanager
+def tab(browser: Browser, url: str, **options: Any) -> Iterator[Page]:
+    """A page that fails the test at its end when a script failed or the content security policy blocked something."""
+    context = browser.new_context(viewport=options.pop("viewport", {"width": 1366, "height": 900}), **options)
+    context.set_default_timeout(LIMIT_MS)
+    page = context.new_page()
+    problems: list[str] = []
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda said: problems.append(said.text) if "Content Security Policy" in said.text else None)
+    page.goto(url)
+    try:
+        yield page
+        assert not problems
+    finally:
+        context.close()
+
+
+@contextlib.contextmanager
+def ground(folder: Path, *options: str) -> Iterator[GroundProcess]:
+    made = GroundProcess(folder, *options)
+    try:
+        made.start()
+        yield made
+    finally:
+        made.close()
+
+
+@contextlib.contextmanager
+def fleet(port: int, numbers: range | list[int], period_s: float = 1.0) -> Iterator[Fleet]:
+    made = Fleet(port, numbers, period_s)
+    made.start()
+    try:
+        yield made
+    finally:
+        made.close()

@@ -1,0 +1,52 @@
+"""Write the pictures of README and docs: `python -m tests.gcs.web.screenshots`. A real ground station, real frames, a real browser."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from playwright.sync_api import Page
+
+from tests.gcs.web.browser.scene import ROOT, a_bad_day, chromium, fleet, ground, tab
+
+FOLDER = ROOT / "docs" / "pictures"
+WIDE, TABLET = {"width": 1366, "height": 768}, {"width": 1180, "height": 820}
+SETTLE_MS = 3000
+
+
+def main(folder: Path) -> None:
+    """Write each picture into this folder."""
+    with (
+        tempfile.TemporaryDirectory() as state,
+        ground(Path(state)) as station,
+        fleet(station.mavlink, range(1, 13)) as agents,
+        chromium() as browser,
+    ):
+        with tab(browser, station.url, viewport=WIDE, color_scheme="light") as page:
+            page.locator(".rows .row").nth(11).wait_for()
+            page.wait_for_timeout(SETTLE_MS)
+            a_bad_day(agents)
+            page.wait_for_timeout(30_000)
+            agents.silent.add(11)
+            page.locator(".row[data-name=A11].r-lost").wait_for()
+            page.wait_for_timeout(SETTLE_MS)
+            _write(page, folder / "web-swarm.png")
+        with tab(browser, f"{station.url}#/agent/A07", viewport=WIDE, color_scheme="dark") as page:
+            page.locator(".path").wait_for()
+            page.wait_for_timeout(SETTLE_MS)
+            _write(page, folder / "web-agent.png")
+        with tab(browser, f"{station.url}#/views", viewport=TABLET, color_scheme="light") as page:
+            page.wait_for_timeout(SETTLE_MS)
+            _write(page, folder / "web-views.png")
+        with tab(browser, f"{station.url}#/events", viewport=TABLET, color_scheme="dark") as page:
+            page.wait_for_timeout(SETTLE_MS)
+            _write(page, folder / "web-events.png")
+
+
+def _write(page: Page, path: Path) -> None:
+    page.screenshot(path=path)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)
