@@ -55,7 +55,15 @@ class GroundProcess:
 
     def start(self) -> None:
         """Returns when the page is served."""
-        words = [sys.executable, "-m", "phm.cli", "gcs", f"udpin:127.0.0.1:{self.mavlink}", "--web", f"127.0.0.1:{self.port}"]
+        words = [
+            sys.executable,
+            "-m",
+            "phm.cli",
+            "gcs",
+            f"udpin:127.0.0.1:{self.mavlink}",
+            "--web",
+            f"127.0.0.1:{self.port}",
+        ]
         history = ["--history", str(self._folder / "history.db")]
         self._process = subprocess.Popen(
             [*words, *history, *self._options], cwd=ROOT, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log,
@@ -91,6 +99,8 @@ class Fleet:
         self.levels: dict[int, Levels] = {}
         self.armed: dict[int, bool] = {}
         self.silent: set[int] = set()
+        self.views: dict[int, PeerView] = {}
+        self.digest: SwarmDigest | None = None
         self._period_s = period_s
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="test-fleet", daemon=True)
@@ -117,6 +127,10 @@ class Fleet:
                     vehicle.beat(levels, 6 if ERROR in levels.values() else 4)
                     if number in self.armed:
                         vehicle.pilot(armed=self.armed[number])
+                    if number in self.views:
+                        self.tell(number, self.views[number])
+                    if number == 1 and self.digest is not None:
+                        self.tell(number, self.digest)
 
     def say(self, number: int, words: str, severity: int = 2) -> None:
         self.vehicles[number].say(words, severity)
@@ -140,11 +154,13 @@ def a_bad_day(fleet: Fleet) -> None:
     fleet.say(7, "A07 FAIL 10111--1 2 ros_app exited (137)")
     fleet.say(7, "A07 ADVISE 2 restart ros_app #17 60s", 4)
     fleet.say(9, "A09 WARN 8 /camera 4.1 Hz, want 10", 4)
-    peers = {number: PeerState.ALIVE for number in fleet.vehicles}
-    for number in fleet.vehicles:
-        fleet.tell(number, PeerView(1, True, True, True, {peer: seen for peer, seen in peers.items() if peer != number}))
-    levels = {number: Level.OK for number in fleet.vehicles} | {2: ERROR, 5: WARN, 7: ERROR}
-    fleet.tell(1, SwarmDigest(len(fleet.vehicles), len(fleet.vehicles), levels))
+    everyone = list(fleet.vehicles)
+    for number in everyone:
+        fleet.views[number] = PeerView(
+            1, True, True, True, {peer: PeerState.ALIVE for peer in everyone if peer != number}
+        )
+    levels = dict.fromkeys(everyone, Level.OK) | {2: ERROR, 5: WARN, 7: ERROR}
+    fleet.digest = SwarmDigest(len(everyone), len(everyone), levels)
 
 
 @contextlib.contextmanager

@@ -55,6 +55,7 @@ function head(ground) {
 /** How the two views of an agent differ, in words; empty: they agree, or one of them is not there. */
 function difference(agent) {
   if (!received(agent) && agent.heard_by?.length) return "the swarm receives it, the ground does not";
+  if (!received(agent) && agent.swarm_says) return `the ground does not receive it, the swarm says ${agent.swarm_says}`;
   if (received(agent) && !agent.heard_by?.length && agent.not_heard_by?.length) return "the ground receives it, the swarm does not";
   if (received(agent) && agent.swarm_says && agent.swarm_says !== agent.how) return "the levels differ";
   if (received(agent) && agent.hears_ground === false) return "it does not receive the ground";
