@@ -48,6 +48,7 @@ FOREIGN = frozenset(
         "python3",
         "ros2",
         "scp",
+        "sed",
         "sha256sum",
         "source",
         "stat",
@@ -56,6 +57,7 @@ FOREIGN = frozenset(
         "systemctl",
         "tail",
         "timedatectl",
+        "touch",
         "udevadm",
         "usermod",
     ]

@@ -73,7 +73,7 @@ def test_the_tests_of_the_package_test_it(shell: Shell) -> None:
     shell.run("phm", "new-check", "late")
     shell.run("pip", "install", "--quiet", "-e", "./late")
     path = shell.folder / "late" / "phm_late" / "check.py"
-    path.write_text(path.read_text().replace("if files > LIMIT:", "if files > 10 * LIMIT:"))
+    path.write_text(path.read_text().replace("if count > LIMIT:", "if count > 10 * LIMIT:"))
     shell.run("pytest", "-q", "-p", "no:cacheprovider", "late", code=1)
 
 
