@@ -25,7 +25,7 @@ from phm.transport.serial_errors import keep_dtr
 MOST_PORTS = 16
 AGAIN_S = 2.0
 """Time between two attempts to open a port."""
-USERS_S = 5.0
+USERS_S = 10.0
 """Time between two searches for other programs that use it."""
 PAUSE_S = 0.1
 """Between two reads, so that a steady stream does not wake PHM for each byte. The kernel keeps 4 kB meanwhile."""

@@ -107,9 +107,12 @@ class Bench:
         command: Sequence[str] = COMMAND,
         limits: SupervisorLimits = LIMITS,
         environ: Mapping[str, str] | None = None,
+        custom: Sequence[Mapping[str, Any]] = (),
         **ros: Any,
     ) -> RosSupervisor:
-        settings = Settings.model_validate({"ros": {"topics": list(topics), "domain": self.domain, **ros}})
+        settings = Settings.model_validate(
+            {"ros": {"topics": list(topics), "domain": self.domain, **ros}, "custom": list(custom)}
+        )
         merged = {**self.environ, **(environ or {})}
         probe = RosSupervisor(
             settings.ros,
@@ -120,6 +123,7 @@ class Bench:
             merged,
             command=command,
             limits=limits,
+            custom=settings.custom,
         )
         self._probes.append(probe)
         self._closing.callback(probe.close)

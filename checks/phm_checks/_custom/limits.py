@@ -12,6 +12,7 @@ from phm_checks._custom.base import Finding
 from phm_checks._text import clean
 
 MAX_TEXT = 60
+WHOLE = 1e12
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Reading:
     unit: str = ""
 
     def shown(self, number: float) -> str:
-        return f"{number:.6g}{f' {self.unit}' if self.unit else ''}"
+        return f"{plain(number)}{f' {self.unit}' if self.unit else ''}"
 
 
 def judge(entry: Any, what: str, reading: Reading, **values: api.Value) -> Finding:
@@ -46,7 +47,7 @@ def judge(entry: Any, what: str, reading: Reading, **values: api.Value) -> Findi
         level, number, allowed = wrong
         text = f"{what} is {reading.shown(number)}, allowed is {allowed}"
         return Finding(level, text, f"is {reading.shown(number)}", values)
-    shown = reading.shown(low) if low == high else f"{low:.6g} to {reading.shown(high)}"
+    shown = reading.shown(low) if low == high else f"{plain(low)} to {reading.shown(high)}"
     return Finding(Level.OK, f"{what} is {shown}", values=values)
 
 
@@ -67,7 +68,7 @@ def _wrong(entry: Any, low: float, high: float) -> tuple[Level, float, str] | No
         wanted = float(entry.equals)
         other = next((number for number in (low, high) if not math.isclose(number, wanted, rel_tol=1e-6)), None)
         if other is not None:
-            return Level.ERROR, other, f"exactly {wanted:g}"
+            return Level.ERROR, other, f"exactly {plain(wanted)}"
     for level, least, most in ((Level.ERROR, entry.min, entry.max), (Level.WARN, entry.warn_min, entry.warn_max)):
         if least is not None and low < least:
             return level, low, _allowed(least, most)
@@ -77,6 +78,11 @@ def _wrong(entry: Any, low: float, high: float) -> tuple[Level, float, str] | No
 
 
 def _allowed(least: float | None, most: float | None) -> str:
-    if least is None:
-        return f"{most:g} or less"
-    return f"{least:g} or more" if most is None else f"{least:g} to {most:g}"
+    if most is None:
+        return f"{plain(least or 0.0)} or more"
+    return f"{plain(most)} or less" if least is None else f"{plain(least)} to {plain(most)}"
+
+
+def plain(number: float) -> str:
+    """Whole numbers in full, others with six digits."""
+    return f"{number:.0f}" if number.is_integer() and abs(number) < WHOLE else f"{number:.6g}"
