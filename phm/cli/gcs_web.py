@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import click
@@ -34,6 +35,14 @@ class WebChoice:
     behind_proxy: bool
     history: str | None
     edit: tuple[str, ...] = ()
+
+    def history_path(self) -> Path | None:
+        """None: the history ends with the program."""
+        from phm.gcs.web.history.store import default_path
+
+        if self.history == "none":
+            return None
+        return default_path() if self.history is None else Path(self.history)
 
     def check(self) -> None:
         """Raises UsageError and ClickException."""
@@ -86,6 +95,6 @@ def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clo
         where, choice.token_file, choice.tls_cert, choice.tls_key, behind_proxy=choice.behind_proxy
     )
     extra = {checks.EXTRA: ConfigEditor(plan_of, choice.edit)}
-    page = listening("--web", where, lambda: GroundPage(station, options, clock, extra))
+    page = listening("--web", where, lambda: GroundPage(station, options, clock, choice.history_path(), extra))
     click.echo(f"page at {page.url}", err=True)
     return page

@@ -63,6 +63,12 @@ class FleetState:
             return []  # for those who watch the frames
         return list(self._payload(frame, at))
 
+    def is_agent(self, beat: Heartbeat) -> bool:
+        """Whether it is the heartbeat of a PHM, signed where that is required."""
+        if beat.kind == GCS or beat.autopilot != NO_AUTOPILOT:
+            return False
+        return _is_phm(beat) and (beat.signed or not self._signed)
+
     def links(self, found: Mapping[str, tuple[bool, str]], at: Stamp) -> list[GcsEvent]:
         """Take the state of the ground's own links by name: whether open, and if not why."""
         known = self.fleet.links
@@ -104,7 +110,7 @@ class FleetState:
         elif beat.autopilot != NO_AUTOPILOT:
             if beat.component == AUTOPILOT:
                 yield from self._pilot(beat, at)
-        elif _is_phm(beat) and (beat.signed or not self._signed):
+        elif self.is_agent(beat):
             agent = self.fleet.agent(beat.system, beat.component, at.mono)
             if agent is not None:
                 yield from self._agent(agent, beat, link, at)

@@ -51,12 +51,13 @@ _LISTENING = ("udpin:", "tcpin:")
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A frame as it was received, from which link and when."""
+    """A frame as it was received, from which link and when. of_agent: it is the heartbeat of a PHM."""
 
     frame: Frame
     raw: bytes
     link: str
     at: Stamp
+    of_agent: bool = False
 
 
 class GroundStation:
@@ -207,8 +208,9 @@ class GroundStation:
             if not self._filter.is_copy(one.raw, one.link, one.at.mono):
                 with self._lock:
                     self._publish(self._store.hear(one.frame, one.link, one.at))
+                beat = isinstance(one.frame, frames.Heartbeat) and self._store.is_agent(one.frame)
                 for queue in self._watchers:
-                    queue.put(one)
+                    queue.put(replace(one, of_agent=beat) if beat else one)
         now = self._clock.mono()
         if now - self._beat_at >= HEARTBEAT_S:
             self._beat_at = now

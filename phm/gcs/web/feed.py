@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 from phm import __version__
@@ -71,8 +71,8 @@ class StationFeed:
         self._armed: dict[str, float] = {}
         self._values: dict[int, Json] = {}
         self._all_at = float("-inf")
-        self.ground: Json = {}
-        """Further keys of the ground; replaced, never changed."""
+        self.ground: Callable[[], Json] = dict
+        """Further keys of the ground."""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-web-feed", daemon=True)
         view.run = station.run
@@ -147,7 +147,7 @@ class StationFeed:
 
     def _put(self, only: Collection[int] | None) -> None:
         ground, agents = self._look(only)
-        self._view.put(ground={**ground, **self.ground}, agents=agents, complete=only is None)
+        self._view.put(ground={**ground, **self.ground()}, agents=agents, complete=only is None)
 
     def _look(self, only: Collection[int] | None) -> tuple[Json, dict[str, Json]]:
         """The keys of the ground, and the rows of agents."""
@@ -178,5 +178,5 @@ class StationFeed:
             "clients": 0,
             "dropped": 0,
             "history": None,
-            **self.ground,
+            **self.ground(),
         }

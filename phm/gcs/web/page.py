@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from phm.core.clock import Clock
 from phm.gcs.station import GroundStation
 from phm.gcs.web.alarms import AlarmBook
 from phm.gcs.web.feed import StationFeed
+from phm.gcs.web.history.collector import Collector
+from phm.gcs.web.history.faults import FaultBook
+from phm.gcs.web.history.reader import HistoryReader
+from phm.gcs.web.history.store import HistoryStore
 from phm.gcs.web.options import ListenOptions
 from phm.gcs.web.requests import RequestDesk
 from phm.gcs.web.server import WebServer
@@ -17,24 +22,39 @@ from phm.gcs.web.view import View
 
 
 class GroundPage:
-    """Listens from the start. Raises OSError when it cannot. extra: see `Site`."""
+    """Listens from the start. Raises OSError when it cannot. history: its file, None: it ends with the program. extra: see
+    `Site`."""
 
     def __init__(
-        self, station: GroundStation, options: ListenOptions, clock: Clock, extra: Mapping[str, object] | None = None
+        self,
+        station: GroundStation,
+        options: ListenOptions,
+        clock: Clock,
+        history: Path | None = None,
+        extra: Mapping[str, object] | None = None,
     ) -> None:
         self._view, alarms = View(clock), AlarmBook()
         desk = RequestDesk(station, self._view, clock)
+        self._store = HistoryStore(history, clock)
+        reader = HistoryReader(self._store.path)
         site = Site(
             self._view,
             clock,
             requests=desk,
             alarms=alarms,
+            history=reader,
             stream=station,
             on_clients=self._count,
             extra=extra or {},
         )
-        self.server = WebServer(site, options)
-        self._feed = StationFeed(station, self._view, clock, alarms, [desk])
+        try:
+            self.server = WebServer(site, options)
+        except OSError:
+            self._store.close()
+            raise
+        collector = Collector(self._store, FaultBook(reader.open_faults()))
+        self._feed = StationFeed(station, self._view, clock, alarms, [desk, collector])
+        self._feed.ground = lambda: {"history": {"problem": self._store.problem()}}
         station.subscribe(LineTap(clock, self.server, "/stream"))
 
     @property
@@ -46,15 +66,17 @@ class GroundPage:
         return self.server.address
 
     def start(self) -> None:
+        self._store.start()
         self._feed.start()
         self.server.start()
 
     def about(self) -> str:
-        return self.server.about()
+        return "; ".join(filter(None, (self.server.about(), self._store.problem())))
 
     def close(self) -> None:
         self._feed.close()
         self.server.close()
+        self._store.close()
 
     def _count(self, clients: int, dropped: int) -> None:
         self._view.put(ground={"clients": clients, "dropped": dropped})

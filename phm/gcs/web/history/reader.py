@@ -1,7 +1,130 @@
-"""Queries of the history."""
+"""Queries of the history. Each opens the file for itself and has a deadline; called outside of the event loop."""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import sqlite3
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from phm.gcs.web.events import GRADES
+from phm.gcs.web.history.faults import Fault, from_json
+
+Json = dict[str, Any]
+QUERY_S = 5.0
+MAX_POINTS, MAX_EVENTS, MAX_FAULTS = 2000, 500, 200
+SILENT_S = 30.0
+"""A longer time without samples is a gap of a line."""
+KINDS = {
+    "gap": ("s", "heartbeat gap"),
+    "level": ("", "worst level (0 unknown, 1 OK, 2 WARN, 3 ERROR)"),
+    "rate": ("1/s", "frames received"),
+    "cpu": ("%", "CPU"),
+    "memory": ("%", "memory"),
+    "temperature": ("°C", "temperature"),
+    "rssi": ("", "signal here"),
+    "remrssi": ("", "signal at the other end"),
+    "noise": ("", "noise here"),
+    "remnoise": ("", "noise at the other end"),
+    "txbuf": ("%", "free transmit buffer"),
+}
+"""Unit and label of each kind of series."""
+
+
+class HistoryError(Exception):
+    """The history cannot be read; the message says why."""
+
 
 class HistoryReader:
-    """Reads what `phm.gcs.web.history.store` has written."""
+    """Thread-safe."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def kinds(self, who: str) -> list[Json]:
+        with self._open() as connection:
+            found = {row[0] for row in connection.execute("SELECT kind FROM series WHERE who = ?", (who,))}
+        return [{"kind": kind, "unit": unit, "label": label} for kind, (unit, label) in KINDS.items() if kind in found]
+
+    def series(self, who: str, kind: str, since: float, until: float, points: int) -> Json:
+        """Means and maxima over equal times: at most `points` of them. since, until: UTC seconds."""
+        width = max((until - since) / max(1, min(points, MAX_POINTS)), 0.001)
+        with self._open() as connection:
+            rows = connection.execute(
+                "SELECT CAST((at - ?) / ? AS INTEGER) AS part, avg(at), avg(value), max(value) FROM sample "
+                "WHERE series = (SELECT id FROM series WHERE who = ? AND kind = ?) AND at >= ? AND at <= ? "
+                "GROUP BY part ORDER BY part",
+                (since, width, who, kind, since, until),
+            ).fetchall()
+        found: list[list[float | None]] = []
+        for _part, at, value, most in rows:
+            last = found[-1][0] if found else None
+            # A heartbeat that came late is no gap of its own series: the value says how long it was silent.
+            if last is not None and kind != "gap" and at - last > max(SILENT_S, 3 * width):
+                found.append([round((at + last) / 2, 3), None, None])
+            found.append([round(at, 3), _rounded(value), _rounded(most)])
+        unit = KINDS.get(kind, ("", ""))[0]
+        return {"agent": who, "kind": kind, "unit": unit, "points": found}
+
+    def events(
+        self, *, who: str, event: str, text: str, grade: str, before: int | None, until: float | None, limit: int
+    ) -> Json:
+        """Newest first. text: in the words or the keys. grade: at least this grave. before: id. until: UTC seconds."""
+        limit = max(1, min(limit, MAX_EVENTS))
+        wheres, values = ["1"], list[object]()
+        least = GRADES.index(grade) if grade in GRADES else 0
+        for where, value, wanted in (
+            ("who = ?", who, bool(who)),
+            ("event = ?", event, bool(event)),
+            ("grade >= ?", least, least > 0),
+            ("id < ?", before, before is not None),
+            ("at <= ?", until, until is not None),
+            ("(instr(lower(words), ?) OR instr(lower(who), ?))", text.lower(), bool(text)),
+        ):
+            if wanted:
+                wheres.append(where)
+                values += [value] * where.count("?")
+        # The conditions are those above; what is asked for is bound.
+        statement = f"SELECT id, body FROM event WHERE {' AND '.join(wheres)} ORDER BY id DESC LIMIT ?"  # noqa: S608
+        with self._open() as connection:
+            rows = connection.execute(statement, (*values, limit + 1)).fetchall()
+        found = [{**json.loads(body), "id": key} for key, body in rows[:limit]]
+        return {"events": found, "more": len(rows) > limit}
+
+    def faults(self, who: str, *, only_open: bool, until: float | None = None) -> Json:
+        """Newest first. until: UTC seconds."""
+        with self._open() as connection:
+            rows = connection.execute(
+                "SELECT body FROM fault WHERE (? = '' OR who = ?) AND open >= ? AND at <= ? ORDER BY at DESC LIMIT ?",
+                (who, who, int(only_open), until if until is not None else 1e12, MAX_FAULTS),
+            ).fetchall()
+        return {"faults": [json.loads(body) for (body,) in rows]}
+
+    def open_faults(self) -> list[Fault]:
+        """Those that were open when the ground stopped; empty if there is no history yet, or it cannot be read."""
+        found: list[Fault] = []
+        with contextlib.suppress(HistoryError):
+            for body in reversed(self.faults("", only_open=True)["faults"]):
+                with contextlib.suppress(KeyError, TypeError, ValueError):
+                    found.append(from_json(body))
+        return found
+
+    @contextlib.contextmanager
+    def _open(self) -> Iterator[sqlite3.Connection]:
+        end = time.monotonic() + QUERY_S
+        if not self._path.exists():
+            raise HistoryError("there is no history yet")
+        try:
+            with contextlib.closing(sqlite3.connect(self._path, timeout=2.0)) as connection:
+                connection.execute("PRAGMA query_only = 1")
+                connection.set_progress_handler(lambda: int(time.monotonic() > end), 10_000)
+                yield connection
+        except (sqlite3.Error, ValueError) as error:
+            raise HistoryError(f"the history cannot be read: {error}") from None
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)

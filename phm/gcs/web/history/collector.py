@@ -1,0 +1,108 @@
+"""Turns what the ground receives into entries of the history. Runs in the thread of the feed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from phm.core.model import Level
+from phm.gcs.agent import PHM_COMPONENT
+from phm.gcs.frames import ComputerStatus, Heartbeat, RadioStatus
+from phm.gcs.presence import COPY_S
+from phm.gcs.station import Received
+from phm.gcs.subscriber_queue import QueuedEvent
+from phm.gcs.web.events import GRADES
+from phm.gcs.web.history.faults import FaultBook
+from phm.gcs.web.history.store import EVENT, FAULT, HistoryStore, Row, Sample
+from phm.gcs.web.view import dumps
+from phm.wire import status_word
+from phm.wire.status_line import agent_name
+
+RATE_S, LEVEL_S = 10.0, 10.0
+MAX_SENDERS = 1024
+LEVELS = {Level.OK: 1, Level.WARN: 2, Level.ERROR: 3}
+"""As numbers of the series `level`; 0: unknown or lost."""
+RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
+
+
+class Collector:
+    """book: with the faults that are open. A `Taker` of the feed."""
+
+    def __init__(self, store: HistoryStore, book: FaultBook) -> None:
+        self._store, self._book = store, book
+        self._heard: dict[str, float] = {}
+        self._levels: dict[str, tuple[int, float]] = {}
+        self._frames: dict[int, int] = {}
+        self._agents: dict[int, set[str]] = {}
+        self._rate_from: tuple[float, float] | None = None
+
+    def frame(self, received: Received) -> None:
+        frame, at = received.frame, received.at
+        if isinstance(frame, RadioStatus):
+            for kind in RADIO:
+                value = getattr(frame, kind)
+                self._store.put(Sample(f"link:{received.link}"[:100], kind, at.utc, value))
+            return
+        self._count(frame.system, at.mono, at.utc)
+        if isinstance(frame, Heartbeat) and received.of_agent:
+            self._beat(frame, at.mono, at.utc)
+        elif isinstance(frame, ComputerStatus) and _name(frame.system, frame.component) in self._heard:
+            for kind, value in frame.values().items():
+                self._store.put(Sample(_name(frame.system, frame.component), kind, at.utc, float(value)))
+
+    def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None:
+        if not _repeats(line):
+            body = dumps(line)
+            values = (line["utc_s"], line["who"], GRADES.index(line["grade"]), line["event"], line["words"], body)
+            self._store.put(Row(EVENT, values))
+        if line["event"] == "presence" and line["presence"] != "alive":
+            self._store.put(Sample(line["name"], "level", line["utc_s"], 0.0))
+            self._levels.pop(line["name"], None)
+        for fault in self._book.take(line):
+            body = json.dumps(fault.json())
+            self._store.put(Row(FAULT, (fault.key, fault.who, fault.at, float(line["utc_s"]), int(fault.open), body)))
+
+    def turn(self, now: float) -> None:
+        """Nothing is due without a frame."""
+
+    def _beat(self, beat: Heartbeat, mono: float, utc: float) -> None:
+        name = _name(beat.system, beat.component)
+        if name not in self._heard and len(self._heard) >= MAX_SENDERS:
+            return
+        self._agents.setdefault(beat.system, set()).add(name)
+        gap_s = mono - self._heard.get(name, mono)
+        if gap_s > COPY_S:
+            self._store.put(Sample(name, "gap", utc, round(gap_s, 3)))
+        self._heard[name] = mono
+        try:
+            levels = status_word.decode(beat.custom_mode).values()
+        except ValueError:
+            return
+        level = max((LEVELS.get(one, 0) for one in levels), default=0)
+        known, since = self._levels.get(name, (None, 0.0))
+        if level != known or mono - since >= LEVEL_S:
+            self._levels[name] = (level, mono)
+            self._store.put(Sample(name, "level", utc, float(level)))
+
+    def _count(self, system: int, mono: float, utc: float) -> None:
+        """Frames a second, over RATE_S."""
+        if self._rate_from is None:
+            self._rate_from = (mono, utc)
+        self._frames[system] = self._frames.get(system, 0) + 1
+        took = mono - self._rate_from[0]
+        if took < RATE_S:
+            return
+        for number, count in self._frames.items():
+            for name in self._agents.get(number, ()):
+                self._store.put(Sample(name, "rate", utc, round(count / took, 2)))
+        self._frames, self._rate_from = dict.fromkeys(self._frames, 0), (mono, utc)
+
+
+def _name(system: int, component: int) -> str:
+    return agent_name(system) if component == PHM_COMPONENT else f"{agent_name(system)}/{component}"
+
+
+def _repeats(line: Mapping[str, Any]) -> bool:
+    """Whether it says nothing new: repeated lines and digests would fill the disk."""
+    return bool(line.get("repeat")) or line["event"] == "words" or line.get("changed") is False

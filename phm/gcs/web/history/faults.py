@@ -1,0 +1,197 @@
+"""Faults of all agents with their timelines, from the lines that the ground receives. Pure.
+
+An agent reports a fault when it is confirmed, and its end with what ended it. When it was detected is in the details of the fault,
+which the operator can request.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict, deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from typing import Any
+
+from phm.gcs import statustext_parser
+from phm.gcs.statustext_parser import LineKind, ParsedLine, matches
+
+Json = dict[str, Any]
+MAX_OPEN, MAX_STEPS, MAX_QUIET = 2000, 40, 200
+LINE_S = 60.0
+"""For so long the line about an end may come after the heartbeat that shows it."""
+BY_HEARTBEAT = "by its heartbeat"
+_SINCE = re.compile(r"since ([0-9]{2}):([0-9]{2}):([0-9]{2}) UTC")
+_ENDED = re.compile(r"(?:cleared|recovered): |\S+ recovered$")
+_BAD = ("WARN", "ERROR")
+DAY_S = 86_400.0
+
+
+@dataclass(slots=True)
+class Fault:
+    """key: unique in the history. number: as in `#17`, None: not known."""
+
+    key: str
+    who: str
+    slot: int
+    text: str
+    level: str
+    at: float
+    number: int | None = None
+    open: bool = True
+    steps: list[Json] = field(default_factory=list)
+
+    def step(self, name: str, utc_s: float, text: str) -> None:
+        if len(self.steps) < MAX_STEPS:
+            self.steps.append({"step": name, "utc_s": round(utc_s, 3), "text": text})
+            self.steps.sort(key=lambda one: float(one["utc_s"]))
+
+    def json(self) -> Json:
+        return {
+            "key": self.key,
+            "agent": self.who,
+            "slot": self.slot,
+            "unit": self.text.split(" ")[0],
+            "text": self.text,
+            "level": self.level,
+            "number": self.number,
+            "open": self.open,
+            "utc_s": round(self.at, 3),
+            "steps": self.steps,
+        }
+
+
+def from_json(body: Mapping[str, Any]) -> Fault:
+    """Raises KeyError and TypeError for another JSON."""
+    return Fault(
+        str(body["key"]),
+        str(body["agent"]),
+        int(body["slot"]),
+        str(body["text"]),
+        str(body["level"]),
+        float(body["utc_s"]),
+        body["number"],
+        bool(body["open"]),
+        [dict(step) for step in body["steps"]],
+    )
+
+
+class FaultBook:
+    """Open faults. `take` returns those that have changed."""
+
+    def __init__(self, known: Iterable[Fault] = ()) -> None:
+        """known: those that were open when the ground stopped."""
+        self._open: OrderedDict[str, Fault] = OrderedDict((fault.key, fault) for fault in known)
+        self._quiet: deque[tuple[float, Fault]] = deque(maxlen=MAX_QUIET)
+        """Those that ended by a heartbeat: their line may still come."""
+
+    def take(self, line: Mapping[str, Any]) -> list[Fault]:
+        """line: of `phm.gcs.web.events.from_line`."""
+        who, utc_s = str(line["who"]), float(line["utc_s"])
+        match line["event"]:
+            case "text" if line["phm"] and line.get("kind") in (LineKind.CHANGE.value, LineKind.REFRESH.value):
+                parsed = statustext_parser.parse(str(line["text"]))
+                return [] if parsed is None else self._line(who, parsed, utc_s)
+            case "detail":
+                return self._detail(who, str(line["fault"]), str(line["text"]), utc_s)
+            case "slots":
+                well = [int(slot) for slot, (_, new) in dict(line["changed"]).items() if new not in _BAD]
+                over = self._close([one for one in self._of(who) if one.slot in well], utc_s, BY_HEARTBEAT)
+                self._quiet.extend((utc_s, one) for one in over)
+                return over
+            case "restart":
+                return self._close(self._of(who), utc_s, "its PHM has restarted")
+        return []
+
+    def _line(self, who: str, line: ParsedLine, utc_s: float) -> list[Fault]:
+        found = self._of(who)
+        if line.word == "ADVISE" and line.advice is not None:
+            return self._about(
+                found, line, line.advice.fault, "advised", f"{line.advice.action} {line.advice.target}", utc_s
+            )
+        if line.word in ("APPROVED", "EXPIRED"):
+            return self._about(found, line, line.fault, line.word.lower(), line.text, utc_s)
+        if line.word == "GAVE UP":
+            given = self._about(found, line, line.fault, "gave up", line.text, utc_s)
+            if given:
+                return given
+        if line.level is not None:
+            return self._bad(who, line, utc_s)
+        if line.kind is LineKind.REFRESH and line.word == "OK":
+            return self._close(found, utc_s, "all is OK")
+        if line.recovered:
+            over = [one for one in found if one.slot == line.slot and line.resolves(one.text)]
+            over = over or self._ended_quietly(who, line, utc_s)
+            name = "recovered" if _ENDED.match(line.text) else "proof"
+            for one in over:
+                if name == "proof":
+                    one.step("action", utc_s, f"{line.text} (reported when it was proven)")
+            return self._close(over, utc_s, line.text, name)
+        return []
+
+    def _ended_quietly(self, who: str, line: ParsedLine, utc_s: float) -> list[Fault]:
+        """The fault that a heartbeat ended a short time ago, and whose line follows now: the line says more."""
+        for at, one in reversed(self._quiet):
+            if one.who == who and one.slot == line.slot and utc_s - at <= LINE_S and line.resolves(one.text):
+                self._quiet.remove((at, one))
+                one.steps = [step for step in one.steps if step["text"] != BY_HEARTBEAT]
+                return [one]
+        return []
+
+    def _bad(self, who: str, line: ParsedLine, utc_s: float) -> list[Fault]:
+        level = line.level.name if line.level is not None else ""
+        same = [one for one in self._of(who) if one.slot == line.slot and matches(one.text, line.text)]
+        if same:
+            if same[0].level == level:
+                return []
+            same[0].level = level
+            same[0].step("confirmed", utc_s, f"{line.word} {line.text}")
+            return same[:1]
+        fault = Fault(f"{who} {line.slot} {utc_s:.3f} {line.text}", who, line.slot, line.text, level, utc_s, line.fault)
+        fault.step("confirmed", utc_s, f"{line.word} {line.text}")
+        self._open[fault.key] = fault
+        while len(self._open) > MAX_OPEN:
+            self._open.popitem(last=False)
+        return [fault]
+
+    def _about(
+        self, found: list[Fault], line: ParsedLine, number: int | None, step: str, text: str, utc_s: float
+    ) -> list[Fault]:
+        """A step of the fault with this number, else of the newest one of the slot."""
+        here = [one for one in found if one.slot == line.slot]
+        chosen = next((one for one in here if number is not None and one.number == number), here[-1] if here else None)
+        if chosen is None:
+            return []
+        chosen.number = number if number is not None else chosen.number
+        chosen.step(step, utc_s, text)
+        return [chosen]
+
+    def _detail(self, who: str, fault: str, text: str, utc_s: float) -> list[Fault]:
+        since = _SINCE.search(text)
+        number = fault.rpartition("-")[2]
+        if since is None or not number.isdecimal():
+            return []
+        found = self._of(who)
+        chosen = [one for one in found if one.number == int(number)] or (found if len(found) == 1 else [])
+        if not chosen or any(step["step"] == "detected" for step in chosen[0].steps):
+            return []
+        chosen[0].number = int(number)
+        chosen[0].step("detected", _moment(chosen[0].at, *map(int, since.groups())), text)
+        return chosen[:1]
+
+    def _close(self, over: list[Fault], utc_s: float, text: str, step: str = "recovered") -> list[Fault]:
+        for one in over:
+            one.open = False
+            one.step(step, utc_s, text)
+            self._open.pop(one.key, None)
+        return over
+
+    def _of(self, who: str) -> list[Fault]:
+        return [one for one in self._open.values() if one.who == who]
+
+
+def _moment(near: float, hours: int, minutes: int, seconds: int) -> float:
+    """The last moment before `near` with this time of the day."""
+    day = datetime.fromtimestamp(near, timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0).timestamp()
+    moment = day + hours * 3600 + minutes * 60 + seconds
+    return moment if moment <= near + 60 else moment - DAY_S

@@ -1,0 +1,239 @@
+"""The history's file: SQLite, written by one thread in batches, limited in size and age.
+
+A damaged file is set aside and a new one begun: the page must work in the air, and the old file can be looked at later.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import shutil
+import sqlite3
+import tempfile
+import threading
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from phm.core import threads
+from phm.core.bounded_queue import BoundedQueue
+from phm.core.clock import Clock
+
+logger = logging.getLogger(__name__)
+
+MAX_BYTES, MAX_AGE_S = 200_000_000, 30 * 86_400.0
+MAX_WAITING = 50_000
+"""Rows between the receiver and the disk."""
+MAX_SERIES = 20_000
+COMMIT_S, PRUNE_S, RETRY_S, OPEN_S = 1.0, 60.0, 10.0, 2.0
+CLOSE_LIMIT_S = 5.0
+APPLICATION, VERSION = 0x50484D47, 1
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS series (id INTEGER PRIMARY KEY, who TEXT NOT NULL, kind TEXT NOT NULL, UNIQUE (who, kind));
+CREATE TABLE IF NOT EXISTS sample (series INTEGER NOT NULL, at REAL NOT NULL, value REAL, PRIMARY KEY (series, at)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS event (
+  id INTEGER PRIMARY KEY AUTOINCREMENT, at REAL NOT NULL, who TEXT NOT NULL, grade INTEGER NOT NULL, event TEXT NOT NULL,
+  words TEXT NOT NULL, body TEXT NOT NULL);
+CREATE INDEX IF NOT EXISTS event_who ON event (who, id);
+CREATE TABLE IF NOT EXISTS fault (
+  key TEXT PRIMARY KEY, who TEXT NOT NULL, at REAL NOT NULL, changed REAL NOT NULL, open INTEGER NOT NULL, body TEXT NOT NULL);
+CREATE INDEX IF NOT EXISTS fault_at ON fault (at);
+"""
+SAMPLE = "INSERT OR REPLACE INTO sample (series, at, value) VALUES (?, ?, ?)"
+EVENT = "INSERT INTO event (at, who, grade, event, words, body) VALUES (?, ?, ?, ?, ?, ?)"
+FAULT = "INSERT OR REPLACE INTO fault (key, who, at, changed, open, body) VALUES (?, ?, ?, ?, ?, ?)"
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """who: name of an agent, or `link:` and a name. at: UTC seconds. value: None where a line is to be interrupted."""
+
+    who: str
+    kind: str
+    at: float
+    value: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A statement of this module and its values."""
+
+    statement: str
+    values: tuple[object, ...]
+
+
+class HistoryStore:
+    """path: None for a file that is removed at the end. `put` never waits; `start` opens the file."""
+
+    def __init__(self, path: Path | None, clock: Clock, *, max_bytes: int = MAX_BYTES) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="phm-gcs-")) if path is None else None
+        self.path = path if path is not None else Path(self._folder or "") / "history.db"
+        self._clock, self._max_bytes = clock, max_bytes
+        self._queue: BoundedQueue[Sample | Row] = BoundedQueue(clock, MAX_WAITING)
+        self._series: dict[tuple[str, str], int] = {}
+        self._connection: sqlite3.Connection | None = None
+        self._problem = self._aside = ""
+        self._prune_at = 0.0
+        self._retry_at = float("-inf")
+        self._stop, self._tried = threading.Event(), threading.Event()
+        self._written = 0
+        self._thread = threading.Thread(target=self._loop, name="phm-gcs-history", daemon=True)
+
+    def start(self) -> None:
+        """Waits a moment until the file was opened, or cannot be."""
+        if threads.start(self._thread):
+            self._clock.wait(self._tried, OPEN_S)
+
+    def put(self, row: Sample | Row) -> None:
+        self._queue.put(row)
+
+    def problem(self) -> str:
+        """A sentence while something is missing, else empty."""
+        dropped = self._queue.dropped
+        lost = f"{dropped} entries of the history are missing" if dropped else ""
+        return "; ".join(filter(None, (self._problem, self._aside, lost)))
+
+    def flush(self, limit_s: float) -> bool:
+        """Wait until what was put is on disk."""
+        end = time.monotonic() + limit_s
+        while len(self._queue) or self._connection is None:
+            if time.monotonic() > end or self._stop.is_set():
+                return False
+            self._clock.wait(self._stop, 0.02)
+        return True
+
+    def close(self) -> None:
+        self._stop.set()
+        self._queue.wake()
+        threads.join(self._thread, CLOSE_LIMIT_S)
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    # ------------------------------------------------------------ the thread
+
+    def _loop(self) -> None:
+        last, left = False, list[Sample | Row]()
+        while not last:
+            last = self._stop.is_set()
+            try:
+                if self._connection is None and (last or self._clock.mono() >= self._retry_at):
+                    self._open()
+                if self._connection is not None:
+                    left = left or list(self._queue.take(0.0))
+                    self._write(self._connection, left)
+                    left, self._problem = [], ""
+                    self._prune(self._connection)
+            except sqlite3.OperationalError as error:  # a full disk, a folder that cannot be written
+                self._fail(f"the history cannot be written: {error} ({self.path})")
+            except sqlite3.DatabaseError as error:
+                self._set_aside(str(error))
+            except OSError as error:
+                self._fail(f"the history cannot be written: {error.strerror or error} ({self.path})")
+            self._tried.set()
+            if not last:
+                self._clock.wait(self._stop, COMMIT_S)
+        self._disconnect()
+
+    def _open(self) -> None:
+        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        os.close(os.open(self.path, os.O_CREAT | os.O_RDWR, 0o600))
+        connection = sqlite3.connect(self.path, timeout=2.0)
+        try:
+            connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA synchronous = NORMAL")
+            found = connection.execute("PRAGMA application_id").fetchone()[0]
+            version = connection.execute("PRAGMA user_version").fetchone()[0]
+            if (found, version) not in ((0, 0), (APPLICATION, VERSION)):
+                raise sqlite3.DatabaseError("it is of another program or version")
+            connection.executescript(_SCHEMA)
+            connection.execute(f"PRAGMA application_id = {APPLICATION}")
+            connection.execute(f"PRAGMA user_version = {VERSION}")
+            connection.commit()
+        except BaseException:
+            connection.close()
+            raise
+        self._connection = connection
+        self._series = {(who, kind): key for key, who, kind in connection.execute("SELECT id, who, kind FROM series")}
+
+    def _write(self, connection: sqlite3.Connection, rows: Iterable[Sample | Row]) -> None:
+        with connection:
+            for row in rows:
+                if isinstance(row, Row):
+                    connection.execute(row.statement, row.values)
+                    continue
+                key = self._key(connection, row)
+                if key is not None:
+                    connection.execute(SAMPLE, (key, row.at, row.value))
+
+    def _key(self, connection: sqlite3.Connection, row: Sample) -> int | None:
+        """None: there are too many."""
+        name = (row.who, row.kind)
+        if name not in self._series:
+            if len(self._series) >= MAX_SERIES:
+                return None
+            connection.execute("INSERT OR IGNORE INTO series (who, kind) VALUES (?, ?)", name)
+            found = connection.execute("SELECT id FROM series WHERE who = ? AND kind = ?", name).fetchone()
+            self._series[name] = int(found[0])
+        return self._series[name]
+
+    def _prune(self, connection: sqlite3.Connection) -> None:
+        """Delete what is too old, and the oldest tenth while the file is too large."""
+        if self._clock.mono() < self._prune_at:
+            return
+        self._prune_at = self._clock.mono() + PRUNE_S
+        oldest = self._clock.utc() - MAX_AGE_S
+        if self._size(connection) > self._max_bytes:
+            first, last = connection.execute(
+                "SELECT min(at), max(at) FROM (SELECT min(at) AS at FROM event UNION ALL SELECT max(at) FROM event "
+                "UNION ALL SELECT min(at) FROM sample UNION ALL SELECT max(at) FROM sample)"
+            ).fetchone()
+            oldest = max(oldest, (first or 0.0) + ((last or 0.0) - (first or 0.0)) / 10)
+        with connection:
+            connection.execute("DELETE FROM sample WHERE at < ?", (oldest,))
+            connection.execute("DELETE FROM event WHERE at < ?", (oldest,))
+            connection.execute("DELETE FROM fault WHERE changed < ?", (oldest,))
+        connection.execute("PRAGMA incremental_vacuum").fetchall()
+        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+
+    def _size(self, connection: sqlite3.Connection) -> int:
+        pages = (
+            connection.execute("PRAGMA page_count").fetchone()[0]
+            - connection.execute("PRAGMA freelist_count").fetchone()[0]
+        )
+        return int(pages * connection.execute("PRAGMA page_size").fetchone()[0])
+
+    def _fail(self, text: str) -> None:
+        if text != self._problem:
+            logger.warning("%s", text)
+        self._problem, self._retry_at = text, self._clock.mono() + RETRY_S
+        self._disconnect()
+
+    def _set_aside(self, reason: str) -> None:
+        self._disconnect()
+        kept = self.path.with_name(f"{self.path.name}.damaged-{int(self._clock.utc())}")
+        try:
+            os.replace(self.path, kept)
+        except OSError as error:
+            self._fail(f"the history is damaged ({reason}) and cannot be set aside: {error.strerror or error}")
+            return
+        for suffix in ("-wal", "-shm"):
+            with contextlib.suppress(OSError):
+                os.replace(f"{self.path}{suffix}", f"{kept}{suffix}")
+        self._aside = f"the history was damaged ({reason}): it is set aside as {kept.name}, and a new one has begun"
+        logger.warning("%s", self._aside)
+
+    def _disconnect(self) -> None:
+        if self._connection is not None:
+            with contextlib.suppress(sqlite3.Error):
+                self._connection.close()
+        self._connection = None
+        self._series = {}
+
+
+def default_path() -> Path:
+    """In the state folder of the user."""
+    base = os.environ.get("XDG_STATE_HOME") or os.path.join(os.path.expanduser("~"), ".local", "state")
+    return Path(base) / "phm" / "gcs-history.db"

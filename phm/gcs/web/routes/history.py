@@ -1,0 +1,100 @@
+"""Series, events and faults of the past."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from aiohttp import web
+
+from phm.gcs.web.access import Handler, Problem, answer, view
+from phm.gcs.web.history.reader import HistoryError, HistoryReader
+from phm.gcs.web.site import Site
+
+T = TypeVar("T")
+DEFAULT_S = 600.0
+MAX_TEXT = 200
+
+
+def routes(site: Site) -> Sequence[web.RouteDef]:
+    def handler(ask: Callable[[Site, HistoryReader, web.Request], Any]) -> Handler:
+        async def handle(request: web.Request) -> web.Response:
+            if site.history is None:
+                raise Problem(404, "there is no history here")
+            try:
+                return answer(await asyncio.to_thread(ask, site, site.history, request))
+            except HistoryError as error:
+                raise Problem(503, str(error)) from None
+
+        return view(handle)
+
+    return [
+        web.get("/api/history/series", handler(_series)),
+        web.get("/api/history/kinds", handler(_kinds)),
+        web.get("/api/history/events", handler(_events)),
+        web.get("/api/history/faults", handler(_faults)),
+    ]
+
+
+def _series(site: Site, history: HistoryReader, request: web.Request) -> Any:
+    who, utc = _text(request, "agent"), site.view.moment()[1]
+    until = _number(request, "until", utc)
+    # In a replay, the end of the record is the future.
+    until = min(until, utc) if site.replay is not None else until
+    since = _armed(site, who) if request.query.get("since") == "armed" else _number(request, "since", until - DEFAULT_S)
+    if since > until:
+        raise Problem(400, "since is after until")
+    points = int(_number(request, "points", 600))
+    return history.series(who, _text(request, "kind"), since, until, points)
+
+
+def _kinds(site: Site, history: HistoryReader, request: web.Request) -> Any:
+    return {"kinds": history.kinds(_text(request, "agent"))}
+
+
+def _events(site: Site, history: HistoryReader, request: web.Request) -> Any:
+    before = request.query.get("before")
+    if before is not None and not (before.isascii() and before.isdecimal() and len(before) < 18):
+        raise Problem(400, "before is the id of an event")
+    return history.events(
+        who=_text(request, "agent"),
+        event=_text(request, "event"),
+        text=_text(request, "q"),
+        grade=_text(request, "grade"),
+        before=None if before is None else int(before),
+        until=site.view.moment()[1] if site.replay is not None else None,
+        limit=int(_number(request, "limit", 200)),
+    )
+
+
+def _faults(site: Site, history: HistoryReader, request: web.Request) -> Any:
+    until = site.view.moment()[1] if site.replay is not None else None
+    return history.faults(_text(request, "agent"), only_open=request.query.get("open") == "1", until=until)
+
+
+def _armed(site: Site, who: str) -> float:
+    row = site.view.row(who)
+    now, utc = site.view.moment()
+    if row is None or row.get("armed_at") is None:
+        raise Problem(409, "the autopilot of this agent is not armed")
+    return float(utc - (now - row["armed_at"]))
+
+
+def _text(request: web.Request, name: str) -> str:
+    value = request.query.get(name, "")
+    if len(value) > MAX_TEXT:
+        raise Problem(400, f"{name} has more than {MAX_TEXT} characters")
+    return value
+
+
+def _number(request: web.Request, name: str, default: float) -> float:
+    value = request.query.get(name)
+    try:
+        found = default if value is None else float(value)
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found) or abs(found) > 1e11:
+        raise Problem(400, f"{name} is a number")
+    return found

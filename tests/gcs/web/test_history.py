@@ -1,0 +1,206 @@
+"""What the page remembers: over a restart, with limits, and from a damaged file it goes on with a new one."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.core.clock import SystemClock
+from phm.core.model import Level, Slot
+from phm.gcs.presence import COPY_S
+from phm.gcs.web.history.faults import FaultBook
+from phm.gcs.web.history.reader import HistoryReader
+from phm.gcs.web.history.store import EVENT, HistoryStore, Row, Sample
+from tests.fakes.until import until
+from tests.gcs.web.swarm import Client, ground
+
+FAILED = {Slot.CONTAINER: Level.ERROR}
+
+
+def faults(client: Client, query: str = "agent=A07") -> list[dict[str, Any]]:
+    return list(client.get(f"/api/history/faults?{query}")["faults"])
+
+
+def steps(client: Client) -> list[str]:
+    found = faults(client)
+    return [step["step"] for step in found[0]["steps"]] if found else []
+
+
+def events(client: Client, query: str) -> list[dict[str, Any]]:
+    return list(client.get(f"/api/history/events?{query}")["events"])
+
+
+def test_samples_events_and_open_faults_survive_a_restart(tmp_path: Path) -> None:
+    """The second run adds to what the first one has written, and ends the fault that the first one saw begin."""
+    path = tmp_path / "deep" / "history.db"
+    with ground(history=path) as first:
+        vehicle, client = first.vehicle(), first.client()
+        until(lambda: path.exists(), "the file")
+        for _ in range(3):
+            vehicle.beat(FAILED)
+            end = time.monotonic() + COPY_S * 1.5  # a shorter gap would count as a copy
+            until(lambda end=end: time.monotonic() > end, "time to pass")  # type: ignore[misc]
+        vehicle.say("A07 FAIL 2 ros_app exited 1")
+        vehicle.say("A07 ADVISE 2 restart ros_app #17 60s", 4)
+        until(lambda: steps(client) == ["confirmed", "advised"], "the fault")
+        gaps = until(lambda: client.get("/api/history/series?agent=A07&kind=gap")["points"], "the gaps")
+        assert all(0.1 < value < 30 for _, value, _ in gaps)
+    assert path.stat().st_mode & 0o077 == 0
+    with ground(history=path) as second:
+        vehicle, client = second.vehicle(), second.client()
+        until(lambda: events(client, "agent=A07&q=exited"), "the event of the first run")
+        vehicle.beat()
+        vehicle.say("A07 OK 2 ros_app restarted", 5)
+        until(lambda: steps(client)[-2:] == ["action", "proof"], "the end", lambda: steps(client))
+        assert [fault["open"] for fault in faults(client)] == [False]
+        assert faults(client, "agent=A07&open=1") == []
+        assert len(client.get("/api/history/series?agent=A07&kind=gap")["points"]) >= len(gaps)
+
+
+def test_events_are_found_by_text_grade_agent_and_page(tmp_path: Path) -> None:
+    """Newest first; what is asked for is a value, never part of the query."""
+    with ground() as here:
+        one, two, client = here.vehicle(7), here.vehicle(8), here.client()
+        one.beat()
+        two.beat()
+        one.say("A07 FAIL 2 ros_app exited 1")
+        two.say("A08 WARN 9 disk / 88%", 4)
+        until(lambda: len(events(client, "event=text")) == 2, "both lines", lambda: events(client, "event=text"))
+        assert [event["who"] for event in events(client, "q=DISK&event=text")] == ["A08"]
+        assert [event["who"] for event in events(client, "grade=critical")] == ["A07"]
+        assert events(client, "q=%25&agent=A07") == []
+        assert events(client, "agent=A07%27%20OR%201=1--") == []
+        newest = client.get("/api/history/events?limit=1")
+        assert newest["more"] is True
+        older = events(client, f"before={newest['events'][0]['id']}&limit=500")
+        assert newest["events"][0]["id"] not in {event["id"] for event in older}
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "series?agent=A07&kind=gap&since=nan",
+        "series?agent=A07&kind=gap&since=5&until=1",
+        "events?before=x",
+        "events?limit=many",
+        f"events?q={'x' * 300}",
+    ],
+)
+def test_a_wrong_query_is_refused(query: str) -> None:
+    """With 400 and a sentence."""
+    with ground() as here:
+        assert here.client().get(f"/api/history/{query}", 400)["error"]
+
+
+def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
+    """The page says so, and records from now on."""
+    path = tmp_path / "history.db"
+    path.write_bytes(b"not a database at all" * 1000)
+    with ground(history=path) as here:
+        here.vehicle().beat()
+        client = here.client()
+        until(lambda: events_or_none(client), "the new history")
+        problem = until(lambda: client.get("/api/state")["ground"]["history"]["problem"], "the note")
+        assert "set aside" in problem
+        assert "set aside" in here.page.about()
+    assert [one.read_bytes()[:5] for one in tmp_path.glob("history.db.damaged-*")] == [b"not a"]
+
+
+def events_or_none(client: Client) -> Any:
+    status, body, _ = client.ask("GET", "/api/history/events")
+    return body["events"] if status == 200 else None
+
+
+def test_a_folder_that_cannot_be_written_does_not_stop_the_page(tmp_path: Path) -> None:
+    """The page works without a history and says why there is none."""
+    (tmp_path / "file").write_text("x")
+    with ground(history=tmp_path / "file" / "history.db") as here:
+        live = here.live()
+        here.vehicle().beat()
+        until(lambda: live.agent("A07"), "the agent")
+        until(lambda: "cannot be written" in live.state["ground"]["history"]["problem"], "the note")
+        assert "error" in here.client().get("/api/history/events", 503)
+
+
+def test_the_file_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest entries go, the newest stay."""
+    monkeypatch.setattr("phm.gcs.web.history.store.PRUNE_S", 0.0)
+    monkeypatch.setattr("phm.gcs.web.history.store.COMMIT_S", 0.01)
+    path, clock = tmp_path / "history.db", SystemClock()
+    store = HistoryStore(path, clock, max_bytes=300_000)
+    store.start()
+    begin = clock.utc() - 10_000
+    for number in range(10_000):
+        store.put(Row(EVENT, (begin + number, "A07", 0, "text", f"line {number}", '{"x":"' + "x" * 100 + '"}')))
+        store.put(Sample("A07", "gap", begin + number, 1.0))
+
+    def size() -> int:
+        with sqlite3.connect(path) as connection:
+            pages = connection.execute("PRAGMA page_count").fetchone()[0]
+            return int(pages * connection.execute("PRAGMA page_size").fetchone()[0])
+
+    until(lambda: store.flush(0.1) and size() < 600_000, "the limit", size)
+    store.close()
+    found = HistoryReader(path).events(who="", event="", text="", grade="", before=None, until=None, limit=1)["events"]
+    assert found[0]["id"] == 10_000
+
+
+def test_a_series_is_reduced_and_keeps_its_gaps(tmp_path: Path) -> None:
+    """Means with their maxima, and nothing is drawn over a time without samples."""
+    path, clock = tmp_path / "history.db", SystemClock()
+    store, begin = HistoryStore(path, clock), clock.utc() - 2000
+    store.start()
+    for number in range(1000):
+        at = begin + number + (500 if number >= 500 else 0)
+        store.put(Sample("A07", "cpu", at, 99.0 if number == 5 else 10.0))
+    assert store.flush(30)
+    reader = HistoryReader(path)
+    until(lambda: reader.kinds("A07"), "the series")
+    store.close()
+    points = reader.series("A07", "cpu", begin, begin + 1600, 100)["points"]
+    assert len(points) <= 101
+    assert max(most for _, _, most in points if most is not None) == 99
+    assert [value for _, value, _ in points].count(None) == 1
+    assert reader.kinds("A07") == [{"kind": "cpu", "unit": "%", "label": "CPU"}]
+
+
+def line(event: str, utc_s: float, **body: Any) -> dict[str, Any]:
+    return {"event": event, "utc_s": utc_s, "who": "A07", **body}
+
+
+def said(text: str, utc_s: float, kind: str = "change") -> dict[str, Any]:
+    return line("text", utc_s, phm=True, kind=kind, text=text)
+
+
+def test_the_details_of_a_fault_say_when_it_was_detected() -> None:
+    """Before it was confirmed, also across midnight."""
+    book, midnight = FaultBook(), 86_400.0 * 20_000
+    book.take(said("A07 FAIL 2 ros_app exited 1", midnight + 2))
+    found = book.take(
+        line("detail", midnight + 5, fault="ab12-17", text="container/ros_app: x; open since 23:59:58 UTC")
+    )
+    assert [(step["step"], step["utc_s"] - midnight) for step in found[0].steps] == [("detected", -2), ("confirmed", 2)]
+    assert found[0].number == 17
+
+
+def test_a_fault_whose_end_was_not_received_ends_with_the_heartbeat() -> None:
+    """Lines get lost; the status word is repeated."""
+    book = FaultBook()
+    book.take(said("A07 FAIL 2 ros_app exited 1", 1))
+    assert book.take(line("slots", 2, changed={"6": ["OK", "ERROR"]})) == []
+    closed = book.take(line("slots", 3, changed={"2": ["ERROR", "OK"]}))
+    assert [(one.open, one.steps[-1]["text"]) for one in closed] == [(False, "by its heartbeat")]
+
+
+def test_a_repeated_line_is_no_second_fault() -> None:
+    """A refresh repeats the worst one; a fault that gets worse stays one."""
+    book = FaultBook()
+    assert len(book.take(said("A07 WARN 2 ros_app slow", 1))) == 1
+    assert book.take(said("A07 WARN 11111111 2 ros_app slow", 2, "refresh")) == []
+    worse = book.take(said("A07 FAIL 2 ros_app slow", 3))
+    assert [(one.level, len(one.steps)) for one in worse] == [("ERROR", 2)]
+    assert book.take(said("A07 OK 2 ros_app recovered", 4))[0].steps[-1]["step"] == "recovered"
