@@ -14,6 +14,7 @@ Each fake answers with the facts that it was given, until `fail` makes it raise 
 from __future__ import annotations
 
 import dataclasses
+import re
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -41,14 +42,19 @@ from phm.facts import (
     GcsFact,
     HostFact,
     HostProbe,
+    HttpFact,
     LinkFact,
     LinkProbe,
+    LogFact,
+    LogProbe,
     MessageProbe,
     MessageValue,
     OtherContainer,
     PressureFact,
     PressureProbe,
     ProcessFact,
+    ProgramFact,
+    ProgramProbe,
     RadioFact,
     RosFact,
     RosProbe,
@@ -504,15 +510,56 @@ class FakeSelf(_Fake):
 
 
 class FakeSockets(_Fake):
-    """Servers by host and port; others refuse the connection."""
+    """Servers by host and port, and answers by URL; others refuse the connection."""
 
     def __init__(self) -> None:
         super().__init__()
         self.servers: dict[tuple[str, int], ConnectionFact] = {}
+        self.pages: dict[str, HttpFact] = {}
 
     def connect(self, host: str, port: int, *, timeout_s: float, expect: str = "") -> ConnectionFact:
         self._asked()
         return self.servers.get((host, port), ConnectionFact("the connection was refused", 0.0))
+
+    def get(self, url: str, *, timeout_s: float, pattern: str = "", verify_tls: bool = True) -> HttpFact:
+        self._asked()
+        fact = self.pages.get(url, HttpFact("the connection was refused", 0.0))
+        return dataclasses.replace(fact, found=re.search(pattern, fact.body) is not None)
+
+
+class FakePrograms(_Fake):
+    """What programs answer, by container (empty: beside PHM) and first word; others cannot be started. `listed`: processes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.answers: dict[tuple[str, str], ProgramFact] = {}
+        self.listed: tuple[ProcessFact, ...] = ()
+
+    def run(self, argv: Sequence[str], *, timeout_s: float, container: str = "") -> ProgramFact:
+        self._asked()
+        if (container, argv[0]) not in self.answers:
+            raise CannotTell(f"{argv[0]} cannot be started")
+        return self.answers[container, argv[0]]
+
+    def processes(self) -> tuple[ProcessFact, ...]:
+        self._asked()
+        return self.listed
+
+
+class FakeLogs(_Fake):
+    """`lines`: what each reader finds next, by its name; read once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: dict[str, list[str]] = {}
+
+    def follow(
+        self, reader: str, *, patterns: Sequence[str], timeout_s: float, path: str = "", container: str = ""
+    ) -> LogFact:
+        self._asked()
+        lines = self.lines.pop(reader, [])
+        found = [[line for line in lines if re.search(pattern, line)] for pattern in patterns]
+        return LogFact(len(lines), tuple(map(len, found)), tuple(one[-1] if one else "" for one in found))
 
 
 class FakeMessages(_Fake):
@@ -556,6 +603,8 @@ def world(
     sockets: SocketProbe | None = None,
     messages: MessageProbe | None = None,
     serial: SerialProbe | None = None,
+    programs: ProgramProbe | None = None,
+    logs: LogProbe | None = None,
 ) -> World:
     """A world of fakes, with those parts replaced that are given."""
     return World(
@@ -573,6 +622,8 @@ def world(
         sockets=sockets or FakeSockets(),
         messages=messages or FakeMessages(),
         serial=serial or FakeSerial(),
+        programs=programs or FakePrograms(),
+        logs=logs or FakeLogs(),
     )
 
 

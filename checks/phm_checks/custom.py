@@ -6,16 +6,24 @@ from collections.abc import Iterable, Mapping
 
 from phm import api
 from phm_checks._custom.base import CustomCheck
+from phm_checks._custom.command import Command
+from phm_checks._custom.http import Http
 from phm_checks._custom.lifecycle import Lifecycle
+from phm_checks._custom.log import Log
 from phm_checks._custom.mavlink import Mavlink
+from phm_checks._custom.process import Process
 from phm_checks._custom.serial import Serial
 from phm_checks._custom.service import Service
 from phm_checks._custom.tcp import Tcp
 from phm_checks._custom.topic import Topic
 
 TYPES: Mapping[str, type[CustomCheck]] = {
+    "command": Command,
+    "http": Http,
     "lifecycle": Lifecycle,
+    "log": Log,
     "mavlink": Mavlink,
+    "process": Process,
     "serial": Serial,
     "service": Service,
     "tcp": Tcp,

@@ -41,6 +41,7 @@ from phm.facts.links import (
     RadioFact as RadioFact,
     SenderFact as SenderFact,
 )
+from phm.facts.logs import LogFact as LogFact, LogProbe as LogProbe
 from phm.facts.mavlink_messages import MessageProbe as MessageProbe, MessageValue as MessageValue
 from phm.facts.pressure import (
     ConsumerFact as ConsumerFact,
@@ -48,6 +49,7 @@ from phm.facts.pressure import (
     PressureProbe as PressureProbe,
     StallFact as StallFact,
 )
+from phm.facts.programs import ProgramFact as ProgramFact, ProgramProbe as ProgramProbe
 from phm.facts.ros import (
     AnswerFact as AnswerFact,
     BeaconFact as BeaconFact,
@@ -70,7 +72,7 @@ from phm.facts.ros_environment import (
     ros_variables as ros_variables,
 )
 from phm.facts.serial_ports import SerialFact as SerialFact, SerialProbe as SerialProbe
-from phm.facts.sockets import ConnectionFact as ConnectionFact, SocketProbe as SocketProbe
+from phm.facts.sockets import ConnectionFact as ConnectionFact, HttpFact as HttpFact, SocketProbe as SocketProbe
 from phm.facts.swarm import (
     PeerFact as PeerFact,
     SwarmFact as SwarmFact,
@@ -96,3 +98,5 @@ class World:
     sockets: SocketProbe
     messages: MessageProbe
     serial: SerialProbe
+    programs: ProgramProbe
+    logs: LogProbe

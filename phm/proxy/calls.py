@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from phm.core.settings import ContainerSettings, FileSettings, Settings
 from phm.probes.docker_event import FILTERS
 from phm.probes.docker_processes import FORMS
+from phm.probes.logs import TAIL
 from phm.probes.volume_path import normal
 from phm.transport import docker_bodies
 
@@ -44,7 +45,7 @@ class AllowedCall:
     path:    a regular expression of what follows the subject in path and query; without a subject, of all after the version.
     body:    a regular expression of the body; empty: there is none; None: any, an upload.
     learns:  the answer holds the id of the subject.
-    starts:  the answer holds the id of a program in the subject, which may be started.
+    starts:  the answer holds the id of a program in the subject, which may be started: `detached`, or `attached` and looked at.
     """
 
     why: str
@@ -53,7 +54,7 @@ class AllowedCall:
     subject: CallSubject | None = None
     body: str | None = ""
     learns: bool = False
-    starts: bool = False
+    starts: str = ""
 
 
 def calls(settings: Settings) -> list[AllowedCall]:
@@ -123,9 +124,11 @@ def _looks(subject: CallSubject, entry: ContainerSettings, settings: Settings) -
         yield AllowedCall(f"{entry.key}: its statistics", "GET", STATISTICS, subject)
     nodes = {settings.container_of_node(node.name) for node in settings.ros.nodes}
     topics = {settings.container_of_topic(topic) for topic in settings.ros.topics}
-    if entry.key in nodes | topics:
+    listed = {check.container for check in settings.custom if check.type == "process"}
+    if entry.key in nodes | topics | listed:
         forms = "|".join(exact(docker_bodies.query({"ps_args": form})) for form in (*FORMS, COMMAND_LINES))
         yield AllowedCall(f"{entry.key}: its processes", "GET", f"/top(?:{forms})", subject)
+    yield from _own_checks(subject, entry, settings)
     for file in entry.files:
         yield AllowedCall(f"{entry.key}: is {_shown(file.path)} there", "HEAD", _archive(*_spellings(file)), subject)
         if file.present and file.sha256:
@@ -134,13 +137,24 @@ def _looks(subject: CallSubject, entry: ContainerSettings, settings: Settings) -
             )
 
 
+def _own_checks(subject: CallSubject, entry: ContainerSettings, settings: Settings) -> Iterator[AllowedCall]:
+    """What the checks of `custom` call."""
+    for check in settings.custom:
+        if check.type == "command" and check.container == entry.key:
+            body = exact(docker_bodies.exec_attached(check.command))
+            yield AllowedCall(f"{entry.key}: check {check.name}", "POST", "/exec", subject, body, starts="attached")
+    if any(check.type == "log" and check.container == entry.key for check in settings.custom):
+        query = exact(docker_bodies.query(docker_bodies.logs("SINCE", TAIL))).replace("SINCE", "[0-9.]+")
+        yield AllowedCall(f"{entry.key}: its log", "GET", f"/logs{query}", subject)
+
+
 def _actions(subject: CallSubject, entry: ContainerSettings, settings: Settings) -> Iterator[AllowedCall]:
     for verb, query in (("start", ""), ("unpause", ""), ("restart", r"(?:\?t=[0-9]{1,4})?")):
         yield AllowedCall(f"{entry.key}: {verb}", "POST", f"/{verb}{query}", subject)
     for node in settings.ros.nodes:
         if node.relaunch and settings.container_of_node(node.name) == entry.key:
             body = exact(docker_bodies.exec_(node.relaunch))
-            yield AllowedCall(f"{entry.key}: relaunch {node.name}", "POST", "/exec", subject, body, starts=True)
+            yield AllowedCall(f"{entry.key}: relaunch {node.name}", "POST", "/exec", subject, body, starts="detached")
     for file in entry.files:
         if file.present and file.restore and file.restore != "image":
             folder = posixpath.dirname(posixpath.normpath(file.path))

@@ -18,6 +18,8 @@ _VERSION = r"/v1\.(?:2[4-9]|[3-9][0-9])"
 _REF = "[A-Za-z0-9][A-Za-z0-9_.-]*"
 _PLAIN = re.compile(r"/[A-Za-z0-9._/-]+")
 _REFUSAL = '{"message": "the socket proxy allows only the calls that `phm proxy-rules` made of the configuration"}'
+_VARIABLES = {"detached": "x", "attached": "y"}
+"""Beginnings of the names of variables with the id of the newest program in a container, by how it is started."""
 _SILENCE_S = 600
 """Longer than PHM waits for any answer, and than an event stream may be silent."""
 _HEAD = """\
@@ -82,8 +84,8 @@ def rules(settings: Settings, engine: str) -> str:
     frontend = [*_subjects(subjects), *_fixed()]
     for call in made:
         frontend += _call(call)
-    for key in _starting(made):
-        frontend += _start_exec(key)
+    for kind, key in _starting(made):
+        frontend += _start_exec(kind, key)
     learned = "".join(f"    {line}\n" for line in _learned(made))
     head = _HEAD.format(
         agent=settings.agent.name, silence=_SILENCE_S, socket=settings.docker.socket.removeprefix("unix://")
@@ -134,21 +136,26 @@ def _call(call: AllowedCall) -> Iterator[str]:
             f"set-var(txn.learn) str({subject.key})", "GET", _VERSION + path, f"{condition} named_{subject.key}"
         )
     if call.starts and subject is not None:
-        yield _when(f"set-var(txn.learn) str(x{subject.key})", "POST", _VERSION + path, condition)
+        yield _when(
+            f"set-var(txn.learn) str({_VARIABLES[call.starts]}{subject.key})", "POST", _VERSION + path, condition
+        )
     yield _allow(call.method, _VERSION + path, condition)
 
 
-def _starting(made: list[AllowedCall]) -> list[str]:
-    """Keys of the containers in which programs are started."""
-    return list(dict.fromkeys(call.subject.key for call in made if call.starts and call.subject is not None))
+def _starting(made: list[AllowedCall]) -> list[tuple[str, str]]:
+    """How programs are started, and the keys of the containers in which they are."""
+    return list(dict.fromkeys((call.starts, call.subject.key) for call in made if call.starts and call.subject))
 
 
-def _start_exec(key: str) -> Iterator[str]:
+def _start_exec(kind: str, key: str) -> Iterator[str]:
     yield "# Start what was made just now"
-    yield f"acl made_{key} var(txn.ref),strcmp(proc.x{key}) eq 0"
-    body = exact(docker_bodies.START_EXEC)
-    condition = f"made_{key} !chunked whole {{ req.body -m reg {quoted(f'^{body}$')} }}"
+    variable = f"{_VARIABLES[kind]}{key}"
+    yield f"acl made_{variable} var(txn.ref),strcmp(proc.{variable}) eq 0"
+    body = exact(docker_bodies.START_ATTACHED if kind == "attached" else docker_bodies.START_EXEC)
+    condition = f"made_{variable} !chunked whole {{ req.body -m reg {quoted(f'^{body}$')} }}"
     yield _allow("POST", f"{_VERSION}/exec/[0-9a-f]+/start", condition)
+    if kind == "attached":
+        yield _allow("GET", f"{_VERSION}/exec/[0-9a-f]+/json", f"made_{variable} empty !chunked")
 
 
 def _allow(method: str, path: str, condition: str) -> str:
@@ -165,6 +172,7 @@ def _learned(made: list[AllowedCall]) -> Iterator[str]:
         about = f"{{ var(txn.learn) -m str {key} }}"
         yield f"http-response set-var(proc.{key}) res.body,json_query('$.Id') if {about} {{ status 200 }}"
         yield f"http-response unset-var(proc.{key}) if {about} {{ status 404 }}"
-    for key in _starting(made):
-        about = f"{{ var(txn.learn) -m str x{key} }}"
-        yield f"http-response set-var(proc.x{key}) res.body,json_query('$.Id') if {about} {{ status 201 }}"
+    for kind, key in _starting(made):
+        variable = f"{_VARIABLES[kind]}{key}"
+        about = f"{{ var(txn.learn) -m str {variable} }}"
+        yield f"http-response set-var(proc.{variable}) res.body,json_query('$.Id') if {about} {{ status 201 }}"

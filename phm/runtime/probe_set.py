@@ -21,8 +21,11 @@ from phm.probes.files import Files
 from phm.probes.host import Host, clock_synchronized
 from phm.probes.inotify import FileWatcher
 from phm.probes.links import Links
+from phm.probes.logs import Logs
 from phm.probes.mavlink_messages import MavlinkMessages
+from phm.probes.pattern_matcher import PatternMatcher
 from phm.probes.pressure import Pressure
+from phm.probes.programs import Programs
 from phm.probes.reachability_monitor import ReachabilityMonitor
 from phm.probes.ros.environment import RosEnvironments
 from phm.probes.ros.supervisor import RosSupervisor
@@ -72,6 +75,7 @@ class ProbeSet:
     ros: RosSupervisor | None
     sockets: Sockets
     serial: SerialPorts
+    matcher: PatternMatcher
     world: World
 
     def start(self, *, links: bool = True) -> None:
@@ -142,6 +146,7 @@ class ProbeSet:
             ("notices", self.notices.close),
             ("sockets", self.sockets.close),
             ("serial", self.serial.close),
+            ("matcher", self.matcher.close),
             ("engine", self.engine.close),
         ]
         if self.watch is not None:
@@ -212,9 +217,10 @@ def build_probes(
         else None
     )
     probe: RosProbe = ros if ros is not None else RosNotConfigured()
-    sockets = Sockets(clock)
     devices = Devices(settings.host, clock, notices, lambda: wake("device"), lambda: wake("other_device"))
     serial = SerialPorts(clock, devices.place)
+    matcher = PatternMatcher(clock)
+    sockets = Sockets(clock, matcher)
     world = World(
         clock=clock,
         docker=docker,
@@ -230,10 +236,11 @@ def build_probes(
         sockets=sockets,
         messages=MavlinkMessages(hub, settings, clock, links.autopilot),
         serial=serial,
+        programs=Programs(engine, docker.container, clock),
+        logs=Logs(engine, docker.container, clock, matcher),
     )
-    return ProbeSet(
-        engine, docker, watch, pulse, notices, hub if settings.mavlink.endpoints else None, ros, sockets, serial, world
-    )
+    used = hub if settings.mavlink.endpoints else None
+    return ProbeSet(engine, docker, watch, pulse, notices, used, ros, sockets, serial, matcher, world)
 
 
 def _addressed(settings: Settings) -> bool:

@@ -20,7 +20,7 @@ from docker import APIClient
 from docker.errors import create_api_error_from_http_exception
 from requests.models import Response
 
-from phm.transport import docker_bodies
+from phm.transport import docker_bodies, docker_frames
 from phm.transport.docker_errors import (
     EngineBroken,
     EngineConflict,
@@ -246,6 +246,53 @@ class DockerEngine(DockerSession):
 
         self._act(ask, f"run {argv[0] if argv else 'nothing'} in {container}")
 
+    def exec_create(self, container: str, argv: Sequence[str]) -> str:
+        """Prepare a program to run in a container, with its environment and as its user. Returns its id. No shell is involved."""
+        path, body = f"/containers/{quote(container, safe='')}/exec", docker_bodies.exec_attached(argv)
+        return self.call(lambda client: str(_post(client, path, body).json()["Id"]), what=f"prepare {argv[0]}")
+
+    def exec_read(self, program: str, limit: int, *, deadline_s: float) -> tuple[bytes, bytes]:
+        """Start the program and wait for its end. Returns the beginning of its output and errors, together at most `limit` bytes.
+
+        EngineTimeout if it does not end in time; it goes on running, because the engine cannot end it.
+        """
+
+        def ask(client: APIClient) -> tuple[bytes, bytes]:
+            path = f"/exec/{quote(program, safe='')}/start"
+            response = _post(client, path, docker_bodies.START_ATTACHED, stream=True)
+            try:
+                data = docker_frames.beginning(response.raw, limit)
+                while response.raw.read(65536):
+                    pass  # until it ends
+                return docker_frames.split(data)
+            finally:
+                response.close()
+
+        return self.call(ask, deadline_s=deadline_s, what="run a program")
+
+    def exec_exit_code(self, program: str) -> int | None:
+        """The exit code of a program; None: it still runs."""
+        answer = self._ask(lambda client: client.exec_inspect(program), None, "look at a program")
+        return None if answer.get("Running") else int(answer["ExitCode"])
+
+    def logs(self, container: str, since: str, *, tail: int, limit: int, deadline_s: float | None = None) -> bytes:
+        """The end of a container's log, with timestamps: at most `tail` lines, and of these the first `limit` bytes.
+
+        since: see `docker_bodies.logs`. What programs wrote to both streams is in the order in which it came.
+        """
+
+        def ask(client: APIClient) -> bytes:
+            url = f"{client.base_url}/v{client.api_version}/containers/{quote(container, safe='')}/logs"
+            params = docker_bodies.logs(since, tail)
+            response = client.get(url, params=params, stream=True, timeout=client.timeout)
+            try:
+                _raise_for_status(response)
+                return docker_frames.merged(docker_frames.beginning(response.raw, limit))
+            finally:
+                response.close()
+
+        return self.call(ask, deadline_s=deadline_s, what=f"read the log of {container}")
+
     def put_file(
         self, container: str, path: str, data: bytes, mode: int, uid: int = 0, gid: int = 0, *, base: str = ""
     ) -> None:
@@ -293,12 +340,13 @@ def _archive_url(client: APIClient, container: str) -> str:
     return f"{client.base_url}/v{client.api_version}/containers/{quote(container, safe='')}/archive"
 
 
-def _post(client: APIClient, path: str, body: str) -> Response:
+def _post(client: APIClient, path: str, body: str, *, stream: bool = False) -> Response:
     response = client.post(
         f"{client.base_url}/v{client.api_version}{path}",
         data=body,
         headers={"Content-Type": "application/json"},
         timeout=client.timeout,
+        stream=stream,
     )
     _raise_for_status(response)
     return response

@@ -15,6 +15,20 @@ START_EXEC = json.dumps({"Detach": True, "Tty": False})
 """Start a program created by `exec`, without a connection to its streams."""
 
 
+START_ATTACHED = json.dumps({"Detach": False, "Tty": False})
+"""Start a program created by `exec_attached`, and read its output until it ends."""
+
+
+def exec_attached(argv: Sequence[str]) -> str:
+    """Create a program to run in a container, as its user, whose output is read."""
+    return json.dumps({"Cmd": list(argv), "AttachStdout": True, "AttachStderr": True})
+
+
+def logs(since: str, tail: int) -> dict[str, str]:
+    """Parameters of reading a container's log. since: seconds of the engine's clock, with nanoseconds after the point."""
+    return {"stdout": "1", "stderr": "1", "timestamps": "1", "tail": str(tail), "since": since}
+
+
 def exec_(argv: Sequence[str], user: str = "") -> str:
     """Create a program to run in a container, as its user unless another is given."""
     return json.dumps({"Cmd": list(argv), "User": user})

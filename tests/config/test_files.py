@@ -20,7 +20,7 @@ from phm.cli.validate import command
 from phm.config import load, loads, schema
 from phm.config.env_expansion import Expander
 from phm.config.error_messages import PATTERNS
-from phm.config.schema_lookup import bound, field_at, metadata, model_of
+from phm.config.schema_lookup import bound, field_at, metadata, models_of
 from phm.config.yaml_tree import parse
 from phm.core.settings import Settings
 
@@ -67,8 +67,7 @@ def fields(
     """Every field of the models, with its path."""
     for name, field in model.model_fields.items():
         yield (*path, name), field
-        inner = model_of(field.annotation)
-        if inner:
+        for inner in models_of(field.annotation):
             yield from fields(inner, (*path, name))
 
 
@@ -154,8 +153,14 @@ CHOICES = [path for path, field in FIELDS.items() if field.annotation is bool or
 def test_a_choice_is_documented_with_all_allowed_values(path: tuple[str, ...]) -> None:
     """The comment lists exactly the words that the model accepts."""
     field, allowed = FIELDS[path], DOCUMENTED[path].partition("Allowed: ")[2].partition("Default")[0]
-    words = ["true", "false"] if field.annotation is bool else _words(field.annotation)
+    words = ["true", "false"] if field.annotation is bool else _words_at(path)
     assert QUOTED.findall(allowed) == words
+
+
+def _words_at(path: tuple[str, ...]) -> list[str]:
+    """All words at a path; `type` of a list has one in each of its models."""
+    same = [field for place, field in fields() if place == path]
+    return list(dict.fromkeys(word for field in same for word in _words(field.annotation)))
 
 
 def _words(annotation: Any) -> list[str]:

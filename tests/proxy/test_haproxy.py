@@ -38,7 +38,11 @@ NEEDED = {
     "unpause",
     "disconnect",
     "connect",
+    "exec_create",
     "exec_detached",
+    "exec_exit_code",
+    "exec_read",
+    "logs",
     "put_file",
     "set_cpu_shares",
 }

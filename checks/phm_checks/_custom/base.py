@@ -54,7 +54,7 @@ class CustomCheck(api.Check):
     @property
     def container(self) -> str:
         """Key of the container that it concerns; empty: none."""
-        return ""
+        return getattr(self.entry, "container", None) or ""
 
     @property
     def subject(self) -> str:

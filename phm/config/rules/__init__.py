@@ -20,6 +20,7 @@ from phm.config.rules.containers import (
 )
 from phm.config.rules.custom import (
     custom_containers_exist,
+    custom_keys_fit,
     custom_names_are_unique,
     custom_needs_are_units,
     custom_patterns_compile,
@@ -93,6 +94,7 @@ RULES: tuple[Callable[[ConfigNode], None], ...] = (
     custom_serial_ports_are_read_once,
     custom_services_have_one_type,
     own_topics_are_not_custom,
+    custom_keys_fit,
     fleet_has_endpoints,
     fleet_modes_match,
     fleet_certificates_are_used,

@@ -11,7 +11,7 @@ from phm.config.rules.common import configured, container_key, in_order, report_
 from phm.core.settings import CustomBase, RecoverySettings, Seconds
 
 PATTERNS = ("body",)
-"""Keys with a regular expression."""
+"""Keys with a regular expression; those of `patterns` are found there."""
 
 
 def custom_names_are_unique(root: ConfigNode) -> None:
@@ -43,11 +43,27 @@ def custom_containers_exist(root: ConfigNode) -> None:
 
 def custom_patterns_compile(root: ConfigNode) -> None:
     for entry in root.get("custom").records():
-        for place in (entry.get(key) for key in PATTERNS):
+        in_list = [one.get("pattern") for one in entry.get("patterns").records()]
+        for place in (*(entry.get(key) for key in PATTERNS), *in_list):
             try:
                 re.compile(place.text)
             except (re.error, OverflowError, RecursionError) as error:
-                place.add_problem(f"is {shown(place.text)}, which is no regular expression: {error}")
+                place.add_problem(f"is {shown(place.text)}, which is not a regular expression: {error}")
+
+
+def custom_keys_fit(root: ConfigNode) -> None:
+    """Keys that need or exclude each other."""
+    for entry in root.get("custom").records():
+        if entry.get("type").text == "log" and entry.get("path").given == entry.get("container").given:
+            entry.add_problem(
+                "has no log: give 'path' or 'container'"
+                if not entry.get("path").given
+                else "has 'path' and 'container': keep the one whose log is read"
+            )
+        if entry.get("equals").given and not entry.get("json_field").given:
+            entry.get("equals").add_problem("is never used without 'json_field': add it or remove this")
+        if entry.get("type").text == "process" and entry.get("max").given:
+            in_order(entry.get("min"), entry.get("max"), int, (1, 1))
 
 
 def custom_needs_are_units(root: ConfigNode, units: Iterable[str]) -> None:

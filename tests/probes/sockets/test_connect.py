@@ -11,14 +11,16 @@ import pytest
 
 from phm.core.clock import SystemClock
 from phm.facts import CannotTell
+from phm.probes.pattern_matcher import PatternMatcher
 from phm.probes.sockets import BANNER_BYTES, Sockets
 
+CLOCK = SystemClock()
 Serve = Callable[[Callable[[socket.socket], object]], int]
 
 
 @pytest.fixture
 def sockets() -> Iterator[Sockets]:
-    made = Sockets(SystemClock())
+    made = Sockets(CLOCK, PatternMatcher(CLOCK))
     yield made
     made.close()
 
@@ -40,7 +42,7 @@ def serve() -> Iterator[Serve]:
 
 
 def test_a_listening_port_is_connected(sockets: Sockets, serve: Serve) -> None:
-    """By address and by name; `localhost` may have an IPv6 address first, at which nobody listens."""
+    """By address and by name; `localhost` may have an IPv6 address first, without a listener."""
     port = serve(lambda connection: connection.recv(1))
     fact = sockets.connect("localhost", port, timeout_s=5)
     assert (fact.problem, fact.received) == ("", "")
@@ -96,7 +98,7 @@ def test_an_unknown_name_is_a_problem_of_the_server(sockets: Sockets) -> None:
 
 def test_after_the_end_nothing_is_connected() -> None:
     """PHM that stops waits for no server."""
-    sockets = Sockets(SystemClock())
+    sockets = Sockets(CLOCK, PatternMatcher(CLOCK))
     sockets.close()
     with pytest.raises(CannotTell, match="PHM is stopping"):
         sockets.connect("127.0.0.1", 1, timeout_s=30)

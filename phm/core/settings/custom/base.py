@@ -40,7 +40,7 @@ class CustomBase(Section):
     level: Literal["warn", "error"] = "error"
     """Level of a failure. `warn` opens no fault."""
     failures: Annotated[int, Field(ge=1, le=100)] = 2
-    """How many runs in a row must fail before it is reported."""
+    """How many runs in a row must fail before it is reported; for `log` the default is 1."""
     grace: Annotated[Seconds, Field(ge=0, le=600)] = 8.0
     """Seconds after a start of PHM, or of the container that it concerns, in which a failure does not count."""
     brief: Annotated[str, Field(pattern=r"^[ -~]+$", max_length=38)] | None = None

@@ -1,0 +1,31 @@
+"""New lines of logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class LogFact:
+    """What was written since the previous call. lines: how many were read.
+
+    counts: how many of them match, for each pattern. last: the newest line that matches, for each pattern; empty: none.
+    skipped: bytes that were not read, because too much was written.
+    """
+
+    lines: int
+    counts: tuple[int, ...]
+    last: tuple[str, ...]
+    skipped: int = 0
+
+
+class LogProbe(Protocol):
+    def follow(
+        self, reader: str, *, patterns: Sequence[str], timeout_s: float, path: str = "", container: str = ""
+    ) -> LogFact:
+        """The lines of a file or of a container's Docker log since the previous call of this reader; its first call reads none.
+
+        reader: a name for the position in the log. Raises CannotTell if the log cannot be read, or the patterns take too long.
+        """

@@ -1,0 +1,87 @@
+"""Searches patterns in what was written to logs since the last look: files, and Docker's logs of containers."""
+
+from __future__ import annotations
+
+import re
+import threading
+from calendar import timegm
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from phm.core.clock import Clock
+from phm.facts import CannotTell, ContainerFact, LogFact
+from phm.probes.blocking_call import BlockingCallWorker
+from phm.probes.log_file import READ_BYTES, LogFile
+from phm.probes.pattern_matcher import PatternMatcher
+from phm.transport.docker import DockerEngine
+
+TAIL = 4000
+"""Of a container's log, at most so many of the newest lines are read."""
+LINE_CHARS = 2000
+"""The rest of a longer line is not searched."""
+_STAMPED = re.compile(rb"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?Z ?(.*)", re.DOTALL)
+
+
+@dataclass
+class _Reader:
+    """Where one reader is. since: seconds and nanoseconds of the engine's clock; lines up to then are known."""
+
+    worker: BlockingCallWorker
+    file: LogFile
+    since: tuple[int, int] | None = None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class Logs:
+    """Implements `phm.facts.LogProbe`. Thread-safe; readers are named by the configuration, so there are few."""
+
+    def __init__(
+        self,
+        engine: DockerEngine,
+        container: Callable[[str], ContainerFact | None],
+        clock: Clock,
+        matcher: PatternMatcher,
+    ) -> None:
+        self._engine, self._container, self._clock, self._matcher = engine, container, clock, matcher
+        self._readers: dict[str, _Reader] = {}
+        self._lock = threading.Lock()
+
+    def follow(
+        self, reader: str, *, patterns: Sequence[str], timeout_s: float, path: str = "", container: str = ""
+    ) -> LogFact:
+        with self._lock:
+            place = self._readers.setdefault(reader, _Reader(BlockingCallWorker(f"log-{reader}"), LogFile(path)))
+        with place.lock:
+            if container:
+                data, skipped = self._docker_log(place, container, timeout_s), 0
+            else:
+                data, skipped = place.worker.call(place.file.read, timeout_s)
+        lines = [line[:LINE_CHARS] for line in data.decode("utf-8", "replace").splitlines()]
+        found = self._matcher.search(patterns, lines)
+        last = tuple(lines[index] if index >= 0 else "" for _, index in found)
+        return LogFact(len(lines), tuple(count for count, _ in found), last, skipped)
+
+    def _docker_log(self, place: _Reader, container: str, timeout_s: float) -> bytes:
+        """New lines without their timestamps."""
+        fact = self._container(container)
+        if fact is None:
+            raise CannotTell(f"{container} does not exist, so it has no log")
+        if place.since is None:
+            now = self._clock.utc()
+            place.since = (int(now), int(now % 1 * 1e9))
+            return b""
+        since = f"{place.since[0]}.{place.since[1]:09d}"
+        data = self._engine.logs(fact.id, since, tail=TAIL, limit=READ_BYTES, deadline_s=timeout_s)
+        found, known = [], place.since
+        for line in data[: data.rfind(b"\n") + 1].split(b"\n"):
+            match = _STAMPED.fullmatch(line)
+            if match is not None and (stamp := _stamp(match)) > known:
+                found.append(match[8])
+                place.since = max(place.since, stamp)
+        return b"\n".join(found)
+
+
+def _stamp(match: re.Match[bytes]) -> tuple[int, int]:
+    """Seconds and nanoseconds since the epoch."""
+    parts = [int(match[number]) for number in range(1, 7)]
+    return timegm((*parts[:6], 0, 0, 0)), int((match[7] or b"0").ljust(9, b"0"))

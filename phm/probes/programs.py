@@ -1,0 +1,167 @@
+"""Runs programs that the configuration names, beside PHM or in a container, and lists the processes that PHM sees."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from phm.core.clock import Clock
+from phm.facts import CannotTell, ContainerFact, NotPermitted, ProcessFact, ProgramFact
+from phm.transport.docker import DockerEngine, EngineMissing
+
+AT_ONCE = 4
+"""So many programs run beside PHM at a time."""
+OUTPUT_BYTES = 16 << 10
+"""More output is read and dropped."""
+MOST_PROCESSES = 4096
+ENVIRONMENT = {"PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LANG": "C.UTF-8", "HOME": "/"}
+"""All that a program gets: PHM's own environment may hold keys."""
+_ENDED_S = 0.2
+"""How often a program is looked for that closed its output, or ended while a child of it holds the output open."""
+
+
+class Programs:
+    """Implements `phm.facts.ProgramProbe`. Thread-safe."""
+
+    def __init__(
+        self,
+        engine: DockerEngine,
+        container: Callable[[str], ContainerFact | None],
+        clock: Clock,
+        proc: Path = Path("/proc"),
+    ) -> None:
+        self._engine, self._container, self._clock, self._proc = engine, container, clock, proc
+        self._free = threading.BoundedSemaphore(AT_ONCE)
+        self._locks: dict[str, threading.Lock] = {}
+        self._unfinished: dict[tuple[str, tuple[str, ...]], str] = {}
+        self._lock = threading.Lock()
+
+    def run(self, argv: Sequence[str], *, timeout_s: float, container: str = "") -> ProgramFact:
+        until = self._clock.mono() + timeout_s
+        with self._lock:
+            lock = self._locks.setdefault(container, threading.Lock()) if container else self._free
+        # In a container one at a time: a socket proxy knows only the newest program.
+        if not lock.acquire(timeout=timeout_s):
+            raise CannotTell(f"{argv[0]} was not started: other programs have been running for {timeout_s:g} s")
+        try:
+            return self._inside(argv, until, container) if container else self._beside(argv, until, timeout_s)
+        finally:
+            lock.release()
+
+    def processes(self) -> tuple[ProcessFact, ...]:
+        found = []
+        try:
+            pids = [int(name) for name in os.listdir(self._proc) if name.isdecimal()]
+        except OSError as error:
+            raise CannotTell(f"{self._proc} cannot be read: {error.strerror}") from error
+        for pid in sorted(pids)[:MOST_PROCESSES]:
+            with contextlib.suppress(OSError):  # it has ended
+                words = _beginning(self._proc / str(pid) / "cmdline").replace(b"\0", b" ")
+                if words and pid != os.getpid():
+                    found.append(ProcessFact(pid, command=words.decode("utf-8", "replace").strip()))
+        return tuple(found)
+
+    # ------------------------------------------------------------ in a container
+
+    def _inside(self, argv: Sequence[str], until: float, container: str) -> ProgramFact:
+        fact = self._container(container)
+        if fact is None or not fact.running:
+            raise CannotTell(f"{container} is not running, so {argv[0]} cannot be started in it")
+        key, began = (container, tuple(argv)), self._clock.mono()
+        self._demand_ended(key, fact)
+        made = self._engine.exec_create(fact.id, argv)
+        self._unfinished[key] = made
+        output, errors = self._engine.exec_read(made, OUTPUT_BYTES, deadline_s=max(0.1, until - self._clock.mono()))
+        code = self._engine.exec_exit_code(made)
+        if code is None:
+            raise CannotTell(f"{argv[0]} closed its output in {container} and still runs")
+        del self._unfinished[key]
+        if code in (126, 127) and not output:
+            raise CannotTell(
+                f"{argv[0]} cannot be started in {container}: {_text(errors)[:200] or f'exit code {code}'}"
+            )
+        return ProgramFact(code, _text(output or errors), self._clock.mono() - began)
+
+    def _demand_ended(self, key: tuple[str, tuple[str, ...]], fact: ContainerFact) -> None:
+        """Docker cannot end a program in a container: another one is not started while it runs."""
+        earlier = self._unfinished.get(key)
+        if earlier is None:
+            return
+        with contextlib.suppress(EngineMissing, NotPermitted):
+            if self._engine.exec_exit_code(earlier) is None:
+                raise CannotTell(f"{key[1][0]} of an earlier run has not ended in {key[0]}")
+        del self._unfinished[key]
+
+    # ------------------------------------------------------------ beside PHM
+
+    def _beside(self, argv: Sequence[str], until: float, timeout_s: float) -> ProgramFact:
+        began = self._clock.mono()
+        try:
+            program = subprocess.Popen(
+                list(argv),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                env=ENVIRONMENT,
+                cwd="/",
+                start_new_session=True,
+            )
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise CannotTell(f"{argv[0]} cannot be started: {reason}") from error
+        try:
+            output, errors, ended = self._read(program, until)
+        finally:
+            with contextlib.suppress(OSError):
+                os.killpg(program.pid, signal.SIGKILL)  # it is not reaped yet, so the number is still its own
+            code = program.wait()
+            for stream in (program.stdout, program.stderr):
+                if stream is not None:
+                    stream.close()
+        if not ended:
+            raise CannotTell(f"{argv[0]} did not end within {timeout_s:g} s and was killed")
+        if code < 0:
+            raise CannotTell(f"{argv[0]} was ended by signal {-code}")
+        return ProgramFact(code, _text(output or errors), self._clock.mono() - began)
+
+    def _read(self, program: subprocess.Popen[bytes], until: float) -> tuple[bytes, bytes, bool]:
+        """The beginning of its output and errors, and whether it ended in time."""
+        kept = {program.stdout: bytearray(), program.stderr: bytearray()}
+        with selectors.DefaultSelector() as selector:
+            for stream in kept:
+                assert stream is not None
+                selector.register(stream, selectors.EVENT_READ)
+            while (left_s := until - self._clock.mono()) > 0:
+                ended = _has_ended(program.pid)
+                ready = selector.select(0 if ended else min(left_s, _ENDED_S)) if selector.get_map() else []
+                for key, _ in ready:
+                    data = os.read(key.fd, 65536)
+                    if not data:
+                        selector.unregister(key.fileobj)
+                    buffer = kept[key.fileobj]  # type: ignore[index]  # the streams registered above
+                    buffer += data[: OUTPUT_BYTES - len(buffer)]
+                if ended and not ready:
+                    return bytes(kept[program.stdout]), bytes(kept[program.stderr]), True
+                if not selector.get_map() and not ended:
+                    self._clock.wait(threading.Event(), min(left_s, 0.01))
+        return b"", b"", False
+
+
+def _has_ended(pid: int) -> bool:
+    """Without reaping it: until then its process group keeps its number."""
+    return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+
+def _beginning(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(4096)
+
+
+def _text(output: bytes) -> str:
+    return output.decode("utf-8", "replace")

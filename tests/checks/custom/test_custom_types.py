@@ -1,0 +1,177 @@
+"""Checks of the types `http`, `process`, `command` and `log`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm import api, testing
+from phm_checks._custom.command import MOST_VALUES, parted, performance
+from phm_checks.custom import Custom
+
+URL = "http://camera/state"
+OK, WARN, ERROR = api.Level.OK, api.Level.WARN, api.Level.ERROR
+
+
+def build(**entry: Any) -> api.Check:
+    (check,) = Custom.build(testing.settings(containers=[{"name": "app"}], custom=[{"name": "x", **entry}]))
+    return check
+
+
+def run(check: api.Check, **world: Any) -> api.Result:
+    result = check.run(testing.world(**world))
+    assert isinstance(result, api.Result)
+    return result
+
+
+# ------------------------------------------------------------ http
+
+
+def page(code: int = 200, text: str = "", location: str = "", **entry: Any) -> api.Result:
+    sockets = testing.FakeSockets()
+    sockets.pages[URL] = api.HttpFact("", 0.1, code, location, text)
+    return run(build(type="http", url=URL, **entry), sockets=sockets)
+
+
+def test_the_status_of_a_page_is_compared() -> None:
+    """200 unless the entry names others; a redirect says where it leads."""
+    assert page().level is OK
+    moved = page(302, location="http://elsewhere/")
+    assert (moved.level, moved.brief) == (ERROR, "x HTTP 302") and "http://elsewhere/" in moved.summary
+    assert page(204, status=[200, 204]).level is OK
+    assert run(build(type="http", url=URL)).brief == "x no answer"
+
+
+def test_the_body_must_match() -> None:
+    """A page of another program has the right status, too."""
+    assert page(text="state: flying", body="fly(ing)?").level is OK
+    assert page(text="state: flying", body="landed").brief == "x wrong content"
+
+
+@pytest.mark.parametrize(
+    ("body", "entry", "problem"),
+    [
+        ('{"a": {"b": [1, 2]}}', {"json_field": "a.b.1", "equals": 2}, ""),
+        ('{"a": {"b": [1, 2]}}', {"json_field": "a.b.1", "equals": 3}, "a.b.1 is 2, expected 3"),
+        ('{"a": {"b": [1, 2]}}', {"json_field": "a.b.7"}, "no field 'a.b.7'"),
+        ('{"ok": true}', {"json_field": "ok", "equals": True}, ""),
+        ('{"ok": 1}', {"json_field": "ok", "equals": True}, "ok is 1, expected true"),
+        ('{"ok": false}', {"json_field": "ok"}, "ok is false"),
+        ('{"ok": "yes"}', {"json_field": "ok"}, ""),
+        ("<html>", {"json_field": "ok"}, "not JSON"),
+        ("[" * 60000, {"json_field": "ok"}, "not JSON"),
+    ],
+)
+def test_a_field_of_a_json_body_is_compared(body: str, entry: dict[str, Any], problem: str) -> None:
+    """By names and indexes; true is not 1."""
+    result = page(text=body, **entry)
+    assert result.level is (ERROR if problem else OK) and problem in result.summary
+
+
+# ------------------------------------------------------------ process
+
+
+@pytest.mark.parametrize(
+    ("entry", "level"),
+    [({}, OK), ({"min": 2}, OK), ({"min": 3}, ERROR), ({"max": 1}, ERROR), ({"min": 0, "max": 0}, ERROR)],
+)
+def test_processes_are_counted(entry: dict[str, Any], level: api.Level) -> None:
+    """Those whose command line has all words, of PHM's own namespace or of a container."""
+    listed = tuple(api.ProcessFact(pid, command=f"/usr/bin/router --port {pid}") for pid in (7, 8))
+    others = (*listed, api.ProcessFact(9, command="/usr/bin/router"), api.ProcessFact(10, command="vi --port"))
+    programs, docker = testing.FakePrograms(), testing.FakeDocker(testing.container("app"))
+    programs.listed = docker.lists["app"] = others
+    words = {"type": "process", "process": ["router", "--port"]}
+    assert run(build(**words, **entry), programs=programs).level is level
+    inside = run(build(**words, **entry, container="app"), docker=docker)
+    assert (inside.level, inside.values["processes"]) == (level, 2)
+
+
+def test_processes_of_a_container_that_does_not_run_are_unknown() -> None:
+    """Its own unit reports that."""
+    check = build(type="process", process=["router"], container="app")
+    with pytest.raises(api.CannotTell):
+        run(check)
+    (unit,) = check.units
+    assert unit.needs == ("container/app",)
+
+
+# ------------------------------------------------------------ command
+
+
+def command(code: int, output: str, **entry: Any) -> api.Result:
+    programs = testing.FakePrograms()
+    programs.answers["", "check"] = api.ProgramFact(code, output, 0.1)
+    return run(build(type="command", command=["check"], **entry), programs=programs)
+
+
+def test_the_exit_code_is_the_level() -> None:
+    """2 has the level of the entry."""
+    assert [command(code, "text").level for code in (0, 1, 2)] == [OK, WARN, ERROR]
+    assert command(2, "text", level="warn").level is WARN
+    with pytest.raises(api.CannotTell, match="exit code 4: no output"):
+        command(4, "")
+
+
+def test_the_first_line_is_the_text() -> None:
+    """Also for the operator, as one line of 38 ASCII characters at most."""
+    result = command(2, "PUMP dry \x1b[31m since noon and much more text|p=1;2;3\nlong text\n|q=2")
+    assert result.summary == "x: PUMP dry [31m since noon and much more text"
+    assert len(result.brief) <= 38 and result.brief.isascii() and result.brief.isprintable()
+    assert result.values == {"p": 1.0, "q": 2.0}
+    assert command(2, "").summary == "x: exit code 2"
+
+
+def test_performance_data_become_values_with_their_unit() -> None:
+    """As the guidelines of the plug-ins define them; anything else is left out."""
+    text, data = parted("OK | load1=0.5;15;30;0; '/ home'=12MB;;;0;99 'it''s'=7% x=U y=1e400 z=3c time=0.01s;1;2\n")
+    assert text == "OK"
+    assert performance(data) == {
+        "load1": 0.5, "/ home_MB": 12.0, "it's_percent": 7.0, "z_c": 3.0, "time_s": 0.01,
+    }  # fmt: skip
+    assert len(performance(" ".join(f"v{number}=1" for number in range(1000)))) == MOST_VALUES
+
+
+# ------------------------------------------------------------ log
+
+
+def test_a_found_pattern_is_a_failure_until_it_is_quiet() -> None:
+    """Each further line prolongs it."""
+    clock, logs = testing.FakeClock(), testing.FakeLogs()
+    check = build(type="log", path="/app.log", patterns=[{"pattern": "ERROR (.*)"}], quiet=60)
+
+    def look(*lines: str) -> api.Result:
+        logs.lines["x"] = list(lines)
+        return run(check, clock=clock, logs=logs)
+
+    assert look("fine").level is OK
+    found = look("ERROR a", "ERROR b", "fine")
+    assert (found.level, found.values["matches"], found.brief) == (ERROR, 2, "x log match")
+    assert found.summary.endswith("newest line: ERROR b")
+    clock.advance(59)
+    assert look("ERROR c").values["matches"] == 3
+    clock.advance(59)
+    assert look().level is ERROR
+    clock.advance(1)
+    assert look().level is OK
+    assert check.failures == 1, "a second look would find nothing new"
+
+
+def test_each_pattern_has_its_level() -> None:
+    """An error has priority over a warning."""
+    logs = testing.FakeLogs()
+    patterns = [{"pattern": "slow", "level": "warn"}, {"pattern": "dead"}]
+    check = build(type="log", container="app", patterns=patterns)
+    logs.lines["x"] = ["slow"]
+    assert run(check, logs=logs).level is WARN
+    logs.lines["x"] = ["dead"]
+    assert run(check, logs=logs).level is ERROR
+
+
+def test_a_log_line_is_text() -> None:
+    """An application may log what it received by radio."""
+    logs = testing.FakeLogs()
+    logs.lines["x"] = ["ERROR \x1b[2J" + "y" * 5000]
+    result = run(build(type="log", path="/a", patterns=[{"pattern": "ERROR"}]), logs=logs)
+    assert result.summary.isprintable() and len(result.summary) < 400

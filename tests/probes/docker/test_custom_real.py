@@ -1,0 +1,115 @@
+"""Checks without code, inside real containers: programs and Docker's logs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.core.clock import SystemClock
+from phm.core.model import Level, Result
+from phm.facts import CannotTell, World
+from phm.probes.docker import Docker
+from phm.probes.logs import Logs
+from phm.probes.pattern_matcher import PatternMatcher
+from phm.probes.programs import OUTPUT_BYTES, Programs
+from phm.transport.docker import DockerEngine
+from phm_checks.custom import Custom
+from tests.fakes.until import until
+
+CLOCK = SystemClock()
+
+
+class Place:
+    """A configured container and the real probes."""
+
+    def __init__(self, engine: DockerEngine, name: str) -> None:
+        self.name = name
+        containers = testing.settings(containers=[{"name": name}]).containers
+        docker = Docker(engine, containers, testing.settings().docker, CLOCK)
+        self.matcher = PatternMatcher(CLOCK, limit_s=30.0)
+        self.programs = Programs(engine, docker.container, CLOCK)
+        logs = Logs(engine, docker.container, CLOCK, self.matcher)
+        self.world: World = testing.world(clock=CLOCK, docker=docker, programs=self.programs, logs=logs)
+
+    def check(self, **entry: Any) -> Any:
+        entry = {"name": "x", "container": self.name, "timeout": 10, **entry}
+        (check,) = Custom.build(testing.settings(containers=[{"name": self.name}], custom=[entry]))
+        return check
+
+    def run(self, check: Any) -> Result:
+        result = check.run(self.world)
+        assert isinstance(result, Result)
+        return result
+
+
+@pytest.fixture
+def place(real: Any, engine: DockerEngine) -> Any:
+    command = "while :; do cat /tmp/say 2>/dev/null && rm /tmp/say; sleep 0.1; done"
+    made = Place(engine, real.container(command).name)
+    yield made
+    made.matcher.close()
+
+
+def shell(script: str) -> list[str]:
+    return ["sh", "-c", script]
+
+
+def test_a_program_in_a_container_is_judged_by_exit_code_and_output(place: Place) -> None:
+    """Its output and its errors arrive apart; much of it is cut."""
+    check = place.check(type="command", command=shell("echo 'FUEL low|fuel=7%'; echo more >&2; exit 1"))
+    result = place.run(check)
+    assert (result.level, result.summary, result.values["fuel_percent"]) == (Level.WARN, "x: FUEL low", 7.0)
+    fact = place.programs.run(shell("yes | head -c 1000000"), timeout_s=60, container=place.name)
+    assert fact.exit_code == 0 and OUTPUT_BYTES - 100 < len(fact.output) <= OUTPUT_BYTES
+    assert place.programs.run(shell("echo only >&2"), timeout_s=60, container=place.name).output == "only\n"
+
+
+def test_a_program_that_is_not_in_the_container_is_unknown(place: Place) -> None:
+    """The engine says so with exit code 127 or an error."""
+    with pytest.raises(CannotTell):
+        place.run(place.check(type="command", command=["/nowhere/check"]))
+
+
+def test_a_program_that_hangs_in_a_container_is_not_started_twice(place: Place) -> None:
+    """Docker cannot end it, so the next runs say what they wait for, until it has ended."""
+    words = shell("while [ ! -e /tmp/go ]; do sleep 0.1; done; echo done")
+    with pytest.raises(CannotTell):
+        place.programs.run(words, timeout_s=1, container=place.name)
+    with pytest.raises(CannotTell, match="earlier run has not ended"):
+        place.programs.run(words, timeout_s=10, container=place.name)
+    place.programs.run(["touch", "/tmp/go"], timeout_s=30, container=place.name)
+
+    def works() -> bool:
+        try:
+            return place.programs.run(words, timeout_s=30, container=place.name).output == "done\n"
+        except CannotTell:
+            return False
+
+    until(works, "the end of the earlier run", limit_s=30)
+
+
+def test_a_line_in_the_log_of_a_container_is_found_once(place: Place) -> None:
+    """Lines from before PHM do not count, and none counts twice."""
+
+    def say(text: str) -> None:
+        place.programs.run(
+            shell(f"echo '{text}' > /tmp/say.new; mv /tmp/say.new /tmp/say"), timeout_s=30, container=place.name
+        )
+
+    check = place.check(type="log", patterns=[{"pattern": "PUMP (dry|stuck)"}])
+    assert place.run(check).level is Level.OK
+    say("PUMP dry")
+    found = until(lambda: (result := place.run(check)).level is Level.ERROR and result, "the line", limit_s=60)
+    assert found.summary.endswith("newest line: PUMP dry") and found.values["matches"] == 1
+    say("fine")
+    until(lambda: place.run(check).values["lines"] == 1, "the other line", limit_s=60)
+    assert place.run(check).values == {"lines": 0, "matches": 1}
+
+
+def test_processes_of_a_container_are_counted(place: Place) -> None:
+    """From the engine's list."""
+    check = place.check(type="process", process=["while", "sleep"])
+    assert place.run(check).level is Level.OK
+    assert place.run(place.check(type="process", process=["no such process"])).level is Level.ERROR
