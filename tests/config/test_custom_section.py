@@ -51,7 +51,7 @@ def refused(entries: str) -> list[str]:
         ("{name: a, type: log, patterns: [{pattern: x}]}", "custom[0]: has no log: give 'path' or 'container'"),
         ("{name: a, type: log, path: /x, container: app, patterns: [{pattern: x}]}", "custom[0]: has 'path' and 'container'"),
         ("{name: a, type: log, path: /x, patterns: [{pattern: '['}]}", "custom[0].patterns[0].pattern: is '[', which is not"),
-        ("{name: a, type: process, process: [x], min: 3, max: 2}", "custom[0].min: is 3, above 'max' which is 2"),
+        ("{name: a, type: process, process: [x], min_count: 3, max_count: 2}", "custom[0].min_count: is 3, above 'max_count' which is 2"),
         (f"{{{TCP}, grace: 60, recovery: {{container: app}}}}", "custom[0].grace: is 60, above 'verify' which is 30"),
     ],
 )  # fmt: skip

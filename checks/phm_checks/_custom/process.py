@@ -16,11 +16,13 @@ class Process(CustomCheck):
         found = [fact for fact in listing if all(word in fact.command for word in entry.process)]
         where = f" in {entry.container}" if entry.container else ""
         text = f"{len(found)} processes with {words!r}{where}"
-        if len(found) < entry.min:
-            return bad(f"{text}, expected {entry.min} or more", f"{len(found)} running", processes=len(found))
-        if entry.max is not None and len(found) > entry.max:
+        if len(found) < entry.min_count:
+            return bad(f"{text}, expected {entry.min_count} or more", f"{len(found)} running", processes=len(found))
+        if entry.max_count is not None and len(found) > entry.max_count:
             pids = listed(str(fact.pid) for fact in found)
             return bad(
-                f"{text} (pids {pids}), expected at most {entry.max}", f"{len(found)} running", processes=len(found)
+                f"{text} (pids {pids}), expected at most {entry.max_count}",
+                f"{len(found)} running",
+                processes=len(found),
             )
         return good(text, processes=len(found))

@@ -54,16 +54,15 @@ def custom_patterns_compile(root: ConfigNode) -> None:
 def custom_keys_fit(root: ConfigNode) -> None:
     """Keys that need or exclude each other."""
     for entry in root.get("custom").records():
-        if entry.get("type").text == "log" and entry.get("path").given == entry.get("container").given:
-            entry.add_problem(
-                "has no log: give 'path' or 'container'"
-                if not entry.get("path").given
-                else "has 'path' and 'container': keep the one whose log is read"
-            )
-        if entry.get("equals").given and not entry.get("json_field").given:
+        kind = entry.get("type").text
+        if kind == "log" and entry.get("path").given and entry.get("container").given:
+            entry.add_problem("has 'path' and 'container': keep the one whose log is read")
+        elif kind == "log" and not entry.get("path").given and not entry.get("container").given:
+            entry.add_problem("has no log: give 'path' or 'container'")
+        elif kind == "http" and entry.get("equals").given and not entry.get("json_field").given:
             entry.get("equals").add_problem("is never used without 'json_field': add it or remove this")
-        if entry.get("type").text == "process" and entry.get("max").given:
-            in_order(entry.get("min"), entry.get("max"), int, (1, 1))
+        elif kind == "process" and entry.get("max_count").given:
+            in_order(entry.get("min_count"), entry.get("max_count"), int, (1, 1))
 
 
 def custom_needs_are_units(root: ConfigNode, units: Iterable[str]) -> None:

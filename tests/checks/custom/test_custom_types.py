@@ -74,7 +74,13 @@ def test_a_field_of_a_json_body_is_compared(body: str, entry: dict[str, Any], pr
 
 @pytest.mark.parametrize(
     ("entry", "level"),
-    [({}, OK), ({"min": 2}, OK), ({"min": 3}, ERROR), ({"max": 1}, ERROR), ({"min": 0, "max": 0}, ERROR)],
+    [
+        ({}, OK),
+        ({"min_count": 2}, OK),
+        ({"min_count": 3}, ERROR),
+        ({"max_count": 1}, ERROR),
+        ({"min_count": 0, "max_count": 0}, ERROR),
+    ],
 )
 def test_processes_are_counted(entry: dict[str, Any], level: api.Level) -> None:
     """Those whose command line has all words, of PHM's own namespace or of a container."""

@@ -19,7 +19,7 @@ class ProcessCheckSettings(CustomBase):
     """Words that all occur in the command line of the process."""
     container: Name | None = None
     """Key of the container that is searched; default: the processes that PHM sees, all of the computer with `pid: host`."""
-    min: Annotated[int, Field(ge=0, le=1000)] = 1
+    min_count: Annotated[int, Field(ge=0, le=1000)] = 1
     """Fewest processes."""
-    max: Annotated[int, Field(ge=0, le=1000)] | None = None
+    max_count: Annotated[int, Field(ge=0, le=1000)] | None = None
     """Most processes; default: any number."""
