@@ -1,0 +1,222 @@
+"""The Checks page in a real browser: somebody who knows no YAML adds a check."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from phm.gcs.web.config_editor import ConfigEditor
+from phm.gcs.web.options import ListenOptions, Tokens
+from phm.gcs.web.routes.checks import EXTRA
+from phm.runtime.configuration import plan_of
+from tests.gcs.web.swarm import ground
+
+pytestmark = pytest.mark.browser
+
+CHROMIUM = os.environ.get("PHM_TEST_CHROMIUM", "/usr/bin/chromium")
+LIMIT_MS = 20_000
+TEXT = """\
+# Our bench. <img src=x onerror=alert(1)>
+agent: {name: "${NAME:-a7}", id: 7}
+containers:
+  - name: app  # the application
+    recover: true
+log:
+  # How many are kept.
+  files: 3
+"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield launched
+        launched.close()
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "a7.yaml"
+    path.write_text(TEXT)
+    return path
+
+
+@pytest.fixture
+def page(browser: Browser, file: Path) -> Iterator[Page]:
+    editor = ConfigEditor(plan_of, [str(file)])
+    with ground(ListenOptions(port=0), extra={EXTRA: editor}) as here:
+        opened = browser.new_page(viewport={"width": 1400, "height": 1000})
+        opened.set_default_timeout(LIMIT_MS)
+        expect.set_options(timeout=LIMIT_MS)
+        errors: list[str] = []
+        opened.on("pageerror", lambda error: errors.append(str(error)))
+        opened.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+        opened.on("dialog", lambda dialog: dialog.accept())
+        opened.goto(f"{here.page.url}checks")
+        expect(opened.locator("#state")).to_contain_text("not changed, valid")
+        yield opened
+        assert errors == []
+        opened.close()
+
+
+def axe(page: Page) -> list[str]:
+    """The violations that axe finds, by rule and place."""
+    found: list[dict[str, Any]] = Axe().run(page).response["violations"]
+    return [f"{rule['id']}: {node['target']}" for rule in found for node in rule["nodes"]]
+
+
+def section(page: Page, key: str) -> Any:
+    return page.locator(f'[data-key="{key}"]')
+
+
+def test_a_check_is_added_without_yaml(page: Page, file: Path) -> None:
+    """The reader picks a type, sees what is wrong at the field, previews units and changes, and saves; the comments stay."""
+    page.get_by_label("Type of a new entry of custom").select_option("http")
+    page.get_by_role("button", name="Add to custom").click()
+    name = section(page, "custom[0].name")
+    expect(name.locator(".problem")).to_contain_text("is missing")
+    expect(name.locator("input")).to_be_focused()
+    name.locator("input").fill("planner")
+    url = section(page, "custom[0].url")
+    url.locator("input").fill("http://127.0.0.1:8080/health")
+    slot = section(page, "custom[0].slot").locator("input")
+    slot.fill("99")
+    slot.press("Tab")
+    expect(section(page, "custom[0].slot").locator(".problem")).to_contain_text("1 to 15")
+    expect(slot).to_have_attribute("aria-invalid", "true")
+    expect(page.locator("#problems")).to_contain_text("custom[0].slot")
+    assert axe(page) == []
+    slot.fill("14")
+    slot.press("Tab")
+    expect(page.locator("#state")).to_contain_text("changed, not saved, valid")
+    expect(page.locator("#units tr.new")).to_contain_text("custom/planner")
+    expect(page.locator("#units tr.new")).to_contain_text("+ new")
+    added = page.locator("#diff .added")
+    expect(added.filter(has_text="name: planner")).to_have_count(1)
+    assert axe(page) == []
+    assert file.read_text() == TEXT
+    page.get_by_role("button", name="Save", exact=True).click()
+    expect(page.locator("#state")).to_contain_text("a7.yaml: saved")
+    expect(page.locator("#diff-count")).to_have_text("none")
+    text = file.read_text()
+    assert text.startswith(TEXT)
+    for line in (
+        "custom:",
+        "  - type: http",
+        "    name: planner",
+        '    url: "http://127.0.0.1:8080/health"',
+        "    slot: 14",
+    ):
+        assert line in text.splitlines(), text
+
+
+def test_what_is_in_the_file_is_text_never_markup(page: Page) -> None:
+    """Also in the preview, the changes and the messages; nothing runs."""
+    section(page, "log").locator("summary").click()
+    files = section(page, "log.files").locator("input")
+    hostile = "<img src=x onerror=document.title='bad'>"
+    files.fill(hostile)
+    files.press("Tab")
+    expect(page.locator("#diff")).to_contain_text(hostile)
+    expect(section(page, "log.files").locator(".problem")).to_contain_text("img src")
+    assert page.locator("img").count() == 0
+    assert page.title() == "Checks - PHM"
+
+
+def test_it_works_by_keyboard_alone(page: Page, file: Path) -> None:
+    """Open a section, change a value, undo it, change it again and save."""
+    section(page, "log").locator("summary").focus()
+    page.keyboard.press("Enter")
+    files = section(page, "log.files").locator("input")
+    files.focus()
+    page.keyboard.press("Control+A")
+    page.keyboard.type("5")
+    page.keyboard.press("Tab")
+    expect(page.locator("#diff")).to_contain_text("files: 5")
+    page.locator("#undo").focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#state")).to_contain_text("not changed")
+    expect(files).to_have_value("3")
+    files.focus()
+    page.keyboard.press("Control+A")
+    page.keyboard.type("4")
+    page.keyboard.press("Tab")
+    expect(page.locator("#save")).to_be_enabled()
+    page.locator("#save").focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#state")).to_contain_text("a7.yaml: saved")
+    assert file.read_text() == TEXT.replace("files: 3", "files: 4")
+
+
+def test_form_and_yaml_show_the_same(page: Page) -> None:
+    """A text is applied to the form; broken YAML says its line, and the form waits."""
+    page.locator("#box-yaml summary").click()
+    page.locator("#yaml").fill("containers:\n  - name: web\n    ready: {services: [/go]}\nros: {nodes: [\n")
+    page.get_by_role("button", name="Apply the text").click()
+    expect(page.locator("#problems")).to_contain_text("line")
+    expect(page.locator("#form")).to_have_attribute("inert", "")
+    page.locator("#yaml").fill("containers:\n  - name: web\n    ready: {services: [/go]}\n")
+    page.get_by_role("button", name="Apply the text").click()
+    expect(page.locator("#state")).to_contain_text("valid")
+    section(page, "containers[0]").locator("> summary").click()
+    expect(section(page, "containers[0].name").locator("input")).to_have_value("web")
+    section(page, "containers[0].ready").locator("> summary").click()
+    section(page, "containers[0].ready.services").locator("> summary").click()
+    expect(section(page, "containers[0].ready.services[0]").locator("input")).to_have_value("/go")
+    page.get_by_role("button", name="Remove containers[0]: web").click()
+    expect(page.locator("#yaml")).to_have_value("containers: []\n")
+
+
+def test_every_section_of_the_schema_opens(page: Page) -> None:
+    """With all of it open, axe finds nothing."""
+    for _ in range(4):
+        closed = page.locator("#form details:not([open]) > summary")
+        closed.evaluate_all("nodes => nodes.forEach(node => node.click())")
+        page.locator("#form details[open] > .body > *").first.wait_for()
+    page.locator("aside details:not([open]) > summary").evaluate_all("nodes => nodes.forEach(node => node.click())")
+    page.locator("#host").fill("pilot@10.0.0.7")
+    expect(page.locator("#commands")).to_contain_text("phm validate /etc/phm/phm.yaml.new")
+    page.locator("#host").fill("-oProxyCommand=x@y")
+    expect(page.locator("#commands")).to_have_text("Enter the agent as USER@HOST.")
+    assert page.locator("#form input, #form select").count() > 100
+    assert axe(page) == []
+
+
+def test_an_upload_is_edited_and_downloaded(page: Page, file: Path, tmp_path: Path) -> None:
+    """Without a file of the ground's disk: nothing can be saved there, the result is downloaded."""
+    page.locator("#upload").set_input_files({"name": "b.yaml", "mimeType": "text/yaml", "buffer": TEXT.encode()})
+    expect(page.locator("#state")).to_contain_text("b.yaml: not changed")
+    section(page, "containers").get_by_role("button", name="Add to containers").click()
+    section(page, "containers[1].name").locator("input").fill("camera")
+    section(page, "containers[1].name").locator("input").press("Tab")
+    expect(page.locator("#diff")).to_contain_text("name: camera")
+    expect(page.locator("#save")).to_be_disabled()
+    with page.expect_download() as started:
+        page.get_by_role("button", name="Download").click()
+    assert started.value.suggested_filename == "b.yaml"
+    started.value.save_as(tmp_path / "got.yaml")
+    assert (tmp_path / "got.yaml").read_text() == TEXT.replace("recover: true\n", "recover: true\n  - name: camera\n")
+    assert file.read_text() == TEXT
+
+
+def test_a_viewer_sees_no_configuration(browser: Browser, file: Path) -> None:
+    """It may have secrets: the page asks for an operator's token."""
+    editor = ConfigEditor(plan_of, [str(file)])
+    options = ListenOptions(port=0, tokens=Tokens("v" * 32, "o" * 32))
+    with ground(options, extra={EXTRA: editor}) as here:
+        opened = browser.new_page()
+        opened.set_default_timeout(LIMIT_MS)
+        opened.goto(f"{here.page.url}checks")
+        opened.get_by_label("Token of an operator").fill("v" * 32)
+        opened.get_by_role("button", name="Log in").click()
+        expect(opened.locator("#notice")).to_contain_text("for the role operate")
+        assert opened.locator("#editor").is_hidden()
+        assert "Our bench" not in opened.content()
+        opened.close()
