@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 
 from phm.gcs.web.config_editor import ConfigEditor
 from phm.gcs.web.options import ListenOptions, Tokens
 from phm.gcs.web.routes.checks import EXTRA
 from phm.runtime.configuration import plan_of
+from tests.gcs.web.browser.scene import LIMIT_MS, chromium, tab
 from tests.gcs.web.swarm import ground
 
 pytestmark = pytest.mark.browser
 
-CHROMIUM = os.environ.get("PHM_TEST_CHROMIUM", "/usr/bin/chromium")
-LIMIT_MS = 20_000
+expect.set_options(timeout=LIMIT_MS)
 TEXT = """\
 # Our bench. <img src=x onerror=alert(1)>
 agent: {name: "${NAME:-a7}", id: 7}
@@ -35,10 +34,8 @@ log:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with chromium() as launched:
         yield launched
-        launched.close()
 
 
 @pytest.fixture
@@ -51,19 +48,13 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture
 def page(browser: Browser, file: Path) -> Iterator[Page]:
     editor = ConfigEditor(plan_of, [str(file)])
-    with ground(ListenOptions(port=0), extra={EXTRA: editor}) as here:
-        opened = browser.new_page(viewport={"width": 1400, "height": 1000})
-        opened.set_default_timeout(LIMIT_MS)
-        expect.set_options(timeout=LIMIT_MS)
-        errors: list[str] = []
-        opened.on("pageerror", lambda error: errors.append(str(error)))
-        opened.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    with (
+        ground(ListenOptions(port=0), extra={EXTRA: editor}) as here,
+        tab(browser, f"{here.page.url}checks", viewport={"width": 1400, "height": 1000}) as opened,
+    ):
         opened.on("dialog", lambda dialog: dialog.accept())
-        opened.goto(f"{here.page.url}checks")
         expect(opened.locator("#state")).to_contain_text("not changed, valid")
         yield opened
-        assert errors == []
-        opened.close()
 
 
 def axe(page: Page) -> list[str]:
@@ -78,14 +69,14 @@ def section(page: Page, key: str) -> Any:
 
 def test_a_check_is_added_without_yaml(page: Page, file: Path) -> None:
     """The reader picks a type, sees what is wrong at the field, previews units and changes, and saves; the comments stay."""
-    page.get_by_label("Type of a new entry of custom").select_option("http")
+    page.get_by_label("Type of a new entry of custom").select_option("tcp")
     page.get_by_role("button", name="Add to custom").click()
     name = section(page, "custom[0].name")
     expect(name.locator(".problem")).to_contain_text("is missing")
     expect(name.locator("input")).to_be_focused()
     name.locator("input").fill("planner")
-    url = section(page, "custom[0].url")
-    url.locator("input").fill("http://127.0.0.1:8080/health")
+    section(page, "custom[0].host").locator("input").fill("127.0.0.1")
+    section(page, "custom[0].port").locator("input").fill("8080")
     slot = section(page, "custom[0].slot").locator("input")
     slot.fill("99")
     slot.press("Tab")
@@ -107,13 +98,7 @@ def test_a_check_is_added_without_yaml(page: Page, file: Path) -> None:
     expect(page.locator("#diff-count")).to_have_text("none")
     text = file.read_text()
     assert text.startswith(TEXT)
-    for line in (
-        "custom:",
-        "  - type: http",
-        "    name: planner",
-        '    url: "http://127.0.0.1:8080/health"',
-        "    slot: 14",
-    ):
+    for line in ("custom:", "  - type: tcp", "    name: planner", "    port: 8080", "    slot: 14"):
         assert line in text.splitlines(), text
 
 
@@ -189,6 +174,13 @@ def test_every_section_of_the_schema_opens(page: Page) -> None:
     assert axe(page) == []
 
 
+def test_the_pages_lead_to_each_other(page: Page) -> None:
+    """Where configurations can be edited, the swarm's page says so."""
+    page.get_by_role("link", name="Swarm").click()
+    page.locator("#tab-checks").click()
+    expect(page.locator("#state")).to_contain_text("not changed")
+
+
 def test_an_upload_is_edited_and_downloaded(page: Page, file: Path, tmp_path: Path) -> None:
     """Without a file of the ground's disk: nothing can be saved there, the result is downloaded."""
     page.locator("#upload").set_input_files({"name": "b.yaml", "mimeType": "text/yaml", "buffer": TEXT.encode()})
@@ -210,13 +202,12 @@ def test_a_viewer_sees_no_configuration(browser: Browser, file: Path) -> None:
     """It may have secrets: the page asks for an operator's token."""
     editor = ConfigEditor(plan_of, [str(file)])
     options = ListenOptions(port=0, tokens=Tokens("v" * 32, "o" * 32))
-    with ground(options, extra={EXTRA: editor}) as here:
-        opened = browser.new_page()
-        opened.set_default_timeout(LIMIT_MS)
-        opened.goto(f"{here.page.url}checks")
+    with ground(options, extra={EXTRA: editor}) as here, tab(browser, f"{here.page.url}checks") as opened:
         opened.get_by_label("Token of an operator").fill("v" * 32)
         opened.get_by_role("button", name="Log in").click()
         expect(opened.locator("#notice")).to_contain_text("for the role operate")
         assert opened.locator("#editor").is_hidden()
         assert "Our bench" not in opened.content()
-        opened.close()
+        opened.goto(here.page.url)
+        expect(opened.locator("#tab-swarm")).to_be_visible()
+        expect(opened.locator("#tab-checks")).to_be_hidden()

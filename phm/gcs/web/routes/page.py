@@ -8,6 +8,7 @@ from aiohttp import hdrs, web
 
 from phm.gcs.web.access import Problem, answer, public, read_json, view
 from phm.gcs.web.options import OPERATE
+from phm.gcs.web.routes.checks import EXTRA as CHECKS
 from phm.gcs.web.server_keys import GATE
 from phm.gcs.web.site import Site
 from phm.gcs.web.static_files import StaticFile, load
@@ -88,4 +89,5 @@ def _begin(request: web.Request, site: Site, role: str) -> web.Response:
 
 
 def _about(site: Site, role: str, csrf: str | None, *, login: bool) -> dict[str, object]:
-    return {"role": role or None, "csrf": csrf, "login": login, "page": site.page}
+    checks = role == OPERATE and CHECKS in site.extra
+    return {"role": role or None, "csrf": csrf, "login": login, "page": site.page, "checks": checks}

@@ -90,7 +90,7 @@ export class Form {
     const key = dotted(path);
     const body = el("div", { class: "body" });
     const summary = el("summary", { "data-focus": `${key}?` }, title || el("span", { class: "name", text: name }), el("span", { class: "count", text: this.count(path) }));
-    const node = el("details", { class: top ? "section top" : "section", "data-key": key }, summary, problemPlace(null), body);
+    const node = el("details", { class: top ? "section first" : "section", "data-key": key }, summary, problemPlace(null), body);
     const fill = () => body.replaceChildren(description ? el("p", { class: "help", text: description }) : "", ...content());
     node.open = this.open.has(key);
     if (node.open) fill();

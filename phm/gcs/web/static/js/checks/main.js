@@ -158,5 +158,7 @@ async function begin() {
   return about.files.length ? openFile(about.files[0]) : load("agent.yaml", "", null);
 }
 
+const theme = localStorage.getItem("phm-theme");
+if (theme === "light" || theme === "dark") document.documentElement.dataset.theme = theme;
 listen();
 trying(begin)();
