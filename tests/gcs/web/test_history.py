@@ -196,7 +196,7 @@ def test_a_fault_whose_end_was_not_received_ends_with_the_heartbeat() -> None:
     assert [(one.open, one.steps[-1]["text"]) for one in closed] == [(False, "by its heartbeat")]
 
 
-def test_a_repeated_line_is_no_second_fault() -> None:
+def test_a_repeated_line_adds_no_second_fault() -> None:
     """A refresh repeats the worst one; a fault that gets worse stays one."""
     book = FaultBook()
     assert len(book.take(said("A07 WARN 2 ros_app slow", 1))) == 1
