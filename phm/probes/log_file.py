@@ -10,7 +10,7 @@ from phm.facts import CannotTell
 
 READ_BYTES = 256 << 10
 """Of what was written since the last read, at most the newest so many bytes are read."""
-_FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY
+_FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY | os.O_NOFOLLOW
 
 
 @dataclass
@@ -34,7 +34,7 @@ class LogFile:
             return rest
         self.close()
         try:
-            self._handle = os.open(self.path, _FLAGS)
+            self._handle = os.open(self._target(), _FLAGS)
         except OSError as error:
             if rest[0]:
                 return rest
@@ -51,6 +51,14 @@ class LogFile:
         if self._handle >= 0:
             os.close(self._handle)
             self._handle = -1
+
+    def _target(self) -> str:
+        """The file itself. A link may lead to another name in its folder, as for rotated logs, and not to PHM's other files: who
+        writes the log may be hostile."""
+        target, folder = os.path.realpath(self.path), os.path.realpath(os.path.dirname(self.path))
+        if os.path.commonpath([target, folder]) != folder:
+            raise CannotTell(f"{self.path} is a link out of its folder, which is not followed")
+        return target
 
     def _is_current(self) -> bool:
         """Whether the path still names the open file."""

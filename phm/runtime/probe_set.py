@@ -76,6 +76,7 @@ class ProbeSet:
     sockets: Sockets
     serial: SerialPorts
     matcher: PatternMatcher
+    logs: Logs
     world: World
 
     def start(self, *, links: bool = True) -> None:
@@ -147,6 +148,7 @@ class ProbeSet:
             ("sockets", self.sockets.close),
             ("serial", self.serial.close),
             ("matcher", self.matcher.close),
+            ("logs", self.logs.close),
             ("engine", self.engine.close),
         ]
         if self.watch is not None:
@@ -220,6 +222,7 @@ def build_probes(
     devices = Devices(settings.host, clock, notices, lambda: wake("device"), lambda: wake("other_device"))
     serial = SerialPorts(clock, devices.place)
     matcher = PatternMatcher(clock)
+    logs = Logs(engine, docker.container, clock, matcher)
     sockets = Sockets(clock, matcher)
     world = World(
         clock=clock,
@@ -237,10 +240,10 @@ def build_probes(
         messages=MavlinkMessages(hub, settings, clock, links.autopilot),
         serial=serial,
         programs=Programs(engine, docker.container, clock),
-        logs=Logs(engine, docker.container, clock, matcher),
+        logs=logs,
     )
     used = hub if settings.mavlink.endpoints else None
-    return ProbeSet(engine, docker, watch, pulse, notices, used, ros, sockets, serial, matcher, world)
+    return ProbeSet(engine, docker, watch, pulse, notices, used, ros, sockets, serial, matcher, logs, world)
 
 
 def _addressed(settings: Settings) -> bool:

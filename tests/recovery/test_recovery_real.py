@@ -40,6 +40,7 @@ class Phm:
         containers: list[dict[str, Any]],
         *,
         docker: dict[str, Any] | None = None,
+        custom: list[dict[str, Any]] | None = None,
         limit_s: float = LIMIT_S,
         **recovery: Any,
     ) -> None:
@@ -49,6 +50,7 @@ class Phm:
             interval=2,
             docker={**engine_access.section, **(docker or {})},
             containers=containers,
+            custom=custom or [],
             recovery={**RULES, **recovery},
             state_dir=str(folder / "state"),
             run_dir=str(folder / "run"),

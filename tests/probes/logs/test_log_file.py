@@ -98,3 +98,21 @@ def test_a_pipe_is_not_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(CannotTell, match="not an ordinary file"):
         LogFile(str(tmp_path / "pipe")).read()
+
+
+def test_a_link_is_followed_within_its_folder_only(tmp_path: Path) -> None:
+    """An application can replace its log by a link to a file that only PHM may read."""
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "secret").write_text("key\n")
+    (tmp_path / "logs" / "2026.log").write_text("old\n")
+    link = tmp_path / "logs" / "latest.log"
+    link.symlink_to("2026.log")
+    file = LogFile(str(link))
+    assert file.read() == (b"", 0)
+    append(tmp_path / "logs" / "2026.log", "new\n")
+    assert file.read() == (b"new\n", 0)
+    link.unlink()
+    link.symlink_to(tmp_path / "secret")
+    with pytest.raises(CannotTell, match="out of its folder"):
+        file.read()
+    file.close()
