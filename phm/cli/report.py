@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from phm.cli.options import json_option
 
 if TYPE_CHECKING:
     from phm.review.part import Part
+    from phm.review.tables import Table
 
 EXTRA = ("msgspec", "jinja2")
 
@@ -24,30 +26,30 @@ EXTRA = ("msgspec", "jinja2")
 @json_option
 @click.option("--csv", "as_csv", is_flag=True, help="Print the faults as CSV.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
-@click.pass_context
+@click.option("--compare", is_flag=True, help="Compare two records: exactly two PATHs; PATH#N is flight N of one.")
 def command(
-    ctx: click.Context,
     paths: tuple[str, ...],
     flight: int | None,
     html: str | None,
     as_json: bool,
     as_csv: bool,
     as_markdown: bool,
+    compare: bool,
 ) -> None:
     """Report what failed, when and why, from logs after the flight.
 
-    PATH is a log of an agent, a record of `phm gcs --record`, or a folder with any number of them; rotated and compressed files are
-    included. Exit code 0; 1: there is no record, or not that flight.
+    PATH is a log of an agent, a record of `phm gcs --record`, or a folder with any number of them; rotated and compressed
+    files are included. Exit code 0; 1: there is no record, or not that flight.
     """
     if as_json + as_csv + as_markdown > 1:
         raise click.UsageError("choose one of --json, --csv and --markdown")
+    if compare and (len(paths) != 2 or html or as_csv):
+        raise click.UsageError("--compare takes two PATHs, and prints tables, --json or --markdown")
     _need(EXTRA)
-    from phm.review import document, record
-
-    try:
-        made = document.build(record.build(_read(paths)), flight)
-    except document.NoFlight as error:
-        raise click.ClickException(str(error)) from None
+    if compare:
+        _compare(paths, flight, as_json, as_markdown)
+        return
+    made = _build(paths, flight)
     if html is not None:
         _write_page(made, html)
     if as_json:
@@ -60,6 +62,38 @@ def command(
         _show(made)
         if html is not None:
             click.echo(f"page: {html}")
+
+
+def _build(paths: tuple[str, ...], flight: int | None) -> dict[str, Any]:
+    """The document of these records; exits with 1 when there is none."""
+    from phm.review import document, record
+
+    try:
+        return document.build(record.build(_read(paths)), flight)
+    except document.NoFlight as error:
+        raise click.ClickException(str(error)) from None
+
+
+def _compare(paths: tuple[str, ...], flight: int | None, as_json: bool, as_markdown: bool) -> None:
+    from phm.review import compare, compare_text, tables
+
+    first, second = (_build((path,), number or flight) for path, number in map(_with_flight, paths))
+    made = compare.build(first, second)
+    said, shown = compare_text.sentences(made), compare_text.tables(made)
+    if as_json:
+        click.echo(json.dumps(made, separators=(",", ":")))
+    elif as_markdown:
+        click.echo(tables.markdown_of("Comparison", said, shown), nl=False)
+    else:
+        _print(said, shown)
+
+
+def _with_flight(path: str) -> tuple[str, int | None]:
+    """``logs#2`` is flight 2 of logs, unless there is a file of that name."""
+    name, sign, number = path.rpartition("#")
+    if sign and re.fullmatch(r"[1-9][0-9]{0,8}", number) and not Path(path).exists():
+        return name, int(number)
+    return path, None
 
 
 def _need(modules: tuple[str, ...]) -> None:
@@ -98,20 +132,24 @@ def _write_page(made: dict[str, Any], path: str) -> None:
 
 
 def _show(made: dict[str, Any]) -> None:
-    from rich.table import Table
+    from phm.review import tables
+
+    missing = made["clocks"]["missing"]
+    _print([*made["sentences"], *([f"Times: {missing}."] if missing else [])], tables.tables(made))
+
+
+def _print(sentences: list[str], shown: list[Table]) -> None:
+    from rich import table
     from rich.text import Text
 
     from phm.cli import render
-    from phm.review import tables
 
     target = render.console()
-    for sentence in made["sentences"]:
+    for sentence in sentences:
         target.print(Text(sentence))
-    if made["clocks"]["missing"]:
-        target.print(Text(f"Times: {made['clocks']['missing']}."))
-    for title, head, rows in tables.tables(made):
-        table = Table(*head, title=title, title_justify="left", box=None, pad_edge=False)
+    for title, head, rows in shown:
+        made = table.Table(*head, title=title, title_justify="left", box=None, pad_edge=False)
         for row in rows:
-            table.add_row(*(Text(cell) for cell in row))
+            made.add_row(*(Text(cell) for cell in row))
         target.print()
-        target.print(table)
+        target.print(made)

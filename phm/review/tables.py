@@ -64,11 +64,16 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
 
 def markdown(document: Json) -> str:
     """For an issue or a wiki."""
-    parts = ["# Flight report", "", " ".join(map(_cell, document["sentences"])), ""]
-    if document["clocks"]["missing"]:
-        parts += [f"Times: {document['clocks']['missing']}.", ""]
-    for title, head, rows in tables(document, most=10_000):
-        parts += [f"## {title}", "", f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    missing = document["clocks"]["missing"]
+    said = [*document["sentences"], *([f"Times: {missing}."] if missing else [])]
+    return markdown_of("Flight report", said, tables(document, most=10_000))
+
+
+def markdown_of(title: str, sentences: Sequence[str], shown: Sequence[Table]) -> str:
+    """Sentences and tables as Markdown. Their text is escaped."""
+    parts = [f"# {title}", "", *(_cell(sentence) for sentence in sentences), ""]
+    for name, head, rows in shown:
+        parts += [f"## {name}", "", f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
         parts += [f"| {' | '.join(map(_cell, row))} |" for row in rows]
         parts.append("")
     return "\n".join(parts)

@@ -1,0 +1,89 @@
+"""`phm report` on the command line: formats, exit codes, sentences for what is wrong."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from phm.cli import group
+from tests.review.records import Flown
+from tests.review.test_document import one_flight
+
+
+def phm(*words: object) -> Result:
+    return CliRunner().invoke(group, ["report", *map(str, words)], env={"COLUMNS": "200"})
+
+
+def test_the_default_are_sentences_and_tables(tmp_path: Path) -> None:
+    """The first lines are the five sentences."""
+    one_flight(tmp_path).close()
+    result = phm(tmp_path)
+    assert result.exit_code == 0
+    assert result.output.startswith("The record lasted 8 min 20 s")
+    assert "nodes/node_1" in result.output and "by restart" in result.output
+
+
+def test_json_csv_and_markdown_have_the_same_faults(tmp_path: Path) -> None:
+    """One document, three forms."""
+    one_flight(tmp_path).close()
+    faults = json.loads(phm(tmp_path, "--json").output)["faults"]
+    rows = list(csv.DictReader(io.StringIO(phm(tmp_path, "--csv").output)))
+    assert [row["fault"] for row in rows] == [fault["fault"] for fault in faults]
+    assert float(rows[0]["lasted_s"]) == faults[0]["lasted_s"]
+    markdown = phm(tmp_path, "--markdown").output
+    assert "| agent\\_1 |" in markdown and "nodes/node\\_1" in markdown
+
+
+def test_text_of_a_record_is_no_formula_and_no_markdown(tmp_path: Path) -> None:
+    """A summary is hostile: a spreadsheet does not calculate it, Markdown does not link it."""
+    made = Flown(tmp_path)
+    made.until(20)
+    made.fail("nodes/node_1", brief="=HYPERLINK(1) <img> [x](y)|")
+    made.until(60)
+    made.close()
+    assert "'=HYPERLINK" in phm(tmp_path, "--csv").output
+    markdown = phm(tmp_path, "--markdown").output
+    assert "&lt;img&gt; \\[x\\](y)\\|" in markdown and "<img>" not in markdown
+
+
+def test_flights_are_compared_by_their_numbers(tmp_path: Path) -> None:
+    """`PATH#N` is one flight of a record."""
+    one_flight(tmp_path / "a").close()
+    one_flight(tmp_path / "b").close()
+    result = phm("--compare", f"{tmp_path / 'a'}#1", tmp_path / "b", "--json")
+    made = json.loads(result.output)
+    assert (made["a"]["window"]["flight"], made["b"]["window"]["flight"]) == (1, None)
+    assert "A: flight 1, 3 min 24 s" in phm("--compare", f"{tmp_path / 'a'}#1", tmp_path / "b").output
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (["missing"], 1, "missing does not exist"),
+        (["."], 1, "no record in ."),
+        ([".", "--json", "--csv"], 2, "choose one of --json"),
+        ([".", "--compare"], 2, "--compare takes two PATHs"),
+        ([], 2, "Missing argument"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], code: int, text: str
+) -> None:
+    """With the exit code of the documents and no traceback."""
+    monkeypatch.chdir(tmp_path)
+    result = phm(*words)
+    assert (result.exit_code, isinstance(result.exception, SystemExit)) == (code, True)
+    assert text in result.output
+
+
+def test_an_unknown_flight_is_an_error_that_lists_the_known_ones(tmp_path: Path) -> None:
+    """So that the next call is right."""
+    one_flight(tmp_path).close()
+    result = phm(tmp_path, "--flight", 3)
+    assert result.exit_code == 1
+    assert "flight 3 is not in the record: it has flights 1 (3 min 20 s)" in result.output
