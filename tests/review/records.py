@@ -126,7 +126,7 @@ class Flown:
     def _state(self, name: str, level: Level, summary: str = "", brief: str = "") -> UnitState:
         slot, layer = SLOTS[name.partition("/")[0]]
         gone = "gone" if level is Level.ERROR else ""
-        values = {"hz": 9.5 + self.now % 1} if name.startswith("rates") and self.states_known else {}
+        values = {"hz": 9.5} if name.startswith("rates") else {}
         return unit(
             name,
             slot,
@@ -139,10 +139,6 @@ class Flown:
             values=values,
             duration_s=0.004,
         )
-
-    @property
-    def states_known(self) -> bool:
-        return hasattr(self, "states")
 
 
 class Ground:
