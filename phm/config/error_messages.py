@@ -33,6 +33,7 @@ PATTERNS = {
     r"^[A-Za-z0-9_.:-]+$": "the name or IP address of a host",
     r"^[ -~]+$": "printable ASCII characters",
     r"^https?://[^\s/@]+(/[!-~]*)?$": "http://HOST[:PORT]/PATH or https://..., without spaces and passwords",
+    r"^([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}$": "HOST:PORT, e.g. 127.0.0.1:9464 or [::1]:9464",
     r"^(unix:///.+|tcp://.+)$": "unix:///path or tcp://host:port",
 }
 _WANTED = {

@@ -49,6 +49,10 @@ class Subscription:
     def dropped(self) -> int:
         return self._queue.dropped
 
+    @property
+    def waiting(self) -> int:
+        return len(self._queue)
+
     def put(self, event: Event) -> None:
         if not self.kinds or isinstance(event, self.kinds):
             self._queue.put(event)
@@ -115,6 +119,10 @@ class Bus:
 
     def dropped(self) -> dict[str, int]:
         return {entry.name: entry.dropped for entry in self._subscriptions if entry.dropped}
+
+    def queues(self) -> dict[str, tuple[int, int]]:
+        """How many events wait, and how many were dropped, by subscriber."""
+        return {entry.name: (entry.waiting, entry.dropped) for entry in self._subscriptions}
 
     def problems(self) -> tuple[str, ...]:
         return tuple(entry.last_error for entry in self._subscriptions if entry.errors)

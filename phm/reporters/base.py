@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Protocol
 from phm.core.clock import Clock
 from phm.core.model import Event, Fault, Result, UnitState
 from phm.core.settings import Settings
-from phm.facts import LinkFact
+from phm.facts import LinkFact, LinkProbe
 from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.facts.swarm import SwarmProbe
 from phm.transport.priority import MessagePriority
@@ -66,6 +66,7 @@ class ReporterContext:
     swarm:  the other agents. armed: whether the autopilot is armed; None: unknown. pilot: whether this agent's autopilot is received.
     holds: what is on hold, as in `phm status --json`.
     restored: faults that were open, and were reported, before PHM restarted.
+    links: what is received on the MAVLink endpoints. queues: how many events wait for each subscriber of the bus, and were dropped.
     open_faults, given_up: faults as they are now, also of units that recovery has given up on and that have not been OK since.
     """
 
@@ -86,6 +87,8 @@ class ReporterContext:
     open_faults: Callable[[], tuple[Fault, ...]] = tuple
     given_up: Callable[[], tuple[Fault, ...]] = tuple
     newest: Callable[[str], Result | None] = lambda unit: None
+    links: LinkProbe | None = None
+    queues: Callable[[], dict[str, tuple[int, int]]] = dict
 
 
 class Reporter(ABC):

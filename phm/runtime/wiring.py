@@ -211,6 +211,8 @@ class Components:
             open_faults=pipeline.open_faults,
             given_up=pipeline.given_up,
             newest=pipeline.newest,
+            links=links,
+            queues=self.bus.queues,
             holds=self.holds.snapshot,
         )
 

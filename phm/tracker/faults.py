@@ -66,6 +66,7 @@ class FaultRecords:
             start_seen=record.container_started != NEVER,
             pause_s=record.pause_s,
             generation=self._starts.newest(result.target) if result.target else "",
+            confirmed_s=None if record.error_since is None else max(0.0, now.mono - record.error_since),
         )
         effects.events.append(FaultOpened(now, record.fault))
 

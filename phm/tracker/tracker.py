@@ -157,6 +157,7 @@ class Tracker:
             return effects  # an overdue run that finished after a newer one
         record.latest, record.started = result, started
         record.had_error = record.had_error or record.failing
+        record.error_since = (started if record.error_since is None else record.error_since) if record.failing else None
         record.bad_in_a_row = record.bad_in_a_row + 1 if result.level.bad else 0
         record.published = replace(record.published, duration_s=duration_s)
         if record.target and result.evidence.generation:

@@ -88,6 +88,8 @@ class UnitRecord:
     latest: Result | None = None
     started: float = NEVER
     bad_in_a_row: int = 0
+    error_since: float | None = None
+    """Start of the first run of the present series of ERROR results that count."""
     pending: Pending | None = None
     had_error: bool = False
     """It has been ERROR, published or not, since it was last OK: its dependents may have been affected."""
@@ -130,7 +132,7 @@ class UnitRecord:
 
     def grant(self, now: float, until: float) -> None:
         """Start grace until then; bad results from before `now` no longer count."""
-        self.pending = self.ok_since = None
+        self.pending = self.ok_since = self.error_since = None
         self.bad_in_a_row, self.valid_from = 0, now
         self.grace_until = max(self.grace_until, until)
 

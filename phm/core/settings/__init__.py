@@ -45,6 +45,7 @@ from phm.core.settings.daemon import CheckSettings, DockerSettings, LogSettings,
 from phm.core.settings.fleet import FleetEndpoint, FleetSettings, FleetTlsSettings
 from phm.core.settings.host import FreeDiskSettings, HostSettings, PressureSettings
 from phm.core.settings.mavlink import EndpointSettings, MavlinkSettings, SigningSettings
+from phm.core.settings.metrics import MetricsSettings
 from phm.core.settings.notify import NotifySettings
 from phm.core.settings.readiness import NodeReadySettings, ReadySettings
 from phm.core.settings.recovery import MaintenanceSettings, ManualStop, ManualStopSettings, RecoverySettings
@@ -93,6 +94,7 @@ __all__ = [
     "ManualStopSettings",
     "MavlinkCheckSettings",
     "MavlinkSettings",
+    "MetricsSettings",
     "Name",
     "NodeReadySettings",
     "NodeSettings",
@@ -151,6 +153,8 @@ class Settings(Section):
     """Alerts to other services."""
     custom: Annotated[list[CustomCheckSettings], Field(max_length=64)] = Field(default_factory=list)
     """Own checks without code."""
+    metrics: MetricsSettings = MetricsSettings()
+    """Measurements for Prometheus."""
     docker: DockerSettings = DockerSettings()
     """The Docker Engine."""
     process: ProcessSettings = ProcessSettings()
