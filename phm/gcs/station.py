@@ -87,6 +87,7 @@ class GroundStation:
         self._queues: tuple[SubscriberQueue, ...] = ()
         self._watchers: tuple[BoundedQueue[Received], ...] = ()
         self._number = 0
+        self.commands_sent = 0
         self._problems: tuple[str, ...] = ()
         self._twin = ""
         self._nonce = float(secrets.randbelow(2**24))
@@ -129,6 +130,7 @@ class GroundStation:
 
     def command(self, system: int, component: int, command: OperatorCommand, confirmation: int, link: str = "") -> None:
         """Send a command to one agent, on the link by which it is received; never waits. confirmation: counts repetitions from 0."""
+        self.commands_sent += 1
         # The last parameter is unused by PHM, which takes equal frames within seconds for copies of one: programs that were started
         # one after another send equal ones.
         rest = (float(command.name_hash), command.for_s, 0.0, 0.0, self._nonce)

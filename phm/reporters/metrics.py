@@ -6,6 +6,8 @@ meanwhile.
 
 from __future__ import annotations
 
+import os
+
 from phm.core.model import Event, Slot
 from phm.core.settings.metrics import is_loopback
 from phm.reporters.base import Reporter, ReporterContext
@@ -79,7 +81,9 @@ class MetricsReporter(Reporter):
                 host, port, text.render, wants_openmetrics, self._context.clock, local=is_loopback(host)
             )
         except OSError as error:
-            self._problem = f"metrics: cannot listen on {listen.listen}: {error.strerror or error}"
+            # Python adds the address to the system's text, but not to that of a name that cannot be resolved.
+            why = os.strerror(error.errno) if (error.errno or 0) > 0 else error.strerror
+            self._problem = f"metrics: cannot listen on {listen.listen}: {why or error}"
             return
         self._server, self._problem = server, ""
         server.start()

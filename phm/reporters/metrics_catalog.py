@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from phm.wire.metrics_page import Metric
+from phm.wire.metrics_page import MetricCatalog
 
 SECONDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0, 120.0, 300.0)
 """Limits of the histograms."""
-ALL: list[Metric] = []
-
-
-def _add(name: str, kind: str, text: str, *labels: str) -> Metric:
-    metric = Metric(name, kind, text, labels)  # type: ignore[arg-type]
-    ALL.append(metric)
-    return metric
-
-
-def _gauge(name: str, text: str, *labels: str) -> Metric:
-    return _add(name, "gauge", text, *labels)
-
-
-def _counter(name: str, text: str, *labels: str) -> Metric:
-    return _add(name, "counter", text, *labels)
-
+_AGENT = MetricCatalog()
+ALL = _AGENT.metrics
+_gauge, _counter, _histogram = _AGENT.gauge, _AGENT.counter, _AGENT.histogram
 
 INFO = _gauge("phm_info", "Always 1; the labels say which agent this is", "agent", "agent_id", "version")
 ALIVE = _gauge("phm_alive", "1 while PHM's checks run; 0 when they have stalled")
@@ -43,12 +30,11 @@ FAULTS = _counter(
 ACTIONS = _counter(
     "phm_actions_total", "Steps of recovery actions; outcome: the phase of the step", "slot", "action", "outcome"
 )
-RECOVERY = _add(
-    "phm_recovery_duration_seconds", "histogram", "From the report of a fault to its end, of resolved faults", "slot"
+RECOVERY = _histogram(
+    "phm_recovery_duration_seconds", "From the report of a fault to its end, of resolved faults", "slot"
 )
-CONFIRMATION = _add(
+CONFIRMATION = _histogram(
     "phm_detection_duration_seconds",
-    "histogram",
     "From the start of the first run that found an error to the report of the fault",
     "slot",
 )

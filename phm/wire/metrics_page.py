@@ -15,8 +15,8 @@ from typing import Literal, TypeVar
 from phm.wire.text import one_line
 
 MAX_LABEL = 100
-MAX_SERIES = 300
-"""Of one metric: every unit of a large configuration."""
+MAX_SERIES = 500
+"""Of one metric: every unit of a large configuration, as on /diagnostics."""
 
 Labels = tuple[str, ...]
 T = TypeVar("T")
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One metric as documented. name: complete, with its unit and `_total`; help: a sentence without a full stop."""
+    """One metric as documented. name: complete, with its unit and `_total`."""
 
     name: str
     kind: Literal["gauge", "counter", "histogram"]
@@ -32,8 +32,30 @@ class Metric:
     labels: Labels = ()
 
 
+class MetricCatalog:
+    """The metrics of one page, in their order."""
+
+    def __init__(self) -> None:
+        self.metrics: list[Metric] = []
+
+    def gauge(self, name: str, text: str, *labels: str) -> Metric:
+        return self._add(Metric(name, "gauge", text, labels))
+
+    def counter(self, name: str, text: str, *labels: str) -> Metric:
+        return self._add(Metric(name, "counter", text, labels))
+
+    def histogram(self, name: str, text: str, *labels: str) -> Metric:
+        return self._add(Metric(name, "histogram", text, labels))
+
+    def _add(self, metric: Metric) -> Metric:
+        self.metrics.append(metric)
+        return metric
+
+
 LEFT_OUT = Metric(
-    "phm_metrics_left_out", "gauge", f"Series that are not on this page because a metric already had {MAX_SERIES}"
+    "phm_metrics_left_out",
+    "gauge",
+    "Series that are not on this page because a metric already had the most that it may have",
 )
 
 
@@ -61,8 +83,9 @@ class HistogramCounts:
 class MetricsPage:
     """Filled once by one thread, then read."""
 
-    def __init__(self, metrics: Iterable[Metric]) -> None:
-        """metrics: those that may be added, in the order of the page."""
+    def __init__(self, metrics: Iterable[Metric], max_series: int = MAX_SERIES) -> None:
+        """metrics: those that may be added, in the order of the page. max_series: of one metric."""
+        self._max_series = max_series
         self._samples: dict[Metric, dict[Labels, float]] = {metric: {} for metric in (*metrics, LEFT_OUT)}
         self._histograms: dict[Metric, dict[Labels, HistogramCounts]] = {}
         self._left_out = 0
@@ -94,7 +117,7 @@ class MetricsPage:
         words = tuple(clean_label(label) for label in labels)
         if words in series:
             return
-        if len(series) >= MAX_SERIES:
+        if len(series) >= self._max_series:
             self._left_out += 1
             return
         series[words] = value

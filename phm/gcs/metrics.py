@@ -1,0 +1,113 @@
+"""The page of metrics of the ground: the newest state of each agent, and what was counted from events since the start.
+
+`docs/reference/metrics.md` states the names as a contract.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from phm import __version__
+from phm.core.clock import Clock
+from phm.core.model import Level, Slot
+from phm.gcs import metrics_catalog as metrics
+from phm.gcs.events import GcsEvent, severity_name
+from phm.gcs.fleet import MAX_AGENTS
+from phm.gcs.presence import PresenceState
+from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
+from phm.wire.metrics_page import Labels, MetricsPage, ratio
+
+MAX_SERIES = MAX_AGENTS * len(Slot)
+_THERE = (PresenceState.ALIVE.value, PresenceState.LATE.value)
+_RADIO_SIDES = (("rssi", "noise", "local"), ("remrssi", "remnoise", "remote"))
+
+
+class Station(Protocol):
+    """The part of `phm.gcs.station.GroundStation` that is read here."""
+
+    commands_sent: int
+
+    def subscribe(self, queue: SubscriberQueue) -> None: ...
+    def snapshot(self) -> tuple[int, GcsEvent]: ...
+
+
+class _Counts(SubscriberQueue):
+    """Counts events by their kind as they come, and keeps none."""
+
+    def __init__(self, clock: Clock) -> None:
+        super().__init__(clock, 1)
+        self.texts: Counter[Labels] = Counter()
+        self.events: Counter[Labels] = Counter()
+        self.gaps: Counter[Labels] = Counter()
+        self.answers: Counter[Labels] = Counter()
+        self.guard = threading.Lock()
+
+    def put(self, item: QueuedEvent) -> bool:
+        event, body = item.event.event, item.event.body
+        with self.guard:
+            self.events[(event,)] += 1
+            if event == "text" and not body["repeat"]:
+                self.texts[(severity_name(body["severity"]).lower(),)] += 1
+            elif event == "presence" and body["presence"] in (PresenceState.LATE.value, PresenceState.LOST.value):
+                self.gaps[str(body["name"]), str(body["presence"])] += 1
+            elif event == "ack":
+                self.answers[(str(body["result"]).lower(),)] += 1
+        return True
+
+
+class GroundMetrics:
+    """Counts from its construction on."""
+
+    def __init__(self, station: Station, clock: Clock) -> None:
+        self._station, self._counts = station, _Counts(clock)
+        station.subscribe(self._counts)
+
+    def page(self) -> MetricsPage:
+        """Of this moment; may be called by any thread."""
+        page = MetricsPage(metrics.ALL, MAX_SERIES)
+        body = self._station.snapshot()[1].body
+        page.add(metrics.INFO, 1, __version__)
+        page.add(metrics.COMMANDS, self._station.commands_sent)
+        page.add(metrics.REFUSED, int(body["refused"]) + int(body["frames_refused"]))
+        page.add(metrics.PROBLEMS, len(body["problems"]))
+        with self._counts.guard:
+            page.add_counts(metrics.EVENTS, self._counts.events)
+            page.add_counts(metrics.TEXTS, self._counts.texts)
+            page.add_counts(metrics.GAPS, self._counts.gaps)
+            page.add_counts(metrics.ANSWERS, self._counts.answers)
+        for link in body["links"]:
+            page.add(metrics.LINK_OPEN, link["open"], link["link"])
+        for radio in body["radios"]:
+            _radio(page, radio)
+        for agent in body["agents"]:
+            _agent(page, agent)
+        return page
+
+
+def _agent(page: MetricsPage, agent: Mapping[str, Any]) -> None:
+    name = agent["name"]
+    there = agent["presence"] in _THERE
+    page.add(metrics.PRESENT, there, name)
+    page.add(metrics.AGE, agent["age_s"], name)
+    page.add(metrics.PERIOD, agent["period_s"], name)
+    page.add(metrics.RESTARTS, agent["restarts"], name)
+    if there and agent["how"] in Level.__members__:
+        page.add(metrics.AGENT_LEVEL, Level[agent["how"]], name)
+    for slot, level in agent["slots"].items():
+        page.add(metrics.SLOT_LEVEL, Level[level], name, Slot(int(slot)).name.lower())
+    pilot = agent["pilot"]
+    if pilot is not None:
+        page.add(metrics.AUTOPILOT_AGE, pilot["age_s"], name)
+        page.add(metrics.ARMED, pilot["armed"], name)
+
+
+def _radio(page: MetricsPage, radio: Mapping[str, Any]) -> None:
+    link = radio["link"]
+    page.add(metrics.RADIO_AGE, radio["age_s"], link)
+    page.add(metrics.RADIO_BUFFER, ratio(radio["txbuf"]), link)
+    for signal, noise, side in _RADIO_SIDES:
+        page.add(metrics.RADIO_SIGNAL, radio[signal], link, side)
+        page.add(metrics.RADIO_NOISE, radio[noise], link, side)

@@ -1,0 +1,47 @@
+"""`/metrics` for Prometheus."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+from aiohttp import hdrs, web
+
+from phm.gcs.metrics import GroundMetrics, Station
+from phm.gcs.web.access import Problem, view
+from phm.gcs.web.site import Site
+
+AGAIN_S = 0.5
+"""The page is rendered at most once in this time for each format."""
+MISSING = "/metrics needs prometheus-client: pip install 'phm-sidecar[metrics]'"
+
+
+class _Page:
+    """The handler; counts from the start of the server on."""
+
+    def __init__(self, site: Site, station: Station) -> None:
+        self._clock, self._ground = site.clock, GroundMetrics(station, site.clock)
+        self._kept: dict[bool, tuple[float, bytes, str]] = {}
+        self._lock = asyncio.Lock()
+
+    async def handle(self, request: web.Request) -> web.StreamResponse:
+        try:
+            from phm.wire.openmetrics import MetricsText, wants_openmetrics
+        except ImportError:
+            raise Problem(503, MISSING) from None
+        accept = ",".join(request.headers.getall(hdrs.ACCEPT, ()))
+        first = wants_openmetrics(accept)
+        async with self._lock:
+            kept = self._kept.get(first)
+            if kept is None or self._clock.mono() - kept[0] >= AGAIN_S:
+                render = MetricsText(self._ground.page).render
+                kept = (self._clock.mono(), *await asyncio.to_thread(render, accept))
+                self._kept[first] = kept
+        return web.Response(body=kept[1], headers={hdrs.CONTENT_TYPE: kept[2]})
+
+
+def routes(site: Site) -> Sequence[web.RouteDef]:
+    """A page without a station (a replay, one agent) has no metrics: see `metrics.listen` for an agent's own."""
+    if site.stream is None:
+        return []
+    return [web.get("/metrics", view(_Page(site, site.stream).handle))]

@@ -1,0 +1,189 @@
+"""The server of the page: only GET /metrics, and no client holds it up or makes it work much."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from phm.core.clock import SystemClock
+from phm.testing import FakeClock
+from phm.transport import scrape_server
+from phm.transport.scrape_server import MAX_CLIENTS, MAX_HEAD, ScrapeServer
+from phm.wire.openmetrics import wants_openmetrics
+from tests.fakes.until import until
+
+PAGE = b"x" * 300_000
+
+
+class Bench:
+    """A server and what was rendered."""
+
+    def __init__(self, *, local: bool = True) -> None:
+        self.rendered: list[str] = []
+        self.broken = False
+        self.clock = FakeClock()
+        self.server = ScrapeServer("127.0.0.1", 0, self._render, wants_openmetrics, self.clock, local=local)
+        self.server.start()
+
+    def _render(self, accept: str) -> tuple[bytes, str]:
+        self.rendered.append(accept)
+        if self.broken:
+            raise ValueError("secret")
+        return PAGE, "text/plain; version=0.0.4"
+
+    def get(self, path: str = "/metrics", method: str = "GET", **headers: str) -> tuple[int, bytes]:
+        connection = http.client.HTTPConnection(*self.server.address, timeout=30)
+        try:
+            connection.request(method, path, headers=headers)
+            response = connection.getresponse()
+            return response.status, response.read()
+        finally:
+            connection.close()
+
+    def connect(self) -> socket.socket:
+        return socket.create_connection(self.server.address, timeout=30)
+
+    def raw(self, request: bytes) -> bytes:
+        """All that comes back."""
+        with self.connect() as client:
+            client.sendall(request)
+            found = b""
+            with contextlib.suppress(ConnectionError):
+                while more := client.recv(65536):
+                    found += more
+            return found
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = Bench()
+    yield made
+    made.server.close()
+
+
+def test_only_the_page_is_served(bench: Bench) -> None:
+    """By GET, or HEAD without the body."""
+    assert bench.get() == (200, PAGE)
+    assert bench.get("/metrics?name[]=x") == (200, PAGE)
+    assert bench.get(method="HEAD") == (200, b"")
+    assert bench.get("/")[0] == 404
+    assert bench.get("/../etc/passwd")[0] == 404
+    assert bench.get(method="POST")[0] == 405
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:9464", "127.0.0.1.evil.example", "[::2]:1", "127.evil"])
+def test_on_loopback_another_name_of_the_host_is_refused(bench: Bench, host: str) -> None:
+    """A web page of anywhere can have its own name point to this machine, and read what its browser gets."""
+    assert bench.get(Host=host)[0] == 403
+    assert bench.rendered == []
+
+
+@pytest.mark.parametrize("host", ["localhost", "localhost:9464", "127.0.0.1:9464", "127.0.0.2", "[::1]:9464"])
+def test_local_names_are_answered(bench: Bench, host: str) -> None:
+    """As Prometheus sends them."""
+    assert bench.get(Host=host)[0] == 200
+
+
+def test_elsewhere_any_name_is_answered() -> None:
+    """An address that others reach has names that PHM does not know."""
+    bench = Bench(local=False)
+    try:
+        assert bench.get(Host="drone-5.fleet.example:9464")[0] == 200
+    finally:
+        bench.server.close()
+
+
+@pytest.mark.parametrize(
+    ("request_bytes", "status"),
+    [
+        (b"\r\n\r\n", b"400"),
+        (b"GET /metrics\r\n\r\n", b"400"),
+        (b"\x00\xff\x16\x03\x01\r\n\r\n", b"400"),
+        (b"GET  /metrics HTTP/1.1\r\n\r\n", b"400"),
+        (b"GET /metrics HTTP/1.1\r\n" + b"A: b\r\n" * MAX_HEAD + b"\r\n", b"431"),
+        (b"GET /" + b"a" * 10 * MAX_HEAD + b" HTTP/1.1\r\n\r\n", b"431"),
+    ],
+)
+def test_what_is_no_request_is_refused(bench: Bench, request_bytes: bytes, status: bytes) -> None:
+    """With a status, or with the end of the connection when more came than is read."""
+    said = bench.raw(request_bytes)
+    assert said.startswith(b"HTTP/1.1 " + status) or (status == b"431" and not said)
+    assert bench.get()[0] == 200
+
+
+def test_slow_clients_do_not_keep_prometheus_waiting(bench: Bench) -> None:
+    """More of them than are served at once send half a request: the next one gets its page, and the oldest are dropped."""
+    slow = [bench.connect() for _ in range(MAX_CLIENTS + 4)]
+    try:
+        for client in slow:
+            client.sendall(b"GET /metrics HTTP/1.1\r\nHo")
+        until(lambda: bench.server.dropped >= 4, "the oldest clients to be dropped")
+        assert bench.get() == (200, PAGE)
+        assert slow[0].recv(10) == b""
+    finally:
+        for client in slow:
+            client.close()
+
+
+def test_a_client_that_sends_or_reads_slowly_is_dropped_after_a_time(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit is for all of its request and answer, so a byte now and then does not extend it."""
+    monkeypatch.setattr(scrape_server, "CLIENT_S", 0.3)
+    with bench.connect() as sends, socket.socket() as reads:
+        reads.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        reads.connect(bench.server.address)
+        reads.sendall(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")
+
+        def drip() -> bool:
+            with contextlib.suppress(ConnectionError):
+                sends.sendall(b"G")
+            return bench.server.dropped >= 1
+
+        until(drip, "the client that sends slowly to be dropped")
+        assert bench.get() == (200, PAGE)
+
+
+def test_many_clients_at_once_are_all_served_and_the_page_is_made_once(bench: Bench) -> None:
+    """Rendering costs the most, so it is done at most once per AGAIN_S for each format."""
+    found: list[tuple[int, bytes]] = []
+    threads = [threading.Thread(target=lambda: found.append(bench.get())) for _ in range(MAX_CLIENTS // 2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert found == [(200, PAGE)] * len(threads)
+    assert len(bench.rendered) == 1
+    bench.get(Accept="application/openmetrics-text")
+    bench.get(Accept="application/openmetrics-text; version=1.0.0; x=1")
+    assert len(bench.rendered) == 2
+    bench.clock.advance(scrape_server.AGAIN_S)
+    bench.get()
+    assert len(bench.rendered) == 3
+
+
+def test_a_failure_is_an_answer_without_its_reason_and_the_next_request_is_served(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The reason is in PHM's log."""
+    bench.broken = True
+    status, body = bench.get()
+    assert (status, b"secret" in body) == (500, False)
+    assert "secret" in caplog.text
+    bench.broken = False
+    assert bench.get()[0] == 200
+
+
+def test_the_port_is_free_after_close() -> None:
+    """So that the daemon of a new configuration can listen there immediately; a second one meanwhile cannot."""
+    first = ScrapeServer("127.0.0.1", 0, lambda _: (b"", ""), wants_openmetrics, SystemClock(), local=True)
+    first.start()
+    with pytest.raises(OSError, match="in use"):
+        ScrapeServer(*first.address, lambda _: (b"", ""), wants_openmetrics, SystemClock(), local=True)
+    first.close()
+    ScrapeServer(*first.address, lambda _: (b"", ""), wants_openmetrics, SystemClock(), local=True).close()
