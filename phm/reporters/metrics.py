@@ -82,7 +82,7 @@ class MetricsReporter(Reporter):
             )
         except OSError as error:
             # Python adds the address to the system's text, but not to that of a name that cannot be resolved.
-            why = os.strerror(error.errno) if (error.errno or 0) > 0 else error.strerror
+            why = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
             self._problem = f"metrics: cannot listen on {listen.listen}: {why or error}"
             return
         self._server, self._problem = server, ""

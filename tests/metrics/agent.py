@@ -30,7 +30,7 @@ from phm.wire.openmetrics import MetricsText
 AT = Stamp(1.8e9, 10.0)
 FOUND = Result(Level.ERROR, "ros_app exited with code 1", "ros_app exited 1", "exited", "ros_app")
 FAULT = Fault("ab12-17", "container/ros_app", Slot.CONTAINER, Layer.DOCKER, FOUND, AT, confirmed_s=0.4)
-HOST = {
+HOST: dict[str, dict[str, Any]] = {
     "host/cpu": {"cpu_percent": 12.5, "load_per_core": 0.3},
     "host/memory": {"memory_percent": 50.0, "memory_available_bytes": 2_000_000, "memory_stalled_percent": 0.0},
     "host/io": {"io_stalled_percent": 1.0},
@@ -38,7 +38,7 @@ HOST = {
     "host/temperature": {"temperature_c": 61.5, "fan_rpm 0": 2000},
     "host/clock": {"clock_synchronized": None},
 }
-PRESSURE = {
+PRESSURE: dict[str, Any] = {
     "source": "cgroup v2",
     "cpus_used": 0.5,
     "cpu_limit": 2.0,
@@ -51,7 +51,7 @@ PRESSURE = {
     "memory_waiting_percent": 0.0,
     "io_waiting_percent": 0.0,
 }
-RATE = {"hz": 9.8, "expected_hz": 10.0, "silent_s": 0.1, "jitter_s": None}
+RATE: dict[str, Any] = {"hz": 9.8, "expected_hz": 10.0, "silent_s": 0.1, "jitter_s": None}
 
 
 def state(unit: str, check: str, slot: Slot, layer: Layer, level: Level = Level.OK, **values: Any) -> UnitState:
@@ -80,7 +80,7 @@ def links() -> FakeLinks:
     )
 
 
-HEALTH = {
+HEALTH: dict[str, Any] = {
     "uptime_s": 100.0,
     "late_percent": 5.0,
     "overdue": [],

@@ -41,14 +41,12 @@ def promtool(*words: str, stdin: bytes = b"", folder: Path | None = None) -> str
 
 
 class Prometheus:
-    """Scrapes `targets`, pairs of job and HOST:PORT, every 0.2 s. rules: files with rules."""
+    """Scrapes `targets`, pairs of job and HOST:PORT, every second. rules: files with rules."""
 
     def __init__(self, folder: Path, targets: dict[str, str], rules: tuple[Path, ...] = ()) -> None:
         assert PROMETHEUS, MISSING
         jobs = [{"job_name": job, "static_configs": [{"targets": [where]}]} for job, where in targets.items()]
-        times = {"scrape_interval": "200ms", "scrape_timeout": "200ms", "evaluation_interval": "200ms"}
-        if len(targets) > 5:
-            times |= {"scrape_interval": "1s", "scrape_timeout": "1s"}
+        times = {"scrape_interval": "1s", "scrape_timeout": "1s", "evaluation_interval": "1s"}
         config = {"global": times, "scrape_configs": jobs, "rule_files": [str(path) for path in rules]}
         (folder / "prometheus.yml").write_text(json.dumps(config))  # JSON is YAML
         port = free_port()
@@ -86,6 +84,10 @@ class Prometheus:
             raise AssertionError(f"{parameters}: {error.read().decode()}") from None
         assert answer["status"] == "success", answer
         return answer["data"]
+
+    def errors(self) -> list[str]:
+        """Why targets cannot be scraped now."""
+        return [one["lastError"] for one in self.get("targets")["activeTargets"] if one["lastError"]]
 
     def close(self) -> None:
         self.process.terminate()

@@ -44,4 +44,9 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     """A page without a station (a replay, one agent) has no metrics: see `metrics.listen` for an agent's own."""
     if site.stream is None:
         return []
-    return [web.get("/metrics", view(_Page(site, site.stream).handle))]
+    page = _Page(site, site.stream)
+
+    async def metrics(request: web.Request) -> web.StreamResponse:
+        return await page.handle(request)
+
+    return [web.get("/metrics", view(metrics))]

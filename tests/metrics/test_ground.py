@@ -1,0 +1,121 @@
+"""The metrics of the ground: a real page server with 100 agents that send real frames, and a real Prometheus."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
+
+from phm.core.model import Level, Slot
+from phm.gcs import metrics_catalog
+from phm.gcs.events import GcsEvent
+from phm.gcs.metrics import GroundMetrics
+from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
+from phm.testing import FakeClock
+from phm.wire.openmetrics import MetricsText
+from tests.fakes.until import until
+from tests.gcs.bench import HEALTHY, Ground as Fleet, phm_heartbeat, pilot, text_frame
+from tests.gcs.web.swarm import Ground, ground
+from tests.metrics.prometheus import Prometheus, promtool
+
+
+class Station:
+    """A station over a fleet state on a fake clock."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self.commands_sent, self._fleet = 3, fleet
+        self._queue: SubscriberQueue | None = None
+
+    def subscribe(self, queue: SubscriberQueue) -> None:
+        self._queue = queue
+
+    def snapshot(self) -> tuple[int, GcsEvent]:
+        radio = {"link": "gcs", "age_s": 1.0, "rssi": 100, "remrssi": 90, "noise": 30, "remnoise": 40, "txbuf": 50}
+        body = {**self._fleet.snapshot(), "radios": [radio], "problems": ["a sentence"], "frames_refused": 2}
+        return 0, GcsEvent(self._fleet.clock.stamp(), "snapshot", body)
+
+    def tell(self, *found: GcsEvent) -> None:
+        assert self._queue is not None
+        for number, event in enumerate(found):
+            self._queue.put(QueuedEvent(number, event, b""))
+
+
+@pytest.fixture
+def here() -> Iterator[Ground]:
+    with ground() as made:
+        yield made
+
+
+def page_text() -> bytes:
+    """A page on which every metric has a value."""
+    fleet = Fleet(expected=(9,))
+    station = Station(fleet)
+    metrics = GroundMetrics(station, FakeClock())
+    fleet.hear(phm_heartbeat(5, {Slot.CONTAINER: Level.ERROR}), pilot(5, armed=True), text_frame(5, "A05 FAIL 2 x"))
+    fleet.wait(60.0, phm_heartbeat(6))
+    ack = GcsEvent(fleet.clock.stamp(), "ack", {"result": "DENIED"})
+    station.tell(*fleet.news, ack)
+    return MetricsText(metrics.page).render("application/openmetrics-text")[0]
+
+
+def test_every_metric_of_the_ground() -> None:
+    """Of a lost agent there is its age, and no level; of one that was never received only that it is missing."""
+    families = {family.name: family for family in parse_openmetrics(page_text().decode())}
+    for metric in metrics_catalog.ALL:
+        assert metric.name.removesuffix("_total") in families, metric.name
+    values = {
+        (sample.name, tuple(sorted(sample.labels.items()))): sample.value
+        for family in families.values()
+        for sample in family.samples
+    }
+    assert values["phm_gcs_agent_present", (("agent", "A05"),)] == 0
+    assert values["phm_gcs_agent_age_seconds", (("agent", "A05"),)] == 60
+    assert values["phm_gcs_agent_gaps_total", (("agent", "A05"), ("presence", "lost"))] == 1
+    assert values["phm_gcs_agent_level", (("agent", "A06"),)] == 0
+    assert values["phm_gcs_slot_level", (("agent", "A06"), ("slot", "container"))] == 0
+    assert ("phm_gcs_slot_level", (("agent", "A05"), ("slot", "container"))) not in values
+    assert values["phm_gcs_agent_present", (("agent", "A09"),)] == 0
+    assert ("phm_gcs_agent_age_seconds", (("agent", "A09"),)) not in values
+    assert values["phm_gcs_texts_total", (("severity", "critical"),)] == 1
+    assert values["phm_gcs_answers_total", (("result", "denied"),)] == 1
+    assert values["phm_gcs_commands_sent_total", ()] == 3
+
+
+def test_promtool_accepts_the_page() -> None:
+    """By the conventions of Prometheus, without a remark about one of ours."""
+    fleet = Fleet(expected=(9,))
+    text = MetricsText(GroundMetrics(Station(fleet), FakeClock()).page).render("text/plain")[0]
+    said = promtool("check", "metrics", stdin=text)
+    assert "phm_" not in said, said
+
+
+def test_prometheus_scrapes_a_ground_with_100_agents(here: Ground, tmp_path: Path) -> None:
+    """All of them, within the time of a scrape, and the errors that they report."""
+    vehicles = [here.vehicle(number) for number in range(1, 101)]
+    for vehicle in vehicles:
+        vehicle.beat({Slot.RATES: Level.ERROR} if vehicle.number == 42 else None)
+    address = here.client().address
+    server = Prometheus(tmp_path, {"ground": f"{address[0]}:{address[1]}"})
+
+    def beat() -> None:
+        for vehicle in vehicles:
+            vehicle.beat({Slot.RATES: Level.ERROR} if vehicle.number == 42 else None)
+
+    try:
+        until(lambda: server.value("count(phm_gcs_agent_present == 1)") == 100, "100 agents", step=beat)
+        errors = server.query("phm_gcs_slot_level == 2")
+        assert [(one["metric"]["agent"], one["metric"]["slot"]) for one in errors] == [("A42", "rates")]
+        assert server.value("count(phm_gcs_slot_level)") == 100 * len(HEALTHY)
+        until(lambda: not server.errors(), "a scrape without an error", server.errors)
+    finally:
+        server.close()
+
+
+def test_the_page_needs_the_role_view(here: Ground) -> None:
+    """As all that shows the swarm: a page of another origin does not get it."""
+    client = here.client()
+    assert client.ask("GET", "/metrics")[0] == 200
+    assert client.ask("GET", "/metrics", headers={"Sec-Fetch-Site": "cross-site"})[0] == 403
+    assert client.ask("GET", "/metrics", headers={"Host": "evil.example"})[0] == 403
