@@ -3,12 +3,13 @@
 import { getJson, mayOperate, postJson } from "./api.js";
 import { button, byId, el, render, said } from "./dom.js";
 import { checkSession } from "./live.js";
-import { on, store } from "./store.js";
+import { on, store, utcNow } from "./store.js";
 import { toast } from "./toasts.js";
 import { clock } from "./words.js";
 
 const HOLD_MINUTES = [5, 10, 30, 60];
 const STATES = { sent: "sent, no answer yet", answered: "answered", timeout: "no answer" };
+const FRESH_S = 15;
 const told = new Map();
 
 export function startActions() {
@@ -22,7 +23,9 @@ function tellResult(request) {
   const state = `${request.state} ${request.accepted} ${request.late}`;
   const before = told.get(request.id);
   told.set(request.id, state);
-  if (before === undefined || before === state || request.state === "sent") return;
+  if (before === state || request.state === "sent") return;
+  // What was answered before this page was opened is no news.
+  if (before === undefined && request.done_utc_s < utcNow() - FRESH_S) return;
   toast(request.sentence || `${request.agent} ${request.text}: ${STATES[request.state]}`, request.accepted ? "ok" : "error");
 }
 

@@ -80,7 +80,7 @@ function update(names) {
   }
   // After a reconnection the page shows what is there; it rings for it as well, once.
   if (fresh.length) {
-    const words = `New CRITICAL: ${fresh.slice(0, 5).map((name) => `${name} ${store.agents.get(name).line?.text ?? ""}`).join("; ")}`;
+    const words = `New CRITICAL: ${fresh.slice(0, 5).join(", ")}${fresh.length > 5 ? ` and ${fresh.length - 5} more` : ""}`;
     setText(byId("said"), "");
     setText(byId("said"), words);
     ring();

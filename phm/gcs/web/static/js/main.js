@@ -3,7 +3,7 @@
 import { showAgent, startAgent } from "./agent.js";
 import { startActions } from "./actions.js";
 import { startAlarms } from "./alarms.js";
-import { login, logout, session } from "./api.js";
+import { getJson, login, logout, mayOperate, session } from "./api.js";
 import { byId, el, render, setText } from "./dom.js";
 import { startEvents } from "./events.js";
 import { focusRow, markOpen, startGrid } from "./grid.js";
@@ -48,10 +48,21 @@ function showLink() {
   setText(byId("link"), words[store.link]);
   byId("banner").hidden = store.link !== "down";
   if (store.link === "login") showLogin();
-  byId("logout").hidden = !session.login || !session.role;
-  byId("tab-checks").hidden = !session.checks;
+  byId("logout").hidden = !session.role || sessionStorage.getItem("phm-token") === null;
   banner();
   route();
+  if (store.link === "live") showChecks();
+}
+
+/** The link to the page that edits configurations, where this ground station has some. */
+async function showChecks() {
+  let edit = false;
+  try {
+    edit = mayOperate() && (await getJson("api/config")).edit;
+  } catch {
+    edit = false;
+  }
+  byId("tab-checks").hidden = !edit;
 }
 
 function banner() {
@@ -71,6 +82,7 @@ function showLogin() {
       event.preventDefault();
       try {
         await login(token.value);
+        sessionStorage.setItem("phm-token", "used");
         token.value = "";
         setText(problem, "");
         connect();

@@ -1,0 +1,67 @@
+"""axe finds no violation of WCAG 2.1 A and AA, in light and in dark, in each part of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect
+
+from tests.gcs.web.browser.scene import GroundProcess, a_bad_day, fleet, ground, tab
+
+pytestmark = pytest.mark.browser
+RULES = {"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"], "resultTypes": ["violations"]}
+SHOWN = {
+    "#/swarm": ".rows .r-unknown",
+    "#/agent/A07": "#panel .advice",
+    "#/views": "#v-matrix .slot",
+    "#/events": "#view-events .log",
+}
+Theme = Literal["dark", "light"]
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GroundProcess]:
+    """A swarm with agents in each state."""
+    folder = tmp_path_factory.mktemp("ground")
+    with ground(folder, "--expect", "1-13") as made, fleet(made.mavlink, range(1, 12), 0.5) as agents:
+        a_bad_day(agents)
+        agents.silent.add(11)
+        yield made
+
+
+def violations(page: Page) -> list[str]:
+    """Rule and place of each."""
+    found = Axe().run(page, options=RULES).response["violations"]
+    return [f"{one['id']}: {node['target']} {node['failureSummary'][:200]}" for one in found for node in one["nodes"]]
+
+
+@pytest.mark.parametrize("place", list(SHOWN))
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_contrast_names_and_roles(browser: Browser, station: GroundProcess, theme: Theme, place: str) -> None:
+    """Also at the width of a tablet."""
+    with tab(browser, station.url + place, color_scheme=theme, reduced_motion="reduce") as page:
+        expect(page.locator(SHOWN[place]).first).to_be_visible()
+        assert violations(page) == []
+        page.set_viewport_size({"width": 820, "height": 1180})
+        assert violations(page) == []
+
+
+def test_without_a_connection(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The message about it has contrast, too."""
+    with ground(tmp_path_factory.mktemp("gone")) as made, tab(browser, made.url) as page:
+        expect(page.locator("#link")).to_contain_text("Live")
+        made.kill()
+        expect(page.locator("#banner")).to_be_visible()
+        assert violations(page) == []
+
+
+def test_a_finger_finds_each_control(browser: Browser, station: GroundProcess) -> None:
+    """Buttons, links of the head, fields and rows are at least 44 pixels high."""
+    with tab(browser, f"{station.url}#/agent/A07", has_touch=True) as page:
+        expect(page.locator(".choices button").first).to_be_visible()
+        heights = """() => [...document.querySelectorAll("button, select, input, .top a, .alarms a, .rows .row")]
+            .filter((node) => node.checkVisibility()).map((node) => [node.outerHTML.slice(0, 80), node.getBoundingClientRect().height])"""
+        assert [one for one in page.evaluate(heights) if one[1] < 43.9] == []

@@ -1,0 +1,54 @@
+"""The page tells at once that its server is gone, trusts nothing meanwhile, and returns by itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from tests.gcs.web.browser.scene import fleet, ground, tab
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_killed_server_is_shown_and_its_return_needs_no_hand(browser: Browser, tmp_path: Path) -> None:
+    """Ages are unknown while it is gone; a new server at the same address is used without a reload."""
+    with ground(tmp_path) as station, fleet(station.mavlink, [1, 2], 0.5), tab(browser, station.url) as page:
+        row = page.locator(".row[data-name=A02]")
+        expect(row.locator(".how")).to_have_text("OK")
+        expect(page.locator("#link")).to_contain_text("Live")
+        page.evaluate("window.stays = true")
+        station.kill()
+        expect(page.get_by_role("alert").filter(has_text="No connection to the server")).to_be_visible()
+        expect(page.locator("#link")).to_have_text("\u2715 No connection")
+        expect(row.locator(".age")).to_have_text("?")
+        station.start()
+        expect(page.locator("#link")).to_contain_text("Live")
+        expect(page.locator("#banner")).to_be_hidden()
+        expect(row.locator(".age")).to_contain_text(" s")
+        expect(row.locator(".how")).to_have_text("OK")
+        assert page.evaluate("window.stays")
+
+
+def test_a_token_is_asked_for_and_its_role_decides(browser: Browser, tmp_path: Path) -> None:
+    """A wrong token is refused in words; with the role view no request is offered."""
+    tokens = tmp_path / "tokens"
+    tokens.write_text("view: " + "v" * 32 + "\noperate: " + "o" * 32 + "\n")
+    tokens.chmod(0o600)
+    with (
+        ground(tmp_path, "--token-file", str(tokens)) as station,
+        fleet(station.mavlink, [1], 0.5),
+        tab(browser, station.url) as page,
+    ):
+        page.get_by_label("Token").fill("x" * 32)
+        page.get_by_role("button", name="Log in").click()
+        expect(page.locator(".problem")).not_to_be_empty()
+        assert page.locator(".rows .row").count() == 0
+        page.get_by_label("Token").fill("v" * 32)
+        page.get_by_role("button", name="Log in").click()
+        page.locator(".row[data-name=A01]").click()
+        expect(page.locator(".choices")).to_contain_text("its role is view")
+        assert page.locator(".choices button").count() == 0
+        page.get_by_role("button", name="Log out").click()
+        expect(page.get_by_label("Token")).to_be_visible()

@@ -1,0 +1,136 @@
+"""What the page shows of a swarm that sends real frames: cells, details, the two views, events, and hostile text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from phm.core.model import Slot
+from tests.gcs.web.browser.scene import ERROR, Fleet, GroundProcess, a_bad_day, fleet, ground, tab
+
+pytestmark = pytest.mark.browser
+HOSTILE = "<img src=x onerror=alert(1)>"
+RTL = "\u202e\u200f\u05d0\u05d1\u05d2"
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GroundProcess]:
+    with ground(tmp_path_factory.mktemp("ground")) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def agents(station: GroundProcess) -> Iterator[Fleet]:
+    with fleet(station.mavlink, range(1, 13), 0.5) as made:
+        a_bad_day(made)
+        yield made
+
+
+@pytest.fixture
+def page(browser: Browser, station: GroundProcess, agents: Fleet) -> Iterator[Page]:
+    with tab(browser, station.url) as made:
+        expect(made.locator(".rows .row")).to_have_count(12)
+        yield made
+
+
+def cells(page: Page, name: str) -> str:
+    return ",".join(page.locator(f".row[data-name={name}] .slot").all_inner_texts())
+
+
+def test_the_worst_agents_are_first(page: Page) -> None:
+    """Rows are in the order of their state, and then of their names."""
+    expect(page.locator(".rows .row").nth(0)).to_have_attribute("data-name", "A02")
+    expect(page.locator(".rows .row").nth(1)).to_have_attribute("data-name", "A07")
+    expect(page.locator(".rows .row").nth(11)).to_have_attribute("data-name", "A12")
+
+
+def test_a_level_has_a_text_and_a_form_besides_its_colour(page: Page) -> None:
+    """Each cell has a word or a sign, and the forms of OK, WARN and ERROR differ."""
+    expect(page.locator(".row[data-name=A07] .s-2")).to_have_text("ERROR")
+    assert cells(page, "A07") == "OK,ERROR,OK,OK,OK,\u2013,\u2013,OK,OK,\u2013,\u2013,\u2013,\u2013,\u2013,\u2013"
+    shape = "node => getComputedStyle(node, '::before').clipPath"
+    names = [("A07", 2), ("A05", 9), ("A01", 1)]
+    shapes = {page.locator(f".row[data-name={name}] .s-{slot}").evaluate(shape) for name, slot in names}
+    assert len(shapes) == 3
+    assert "none" not in shapes
+
+
+def test_a_silent_agent_is_lost_and_its_age_counts_up(page: Page, agents: Fleet) -> None:
+    """Its cells are no longer trusted, and it is no longer at the end."""
+    agents.silent.add(11)
+    row = page.locator(".row[data-name=A11]")
+    expect(row.locator(".how")).to_have_text("LOST")
+    assert cells(page, "A11") == ",".join("?" * 15)
+    first = row.locator(".age").inner_text()
+    expect(row.locator(".age")).not_to_have_text(first)
+    agents.silent.discard(11)
+    expect(row.locator(".how")).to_have_text("OK")
+
+
+def test_the_details_say_where_the_path_is_broken_and_why(page: Page) -> None:
+    """The first broken hop is drawn and named, and each bad check has its reason in words."""
+    page.locator(".row[data-name=A07]").click()
+    panel = page.locator("#panel")
+    expect(panel.get_by_role("heading", level=2)).to_have_text("A07")
+    expect(panel.get_by_role("img", name="Container BROKEN?")).to_be_visible()
+    assert panel.locator("svg.path .cut").count() == 1
+    expect(panel.locator(".hops")).to_contain_text("ros_app exited (137)")
+    expect(panel.locator(".layers")).to_contain_text("ros_app exited (137)")
+    expect(panel.locator(".advice")).to_contain_text("restart ros_app")
+
+
+def test_the_two_views_are_side_by_side_and_differences_are_marked(page: Page) -> None:
+    """The digest says OK about an agent that the ground sees in WARN."""
+    page.get_by_role("link", name="Two views").click()
+    row = page.locator("#v-table tr", has=page.locator("th", has_text="A09"))
+    expect(row).to_contain_text("\u2260 the levels differ")
+    expect(page.locator("#v-table tr", has=page.locator("th", has_text="A03"))).not_to_contain_text("\u2260")
+    expect(page.locator("#v-matrix .slot").first).to_be_visible()
+
+
+def test_events_can_be_searched_and_filtered(page: Page, agents: Fleet) -> None:
+    """By text, by agent and by severity."""
+    page.get_by_role("link", name="Events").click()
+    agents.say(4, "A04 FAIL 11111011 6 mapper dead")
+    agents.say(6, "A06 WARN 9 memory 91%", 4)
+    log = page.locator("#view-events .log li")
+    expect(log.filter(has_text="mapper dead")).to_have_count(1)
+    expect(log.filter(has_text="memory 91%")).to_have_count(1)
+    page.get_by_label("Search").fill("MEMORY")
+    expect(log).to_have_count(1)
+    expect(log).to_contain_text("A06")
+    page.get_by_label("Search").fill("")
+    page.get_by_label("At least").select_option("critical")
+    expect(log.filter(has_text="memory 91%")).to_have_count(0)
+    expect(log.filter(has_text="mapper dead")).to_have_count(1)
+
+
+def test_text_from_the_air_is_never_markup(page: Page, agents: Fleet) -> None:
+    """Markup is shown as it is, a text from right to left stays in its own place, and a long one does not widen the page."""
+    agents.levels[3] = {Slot.NODES: ERROR}
+    agents.say(3, f"A03 FAIL 11111011 6 {HOSTILE}"[:50])
+    agents.say(10, f"A10 WARN 9 {RTL} evil", 4)
+    agents.say(8, "A08 WARN 9 " + "x" * 39, 4)
+    expect(page.locator(".row[data-name=A03] .line")).to_contain_text("<img src=x")
+    expect(page.locator(".row[data-name=A08] .line")).to_contain_text("xxxx")
+    page.locator(".row[data-name=A03]").click()
+    expect(page.locator("#panel .layers")).to_contain_text("<img src=x")
+    assert page.locator("img").count() == 0
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    direction = "node => getComputedStyle(node).unicodeBidi"
+    assert page.locator(".row[data-name=A10] .line").evaluate(direction) == "isolate"
+    for air in page.locator(".air").all():
+        assert air.evaluate(direction) == "isolate"
+
+
+def test_the_page_asks_nobody_but_its_server(browser: Browser, station: GroundProcess, agents: Fleet) -> None:
+    """Without a connection to the internet the page is complete."""
+    with tab(browser, "about:blank") as page:
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(station.url)
+        expect(page.locator(".rows .row")).to_have_count(12)
+        assert [url for url in asked if not url.startswith(station.url)] == []
+        assert len(asked) > 5

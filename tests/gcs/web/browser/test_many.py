@@ -1,0 +1,37 @@
+"""A large swarm: every agent is shown, and a frame touches only what it changed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from phm.core.model import Slot
+from tests.gcs.web.browser.scene import ERROR, fleet, ground, tab
+
+pytestmark = pytest.mark.browser
+COUNT = 100
+WATCH = """() => { window.changed = new Set();
+  new MutationObserver((found) => { for (const one of found) {
+    const row = one.target.parentElement?.closest(".row"); if (row) window.changed.add(row.dataset.name + " " + one.target.className); } })
+  .observe(document.querySelector(".rows"), { subtree: true, childList: true, attributes: true, attributeFilter: ["class"] }); }"""
+
+
+def test_a_hundred_agents(browser: Browser, tmp_path: Path) -> None:
+    """All have rows; heartbeats that say nothing new change no cell of a slot; a new fault changes only its own agent."""
+    with (
+        ground(tmp_path) as station,
+        fleet(station.mavlink, range(1, COUNT + 1)) as agents,
+        tab(browser, station.url) as page,
+    ):
+        expect(page.locator(".rows .row")).to_have_count(COUNT)
+        expect(page.locator("#counts")).to_contain_text(f"{COUNT} OK")
+        nodes = page.evaluate("document.querySelectorAll('*').length")
+        page.evaluate(WATCH)
+        agents.levels[57] = {Slot.NODES: ERROR}
+        expect(page.locator(".row[data-name=A57] .s-6")).to_have_text("ERROR")
+        expect(page.locator(".rows .row").first).to_have_attribute("data-name", "A57")
+        touched = page.evaluate("[...window.changed].filter((one) => one.includes('slot'))")
+        assert {one.split()[0] for one in touched} == {"A57"}
+        assert page.evaluate("document.querySelectorAll('*').length") <= nodes + 40

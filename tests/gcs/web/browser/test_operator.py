@@ -1,0 +1,134 @@
+"""What an operator does on the page: with the keyboard alone, with confirmation, and with the agent's answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.gcs.test_daemon import agent
+from tests.gcs.web.browser.scene import Fleet, GroundProcess, fleet, ground, tab
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GroundProcess]:
+    """With a real agent 7, whose container has not opted in to recovery."""
+    with ground(tmp_path_factory.mktemp("ground")) as made:
+        folder = tmp_path_factory.mktemp("agent")
+        permitted = ["status", "details", "check", "restart", "hold"]
+        daemon = agent(folder, 7, f"udpout:127.0.0.1:{made.mavlink}", engine=True, commands=permitted)
+        daemon.start()
+        yield made
+        daemon.stop()
+
+
+@pytest.fixture(scope="module")
+def agents(station: GroundProcess) -> Iterator[Fleet]:
+    with fleet(station.mavlink, [1, 2, 3], 0.5) as made:
+        yield made
+
+
+@pytest.fixture
+def page(browser: Browser, station: GroundProcess, agents: Fleet) -> Iterator[Page]:
+    with tab(browser, station.url) as made:
+        expect(made.locator(".rows .row")).to_have_count(4)
+        yield made
+
+
+def containers(page: Page) -> None:
+    """Have the page list the containers of agent 7."""
+    if page.get_by_role("button", name="restart app").count() == 0:
+        page.get_by_role("button", name="list containers").click()
+    expect(page.get_by_role("button", name="restart app")).to_be_visible()
+
+
+def test_a_restart_is_confirmed_and_the_refusal_says_why(page: Page, station: GroundProcess) -> None:
+    """The dialog says what will happen; Cancel sends nothing; the agent's reason is shown."""
+    page.goto(f"{station.url}#/agent/A07")
+    containers(page)
+    page.get_by_role("button", name="restart app").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("stops the container app and starts it again")
+    expect(dialog.get_by_role("button", name="Cancel")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(dialog).to_be_hidden()
+    expect(page.locator(".requests")).not_to_contain_text("restart")
+    page.get_by_role("button", name="restart app").click()
+    dialog.get_by_role("button", name="Yes, restart").click()
+    expect(page.locator(".toasts .t-error")).to_contain_text("A07 restart app")
+    expect(page.locator(".toasts .t-error")).to_contain_text("recover")
+    expect(page.locator(".requests .g-error")).to_contain_text("recover")
+
+
+def test_a_hold_for_the_chosen_time_is_accepted_and_released(page: Page, station: GroundProcess) -> None:
+    """The agent confirms both."""
+    page.goto(f"{station.url}#/agent/A07")
+    containers(page)
+    page.get_by_role("button", name="hold app").click()
+    page.get_by_label("For", exact=True).select_option("5")
+    page.get_by_role("button", name="Yes, hold").click()
+    expect(page.locator("#panel .log")).to_contain_text("A07 HOLD 2 app 5 min")
+    page.get_by_role("button", name="release app").click()
+    page.get_by_role("button", name="Yes, release").click()
+    expect(page.locator("#panel .log")).to_contain_text("A07 HOLD 2 app released")
+
+
+def test_the_keyboard_is_enough(page: Page) -> None:
+    """Rows by arrow keys, Enter opens, Escape returns to the row, and a request is sent and answered."""
+    page.keyboard.press("Tab")
+    expect(page.locator(".skip")).to_be_focused()
+    row = page.locator(".row[data-name=A07] button")
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.closest('.rows') !== null"):
+            break
+    page.keyboard.press("Home")
+    for _ in range(4):
+        if page.evaluate("document.activeElement.closest('.row').dataset.name") == "A07":
+            break
+        page.keyboard.press("ArrowDown")
+    expect(row).to_be_focused()
+    assert row.evaluate("node => getComputedStyle(node).outlineStyle") == "solid"
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("heading", name="A07")).to_be_focused()
+    check = page.get_by_role("button", name="run all checks")
+    expect(check).to_be_visible()
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if check.evaluate("node => node === document.activeElement"):
+            break
+    page.keyboard.press("Enter")
+    expect(page.locator(".toasts")).to_contain_text("A07 run all checks: accepted")
+    page.keyboard.press("Escape")
+    expect(page.locator("#panel")).to_be_hidden()
+    expect(row).to_be_focused()
+
+
+def test_a_new_critical_is_seen_and_heard_until_it_is_acknowledged(page: Page, agents: Fleet) -> None:
+    """It rings, flashes and marks its agent; silence ends the bell alone; to acknowledge ends the mark."""
+    page.evaluate(
+        """() => { window.tones = 0; const real = AudioContext.prototype.createOscillator;
+        AudioContext.prototype.createOscillator = function () { window.tones++; return real.call(this); }; }"""
+    )
+    page.get_by_role("button", name="Sound").click()
+    expect(page.get_by_role("button", name="Sound on")).to_be_visible()
+    before = int(page.evaluate("window.tones"))
+    agents.say(2, "A02 FAIL 11111011 6 planner dead")
+    alarms = page.get_by_role("region", name="Alarms")
+    expect(alarms).to_contain_text("A02 (1)")
+    expect(page.locator(".row[data-name=A02] .bell")).to_have_text("! 1")
+    expect(page.locator("#said")).to_contain_text("New CRITICAL: A02")
+    page.wait_for_function("before => window.tones > before", arg=before)
+    assert "flash" in str(page.locator("body").get_attribute("class"))
+    alarms.get_by_role("button", name="Silence for").click()
+    expect(alarms).to_contain_text("silenced")
+    silenced = int(page.evaluate("window.tones"))
+    agents.say(2, "A02 FAIL 11110011 5 camera missing")
+    expect(alarms).to_contain_text("A02 (2)")
+    assert int(page.evaluate("window.tones")) == silenced
+    alarms.get_by_role("button", name="Acknowledge all").click()
+    expect(alarms).to_be_hidden()
+    expect(page.locator(".row[data-name=A02] .bell")).to_have_text("")
