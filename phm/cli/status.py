@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from phm.cli.options import json_option, run_dir_option
+from phm.cli.web_options import web_options
 from phm.wire import status_file
 
 
@@ -16,15 +17,30 @@ from phm.wire import status_file
 @json_option
 @click.option("--healthy", is_flag=True, help="Print one sentence; exit code 0 when the daemon is healthy, else 1.")
 @click.option("--watch", is_flag=True, help="Refresh every second until Ctrl-C.")
+@web_options("this agent")
 @click.pass_context
-def command(ctx: click.Context, run_dir: str, as_json: bool, healthy: bool, watch: bool) -> None:
+def command(
+    ctx: click.Context,
+    /,
+    run_dir: str,
+    as_json: bool,
+    healthy: bool,
+    watch: bool,
+    web: tuple[str, int] | None,
+    **access: Any,
+) -> None:
     """Show daemon and agent status.
 
     Exit code 0: the daemon is running and healthy, whatever the status of the agent; 1: it is not. The status file of a
     daemon that was killed is detected.
     """
-    if as_json + healthy + watch > 1:
-        raise click.UsageError("Use only one of --json, --healthy and --watch.")
+    if as_json + healthy + watch + bool(web) > 1:
+        raise click.UsageError("Use only one of --json, --healthy, --watch and --web.")
+    if any(access.values()) and not web:
+        raise click.UsageError("--token-file, --tls-cert, --tls-key and --behind-proxy need --web.")
+    if web:
+        _serve(run_dir, web, access)
+        return
     if watch:
         _watch(run_dir)
         return
@@ -65,3 +81,27 @@ def _watch(run_dir: str) -> None:
         render.watch(lambda: _look(run_dir))
     except KeyboardInterrupt:
         return
+
+
+def _serve(run_dir: str, where: tuple[str, int], access: dict[str, Any]) -> None:
+    """Until Ctrl-C or SIGTERM."""
+    import signal
+    import threading
+
+    from phm.cli import web_options
+
+    web_options.require_aiohttp("--web")
+    from phm.core.clock import SystemClock
+    from phm.gcs.web.agent_page import AgentPage
+
+    options = web_options.listen_options(where, **access)
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda _number, _frame: ended.set())
+    page = web_options.listening("--web", where, lambda: AgentPage(lambda: _look(run_dir), options, SystemClock()))
+    try:
+        page.start()
+        click.echo(f"page at {page.url}", err=True)
+        ended.wait()
+    finally:
+        page.close()
