@@ -50,7 +50,7 @@ class AgentPage:
     def read(self) -> None:
         """Take over what the daemon wrote."""
         document, problem = self._look()
-        self._view.run = str(document.get("boot_id", ""))
+        self._view.run = agent_row.text(document.get("boot_id", ""))
         row = {agent_row.name(document): agent_row.row(document, problem)}
         self._view.put(ground=agent_row.ground(document, problem), agents=row, complete=True)
 

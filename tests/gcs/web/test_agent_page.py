@@ -85,8 +85,8 @@ def test_all_checks_of_the_agent_are_shown(here: Written) -> None:
     state = here.client.get("/api/state")
     assert state["ground"]["page"] == "status"
     (row,) = state["agents"].values()
-    told = document()
-    assert [one["unit"] for one in row["checks"]] == [one["id"] for one in told["checks"]]
+    written = document()
+    assert [one["unit"] for one in row["checks"]] == [one["id"] for one in written["checks"]]
     assert (row["name"], row["how"], row["presence"], row["rank"]) == ("A07", "ERROR", "alive", 0)
     dead = next(one for one in row["checks"] if one["level"] == "ERROR")
     assert dead["unit"] == "nodes/agent_1/node_1" and dead["slot"] == 6 and dead["at"] <= row["at"]
@@ -125,7 +125,7 @@ def test_a_hostile_status_stays_text_and_is_bounded(here: Written) -> None:
     wicked = "</script><img src=x onerror=alert(1)>\n\x1b[2J\u202e" + "x" * 10_000
     checks = [{**one, "summary": wicked, "since": wicked} for one in document()["checks"]]
     here.write(document(checks=checks, agent_id=wicked, written_utc=wicked, boot_id=wicked))
-    until(lambda: "img src" in json.dumps(here.client.get("/api/state")), "the status")
+    until(lambda: "img src" in json.dumps(here.client.get("/api/state")["agents"]), "the status")
     (row,) = here.client.get("/api/state")["agents"].values()
     for one in row["checks"]:
         assert len(one["text"]) <= agent_row.MAX_TEXT and one["at"] is None
