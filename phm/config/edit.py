@@ -40,7 +40,7 @@ class Edit:
 
     @classmethod
     def from_json(cls, data: Any) -> Edit:
-        """`{"do", "path", "value"}`; `{"$unquoted": TEXT}` is a text with a variable that stands for a number. Raises EditError."""
+        """`{"do", "path", "value"}`; `{"$unquoted": TEXT}` is a text with a variable for a number. Raises EditError."""
         if not isinstance(data, Mapping) or data.get("do") not in DO:
             raise EditError(f"an edit needs 'do': {', '.join(DO)}")
         path = data.get("path")
@@ -180,7 +180,7 @@ def _new(text: str, path: Path, wanted: dict[str, Any]) -> str:
 
 
 def _whole(text: str, path: Path, wanted: dict[str, Any]) -> str:
-    """Write a collection anew: one in brackets, an empty one, or one that becomes empty."""
+    """Write a collection again: one in brackets, an empty one, or one that becomes empty."""
     place = yaml_text.place_of(text, path)
     value = _get(wanted, path)
     if place is None or place.parent is None:
@@ -188,11 +188,11 @@ def _whole(text: str, path: Path, wanted: dict[str, Any]) -> str:
     if place.key is None and not yaml_text.is_block(place.parent):
         return _whole(text, path[:-1], wanted)  # in brackets within brackets
     if place.key is None and isinstance(value, dict) and value:
-        return _entry_anew(text, place, value)
+        return _entry_again(text, place, value)
     return yaml_text.replace(text, place, value)
 
 
-def _entry_anew(text: str, place: yaml_text.Place, value: dict[str, Any]) -> str:
+def _entry_again(text: str, place: yaml_text.Place, value: dict[str, Any]) -> str:
     """An entry of a block list that was `{}` or in braces, as lines."""
     from phm.config.yaml_render import item
 

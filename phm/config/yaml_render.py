@@ -18,7 +18,7 @@ _VARIABLE = re.compile(r"[A-Za-z0-9_/. -]*(\$\{[A-Za-z_][A-Za-z0-9_]*(:-[A-Za-z0
 
 @dataclass(frozen=True, slots=True)
 class Unquoted:
-    """A text with a variable that stands for a number or true and false, so it must not be in quotes."""
+    """A text with a variable for a number or a truth value, so it must not be in quotes."""
 
     text: str
 

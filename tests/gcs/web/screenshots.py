@@ -44,9 +44,30 @@ def main(folder: Path) -> None:
             _write(page, folder / "web-events.png")
 
 
+def checks(folder: Path) -> None:
+    """Write the picture of the Checks page."""
+    with (
+        tempfile.TemporaryDirectory() as state,
+        ground(Path(state), "--edit", "config/phm.yaml") as station,
+        chromium() as browser,
+        tab(browser, f"{station.url}checks", viewport=WIDE, color_scheme="light") as page,
+    ):
+        page.get_by_label("Type of a new entry of custom").select_option("tcp")
+        page.get_by_role("button", name="Add to custom").click()
+        for key, text in (("name", "planner"), ("host", "127.0.0.1"), ("port", "80800")):
+            field = page.locator(f'[data-key="custom[0].{key}"] input')
+            field.fill(text)
+            field.press("Tab")
+        page.locator('[data-key="custom[0].port"] .problem', has_text="65535").wait_for()
+        page.locator("#diff .added", has_text="80800").wait_for()
+        page.evaluate("scrollTo(0, 0)")
+        _write(page, folder / "web-checks.png")
+
+
 def _write(page: Page, path: Path) -> None:
     page.screenshot(path=path)
 
 
 if __name__ == "__main__":
     main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)
+    checks(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -166,12 +170,42 @@ def test_every_section_of_the_schema_opens(page: Page) -> None:
         closed.evaluate_all("nodes => nodes.forEach(node => node.click())")
         page.locator("#form details[open] > .body > *").first.wait_for()
     page.locator("aside details:not([open]) > summary").evaluate_all("nodes => nodes.forEach(node => node.click())")
-    page.locator("#host").fill("pilot@10.0.0.7")
-    expect(page.locator("#commands")).to_contain_text("phm validate /etc/phm/phm.yaml.new")
-    page.locator("#host").fill("-oProxyCommand=x@y")
-    expect(page.locator("#commands")).to_have_text("Enter the agent as USER@HOST.")
     assert page.locator("#form input, #form select").count() > 100
     assert axe(page) == []
+
+
+def test_the_commands_deliver_only_what_the_agent_accepts(page: Page, file: Path, tmp_path: Path) -> None:
+    """Run as the agent's shell would: an invalid file changes nothing, a valid one replaces the old one, which is kept."""
+    page.locator("#box-deliver summary").click()
+    page.locator("#target").fill(str(file))
+    page.locator("#host").fill("pilot@10.0.0.7")
+    words = shlex.split(page.locator("#commands").text_content() or "")
+    assert words[:3] == ["scp", "./a7.yaml", f"pilot@10.0.0.7:{file}.new"] and words[3:5] == ["ssh", "pilot@10.0.0.7"]
+    environ = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "PHM_RUN_DIR": str(tmp_path),
+    }
+    new, old = Path(f"{file}.new"), Path(f"{file}.bak")
+    new.write_text("interval: never\n")
+    assert subprocess.run(words[5], shell=True, env=environ, capture_output=True).returncode == 78
+    assert file.read_text() == TEXT and not old.exists()
+    new.write_text(TEXT.replace("files: 3", "files: 4"))
+    done = subprocess.run(words[5], shell=True, env=environ, capture_output=True)
+    assert b"PHM is not running" in done.stderr and file.read_text() == new.read_text() and old.read_text() == TEXT
+
+
+@pytest.mark.parametrize(
+    ("field", "text"), [("host", "-oProxyCommand=x@y"), ("target", "/etc/$(id)"), ("container", "a;b")]
+)
+def test_nothing_for_a_shell_gets_into_the_commands(page: Page, field: str, text: str) -> None:
+    """Only names and paths that need no quotes are accepted."""
+    page.locator("#box-deliver summary").click()
+    page.locator("#host").fill("pilot@10.0.0.7")
+    page.locator("#container").fill("phm")
+    expect(page.locator("#commands")).to_contain_text("docker exec phm phm reload")
+    page.locator(f"#{field}").fill(text)
+    expect(page.locator("#commands")).to_contain_text("Enter the")
 
 
 def test_the_pages_lead_to_each_other(page: Page) -> None:

@@ -61,7 +61,7 @@ function showState() {
   const count = state.problems.length;
   const quality = count === 0 ? "valid" : `${count} problem${count === 1 ? "" : "s"}`;
   byId("state").textContent = `${state.name}: ${changed ? "changed, not saved" : "not changed"}, ${quality}`;
-  byId("commands").textContent = commands(state.name, byId("host").value, byId("target").value);
+  byId("commands").textContent = commands(state.name, byId("host").value, byId("target").value, byId("container").value);
 }
 
 function load(name, text, version) {
@@ -131,6 +131,7 @@ function listen() {
   byId("variables").addEventListener("change", trying(() => apply(state.text, [], false)));
   byId("host").addEventListener("input", showState);
   byId("target").addEventListener("input", showState);
+  byId("container").addEventListener("input", showState);
   byId("copy").addEventListener("click", trying(() => navigator.clipboard.writeText(byId("commands").textContent)));
   byId("login").addEventListener("submit", trying(async () => {
     await login(byId("token").value);

@@ -4,6 +4,7 @@ import { byId, button, el } from "../dom.js";
 
 const SIGNS = { new: "+ new", gone: "- gone", changed: "* changed" };
 const HOST = /^[A-Za-z0-9_][A-Za-z0-9_.-]*@[A-Za-z0-9[][A-Za-z0-9_.:\]-]*$/;
+const CONTAINER = /^[A-Za-z0-9][A-Za-z0-9_.-]*$/;
 const TARGET = /^\/[A-Za-z0-9_./-]+$/;
 
 export function showProblems(problems, reveal) {
@@ -50,16 +51,21 @@ function kindOf(line) {
   return line.startsWith("+") ? "added" : line.startsWith("-") ? "removed" : "";
 }
 
-/** Commands for a shell. Nothing that a shell would interpret gets into them. */
-export function commands(name, host, target) {
+/**
+ * Commands for a shell: the agent validates the new file, keeps the old one as .bak, and reloads. container: of PHM, empty without.
+ * Nothing that a shell would interpret gets into them. The file is written in place: it may be mounted into a container.
+ */
+export function commands(name, host, target, container) {
   const file = name.split(/[\\/]/).at(-1).replace(/[^A-Za-z0-9_.-]/g, "_").replace(/^-+/, "") || "agent.yaml";
   if (!HOST.test(host)) return "Enter the agent as USER@HOST.";
   if (!TARGET.test(target)) return "Enter the absolute path of its configuration: letters, digits, '_', '.', '-' and '/'.";
+  if (container && !CONTAINER.test(container)) return "Enter the name of PHM's container: letters, digits, '_', '.' and '-'.";
   const next = `${target}.new`;
-  return [
-    `scp ./${file} ${host}:${next}`,
-    `ssh ${host} "phm validate ${next} && cp -p ${target} ${target}.bak && mv ${next} ${target} && phm reload"`,
-  ].join("\n");
+  const inside = `docker exec -i ${container} sh -c 'cat > /tmp/phm-new.yaml && phm validate /tmp/phm-new.yaml' < ${next}`;
+  const validate = container ? inside : `phm validate ${next}`;
+  const reload = container ? `docker exec ${container} phm reload` : "phm reload";
+  const replace = `cp -p ${target} ${target}.bak && cp ${next} ${target}`;
+  return [`scp ./${file} ${host}:${next}`, `ssh ${host} "${validate} && ${replace} && ${reload}"`].join("\n");
 }
 
 function names(id, words) {
