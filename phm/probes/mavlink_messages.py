@@ -22,7 +22,7 @@ MISSING_S, MISSING_PERIODS = 3.0, 3.0
 AGAIN_S = 10.0
 PRESENT_S = 3.0
 """Nothing is requested from an autopilot whose last HEARTBEAT is older."""
-MAX_TEXT = 100
+MAX_TEXT = 256
 
 
 class _Key(NamedTuple):
@@ -81,7 +81,7 @@ class MavlinkMessages:
         late_s = max(self._unread_s(heard.link), self._clock.late_s(heard.at))
         if isinstance(raw, str):
             return MessageValue(age_s, None, raw[:MAX_TEXT], False, "", key.instance, heard.link, min(age_s, late_s))
-        unknown, unit = not_known(kind, name, raw), str(kind.fieldunits_by_name.get(name, ""))
+        unknown, unit = not_known(key.message, name, raw), str(kind.fieldunits_by_name.get(name, ""))
         number, text = (None, f"{raw:g}") if unknown else (float(raw), "")
         return MessageValue(age_s, number, text, unknown, unit, key.instance, heard.link, min(age_s, late_s))
 

@@ -135,7 +135,7 @@ def test_values_of_fields_are_reported() -> None:
         polygon, "geometry_msgs/msg/PolygonStamped", "header.stamp.sec", "header.frame_id", "polygon.points[1].x"
     )
     assert (found["header.stamp.sec"].low, found["polygon.points[1].x"].high) == (7.0, 2.0)
-    assert (found["header.frame_id"].low, found["header.frame_id"].text) == (None, "x" * 100)
+    assert (found["header.frame_id"].low, found["header.frame_id"].text) == (None, "x" * 200)
     pose = PoseWithCovariance(covariance=[float(number) for number in range(36)])
     found = fields(pose, "geometry_msgs/msg/PoseWithCovariance", "covariance", "covariance[35]")
     assert found["covariance"] == FieldFact("covariance", 0.0, 35.0)

@@ -8,6 +8,9 @@ from phm_checks._custom.ros import RosCheck
 from phm_checks._readiness import full, snapshot
 from phm_checks._text import clean, last, span
 
+LOOKS_S = 1.0
+"""The ROS child process looks for answers four times a second: a shorter limit would be exceeded by good ones."""
+
 
 class Service(RosCheck):
     """The ROS child process counts its servers and calls it."""
@@ -24,11 +27,9 @@ class Service(RosCheck):
         return good(f"service {name} has a server") if self.entry.call is None else self._answer(name, called)
 
     def _answer(self, name: str, called: api.AnswerFact) -> Finding:
-        unanswered_s = round(called.unanswered_s, 1)
-        if called.unanswered_s >= self.entry.timeout:
-            words = (
-                f"service {name} has not answered for {span(unanswered_s)}, expected within {span(self.entry.timeout)}"
-            )
+        unanswered_s, limit_s = round(called.unanswered_s, 1), max(self.entry.timeout, LOOKS_S)
+        if called.unanswered_s >= limit_s:
+            words = f"service {name} has not answered for {span(unanswered_s)}, expected within {span(limit_s)}"
             return bad(words, "no answer", unanswered_s=unanswered_s)
         if not called.answer:
             raise api.CannotTell(f"service {name} has not answered yet")

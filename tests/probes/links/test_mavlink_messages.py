@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
+from phm.core.mavlink_fields import demand_field
 from phm.core.model import Level
 from phm.facts import AutopilotFact, MessageValue
 from phm.probes.mavlink_messages import AGAIN_S, MOST_INSTANCES, MavlinkMessages
+from phm.probes.mavlink_values import INVALID, not_known
 from phm.runtime.daemon import Daemon
 from phm.simulation.autopilot import SimulatedAutopilot
 from phm.testing import FakeClock, settings
@@ -66,6 +68,7 @@ class Scene:
         return len(self.sent) - before
 
 
+ARRAYS = {"voltages", "voltages_ext", "quaternion", "distances", "ram_usage"}
 FIELDS = {
     "BATTERY_STATUS": (
         "battery_remaining",
@@ -123,7 +126,7 @@ def battery(remaining: int, instance: int = 0) -> Any:
 
 
 def test_minus_one_is_not_known_only_where_mavlink_says_so() -> None:
-    """A current of -1 and a rest of -1 percent; NaN always; a speed of -1 is a speed."""
+    """A current of -1 and a rest of -1 percent; NaN always; a speed of -1 is a speed, and 65535 bytes are memory."""
     scene = Scene(check("b", "BATTERY_STATUS", "battery_remaining"), check("g", "GLOBAL_POSITION_INT", "vx"))
     scene.receive(Sender(1, 1).frame(battery(-1)))
     scene.receive(Sender(1, 1).frame(mavlink.MAVLink_global_position_int_message(1, 2, 3, 4, 5, -1, 32767, 8, 65535)))
@@ -132,12 +135,19 @@ def test_minus_one_is_not_known_only_where_mavlink_says_so() -> None:
     ]  # fmt: skip
     assert scene.value("GLOBAL_POSITION_INT", "vx").number == -1.0
     assert scene.value("GLOBAL_POSITION_INT", "hdg").unknown
+    assert not_known("VIBRATION", "vibration_x", float("nan")) and not not_known("MEMINFO", "freemem", 65535)
     kind = message_class("EKF_STATUS_REPORT")
     assert kind is not None
     scene = Scene(check("e", "EKF_STATUS_REPORT", "flags"))
     scene.receive(Sender(1, 1).frame(kind(65535, float("nan"), 0, 0, 0, 0)))
     assert scene.value("EKF_STATUS_REPORT", "velocity_variance").unknown
     assert scene.value("EKF_STATUS_REPORT", "flags").number == 65535.0
+
+
+def test_the_table_names_fields_that_exist() -> None:
+    """Of messages that PHM can decode."""
+    for message, field in INVALID:
+        demand_field(message, f"{field}[0]" if field in ARRAYS else field, number=True)
 
 
 def test_only_this_vehicle_on_a_link_to_its_autopilot_counts() -> None:

@@ -14,7 +14,7 @@ from phm.probes.ros.protocol import WantedData
 
 MAX_DECODED = 200_000
 """Longest message in bytes that is decoded; Python needs about 10 ms for the worst of this length."""
-MAX_TEXT, MAX_FIELD_TEXT = 40, 100
+MAX_TEXT, MAX_FIELD_TEXT = 40, 200
 _BEFORE = 12
 """Bytes of encapsulation and stamp, which `phm.probes.ros.data.raw_message.digest` leaves out."""
 
