@@ -1,4 +1,4 @@
-"""Reads serial ports that the configuration says nobody else reads: when data, and matching lines, arrived.
+"""Reads serial ports that no other program reads, as the configuration says: when data, and matching lines, arrived.
 
 Each port has its own thread, because opening one with a stuck driver can hang. A port that another program has open or has
 locked is not opened, and it is released if one opens it later.

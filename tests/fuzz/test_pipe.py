@@ -7,7 +7,16 @@ import json
 
 from hypothesis import strategies as st
 
-from phm.facts.ros import AnswerFact, BeaconFact, DataFact, DiagnosticFact, NeighbourFact, OutsideFact, TopicFact
+from phm.facts.ros import (
+    AnswerFact,
+    BeaconFact,
+    DataFact,
+    DiagnosticFact,
+    FieldFact,
+    NeighbourFact,
+    OutsideFact,
+    TopicFact,
+)
 from phm.probes.ros import protocol as pipe
 from phm.probes.ros.line_splitter import LineSplitter
 from tests.fuzz.hostile import messages
@@ -15,8 +24,11 @@ from tests.fuzz.targets import fuzzed
 
 BEACON = BeaconFact(0.0, 0.2, 0.0, "w.1", 5, {"/b": NeighbourFact(True, 0.4, 0.0)}, 3, "w")
 STATUS = DiagnosticFact(0.0, 1, "words", "board", {"a": "b"})
-EXAMINED = TopicFact(data=DataFact(("data_range",), 9, "", 0.1, False, 1, 2.0, 0.0, 5.0, (OutsideFact("x", "nan"),)))
-EXAMINE = pipe.WantedData(0.5, True, 2.0, "seq", 5.0, (pipe.WantedRange("x", None, 1.0),), 2.0)
+FIELDS = (FieldFact("x", 1.0, 2.0, True), FieldFact("y[0]", text="words"), FieldFact("z", problem="words"))
+EXAMINED = TopicFact(
+    data=DataFact(("data_range",), 9, "", 0.1, False, 1, 2.0, 0.0, 5.0, (OutsideFact("x", "nan"),), FIELDS)
+)
+EXAMINE = pipe.WantedData(0.5, True, 2.0, "seq", 5.0, (pipe.WantedRange("x", None, 1.0),), 2.0, ("x", "y[0]"))
 SENT = [
     *map(
         pipe.encode,
@@ -31,7 +43,12 @@ SENT = [
     ),
     pipe.encode_order(pipe.Publish(1.0, {"s": STATUS})),
     pipe.encode_wanted(
-        pipe.Wanted("agent_1", 3, (pipe.WantedTopic("/t", 10.0), pipe.WantedTopic("/u", 1.0, data=EXAMINE)))
+        pipe.Wanted(
+            "agent_1",
+            3,
+            (pipe.WantedTopic("/t", 10.0), pipe.WantedTopic("/u", 1.0, data=EXAMINE)),
+            calls=(pipe.WantedCall("/s"),),
+        )
     ),
 ]
 STREAMS = st.sampled_from(SENT).flatmap(lambda line: messages(json.loads(line)))

@@ -48,7 +48,7 @@ class Agent:
         until(found, f"{name}: {level} {words!r}")
 
 
-def tell(process: subprocess.Popen[bytes], words: str) -> None:
+def send(process: subprocess.Popen[bytes], words: str) -> None:
     assert process.stdin is not None
     process.stdin.write(f"{words}\n".encode())
     process.stdin.flush()
@@ -83,9 +83,9 @@ def test_fields_of_a_real_topic_are_compared(bench: Bench, source: subprocess.Po
     agent.until("other_frame", Level.ERROR, "is 'odom', expected 'map'")
     agent.until("wrong_field", None, "geometry_msgs/Point has no field 'w'")
     agent.until("wrong_type", Level.ERROR, f"is published as {POINT}, expected std_msgs/msg/Float64")
-    tell(source, "outside")
+    send(source, "outside")
     agent.until("within", Level.ERROR, "is NaN, expected a number")
-    tell(source, "well")
+    send(source, "well")
     agent.until("within", Level.OK, "is 0.5")
 
 
@@ -104,7 +104,7 @@ def test_a_topic_that_falls_silent_fails(bench: Bench, source: subprocess.Popen[
 
 
 def test_a_type_whose_package_phm_does_not_have_is_not_known(bench: Bench, tmp_path: Path) -> None:
-    """The topic arrives and its fields cannot be read, which is no fault of the vehicle; until the package is mounted."""
+    """The topic arrives and its fields cannot be read, which is not a fault of the vehicle; until the package is mounted."""
     installed = app_messages.install(OWN_DISTRIBUTION)
     script = str(ROOT / "tests" / "fakes" / "ros_typed_source.py")
     command = [sys.executable, script, "20", str(tmp_path / "sent")]
@@ -138,12 +138,12 @@ def test_a_lifecycle_node_and_its_services_are_seen(bench: Bench) -> None:
     agent.until("exists", Level.ERROR, "service /agent_1/plan_path has no server")
     node = bench.script("ros_lifecycle.py", "planner")
     agent.until("state", Level.ERROR, "its lifecycle state is unconfigured, expected active")
-    tell(node, "configure")
+    send(node, "configure")
     agent.until("exists", Level.OK, "has a server")
     agent.until("ready", Level.ERROR, "answers success: false (waits for its activation)")
     agent.until("arguments", None, "has a request with fields (prefixes, depth): PHM sends only empty requests")
-    tell(node, "activate")
+    send(node, "activate")
     agent.until("state", Level.OK, "/agent_1/planner is active")
     agent.until("ready", Level.OK, "answers")
-    tell(node, "block")
+    send(node, "block")
     agent.until("ready", Level.ERROR, "has not answered for")

@@ -66,7 +66,7 @@ def test_the_worst_instance_counts() -> None:
 
 
 def test_a_value_that_the_sender_does_not_know_is_not_known() -> None:
-    """-1 percent is no empty battery. Another battery that is low is reported all the same."""
+    """-1 percent does not mean an empty battery. Another battery that is low is reported all the same."""
     unknown = api.MessageValue(0.5, None, "-1", unknown=True, instance=1)
     with pytest.raises(api.CannotTell, match="reports -1, which means that it does not know the value"):
         evaluate(build(), unknown)

@@ -90,7 +90,7 @@ def test_a_lifecycle_node_is_in_its_state(fact: api.AnswerFact, words: str) -> N
     assert result.level is (api.Level.OK if "planner is active" in words else api.Level.ERROR)
 
 
-def test_another_state_may_be_expected_and_an_unknown_one_is_no_fault() -> None:
+def test_another_state_may_be_expected_and_an_unknown_one_is_not_a_fault() -> None:
     """`finalized` is one; a package that is missing beside PHM is its problem, not the node's."""
     found = api.AnswerFact("finalized", served=True)
     assert evaluate(lifecycle(state="finalized"), lifecycle={NODE: found}).level is api.Level.OK

@@ -112,7 +112,7 @@ def test_another_type_is_a_failure() -> None:
 
 
 def test_a_type_that_phm_cannot_read_is_not_known_and_has_a_remedy() -> None:
-    """A missing package is no fault of the vehicle."""
+    """A missing package is not a fault of the vehicle."""
     unread = api.FieldFact(
         FIELD, problem="type unknown: its fields cannot be read: a_msgs/msg/X is not installed beside PHM"
     )
