@@ -15,7 +15,7 @@ import click
 
 from phm.cli.gcs_options import check_ports, link_options, link_settings, make_station
 from phm.cli.gcs_requests import REQUESTS
-from phm.cli.gcs_web import Part, WebChoice, make_parts
+from phm.cli.gcs_web import Part, WebChoice, make_parts, show_record
 from phm.cli.web_options import address, web_options
 from phm.core import threads
 from phm.core.signals import Signals
@@ -83,7 +83,17 @@ class WithRequests(click.Command):
     "--history",
     metavar="FILE",
     type=click.Path(dir_okay=False),
-    help="Where the page keeps its history; none: only in memory.  [default: phm/gcs-history.db in $XDG_STATE_HOME]",
+    help="Where the page keeps its history; none: until phm gcs ends.  [default: phm/gcs-history.db in $XDG_STATE_HOME]",
+)
+@click.option(
+    "--replay", metavar="RECORD", type=click.Path(dir_okay=False), help="Show a file of --record on the page of --web."
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.1, 1000),
+    default=1.0,
+    show_default=True,
+    help="Speed of --replay; the page can change it.",
 )
 @click.option(
     "--edit",
@@ -125,6 +135,8 @@ def command(
     tls_key: str | None,
     behind_proxy: bool,
     history: str | None,
+    replay: str | None,
+    speed: float,
     edit: tuple[str, ...],
     as_json: bool,
     once: bool,
@@ -146,8 +158,16 @@ def command(
     from phm.gcs.recorder import Recorder
 
     choice = WebChoice(web, serve, token_file, tls_cert, tls_key, behind_proxy, history, edit)
-    choice.check()
     clock = SystemClock()
+    if replay is not None:
+        if urls or record or once or as_json:
+            raise click.UsageError(
+                "--replay shows a record: it cannot be used with a URL, --record, --once and --json."
+            )
+        with _ending() as stop:
+            show_record(replay, speed, choice, lambda: clock.wait(stop, seconds))
+        return
+    choice.check()
     clock.measure()
     station = make_station(link_settings(urls, baud, key, unsigned), system, clock, expect, silent=silent, pilot=pilot)
     book = Recorder(record, station, clock) if record else None

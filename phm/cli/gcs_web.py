@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -72,6 +73,33 @@ def make_parts(choice: WebChoice, station: GroundStation, clock: Clock) -> list[
     if choice.web is not None:
         found.append(_page(choice, choice.web, station, clock))
     return found
+
+
+def show_record(record: str, speed: float, choice: WebChoice, wait: Callable[[], object]) -> None:
+    """Serve the page of a record until `wait` returns. Raises UsageError and ClickException."""
+    if choice.web is None:
+        raise click.UsageError("--replay is for --web: the record is shown on the page.")
+    if choice.serve is not None or choice.history is not None:
+        raise click.UsageError("--replay shows a record: it cannot be used with --serve and --history.")
+    choice.check()
+    from phm.core.clock import SystemClock
+    from phm.gcs.web.replay.page import ReplayPage
+    from phm.gcs.web.replay.record import RecordError, load
+
+    options = listen_options(
+        choice.web, choice.token_file, choice.tls_cert, choice.tls_key, behind_proxy=choice.behind_proxy
+    )
+    try:
+        found = load(record)
+    except RecordError as error:
+        raise click.ClickException(f"--replay {error}") from None
+    page = listening("--web", choice.web, lambda: ReplayPage(found, options, SystemClock(), speed))
+    click.echo(f"page at {page.url}: {found.end:.0f} s of {record}", err=True)
+    try:
+        page.start()
+        wait()
+    finally:
+        page.close()
 
 
 def _stream(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> Part:

@@ -75,6 +75,12 @@ class AlarmBook:
                 self._silence(name, now + float(for_s or 0.0) if what == "silence" else 0.0)
             self.changed.add(name or "")
 
+    def clear(self) -> None:
+        """Forget all alarms: the time has jumped."""
+        with self._lock:
+            self._alarms.clear()
+            self._all_silent_until = 0.0
+
     def _chosen(self, name: str | None) -> list[_Alarm]:
         return [alarm for known, alarm in self._alarms.items() if name in (None, known)]
 

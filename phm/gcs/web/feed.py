@@ -73,6 +73,7 @@ class StationFeed:
         self._all_at = float("-inf")
         self.ground: Callable[[], Json] = dict
         """Further keys of the ground."""
+        self._turning = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-web-feed", daemon=True)
         view.run = station.run
@@ -90,6 +91,10 @@ class StationFeed:
 
     def turn(self) -> None:
         """Take over what has arrived."""
+        with self._turning:
+            self._turn()
+
+    def _turn(self) -> None:
         for received in self._frames.take(0.0):
             self._frame(received)
         lines = [self._event(item) for item in self._events.take(0.0)]
@@ -108,13 +113,21 @@ class StationFeed:
 
     def reset(self) -> None:
         """After a jump of the time in a replay: nothing before it counts."""
-        for queue in (self._frames, self._events):
-            queue.take(0.0)
-        self._armed.clear()
-        self._values.clear()
-        self._dirty.clear()
-        ground, agents = self._look(None)
-        self._view.replace({**self._about(), **ground}, agents)
+        with self._turning:
+            self._frames.take(0.0)
+            self._events.take(0.0)
+            self._armed.clear()
+            self._values.clear()
+            self._dirty.clear()
+            self._alarms.clear()
+            self._all_at = float("-inf")
+            ground, agents = self._look(None)
+            self._view.replace({**ground, **self.ground()}, agents)
+
+    def refresh(self) -> None:
+        """Something of the ground has changed."""
+        with self._turning:
+            self._put(None)
 
     # ------------------------------------------------------------ the thread
 

@@ -82,7 +82,7 @@ class View:
     def replace(self, ground: Mapping[str, Any], agents: Mapping[str, Mapping[str, Any]]) -> None:
         """Begin again, after a jump of the time: everyone gets the complete state."""
         with self._lock:
-            self._ground, self._agents = dict(ground), {name: dict(row) for name, row in agents.items()}
+            self._ground, self._agents = {**self._ground, **ground}, {name: dict(row) for name, row in agents.items()}
             self._publish("full", self._state())
 
     def add_events(self, events: Sequence[Mapping[str, Any]]) -> None:

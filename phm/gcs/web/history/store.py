@@ -67,10 +67,12 @@ class Row:
 class HistoryStore:
     """path: None for a file that is removed at the end. `put` never waits; `start` opens the file."""
 
-    def __init__(self, path: Path | None, clock: Clock, *, max_bytes: int = MAX_BYTES) -> None:
+    def __init__(
+        self, path: Path | None, clock: Clock, *, max_bytes: int = MAX_BYTES, max_age_s: float = MAX_AGE_S
+    ) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="phm-gcs-")) if path is None else None
         self.path = path if path is not None else Path(self._folder or "") / "history.db"
-        self._clock, self._max_bytes = clock, max_bytes
+        self._clock, self._max_bytes, self._max_age_s = clock, max_bytes, max_age_s
         self._queue: BoundedQueue[Sample | Row] = BoundedQueue(clock, MAX_WAITING)
         self._series: dict[tuple[str, str], int] = {}
         self._connection: sqlite3.Connection | None = None
@@ -88,6 +90,13 @@ class HistoryStore:
 
     def put(self, row: Sample | Row) -> None:
         self._queue.put(row)
+
+    @property
+    def waiting(self) -> int:
+        """Entries that are not on disk yet; there is room for `room`."""
+        return len(self._queue)
+
+    room = MAX_WAITING - 1
 
     def problem(self) -> str:
         """A sentence while something is missing, else empty."""
@@ -184,7 +193,7 @@ class HistoryStore:
         if self._clock.mono() < self._prune_at:
             return
         self._prune_at = self._clock.mono() + PRUNE_S
-        oldest = self._clock.utc() - MAX_AGE_S
+        oldest = self._clock.utc() - self._max_age_s
         if self._size(connection) > self._max_bytes:
             first, last = connection.execute(
                 "SELECT min(at), max(at) FROM (SELECT min(at) AS at FROM event UNION ALL SELECT max(at) FROM event "

@@ -1,0 +1,1 @@
+"""A record of `phm gcs --record`, shown on the page at any speed."""

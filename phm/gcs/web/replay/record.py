@@ -1,0 +1,241 @@
+"""Reads a record into a timeline: its lines, and the frames that they follow from. Pure, but for reading the file.
+
+A record has the events, and not the heartbeats that changed nothing. These are filled in with the agent's usual period, from each of
+its events until it was lost, so that presence and ages are right; series of heartbeat gaps would be made up, and are left out.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from phm.core.model import Level
+from phm.gcs.agent import PHM_COMPONENT
+from phm.gcs.frames import POWEROFF, STATES, Frame, Heartbeat, RadioStatus, StatusText, TunnelPayload
+from phm.wire import json_log, tunnel
+from phm.wire.tunnel import PAYLOAD_TYPE, PeerState, PeerView, SwarmDigest, TunnelMessage
+
+Json = Mapping[str, Any]
+MAX_LINES = 2_000_000
+PERIOD_S, SHORTEST_S = 2.0, 0.5
+BETWEEN_RUNS_S = 1.0
+_NAME = re.compile(r"A0*([1-9][0-9]{0,2})(?:/([0-9]{1,3}))?")
+
+
+class RecordError(Exception):
+    """The file cannot be replayed; the message says why."""
+
+
+@dataclass(slots=True)
+class Entry:
+    """at: seconds on the timeline. line: the recorded line; None for a filled-in heartbeat. frames: with their links. links: the
+    ground's own links: name, whether open, error."""
+
+    at: float
+    line: Json | None = None
+    frames: list[tuple[Frame, str]] = field(default_factory=list)
+    links: tuple[str, bool, str] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run of `phm gcs` in the record: at on the timeline, and UTC seconds, of its first line."""
+
+    at: float
+    utc: float
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """entries: in the order of time, which begins at 0."""
+
+    entries: tuple[Entry, ...]
+    times: tuple[float, ...]
+    runs: tuple[Run, ...]
+    ids: tuple[int, int]
+
+    @property
+    def end(self) -> float:
+        return self.times[-1]
+
+    def utc(self, at: float) -> float:
+        run = self.runs[max(0, bisect_right([run.at for run in self.runs], at) - 1)]
+        return run.utc + at - run.at
+
+    def at(self, utc: float) -> float:
+        """The moment on the timeline; limited to it."""
+        starts = [run.utc for run in self.runs]
+        run = self.runs[max(0, bisect_right(starts, utc) - 1)]
+        return min(max(0.0, run.at + utc - run.utc), self.end)
+
+
+def load(path: str | Path) -> Record:
+    """Raises RecordError."""
+    if not Path(path).is_file():
+        raise RecordError(f"{path}: there is no such file")
+    entries, runs, ids = list[Entry](), list[Run](), (254, 190)
+    run, zero = "", 0.0
+    for line in json_log.read(path):
+        if not _sound(line):
+            continue
+        if line["run"] != run:
+            run, at = str(line["run"]), entries[-1].at + BETWEEN_RUNS_S if entries else 0.0
+            zero = line["mono"] - at
+            runs.append(Run(at, float(line["utc_s"])))
+        if line["event"] == "start" and isinstance(line.get("system"), int):
+            ids = (line["system"], int(line.get("component", 190)))
+        last = entries[-1].at if entries else 0.0
+        entry = Entry(max(last, line["mono"] - zero), line)
+        try:
+            _fill(entry, line)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+            continue  # a line of another version, or damaged
+        entries.append(entry)
+        if len(entries) > MAX_LINES:
+            raise RecordError(f"{path}: more than {MAX_LINES} lines; split it")
+    if not entries:
+        raise RecordError(f"{path}: no line of `phm gcs --record` is in it")
+    entries += _beats(entries)
+    entries.sort(key=lambda entry: entry.at)
+    return Record(tuple(entries), tuple(entry.at for entry in entries), tuple(runs), ids)
+
+
+def _sound(line: Json) -> bool:
+    numbers = (line.get("mono"), line.get("utc_s"))
+    return (
+        isinstance(line.get("event"), str)
+        and isinstance(line.get("run"), str)
+        and all(isinstance(one, (int, float)) and abs(one) < 1e12 for one in numbers)
+    )
+
+
+def _fill(entry: Entry, line: Json) -> None:
+    """The frames that a line follows from. Raises KeyError, TypeError and so on for a damaged one."""
+    link = str(line.get("link", "record"))
+    match line["event"]:
+        case "slots":
+            entry.frames.append((_beat(line["name"], line["word"], str(line["state"])), link))
+        case "presence" if line["presence"] == "left":
+            entry.frames.append((_beat(line["name"], 1 << 30, STATES[POWEROFF]), link))
+        case "text":
+            said = StatusText(int(line["system"]), int(line["component"]), int(line["severity"]), str(line["text"]))
+            entry.frames.append((said, link))
+        case "pilot" if line["presence"] == "alive":
+            entry.frames.append((_pilot(int(line["system"]), line), link))
+        case "view":
+            peers = {int(key): PeerState[str(seen).upper()] for key, seen in line["peers"].items()}
+            view = PeerView(0, bool(line["gcs"]), bool(line["autopilot"]), bool(line["radio"]), peers)
+            entry.frames.append((_tunnel(line["name"], view), link))
+        case "digest":
+            levels = {int(key): Level[str(level)] for key, level in line["levels"].items()}
+            digest = SwarmDigest(int(line["members"]), int(line["alive"]), levels)
+            entry.frames.append((_tunnel(line["name"], digest), link))
+        case "link":
+            entry.links = (str(line["link"]), bool(line["open"]), str(line["error"]))
+        case "snapshot":
+            entry.frames += [(_radio(radio), str(radio["link"])) for radio in line["radios"] if radio["age_s"] < 60]
+
+
+def _ids(name: object) -> tuple[int, int]:
+    found = _NAME.fullmatch(str(name))
+    if found is None:
+        raise ValueError(f"{name} is not the name of an agent")
+    return int(found[1]), int(found[2] or PHM_COMPONENT)
+
+
+def _beat(name: object, word: int, state: str) -> Heartbeat:
+    number = STATES.index(state) if state in STATES else int(state)
+    return Heartbeat(*_ids(name), 18, 8, 0, int(word), number)
+
+
+def _pilot(system: int, line: Json) -> Heartbeat:
+    state = str(line["state"])
+    number = STATES.index(state) if state in STATES else 4
+    return Heartbeat(system, 1, 2, 3, 128 if line["armed"] else 0, int(line["mode"]), number)
+
+
+def _tunnel(name: object, message: TunnelMessage) -> TunnelPayload:
+    return TunnelPayload(*_ids(name), PAYLOAD_TYPE, tunnel.encode(message))
+
+
+def _radio(radio: Json) -> RadioStatus:
+    rssi, remrssi, noise, remnoise = (radio[key] for key in ("rssi", "remrssi", "noise", "remnoise"))
+    return RadioStatus(51, 68, rssi, remrssi, noise, remnoise, int(radio["txbuf"]))
+
+
+# ---------------------------------------------------------------- heartbeats
+
+
+def _beats(entries: Iterable[Entry]) -> list[Entry]:
+    """Those that changed nothing: repeated until the next one, the loss or the end of the run."""
+    found, open_now = list[Entry](), dict[tuple[int, int], tuple[float, Heartbeat, str]]()
+    periods: dict[tuple[int, int], float] = {}
+    known: dict[tuple[int, int], tuple[Frame, str]] = {}
+    last, run = 0.0, None
+    for entry in entries:
+        line = entry.line or {}
+        if run not in (None, line.get("run")) or line.get("event") == "end":
+            for key in list(open_now):
+                end = entry.at if line.get("event") == "end" else last
+                found += _until(open_now.pop(key), end, periods.get(key, PERIOD_S))
+        run, last = line.get("run"), entry.at
+        for key, period_s in _periods(line):
+            periods[key] = period_s
+        if (
+            line.get("event") == "presence"
+            and line.get("presence") == "alive"
+            and _NAME.fullmatch(str(line.get("name")))
+        ):
+            back = known.get(_ids(line["name"]))
+            if back is not None and not entry.frames:
+                entry.frames.append(back)  # what it says has not changed meanwhile
+        for frame, link in entry.frames:
+            if isinstance(frame, Heartbeat):
+                key = (frame.system, frame.component)
+                if key in open_now:
+                    found += _until(open_now.pop(key), entry.at, periods.get(key, PERIOD_S))
+                if frame.state != POWEROFF:
+                    known[key] = (frame, link)
+                    open_now[key] = (entry.at, frame, link)
+        for key in _lost(line):
+            if key in open_now:
+                silent_s = float(line.get("silent_s") or line.get("age_s") or 0.0)
+                found += _until(open_now.pop(key), entry.at - silent_s, periods.get(key, PERIOD_S), inclusive=True)
+    for key, one in open_now.items():
+        found += _until(one, last, periods.get(key, PERIOD_S))
+    return found
+
+
+def _until(
+    begun: tuple[float, Heartbeat, str], end: float, period_s: float, *, inclusive: bool = False
+) -> Iterator[Entry]:
+    at, beat, link = begun
+    at += period_s
+    while at < end:
+        yield Entry(at, None, [(beat, link)])
+        at += period_s
+    if inclusive and end > begun[0]:
+        yield Entry(end, None, [(beat, link)])
+
+
+def _periods(line: Json) -> Iterator[tuple[tuple[int, int], float]]:
+    """Of agents, as a snapshot has them; an autopilot sends one a second."""
+    if line.get("event") == "pilot" and isinstance(line.get("system"), int):
+        yield (line["system"], 1), 1.0
+    if line.get("event") == "snapshot":
+        for agent in line.get("agents", ()):
+            if isinstance(agent.get("period_s"), (int, float)):
+                yield (agent["agent"], agent["component"]), max(SHORTEST_S, float(agent["period_s"]))
+
+
+def _lost(line: Json) -> Iterator[tuple[int, int]]:
+    if line.get("presence") != "lost":
+        return
+    if line["event"] == "presence" and _NAME.fullmatch(str(line.get("name"))):
+        yield _ids(line["name"])
+    elif line["event"] == "pilot" and isinstance(line.get("system"), int):
+        yield line["system"], 1

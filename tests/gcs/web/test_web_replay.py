@@ -1,0 +1,201 @@
+"""A record is shown by the same page: at any speed, with pause and jumps, and without requests."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from phm.cli import group
+from phm.core.clock import SystemClock
+from phm.core.model import Level, Slot
+from phm.gcs.events import GcsEvent, encode
+from phm.gcs.web.options import ListenOptions
+from phm.gcs.web.replay.page import ReplayPage
+from phm.gcs.web.replay.record import RecordError, load
+from tests.fakes.until import until
+from tests.gcs.bench import Ground, phm_heartbeat, pilot, text_frame
+from tests.gcs.web.swarm import Client, Live
+
+FAILED = {Slot.CONTAINER: Level.ERROR}
+
+
+def flight(path: Path, *, runs: int = 1) -> None:
+    """A record of 2 minutes: agent 7 fails after 30 s and recovers after 60 s, agent 8 is lost after 90 s."""
+    lines: list[bytes] = []
+    for run in range(runs):
+        ground, number = Ground(), 0
+        ground.clock.advance(run * 3600)
+        found = [
+            GcsEvent(ground.clock.stamp(), "start", {"version": "x", "system": 254, "component": 190, "links": []})
+        ]
+        seven, eight = phm_heartbeat(7), phm_heartbeat(8)
+        found += ground.hear(seven, eight, pilot(7, armed=True))
+        found += ground.wait(30, seven, eight, pilot(7, armed=True))
+        found += ground.hear(phm_heartbeat(7, FAILED), text_frame(7, "A07 FAIL 2 ros_app exited 1"))
+        found += ground.wait(30, phm_heartbeat(7, FAILED), eight, pilot(7, armed=True))
+        found += ground.hear(seven, text_frame(7, "A07 OK 2 ros_app restarted", 5))
+        found += ground.wait(30, seven, eight, pilot(7, armed=True))
+        found += ground.wait(30, seven, pilot(7, armed=True))
+        found += [GcsEvent(ground.clock.stamp(), "end", {})]
+        for event in found:
+            number += 1
+            lines.append(encode(event, f"run{run}", number))
+    path.write_bytes(b"\n".join(lines) + b"\n")
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[ReplayPage]:
+    path = tmp_path / "flight.jsonl"
+    flight(path)
+    made = ReplayPage(load(path), ListenOptions(port=0), SystemClock(), speed=0.1)
+    made.start()
+    until(lambda: served(made), "the page")
+    yield made
+    made.close()
+
+
+def served(page: ReplayPage) -> bool:
+    try:
+        return Client(page.address).ask("GET", "/api/state")[0] == 200
+    except OSError:
+        return False
+
+
+@pytest.fixture
+def live(page: ReplayPage) -> Iterator[Live]:
+    made = Live(Client(page.address))
+    until(lambda: made.state, "the state")
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(page: ReplayPage) -> Client:
+    made = Client(page.address)
+    made.session()
+    return made
+
+
+def seek(client: Client, live: Live, seconds: float) -> None:
+    """To so many seconds after the begin."""
+    before = len(live.of("full"))
+    begin = live.state["ground"]["replay"]["from_utc"]
+    client.post("/api/replay", {"do": "pause"})
+    client.post("/api/replay", {"do": "seek", "utc": begin + seconds})
+    until(lambda: len(live.of("full")) > before, "the new state")
+
+
+def how(live: Live) -> list[str]:
+    return [live.agent("A07")["how"], live.agent("A08")["how"]]
+
+
+def test_a_jump_shows_the_state_of_that_moment(client: Client, live: Live) -> None:
+    """Forwards and backwards; heartbeats that changed nothing are filled in, so no agent is lost by the record's gaps."""
+    seek(client, live, 20)
+    assert how(live) == ["OK", "OK"]
+    assert live.agent("A07")["armed_at"] is None or live.agent("A07")["armed_at"] <= 20
+    seek(client, live, 45)
+    assert how(live) == ["ERROR", "OK"]
+    assert live.agent("A07")["bad"][0]["text"] == "ros_app exited 1"
+    seek(client, live, 118)
+    assert how(live) == ["OK", "LOST"]
+    assert live.state["now"] - live.agent("A08")["at"] == pytest.approx(28, abs=3)
+    seek(client, live, 20)
+    assert how(live) == ["OK", "OK"]
+
+
+def test_it_plays_at_any_speed_and_stops_at_the_end(client: Client, live: Live) -> None:
+    """With the events of the record, at their own times."""
+    client.post("/api/replay", {"do": "speed", "speed": 1000})
+    client.post("/api/replay", {"do": "play"})
+    until(lambda: live.state["ground"]["replay"]["playing"] is False, "the end")
+    until(lambda: [event for event in live.events() if event["event"] == "end"], "the last event")
+    said = [event["text"] for event in live.events() if event["event"] == "text"]
+    assert said == ["A07 FAIL 2 ros_app exited 1", "A07 OK 2 ros_app restarted"]
+    until(lambda: live.agent("A08").get("how") == "LOST", "the loss")
+    assert live.state["ground"]["rate"] == 0
+    client.post("/api/replay", {"do": "play"})
+    until(lambda: live.state["ground"]["replay"]["playing"] or len(live.of("full")) > 1, "it from the begin")
+
+
+def test_the_history_ends_at_the_time_that_is_shown(client: Client, live: Live) -> None:
+    """The future of the record is not known yet."""
+    seek(client, live, 10)
+    assert client.get("/api/history/faults?agent=A07")["faults"] == []
+    assert client.get("/api/history/events?q=exited")["events"] == []
+    seek(client, live, 110)
+    until(lambda: client.get("/api/history/events?q=exited")["events"], "the event")
+    fault = client.get("/api/history/faults?agent=A07")["faults"][0]
+    assert [step["step"] for step in fault["steps"]] == ["confirmed", "action", "proof"]
+
+
+def test_requests_are_refused(client: Client, live: Live) -> None:
+    """There is no agent; wrong controls are refused, too."""
+    assert "a record is replayed" in client.post("/api/requests", {"agent": "A07", "do": "check"}, 409)["error"]
+    assert "a record is replayed" in client.get("/api/choices?agent=A07")["note"]
+    for body in ({"do": "rewind"}, {"do": "seek"}, {"do": "speed", "speed": 0}, {"do": "speed", "speed": True}):
+        assert client.post("/api/replay", body, 400)["error"]
+
+
+def test_runs_follow_each_other_without_the_time_between(tmp_path: Path) -> None:
+    """A record that was continued an hour later is not an hour of silence; moments have their own UTC."""
+    path = tmp_path / "flight.jsonl"
+    flight(path, runs=2)
+    record = load(path)
+    assert 240 <= record.end <= 245
+    assert record.utc(record.end) - record.utc(0.0) == pytest.approx(3600 + 120, abs=2)
+    assert record.at(record.utc(200.0)) == pytest.approx(200.0)
+
+
+def test_damaged_lines_are_skipped(tmp_path: Path) -> None:
+    """Torn, foreign and wrongly typed lines; what is left is shown."""
+    path = tmp_path / "flight.jsonl"
+    flight(path)
+    lines: list[Any] = path.read_bytes().splitlines()
+    head = json.loads(lines[3])
+    wrong = [
+        {**head, "event": "slots", "name": "<b>", "word": "x", "state": 5},
+        {**head, "event": "view", "name": "A07", "peers": [1]},
+        {**head, "event": "digest", "name": "A07", "levels": {"x": 1}},
+        {**head, "mono": "late"},
+        {**head, "utc_s": 1e300},
+        {**head, "event": 5},
+    ]
+    lines[4:4] = [json.dumps(line).encode() for line in wrong] + [b"\x00\x00", b'{"torn', b"[]"]
+    path.write_bytes(b"\n".join(lines))
+    assert load(path).end == pytest.approx(120, abs=3)
+    (tmp_path / "none.jsonl").write_text("hello\n")
+    for name, words in (("none.jsonl", "no line of"), ("missing.jsonl", "no such file")):
+        with pytest.raises(RecordError, match=words):
+            load(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--replay", "/none"), "--replay is for --web"),
+        (("--replay", "/none", "--web", "0"), "there is no such file"),
+        (("--replay", "/none", "--web", "0", "--once"), "cannot be used with"),
+        (("--replay", "/none", "--web", "0", "--serve", "0"), "cannot be used with"),
+        (("--replay", "/none", "--web", "0.0.0.0:0"), "add --token-file"),
+    ],
+)
+def test_a_mistake_is_explained(arguments: tuple[str, ...], words: str) -> None:
+    """Before anything is served."""
+    result = CliRunner().invoke(group, ["gcs", *arguments])
+    assert result.exit_code in (1, 2)
+    assert words in result.output
+
+
+def test_the_command_serves_the_record(tmp_path: Path) -> None:
+    """And ends with `--for`."""
+    path = tmp_path / "flight.jsonl"
+    flight(path)
+    result = CliRunner().invoke(group, ["gcs", "--replay", str(path), "--web", "0", "--speed", "10", "--for", "0.5"])
+    assert result.exit_code == 0, result.output
+    assert "120 s of" in result.output
