@@ -28,7 +28,7 @@ def flight(path: Path, *, runs: int = 1) -> None:
     """A record of 2 minutes: agent 7 fails after 30 s and recovers after 60 s, agent 8 is lost after 90 s."""
     lines: list[bytes] = []
     for run in range(runs):
-        ground, number = Ground(), 0
+        ground = Ground()
         ground.clock.advance(run * 3600)
         found = [
             GcsEvent(ground.clock.stamp(), "start", {"version": "x", "system": 254, "component": 190, "links": []})
@@ -42,9 +42,7 @@ def flight(path: Path, *, runs: int = 1) -> None:
         found += ground.wait(30, seven, eight, pilot(7, armed=True))
         found += ground.wait(30, seven, pilot(7, armed=True))
         found += [GcsEvent(ground.clock.stamp(), "end", {})]
-        for event in found:
-            number += 1
-            lines.append(encode(event, f"run{run}", number))
+        lines += [encode(event, f"run{run}", number) for number, event in enumerate(found, 1)]
     path.write_bytes(b"\n".join(lines) + b"\n")
 
 

@@ -62,7 +62,7 @@ class HistoryReader:
         found: list[list[float | None]] = []
         for _part, at, value, most in rows:
             last = found[-1][0] if found else None
-            # A heartbeat that came late is no gap of its own series: the value says how long it was silent.
+            # Not for heartbeat gaps: there the value says how long it was silent.
             if last is not None and kind != "gap" and at - last > max(SILENT_S, 3 * width):
                 found.append([round((at + last) / 2, 3), None, None])
             found.append([round(at, 3), _rounded(value), _rounded(most)])

@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 STEP_S = 0.05
 SLOWEST, FASTEST = 0.1, 1000.0
-BEATS_S = 60.0
+RECENT_S = 60.0
 """After a jump, older heartbeats are not needed."""
 TICK_S = 0.2
 CLOSE_LIMIT_S = 3.0
@@ -207,7 +207,7 @@ class Player:
         self._store, self._ticked = FleetState((), self._record.ids), 0.0
         self._next = bisect_right(self._record.times, at)
         for entry in self._record.entries[: self._next]:
-            if entry.line is not None or at - entry.at <= BEATS_S:
+            if entry.line is not None or at - entry.at <= RECENT_S:
                 self._take(entry)
         self._now = at
         self._store.tick(self._stamp())

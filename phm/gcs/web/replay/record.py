@@ -20,7 +20,11 @@ from phm.wire import json_log, tunnel
 from phm.wire.tunnel import PAYLOAD_TYPE, PeerState, PeerView, SwarmDigest, TunnelMessage
 
 Json = Mapping[str, Any]
+Ids = tuple[int, int]
+"""MAVLink system and component."""
 MAX_LINES = 2_000_000
+MAX_FILLED = 200_000
+"""Heartbeats in a row of one sender."""
 PERIOD_S, SHORTEST_S = 2.0, 0.5
 BETWEEN_RUNS_S = 1.0
 _NAME = re.compile(r"A0*([1-9][0-9]{0,2})(?:/([0-9]{1,3}))?")
@@ -99,7 +103,7 @@ def load(path: str | Path) -> Record:
             raise RecordError(f"{path}: more than {MAX_LINES} lines; split it")
     if not entries:
         raise RecordError(f"{path}: no line of `phm gcs --record` is in it")
-    entries += _beats(entries)
+    entries += _fill_in(entries)
     entries.sort(key=lambda entry: entry.at)
     return Record(tuple(entries), tuple(entry.at for entry in entries), tuple(runs), ids)
 
@@ -140,7 +144,7 @@ def _fill(entry: Entry, line: Json) -> None:
             entry.frames += [(_radio(radio), str(radio["link"])) for radio in line["radios"] if radio["age_s"] < 60]
 
 
-def _ids(name: object) -> tuple[int, int]:
+def _ids(name: object) -> Ids:
     found = _NAME.fullmatch(str(name))
     if found is None:
         raise ValueError(f"{name} is not the name of an agent")
@@ -170,59 +174,70 @@ def _radio(radio: Json) -> RadioStatus:
 # ---------------------------------------------------------------- heartbeats
 
 
-def _beats(entries: Iterable[Entry]) -> list[Entry]:
-    """Those that changed nothing: repeated until the next one, the loss or the end of the run."""
-    found, open_now = list[Entry](), dict[tuple[int, int], tuple[float, Heartbeat, str]]()
-    periods: dict[tuple[int, int], float] = {}
-    known: dict[tuple[int, int], tuple[Frame, str]] = {}
-    last, run = 0.0, None
-    for entry in entries:
+class _Filler:
+    """Fills in the heartbeats that changed nothing: repeated until the next one, the loss or the end of the run."""
+
+    def __init__(self) -> None:
+        self.found: list[Entry] = []
+        self._open: dict[Ids, tuple[float, Frame, str]] = {}
+        """The last heartbeat of each sender, while it is there, and its link."""
+        self._known: dict[Ids, tuple[Frame, str]] = {}
+        self._periods: dict[Ids, float] = {}
+        self._last, self._run = 0.0, ""
+
+    def take(self, entry: Entry) -> None:
+        """The next line of the record."""
         line = entry.line or {}
-        if run not in (None, line.get("run")) or line.get("event") == "end":
-            for key in list(open_now):
-                end = entry.at if line.get("event") == "end" else last
-                found += _until(open_now.pop(key), end, periods.get(key, PERIOD_S))
-        run, last = line.get("run"), entry.at
-        for key, period_s in _periods(line):
-            periods[key] = period_s
-        if (
-            line.get("event") == "presence"
-            and line.get("presence") == "alive"
-            and _NAME.fullmatch(str(line.get("name")))
-        ):
-            back = known.get(_ids(line["name"]))
-            if back is not None and not entry.frames:
-                entry.frames.append(back)  # what it says has not changed meanwhile
+        run = str(line.get("run"))
+        if run != self._run or line.get("event") == "end":
+            self.end(entry.at if run == self._run else self._last)
+        self._run, self._last = run, entry.at
+        self._periods.update(_periods(line))
+        back = _returned(line)
+        if back in self._known and not entry.frames:
+            entry.frames.append(self._known[back])  # what it says has not changed meanwhile
         for frame, link in entry.frames:
             if isinstance(frame, Heartbeat):
-                key = (frame.system, frame.component)
-                if key in open_now:
-                    found += _until(open_now.pop(key), entry.at, periods.get(key, PERIOD_S))
-                if frame.state != POWEROFF:
-                    known[key] = (frame, link)
-                    open_now[key] = (entry.at, frame, link)
+                self._next(frame, link, entry.at)
         for key in _lost(line):
-            if key in open_now:
-                silent_s = float(line.get("silent_s") or line.get("age_s") or 0.0)
-                found += _until(open_now.pop(key), entry.at - silent_s, periods.get(key, PERIOD_S), inclusive=True)
-    for key, one in open_now.items():
-        found += _until(one, last, periods.get(key, PERIOD_S))
-    return found
+            self._fill(key, entry.at - float(line.get("silent_s") or line.get("age_s") or 0.0), inclusive=True)
+
+    def end(self, at: float) -> None:
+        """No more heartbeats from here on."""
+        for key in list(self._open):
+            self._fill(key, at)
+
+    def _next(self, frame: Heartbeat, link: str, at: float) -> None:
+        key = (frame.system, frame.component)
+        self._fill(key, at)
+        if frame.state != POWEROFF:
+            self._known[key] = (frame, link)
+            self._open[key] = (at, frame, link)
+
+    def _fill(self, key: Ids, end: float, *, inclusive: bool = False) -> None:
+        """inclusive: the last one is exactly at `end`."""
+        begun = self._open.pop(key, None)
+        if begun is None:
+            return
+        at, frame, link = begun
+        period_s = self._periods.get(key, PERIOD_S)
+        for number in range(1, int(min((end - at) / period_s, MAX_FILLED)) + 1):
+            if at + number * period_s < end:
+                self.found.append(Entry(at + number * period_s, None, [(frame, link)]))
+        if inclusive and end > at:
+            self.found.append(Entry(end, None, [(frame, link)]))
 
 
-def _until(
-    begun: tuple[float, Heartbeat, str], end: float, period_s: float, *, inclusive: bool = False
-) -> Iterator[Entry]:
-    at, beat, link = begun
-    at += period_s
-    while at < end:
-        yield Entry(at, None, [(beat, link)])
-        at += period_s
-    if inclusive and end > begun[0]:
-        yield Entry(end, None, [(beat, link)])
+def _fill_in(entries: Iterable[Entry]) -> list[Entry]:
+    filler, last = _Filler(), 0.0
+    for entry in entries:
+        filler.take(entry)
+        last = entry.at
+    filler.end(last)
+    return filler.found
 
 
-def _periods(line: Json) -> Iterator[tuple[tuple[int, int], float]]:
+def _periods(line: Json) -> Iterator[tuple[Ids, float]]:
     """Of agents, as a snapshot has them; an autopilot sends one a second."""
     if line.get("event") == "pilot" and isinstance(line.get("system"), int):
         yield (line["system"], 1), 1.0
@@ -232,7 +247,14 @@ def _periods(line: Json) -> Iterator[tuple[tuple[int, int], float]]:
                 yield (agent["agent"], agent["component"]), max(SHORTEST_S, float(agent["period_s"]))
 
 
-def _lost(line: Json) -> Iterator[tuple[int, int]]:
+def _returned(line: Json) -> Ids:
+    """The agent that is back by this line; (0, 0): none."""
+    named = _NAME.fullmatch(str(line.get("name")))
+    back = named is not None and line.get("event") == "presence" and line.get("presence") == "alive"
+    return _ids(line["name"]) if back else (0, 0)
+
+
+def _lost(line: Json) -> Iterator[Ids]:
     if line.get("presence") != "lost":
         return
     if line["event"] == "presence" and _NAME.fullmatch(str(line.get("name"))):
