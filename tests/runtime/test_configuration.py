@@ -37,7 +37,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
         monkeypatch.setattr(owner, name, call)
 
-    count(sys.modules["phm.config.load"], "_read", "file")  # `phm.config.load` is also a function
+    count(sys.modules["phm.config.load"], "read_file", "file")  # `phm.config.load` is also a function
     count(DependencyGraph, "__init__", "graph")
     for check in registry.checks().values():
         count(check, "build", "checks")
