@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from phm.cli.options import json_option
+from phm.wire.text import one_line
 
 if TYPE_CHECKING:
     from phm.review.part import Part
+    from phm.review.record import Record
     from phm.review.tables import Table
 
 EXTRA = ("msgspec", "jinja2")
@@ -26,6 +28,12 @@ EXTRA = ("msgspec", "jinja2")
 @json_option
 @click.option("--csv", "as_csv", is_flag=True, help="Print the faults as CSV.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print Markdown.")
+@click.option(
+    "--parquet",
+    metavar="DIR",
+    type=click.Path(file_okay=False),
+    help="Add the record to a dataset of many flights, and show MTBF and MTTR of all of them.",
+)
 @click.option("--compare", is_flag=True, help="Compare two records: exactly two PATHs; PATH#N is flight N of one.")
 def command(
     paths: tuple[str, ...],
@@ -34,6 +42,7 @@ def command(
     as_json: bool,
     as_csv: bool,
     as_markdown: bool,
+    parquet: str | None,
     compare: bool,
 ) -> None:
     """Report what failed, when and why, from logs after the flight.
@@ -43,13 +52,13 @@ def command(
     """
     if as_json + as_csv + as_markdown > 1:
         raise click.UsageError("choose one of --json, --csv and --markdown")
-    if compare and (len(paths) != 2 or html or as_csv):
+    if compare and (len(paths) != 2 or html or as_csv or parquet):
         raise click.UsageError("--compare takes two PATHs, and prints tables, --json or --markdown")
-    _need(EXTRA)
+    _need(EXTRA if parquet is None else (*EXTRA, "duckdb", "pyarrow"))
     if compare:
         _compare(paths, flight, as_json, as_markdown)
         return
-    made = _build(paths, flight)
+    made = _build(paths, flight, parquet)
     if html is not None:
         _write_page(made, html)
     if as_json:
@@ -64,14 +73,33 @@ def command(
             click.echo(f"page: {html}")
 
 
-def _build(paths: tuple[str, ...], flight: int | None) -> dict[str, Any]:
-    """The document of these records; exits with 1 when there is none."""
+def _build(paths: tuple[str, ...], flight: int | None, dataset: str | None = None) -> dict[str, Any]:
+    """The document of these records, which are added to the dataset; exits with 1 when there is none."""
     from phm.review import document, record
 
+    merged = record.build(_read(paths))
     try:
-        return document.build(record.build(_read(paths)), flight)
+        made = document.build(merged, flight)
     except document.NoFlight as error:
         raise click.ClickException(str(error)) from None
+    if dataset is not None:
+        made["dataset"] = _add(merged, dataset)
+    return made
+
+
+def _add(merged: Record, dataset: str) -> dict[str, Any]:
+    """Add to the dataset; its MTBF and MTTR."""
+    import duckdb
+    import pyarrow as pa
+
+    from phm.review import parquet
+
+    name = parquet.name_of(merged)
+    try:
+        rows = parquet.write(merged, dataset, name)
+        return {"folder": dataset, "record": name, "rows": rows, "checks": parquet.rates(dataset)}
+    except (OSError, pa.ArrowException, duckdb.Error, parquet.NotADataset) as error:
+        raise click.ClickException(f"dataset {dataset}: {one_line(str(error))}") from None
 
 
 def _compare(paths: tuple[str, ...], flight: int | None, as_json: bool, as_markdown: bool) -> None:

@@ -115,10 +115,10 @@ def _cut(segments: Iterable[Segment], cover: Sequence[Span]) -> list[Segment]:
     for begin, end, level in sorted(segments):
         while place < len(cover) and cover[place][1] <= begin:
             place += 1
-        for span in cover[place:]:
-            if span[0] >= end:
-                break
-            result.append((max(begin, span[0]), min(end, span[1]), level))
+        here = place
+        while here < len(cover) and cover[here][0] < end:
+            result.append((max(begin, cover[here][0]), min(end, cover[here][1]), level))
+            here += 1
     return result
 
 

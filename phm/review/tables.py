@@ -43,6 +43,11 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
         found.append(("Faults", head, [_fault(row) for row in document["faults"]]))
         checks = [_check(row) for row in document["checks"] if row["faults"]]
         found.append(("Checks", ("check", "faults", "MTBF (95 %)", "MTTR"), checks))
+    if "dataset" in document:
+        rows = [(*_check(row)[:1], str(row["records"]), *_check(row)[1:]) for row in document["dataset"]["checks"]]
+        found.append(
+            ("Checks, all records of the dataset", ("check", "records", "faults", "MTBF (95 %)", "MTTR"), rows)
+        )
     low = [row for row in document["availability"] if row["availability"] is not None and row["availability"] < 1]
     if low:
         head = ("agent", "of", "availability", "in ERROR", "unknown")
@@ -128,10 +133,11 @@ def _fault(row: Json) -> tuple[str, ...]:
 
 def _check(row: Json) -> tuple[str, ...]:
     high = length(row["mtbf_high_s"]) if row["mtbf_high_s"] else "more"
+    mean = length(row["mtbf_s"]) if row["faults"] else "no fault"
     return (
         row["check"],
         str(row["faults"]),
-        f"{length(row['mtbf_s'])} ({length(row['mtbf_low_s'])} to {high})",
+        f"{mean} ({length(row['mtbf_low_s'])} to {high})",
         _seconds(row["mttr_s"]),
     )
 

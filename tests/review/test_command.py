@@ -39,7 +39,7 @@ def test_json_csv_and_markdown_have_the_same_faults(tmp_path: Path) -> None:
     assert "| agent\\_1 |" in markdown and "nodes/node\\_1" in markdown
 
 
-def test_text_of_a_record_is_no_formula_and_no_markdown(tmp_path: Path) -> None:
+def test_text_of_a_record_is_neither_formula_nor_markdown(tmp_path: Path) -> None:
     """A summary is hostile: a spreadsheet does not calculate it, Markdown does not link it."""
     made = Flown(tmp_path)
     made.until(20)
@@ -87,3 +87,11 @@ def test_an_unknown_flight_is_an_error_that_lists_the_known_ones(tmp_path: Path)
     result = phm(tmp_path, "--flight", 3)
     assert result.exit_code == 1
     assert "flight 3 is not in the record: it has flights 1 (3 min 20 s)" in result.output
+
+
+def test_a_missing_package_is_named_with_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is read before that is known."""
+    monkeypatch.setattr("phm.cli.report.find_spec", lambda name: None if name == "duckdb" else object())
+    result = phm(tmp_path, "--parquet", tmp_path / "set")
+    assert result.exit_code == 1
+    assert "duckdb not installed: install PHM with its extra, phm-sidecar[report]" in result.output

@@ -1,4 +1,4 @@
-"""A difference is called new, gone, worse or better, and chance is told from change."""
+"""A difference is called new, gone, worse or better, and chance is not taken for change."""
 
 from __future__ import annotations
 
