@@ -69,7 +69,10 @@ def unhealthy(document: dict[str, Any], *, now_mono: float | None = None) -> str
     written = document.get("written_mono")
     if isinstance(written, bool) or not isinstance(written, (int, float)):
         return "the status does not say when it was written: something other than PHM wrote it"
-    age_s = (time.monotonic() if now_mono is None else now_mono) - written
+    try:
+        age_s = (time.monotonic() if now_mono is None else now_mono) - written
+    except OverflowError:  # a whole number beyond all floats
+        age_s = -1.0
     if not age_s >= 0:  # from the future, or not a number
         return "the status was written before the machine's last start: PHM is not running"
     if age_s > MAX_AGE_S:

@@ -61,8 +61,11 @@ class Written:
         return False
 
     def write(self, content: dict[str, Any]) -> None:
+        self.write_text(json.dumps(content))
+
+    def write_text(self, content: str) -> None:
         temporary = self._folder / "new"
-        temporary.write_text(json.dumps(content))
+        temporary.write_text(content)
         temporary.replace(self._folder / "status.json")
 
     def look(self) -> tuple[dict[str, Any], str]:
@@ -130,6 +133,16 @@ def test_a_hostile_status_stays_text_and_is_bounded(here: Written) -> None:
     for one in row["checks"]:
         assert len(one["text"]) <= agent_row.MAX_TEXT and one["at"] is None
         assert not {"\n", "\x1b"} & set(one["text"])
+
+
+@pytest.mark.parametrize("moment", ["1e999", "-1e999", "true", '"x"', "null", "1" + "0" * 400])
+def test_a_damaged_moment_is_unknown(here: Written, moment: str) -> None:
+    """The page still answers, and says that the daemon is not healthy."""
+    damaged = {**document(), "written_mono": "MOMENT"}
+    here.write_text(json.dumps(damaged).replace('"MOMENT"', moment))
+    until(lambda: next(iter(here.client.get("/api/state")["agents"].values()))["presence"] == "lost", "the status")
+    (row,) = here.client.get("/api/state")["agents"].values()
+    assert row["at"] is None and {one["at"] for one in row["checks"]} == {None}
 
 
 def test_without_a_status_there_is_a_reason(tmp_path: Path) -> None:
