@@ -75,7 +75,10 @@ class CustomCheck(api.Check):
         """Ask the probe once and judge the answer."""
 
     def run(self, world: api.World) -> api.Result:
-        found = self.look(world)
+        try:
+            found = self.look(world)
+        except api.CannotTell as reason:
+            raise api.CannotTell(clean(str(reason), 300)) from reason
         text = f"{self.subject}: {clean(found.text, 300)}"
         if found.level is Level.OK:
             return api.ok(text, **found.values)

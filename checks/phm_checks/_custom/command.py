@@ -12,8 +12,9 @@ from phm_checks._text import clean
 
 _LEVELS = {0: Level.OK, 1: Level.WARN, 2: Level.ERROR}
 MOST_VALUES = 16
+# Labels are bounded, so that no text takes long to search.
 _VALUE = re.compile(
-    r"(?:'((?:[^']|'')+)'|([^\s=']+))=(-?\d{1,15}(?:\.\d{0,15})?(?:[eE][+-]?\d{1,3})?)([a-zA-Z%]{0,8})(?=[;\s]|$)\S*"
+    r"(?:'((?:[^']|''){1,100})'|([^\s=']{1,100}))=(-?\d{1,15}(?:\.\d{0,15})?(?:[eE][+-]?\d{1,3})?)([a-zA-Z%]{0,8})(?=[;\s]|$)\S*"
 )
 _UNITS = {"%": "percent"}
 

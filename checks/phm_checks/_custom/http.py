@@ -15,8 +15,11 @@ class Http(CustomCheck):
     """Compares status, body, and a field of a JSON body."""
 
     def look(self, world: api.World) -> Finding:
-        entry, url = self.entry, self.entry.url
-        fact = world.sockets.get(url, timeout_s=entry.timeout, pattern=entry.body or "", verify_tls=entry.verify_tls)
+        entry = self.entry
+        url = entry.url.partition("?")[0]  # what follows may be a key
+        fact = world.sockets.get(
+            entry.url, timeout_s=entry.timeout, pattern=entry.body or "", verify_tls=entry.verify_tls
+        )
         if fact.problem:
             return bad(f"{url}: {fact.problem}, expected an answer", "no answer")
         values = {"status": fact.status, "took_s": round(fact.took_s, 3)}

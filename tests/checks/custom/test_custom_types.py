@@ -69,6 +69,12 @@ def test_a_field_of_a_json_body_is_compared(body: str, entry: dict[str, Any], pr
     assert result.level is (ERROR if problem else OK) and problem in result.summary
 
 
+def test_the_query_of_an_address_is_not_shown() -> None:
+    """It may have a key."""
+    result = run(build(type="http", url="http://camera/state?key=secret"))
+    assert "http://camera/state" in result.summary and "secret" not in result.summary + result.brief
+
+
 # ------------------------------------------------------------ process
 
 
@@ -137,6 +143,13 @@ def test_performance_data_become_values_with_their_unit() -> None:
         "load1": 0.5, "/ home_MB": 12.0, "it's_percent": 7.0, "z_c": 3.0, "time_s": 0.01,
     }  # fmt: skip
     assert len(performance(" ".join(f"v{number}=1" for number in range(1000)))) == MOST_VALUES
+
+
+def test_what_a_program_writes_is_clean_also_where_it_is_not_judged() -> None:
+    """The reason of a STALE unit is shown, too."""
+    with pytest.raises(api.CannotTell) as caught:
+        command(9, "\x1b[2Jline" + "x" * 5000)
+    assert str(caught.value).isprintable() and len(str(caught.value)) <= 300
 
 
 # ------------------------------------------------------------ log
