@@ -17,12 +17,13 @@ import yaml
 from phm.config import yaml_text
 from phm.config.env_expansion import Expander
 from phm.config.problems import Path, Problem, dotted
-from phm.config.yaml_render import Unquoted, entry, flow
-from phm.config.yaml_scalars import resolve
+from phm.config.yaml_render import Unquoted, entry, item
 from phm.config.yaml_tree import MAX_BYTES, MAX_DEPTH, parse
 
-MAX_EDITS = 100
+MAX_EDITS = 20
 MAX_TEXT = 10_000
+MAX_COMPARED = 5000
+"""Lines of a text that is compared: the time grows with their square."""
 DO = ("set", "add", "remove")
 
 
@@ -82,6 +83,8 @@ def apply(text: str, edits: Iterable[Edit]) -> str:
 def diff(old: str, new: str, name: str) -> str:
     """A unified diff; empty when nothing changed."""
     before, after = (text.replace("\r\n", "\n").splitlines() for text in (old, new))
+    if max(len(before), len(after)) > MAX_COMPARED:
+        return f"--- {name}\n+++ {name}\n@@ more than {MAX_COMPARED} lines: not compared @@"
     return "\n".join(difflib.unified_diff(before, after, name, f"{name} (changed)", lineterm=""))
 
 
@@ -194,8 +197,6 @@ def _whole(text: str, path: Path, wanted: dict[str, Any]) -> str:
 
 def _entry_again(text: str, place: yaml_text.Place, value: dict[str, Any]) -> str:
     """An entry of a block list that was `{}` or in braces, as lines."""
-    from phm.config.yaml_render import item
-
     start, end = place.node.start_mark, place.node.end_mark
     made = "\n".join(item(value, start.column - 2, 2)).lstrip(" ")[2:]
     return text[: start.index] + made + text[end.index :]
@@ -228,7 +229,7 @@ def _resolved(data: Any) -> Any:
     if isinstance(data, list):
         return [_resolved(one) for one in data]
     if isinstance(data, Unquoted):
-        return resolve(data.text.strip()) if flow(data)[0] not in "\"'" or "${" in data.text else data.text
+        return data.value
     return data
 
 

@@ -22,12 +22,20 @@ class Unquoted:
 
     text: str
 
+    @property
+    def is_variable(self) -> bool:
+        """Anything else could change the structure of the file, and is written in quotes."""
+        return _VARIABLE.fullmatch(self.text) is not None
+
+    @property
+    def value(self) -> str:
+        return self.text.strip() if self.is_variable else self.text
+
 
 def scalar(value: Any, *, quote: str = "") -> str:
     """One value on one line. quote: the style that it had; text in quotes keeps them."""
     if isinstance(value, Unquoted):
-        # Anything else could change the structure of the file.
-        return value.text.strip() if _VARIABLE.fullmatch(value.text) else _quoted(value.text)
+        return value.value if value.is_variable else _quoted(value.value)
     if isinstance(value, bool):
         return "true" if value else "false"
     if value is None:
@@ -48,7 +56,7 @@ def flow(value: Any) -> str:
         return "{" + ", ".join(f"{_key(key)}: {flow(one)}" for key, one in value.items()) + "}"
     if isinstance(value, list):
         return "[" + ", ".join(map(flow, value)) + "]"
-    return _quoted(value.text) if isinstance(value, Unquoted) else scalar(value)
+    return _quoted(value.value) if isinstance(value, Unquoted) else scalar(value)
 
 
 def entry(key: str, value: Any, column: int, step: int) -> list[str]:

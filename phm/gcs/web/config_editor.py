@@ -9,7 +9,8 @@ import hashlib
 import os
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from phm.config.yaml_tree import MAX_BYTES
 MAX_VARIABLES, MAX_VARIABLE = 64, 4096
 MAX_PROBLEMS = 200
 NO_NAME = "agent.yaml"
+TURN_S = 5.0
 
 Json = dict[str, Any]
 PlanOf = Callable[[str, str, Mapping[str, str]], CheckPlan]
@@ -67,7 +69,7 @@ class ConfigEditor:
         variables, edits = _variables(body.get("variables")), body.get("edits") or []
         if not isinstance(edits, list) or len(edits) > MAX_EDITS:
             raise ValueError(f"edits must be a list of at most {MAX_EDITS}")
-        with self._lock:
+        with self._turn():
             refused = ""
             try:
                 text = apply(text, [Edit.from_json(edit) for edit in edits])
@@ -98,7 +100,7 @@ class ConfigEditor:
             raise NotSaved("the YAML is not correct: correct it first")
         if problems and not anyway:
             raise NotSaved(f"the configuration has problems, the first: {problems[0]}")
-        with self._lock:
+        with self._turn():
             try:
                 present = read_file(path)
             except ConfigError as error:
@@ -113,6 +115,16 @@ class ConfigEditor:
                 raise NotSaved(f"{name} cannot be written: {error.strerror or error}") from None
         return {"name": name, "text": text, "version": _version(text)}
 
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Raises ValueError when the ones before take too long."""
+        if not self._lock.acquire(timeout=TURN_S):
+            raise ValueError("other configurations are being checked: try again")
+        try:
+            yield
+        finally:
+            self._lock.release()
+
     def _units(self, text: str, name: str, variables: Mapping[str, str]) -> tuple[list[Json], Sequence[Problem]]:
         if not text.strip():
             return [], ()
@@ -123,15 +135,18 @@ class ConfigEditor:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Atomically, with the permissions of the present file. Raises OSError."""
-    mode = path.stat().st_mode & 0o777
+    """Atomically, with the owner and the permissions of the present file. Raises OSError."""
+    present = path.stat()
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(text.encode("utf-8"))
             stream.flush()
             os.fsync(stream.fileno())
-        os.chmod(temporary, mode)
+        if hasattr(os, "chown"):
+            with suppress(PermissionError):  # only root may give a file to somebody else
+                os.chown(temporary, present.st_uid, present.st_gid)
+        os.chmod(temporary, present.st_mode & 0o777)
         os.replace(temporary, path)
     except BaseException:
         os.unlink(temporary)

@@ -119,6 +119,36 @@ def test_what_is_in_the_file_is_text_never_markup(page: Page) -> None:
     assert page.title() == "Checks - PHM"
 
 
+def test_a_file_of_any_shape_is_shown(page: Page) -> None:
+    """Values of the wrong type, unknown types and keys that look like places are problems, never a failure of the page."""
+    text = (
+        "containers: text\nlog: [1]\nros: {nodes: {a: b}, topics: [3]}\ninterval: {a: 1}\nchecks: {'a].[0': {enabled: 3, 'x]': 1}}\n"
+        "custom: [{type: constructor}, {type: __proto__}, 7, {type: tcp, name: [1]}]\n'b]c[': 1\n"
+    )
+    page.locator("#upload").set_input_files({"name": "b.yaml", "mimeType": "text/yaml", "buffer": text.encode()})
+    expect(page.locator("#state")).to_contain_text("b.yaml: not changed")
+    for _ in range(4):
+        page.locator("#form details:not([open]) > summary").evaluate_all("nodes => nodes.forEach(node => node.click())")
+    expect(section(page, "interval").locator(".problem")).to_contain_text("a mapping")
+    for link in page.locator("#problems button").all():
+        link.click()
+    section(page, "containers").locator("input, .add button").last.click()
+    expect(page.locator("#notice")).to_contain_text("is not a list")
+
+
+def test_a_click_on_save_includes_the_field_that_it_leaves(page: Page, file: Path) -> None:
+    """The last input is saved, too, also when the server has not answered yet."""
+    section(page, "log").locator("summary").click()
+    files = section(page, "log.files").locator("input")
+    files.fill("4")
+    files.press("Tab")
+    expect(page.locator("#save")).to_be_enabled()
+    files.fill("5")
+    page.locator("#save").click()
+    expect(page.locator("#state")).to_contain_text("a7.yaml: saved")
+    assert file.read_text() == TEXT.replace("files: 3", "files: 5")
+
+
 def test_it_works_by_keyboard_alone(page: Page, file: Path) -> None:
     """Open a section, change a value, undo it, change it again and save."""
     section(page, "log").locator("summary").focus()

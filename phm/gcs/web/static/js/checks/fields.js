@@ -81,7 +81,7 @@ function choiceOf({ about, value, required }) {
   const control = el("select");
   const preset = about.default === undefined || about.default === null ? "not set" : `default: ${about.default}`;
   control.append(el("option", { value: "", text: required ? "choose" : preset }));
-  const present = value === undefined || value === null ? "" : String(value);
+  const present = textOf(value);
   const all = present && !words.map(String).includes(present) ? [...words, present] : words;
   for (const word of all) control.append(el("option", { value: word, text: word }));
   control.value = present;
@@ -92,6 +92,12 @@ function inputOf({ about, value, suggest }) {
   const preset = about.default;
   const hint = preset === undefined || preset === null || typeof preset === "object" || preset === "" ? "" : `default: ${preset}`;
   const control = el("input", { type: "text", placeholder: hint, autocomplete: "off", autocapitalize: "off", spellcheck: "false", list: suggest });
-  control.value = value === undefined || value === null ? "" : String(value);
+  control.value = textOf(value);
   return control;
+}
+
+/** A value as a field shows it; a list or a section where none belongs is shown as JSON. */
+function textOf(value) {
+  if (value === undefined || value === null) return "";
+  return typeof value === "object" ? JSON.stringify(value) : String(value);
 }

@@ -2,7 +2,7 @@
 
 import { button, el } from "../dom.js";
 import { jsonField, problemPlace, scalarField, showProblem } from "./fields.js";
-import { describe, dotted, resolve } from "./schema.js";
+import { describe, dotted, isObject, resolve } from "./schema.js";
 
 const FIRST = ["custom", "containers", "ros"];
 const TITLES = ["name", "alias", "path", "url", "label", "when"];
@@ -41,7 +41,7 @@ export class Form {
     const places = new Map([...this.node.querySelectorAll("[data-key]")].map((node) => [node.dataset.key, { node, said: [] }]));
     for (const problem of problems) {
       let key = problem.key;
-      while (key && !places.has(key)) key = key.replace(/(\.[^.[\]]*|\[\d+\]|^[^.[\]]+)$/, "");
+      while (key && !places.has(key)) key = parentOf(key);
       const message = key === problem.key ? problem.message : `${problem.key}: ${problem.message}`;
       places.get(key)?.said.push(message);
     }
@@ -57,7 +57,7 @@ export class Form {
     for (const part of key.matchAll(/[.[]|$/g)) this.open.add(key.slice(0, part.index));
     this.show(this.values);
     let near = key;
-    while (near && !this.node.querySelector(`[data-key="${CSS.escape(near)}"]`)) near = near.replace(/(\.[^.[\]]*|\[\d+\]|^[^.[\]]+)$/, "");
+    while (near && !this.node.querySelector(`[data-key="${CSS.escape(near)}"]`)) near = parentOf(near);
     const place = this.node.querySelector(`[data-key="${CSS.escape(near)}"]`);
     place?.querySelector("input, select, textarea, summary")?.focus();
   }
@@ -127,7 +127,7 @@ export class Form {
   /** One entry of a discriminated union. */
   variant(path, about) {
     const type = this.get(path)?.[about.tag];
-    const schema = about.types[type];
+    const schema = Object.hasOwn(about.types, type) ? about.types[type] : null;
     if (!schema) return [el("p", { class: "help", text: `${about.tag}: ${type} is not known: remove the entry, or change it in the YAML` })];
     return [el("p", { class: "help", text: schema.description || "" }), ...this.fields(path, schema, about.tag)];
   }
@@ -152,7 +152,7 @@ export class Form {
   }
 
   map(path, about) {
-    const entries = Object.keys(this.get(path) || {});
+    const entries = isObject(this.get(path)) ? Object.keys(this.get(path)) : [];
     const item = resolve(about.items, this.root);
     const made = entries.map((name) => {
       const inner = describe(about.items, this.root, this.get([...path, name]));
@@ -193,6 +193,11 @@ export class Form {
     const place = this.node.querySelector(`[data-key="${CSS.escape(dotted(path))}"]`);
     (place?.querySelector("input, select, textarea") || place?.querySelector("summary"))?.focus();
   }
+}
+
+/** A shorter key, whatever characters the file has in it. */
+function parentOf(key) {
+  return key.slice(0, Math.max(key.lastIndexOf("."), key.lastIndexOf("["), 0));
 }
 
 /** The list of names that fits a place. */

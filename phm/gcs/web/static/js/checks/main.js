@@ -66,6 +66,7 @@ function showState() {
 
 function load(name, text, version) {
   Object.assign(state, { name, text, base: text, version, undo: [], yamlChanged: false });
+  form.show({});
   return apply(text, [], true, false);
 }
 
@@ -75,6 +76,7 @@ async function openFile(name) {
 }
 
 async function save() {
+  await settled();
   const body = { name: state.name, text: state.text, version: state.version, variables: variables() };
   if (state.problems.length) {
     body.anyway = window.confirm(`The configuration has ${state.problems.length} problem(s); an agent would refuse it. Save it anyway?`);
@@ -91,7 +93,8 @@ function variables() {
   return Object.fromEntries(pairs.map((one) => [one[1], one[2]]));
 }
 
-function download() {
+async function download() {
+  await settled();
   const url = URL.createObjectURL(new Blob([state.text], { type: "application/yaml" }));
   const link = el("a", { href: url, download: state.name.split(/[\\/]/).at(-1) });
   link.click();
@@ -103,6 +106,11 @@ async function upload(file) {
   if (file.size > MAX_BYTES) throw new Refused(`the file is larger than ${MAX_BYTES / 1024} KiB`, 0);
   byId("file").value = "";
   await load(file.name, await file.text(), null);
+}
+
+/** After the edits that are under way: a click on Save also ends the input in a field. */
+async function settled() {
+  await queue;
 }
 
 /** Shows why something failed instead of leaving it in the console. */
@@ -122,9 +130,13 @@ function listen() {
   byId("upload").addEventListener("change", trying(() => upload(byId("upload").files[0])));
   byId("save").addEventListener("click", trying(save));
   byId("download").addEventListener("click", trying(download));
-  byId("undo").addEventListener("click", trying(() => apply(state.undo.pop(), [], true, false)));
+  byId("undo").addEventListener("click", trying(async () => {
+    await settled();
+    if (state.undo.length) await apply(state.undo.pop(), [], true, false);
+  }));
   byId("yaml").addEventListener("input", () => { state.yamlChanged = true; });
-  byId("apply").addEventListener("click", trying(() => {
+  byId("apply").addEventListener("click", trying(async () => {
+    await settled();
     state.yamlChanged = false;
     return apply(byId("yaml").value, [], true);
   }));
