@@ -11,7 +11,7 @@ from playwright.sync_api import Page
 from tests.gcs.web.browser.scene import ROOT, a_bad_day, chromium, fleet, ground, tab
 
 FOLDER = ROOT / "docs" / "pictures"
-WIDE, TABLET = {"width": 1366, "height": 768}, {"width": 1180, "height": 820}
+WIDE, LOW = {"width": 1240, "height": 640}, {"width": 1100, "height": 560}
 SETTLE_MS = 3000
 
 
@@ -27,7 +27,7 @@ def main(folder: Path) -> None:
             page.locator(".rows .row").nth(11).wait_for()
             page.wait_for_timeout(SETTLE_MS)
             a_bad_day(agents)
-            page.wait_for_timeout(30_000)
+            page.wait_for_timeout(20_000)
             agents.silent.add(11)
             page.locator(".row[data-name=A11].r-lost").wait_for()
             page.wait_for_timeout(SETTLE_MS)
@@ -36,10 +36,10 @@ def main(folder: Path) -> None:
             page.locator(".path").wait_for()
             page.wait_for_timeout(SETTLE_MS)
             _write(page, folder / "web-agent.png")
-        with tab(browser, f"{station.url}#/views", viewport=TABLET, color_scheme="light") as page:
+        with tab(browser, f"{station.url}#/views", viewport=LOW, color_scheme="light") as page:
             page.wait_for_timeout(SETTLE_MS)
             _write(page, folder / "web-views.png")
-        with tab(browser, f"{station.url}#/events", viewport=TABLET, color_scheme="dark") as page:
+        with tab(browser, f"{station.url}#/events", viewport=LOW, color_scheme="dark") as page:
             page.wait_for_timeout(SETTLE_MS)
             _write(page, folder / "web-events.png")
 

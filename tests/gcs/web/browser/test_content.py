@@ -81,6 +81,28 @@ def test_the_details_say_where_the_path_is_broken_and_why(page: Page) -> None:
     expect(panel.locator(".advice")).to_contain_text("restart ros_app")
 
 
+def test_the_history_is_plotted(page: Page) -> None:
+    """Heartbeat gaps have a curve and a newest value, also since the take-off."""
+    page.locator(".row[data-name=A07]").click()
+    gap = page.locator("figure", has_text="heartbeat gap")
+    expect(gap.locator("strong")).to_contain_text(" s")
+    drawn = "node => node.getContext('2d').getImageData(0, 0, node.width, node.height).data.some((value) => value)"
+    assert gap.locator("canvas").evaluate(drawn)
+    page.get_by_role("button", name="since take-off").click()
+    expect(page.get_by_role("button", name="since take-off")).to_have_attribute("aria-pressed", "true")
+    expect(gap.locator("strong")).to_contain_text(" s")
+
+
+def test_open_faults_have_their_steps(page: Page) -> None:
+    """What was confirmed and what the agent advises, with their times."""
+    page.locator(".row[data-name=A07]").click()
+    fault = page.locator("#panel .fault")
+    expect(fault).to_contain_text("ros_app exited (137)")
+    expect(fault.locator(".steps")).to_contain_text("advised")
+    expect(fault.locator(".stages .reached").last).to_have_text("confirmed")
+    expect(page.locator("#panel .log")).to_contain_text("A07 FAIL")
+
+
 def test_the_two_views_are_side_by_side_and_differences_are_marked(page: Page) -> None:
     """The digest says OK about an agent that the ground sees in WARN."""
     page.get_by_role("link", name="Two views").click()

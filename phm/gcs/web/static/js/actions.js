@@ -71,7 +71,7 @@ function confirmed(name, choice, minutes, send) {
     el("h2", { id: "dialog-title" }, `${name}: `, said(choice.text)),
     el("p", {}, said(choice.will || "The agent is asked to do this.")),
     ...(minutes ? [el("p", {}, el("label", { for: "hold-time", text: "For " }), minutes)] : []),
-    el("p", { class: "quiet", text: "The agent decides. Its answer is shown here." }),
+    el("p", { class: "quiet", text: "Its answer is shown here." }),
     el("div", { class: "controls" }, cancel, button(`Yes, ${choice.do}`, () => { dialog.close(); send(); }, { class: "act strong" })));
   dialog.showModal();
   cancel.focus();

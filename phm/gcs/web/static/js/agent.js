@@ -11,12 +11,14 @@ import { ageOf, now, on, store } from "./store.js";
 import { LAYERS, PRESENCE, age, ago, cell, clock, pilotWords, received, slotLong, stateClass } from "./words.js";
 
 const FAULTS_EVERY_MS = 5000;
+const MOST_EVENTS = 20;
 const CHOICE_KEYS = ["advice", "containers", "on_hold", "presence"];
 let shown = "";
 let parts = {};
 let faults = [];
 let faultsNote = "";
 let timer = 0;
+let past = [];
 let choicesFor = "";
 
 export function startAgent() {
@@ -37,12 +39,13 @@ export function showAgent(name) {
   panel.hidden = !name;
   document.body.classList.toggle("paneled", Boolean(name));
   if (!name) return panel.replaceChildren();
-  [faults, faultsNote, choicesFor] = [[], "", ""];
+  [faults, faultsNote, choicesFor, past] = [[], "", "", []];
   build(panel, name);
   show();
   recent();
   requests();
   loadFaults();
+  loadEvents(name);
   timer = setInterval(loadFaults, FAULTS_EVERY_MS);
   startPlots(parts.plots, name);
   parts.title.focus();
@@ -174,6 +177,8 @@ function showFaults(agent) {
 
 function faultItem(fault) {
   const reached = new Set(fault.steps.map((step) => (step.step === "advised" || step.step === "approved" ? "confirmed" : step.step)));
+  // The ground hears of a fault with its report: what was confirmed was detected before.
+  if (reached.size) reached.add("detected");
   return el("article", { class: "fault" }, el("h4", {}, said(fault.unit || slotLong(fault.slot)), ": ", said(fault.text)),
     el("ol", { class: "stages", "aria-label": "Stages" }, ...STEPS.map((step) =>
       el("li", { class: reached.has(step) ? "reached" : "", text: `${step}${reached.has(step) ? "" : " –"}` }))),
@@ -203,10 +208,23 @@ function views(agent) {
       since(agent.view.at)) : line("Its own view", "not received")));
 }
 
+async function loadEvents(name) {
+  let found = [];
+  try {
+    found = (await getJson("api/history/events", { agent: name, limit: MOST_EVENTS })).events;
+  } catch {
+    found = [];
+  }
+  if (name !== shown) return;
+  past = found.filter((event) => event.words);
+  recent();
+}
+
 function recent() {
-  const found = store.events.filter((event) => event.who === shown).slice(-20).reverse();
+  const fresh = store.events.filter((event) => event.who === shown && !(past.length && event.utc_s <= past[0].utc_s));
+  const found = [...fresh.reverse(), ...past].slice(0, MOST_EVENTS);
   parts.events?.replaceChildren(found.length ? el("ol", { class: "log" }, ...found.map((event) => eventLine(event, false)))
-    : el("p", { class: "quiet", text: "No event since this page was opened." }));
+    : el("p", { class: "quiet", text: "No event is known." }));
 }
 
 function requests() {

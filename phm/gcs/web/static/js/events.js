@@ -78,11 +78,21 @@ async function load(before) {
     setText(note, error.status === 404 ? "Events since this page was opened: there is no history." : `No older events: ${error.message}.`);
   }
   if (number !== loading) return;
+  if (!before) found = withNewest(found, again);
   const lines = found.map((event) => eventLine(event, true));
   if (before) list.append(...lines);
   else list.replaceChildren(...lines);
   more.hidden = !again;
   if (!list.childElementCount) setText(note, "No event fits.");
+}
+
+/** The newest events are not in the history yet, which is written every few seconds. */
+function withNewest(found, again) {
+  const key = (event) => `${event.utc_s} ${event.words}`;
+  const known = new Set(found.map(key));
+  const from = again && found.length ? found.at(-1).utc_s : 0;
+  const fresh = store.events.filter((event) => fits(event) && event.utc_s >= from && !known.has(key(event)));
+  return [...fresh, ...found].sort((left, right) => right.utc_s - left.utc_s);
 }
 
 function add(found) {
