@@ -15,7 +15,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from phm.review.ground_part import GroundRun
-from phm.review.part import STEP_S, Run
+from phm.review.part import STEP_S
+from phm.review.run import Run
 
 WINDOW_S = 2.5
 """Votes for one offset differ at most by this: an autopilot's heartbeat comes once a second, a line may wait for the radio."""

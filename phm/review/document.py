@@ -107,7 +107,10 @@ def _agent(
     last = end if flying else min(end, agent.end)
     down = clipped(without([[first, last]], agent.cover), begin, end) if agent.runs and last > first else []
     lost = sum(mark.body["lines"] for _, mark in agent.marks if mark.what == "lost")
-    missing = sum(int(gap[1] - gap[0]) - 1 for run, _ in agent.runs for gap in run.numbers.gaps())
+    # An event `lost` has the number of the last line that it counts; the others are a gap before it.
+    explained = sum(max(0, mark.body["lines"] - 1) for _, mark in agent.marks if mark.what == "lost")
+    gaps = sum(int(gap[1] - gap[0]) - 1 for run, _ in agent.runs for gap in run.numbers.gaps())
+    missing = max(0, gaps - explained)
     return {
         "agent": agent.name,
         "agent_id": agent.id,

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 from phm.review.events import Event, numbers
 from phm.review.ground_part import GroundRun
 from phm.review.lines import Problems
+from phm.review.run import MOST_SERIES, Change, Mark, Run
 from phm.review.series import Series
-from phm.review.spans import Cover
 
 MOST_RUNS = 2000
 MOST_UNITS = 1000
 MOST_EVENTS = 200_000
 """Of one run and kind; more are counted and left out."""
-MOST_SERIES = 64
 STEP_S = 0.2
 """A change of the difference between the two clocks of this size is a step."""
-COVER_S = 30.0
 PLOTTED = (
     "cpu_percent",
     "memory_percent",
@@ -38,103 +34,6 @@ PLOTTED = (
 """Beginnings of the names of values that are plotted."""
 MEASURED = frozenset(("host", "radio", "link", "rates", "autopilot"))
 """Checks with such values."""
-
-
-@dataclass
-class Change:
-    """A transition of a unit."""
-
-    seq: int
-    mono: float
-    unit: str
-    level: str
-    old: str
-    summary: str
-    brief: str
-    condition: str
-    blocked_by: str
-    fault: str
-    text_only: bool
-    values: dict[str, Any]
-    """Of an ERROR alone."""
-
-
-@dataclass
-class Mark:
-    """A line that is not about a unit: note, hold, flight, action, lost. body: its further keys."""
-
-    seq: int
-    mono: float
-    what: str
-    text: str
-    body: dict[str, Any]
-
-
-@dataclass
-class Run:
-    """One run of PHM on one agent: its lines share a `boot_id` and a monotonic clock."""
-
-    agent: str
-    agent_id: int
-    boot_id: str
-    version: str = ""
-    interval_s: float = 0.0
-    started: float | None = None
-    lines: int = 0
-    left_out: int = 0
-    cover: Cover = field(default_factory=lambda: Cover(COVER_S))
-    numbers: Cover = field(default_factory=lambda: Cover(1.0))
-    clock: list[tuple[float, float]] = field(default_factory=list)
-    """(mono, utc - mono), at the first line and after each step."""
-    changes: list[Change] = field(default_factory=list)
-    marks: list[Mark] = field(default_factory=list)
-    faults: dict[str, dict[str, Any]] = field(default_factory=dict)
-    units: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """check, slot, layer, target, and the first level with its time."""
-    reports: array[float] = field(default_factory=lambda: array("d"))
-    report_s: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    """Sum and largest of the time that a report took."""
-    check_ms: dict[str, list[float]] = field(default_factory=dict)
-    """Of each check: number of lines, sum and largest of `duration_ms`."""
-    boots: dict[int, list[float]] = field(default_factory=dict)
-    """By number of reboots: how often, least and largest of mono minus the autopilot's time since boot."""
-    armed: list[tuple[float, bool]] = field(default_factory=list)
-    """(mono, whether the autopilot was armed), when a line of its check says something new: for logs without flights."""
-    series: dict[str, Series] = field(default_factory=dict)
-
-    def merge(self, other: Run) -> None:
-        self.version, self.interval_s = self.version or other.version, self.interval_s or other.interval_s
-        self.started = self.started if other.started is None else other.started
-        self.lines, self.left_out = self.lines + other.lines, self.left_out + other.left_out
-        self.cover.merge(other.cover)
-        self.numbers.merge(other.numbers)
-        self.clock = sorted({*self.clock, *other.clock})
-        self.changes += other.changes
-        self.marks += other.marks
-        for fault, known in other.faults.items():
-            mine = self.faults.setdefault(fault, known)
-            if mine is not known:
-                self.faults[fault] = {**known, **mine} if mine["closed_at"] is not None else {**mine, **known}
-                opened = [each["opened_at"] for each in (mine, known) if each["opened_at"] is not None]
-                self.faults[fault]["opened_at"] = min(opened) if opened else None
-        for unit, body in other.units.items():
-            mine = self.units.setdefault(unit, body)
-            if body["at"] < mine["at"]:
-                self.units[unit] = body
-        self.reports.extend(other.reports)
-        self.armed = sorted({*self.armed, *other.armed})
-        self.report_s = [self.report_s[0] + other.report_s[0], max(self.report_s[1], other.report_s[1])]
-        for check, (count, whole, most) in other.check_ms.items():
-            had = self.check_ms.setdefault(check, [0.0, 0.0, 0.0])
-            self.check_ms[check] = [had[0] + count, had[1] + whole, max(had[2], most)]
-        for number, seen in other.boots.items():
-            had = self.boots.setdefault(number, seen)
-            self.boots[number] = [had[0] + seen[0], min(had[1], seen[1]), max(had[2], seen[2])]
-        for name, series in other.series.items():
-            if name in self.series:
-                self.series[name].merge(series)
-            elif len(self.series) < MOST_SERIES:
-                self.series[name] = series
 
 
 class Part:

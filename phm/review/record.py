@@ -7,7 +7,8 @@ from typing import Any
 
 from phm.review.clocks import Clock, align, continue_by_autopilot, ground_clock
 from phm.review.ground_part import GroundRun
-from phm.review.part import Change, Mark, Part, Run
+from phm.review.part import Part
+from phm.review.run import Change, Mark, Run
 from phm.review.spans import Cover, Span, joined
 
 QUIET_S = 30.0

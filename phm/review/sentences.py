@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from datetime import datetime, timezone
 from typing import Any
 
 from phm.review.check_rates import by_action, counted
@@ -30,10 +29,6 @@ def length(seconds: float | None) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
-
-
-def day(t: float) -> str:
-    return f"{datetime.fromtimestamp(t, timezone.utc):%Y-%m-%d}" if 0 < t < 1e10 else "?"
 
 
 def _what(document: Json) -> str:

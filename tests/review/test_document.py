@@ -148,6 +148,18 @@ def test_missing_lines_are_counted_by_their_numbers(tmp_path: Path) -> None:
     assert report(tmp_path)["agents"][0]["missing_lines"] == 11
 
 
+def test_lines_that_the_log_counts_as_lost_are_not_missing_as_well(tmp_path: Path) -> None:
+    """An event `lost` replaces the last of its lines, and explains the gap before it."""
+    log = one_flight(tmp_path).close()
+    lines = log.read_bytes().splitlines(keepends=True)
+    last = json.loads(lines[40])
+    kept = {key: last[key] for key in ("v", "agent", "agent_id", "boot_id", "seq", "mono", "utc", "utc_s")}
+    lost = json.dumps({**kept, "event": "lost", "kind": "PHM", "lines": 11, "reason": "disk full"}).encode() + b"\n"
+    log.write_bytes(b"".join([*lines[:30], lost, *lines[41:]]))
+    agent = report(tmp_path)["agents"][0]
+    assert (agent["lost_lines"], agent["missing_lines"]) == (11, 0)
+
+
 def test_what_was_not_known_is_listed_with_its_cause(tmp_path: Path) -> None:
     """STALE because of a fault is another thing than not known at all."""
     made = Flown(tmp_path)

@@ -34,7 +34,7 @@ const colour = (level) => colours[{ OK: "ok", WARN: "warn", ERROR: "error", STAL
 let hatch;
 function hatched() { const tile = document.createElement("canvas"); tile.width = tile.height = 6; const p = tile.getContext("2d"); p.strokeStyle = colours.off; p.lineWidth = 1.5; p.beginPath(); p.moveTo(0, 6); p.lineTo(6, 0); p.stroke(); return pen.createPattern(tile, "repeat"); }
 function ticks(width) {
-  const step = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 86400].find((one) => (to - from) / one <= width / 130) || 172800;
+  const step = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 86400].find((one) => (to - from) / one <= width / 130) || (to - from) / 8;
   const first = Math.ceil((span.begin + from) / step) * step - span.begin, found = [];
   for (let s = first; s <= to; s += step) found.push(s);
   return found;
