@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 from phm import api
 from phm_checks._custom.base import Finding, bad, good
 from phm_checks._custom.limits import Reading, judge
@@ -13,7 +16,12 @@ REMEDY = "install the package of its type where rclpy comes from, or name the ap
 
 
 class Topic(RosCheck):
-    """The values come from the few messages that the ROS child process examines."""
+    """The values come from the few messages that the ROS child process examines. A topic without its publisher is one fault."""
+
+    @property
+    def units(self) -> Sequence[api.Unit]:
+        (unit,) = super().units
+        return (replace(unit, needs=(*unit.needs, f"topics/{api.topic_id(self.entry.topic)}")),)
 
     def look(self, world: api.World) -> Finding:
         entry, fact = self.entry, snapshot(world)

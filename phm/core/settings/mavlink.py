@@ -103,7 +103,7 @@ class MavlinkSettings(Section):
     HEARTBEAT a second."""
     request_boot_time: bool = False
     """True: PHM requests SYSTEM_TIME once a second from an autopilot that sends no time since boot, to distinguish at once
-    whether it hung, rebooted, or only the link was stuck. False: PHM sends no commands to the autopilot."""
+    whether it hung, rebooted, or only the link was stuck. False: PHM does not request it."""
     radio_timeout: Annotated[Seconds, Field(ge=2, le=120)] = 5.0
     """A radio without RADIO_STATUS for longer, and for longer than 2.5 of its own periods, is reported as lost."""
     radio_margin: Annotated[float, Field(ge=0, le=254, allow_inf_nan=False)] = 15.0
