@@ -130,7 +130,7 @@ def clean_label(value: object) -> str:
 
 
 def ratio(percent: object) -> float | None:
-    """Percent as a ratio, 0 to 1; None for what is no number."""
+    """Percent as a ratio, 0 to 1; None for anything else."""
     value = number(percent)
     return None if value is None else value / 100
 

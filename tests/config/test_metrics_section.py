@@ -25,7 +25,7 @@ def test_the_address_is_written_out(listen: str, address: tuple[str, int], local
 
 
 def test_metrics_are_off_by_default() -> None:
-    """Nothing listens that nobody asked for."""
+    """Nothing listens unless it is configured."""
     assert loads("{}\n", "phm.yaml", environ={}).metrics.listen is None
 
 

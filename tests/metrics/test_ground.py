@@ -36,7 +36,7 @@ class Station:
         body = {**self._fleet.snapshot(), "radios": [radio], "problems": ["a sentence"], "frames_refused": 2}
         return 0, GcsEvent(self._fleet.clock.stamp(), "snapshot", body)
 
-    def tell(self, *found: GcsEvent) -> None:
+    def publish(self, *found: GcsEvent) -> None:
         assert self._queue is not None
         for number, event in enumerate(found):
             self._queue.put(QueuedEvent(number, event, b""))
@@ -56,13 +56,13 @@ def page_text() -> bytes:
     fleet.hear(phm_heartbeat(5, {Slot.CONTAINER: Level.ERROR}), pilot(5, armed=True), text_frame(5, "A05 FAIL 2 x"))
     fleet.wait(60.0, phm_heartbeat(6))
     ack = GcsEvent(fleet.clock.stamp(), "ack", {"result": "DENIED"})
-    station.tell(*fleet.news, ack)
+    station.publish(*fleet.news, ack)
     return MetricsText(metrics.page).render("application/openmetrics-text")[0]
 
 
 def test_every_metric_of_the_ground() -> None:
     """Of a lost agent there is its age, and no level; of one that was never received only that it is missing."""
-    families = {family.name: family for family in parse_openmetrics(page_text().decode())}
+    families = {family.name: family for family in parse_openmetrics(page_text().decode())}  # type: ignore[no-untyped-call]
     for metric in metrics_catalog.ALL:
         assert metric.name.removesuffix("_total") in families, metric.name
     values = {

@@ -109,7 +109,7 @@ def test_elsewhere_any_name_is_answered() -> None:
         (b"GET /" + b"a" * 10 * MAX_HEAD + b" HTTP/1.1\r\n\r\n", b"431"),
     ],
 )
-def test_what_is_no_request_is_refused(bench: Bench, request_bytes: bytes, status: bytes) -> None:
+def test_anything_but_a_request_is_refused(bench: Bench, request_bytes: bytes, status: bytes) -> None:
     """With a status, or with the end of the connection when more came than is read."""
     said = bench.raw(request_bytes)
     assert said.startswith(b"HTTP/1.1 " + status) or (status == b"431" and not said)

@@ -18,7 +18,7 @@ class MetricsSettings(Section):
     """Measurements for Prometheus, over HTTP; needs the extra `metrics`."""
 
     listen: ListenAddress | None = None
-    """Address and port of the page /metrics, e.g. 127.0.0.1:9464. Whoever reaches another address than loopback can read it."""
+    """Address and port of the page /metrics, e.g. 127.0.0.1:9464. Any program that reaches another address than loopback can read it."""
 
     @field_validator("listen")
     @classmethod

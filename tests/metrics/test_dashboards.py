@@ -1,0 +1,187 @@
+"""The dashboard, the alert rules, and the files for Foxglove and rqt_robot_monitor name what exists."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from phm.core.model import Layer, Slot
+from phm.facts.ros import CONSENSUS, DIAGNOSTICS, DiagnosticFact
+from phm.gcs import metrics_catalog as ground
+from phm.reporters import metrics_catalog as agent
+from phm.reporters.diagnostics import DiagnosticsReporter
+from phm.wire.metrics_page import Metric
+from tests.metrics.agent import context, state, states
+from tests.metrics.prometheus import Prometheus, promtool
+
+EXAMPLES = Path(__file__).parents[2] / "config" / "examples"
+ALERTS = EXAMPLES / "prometheus" / "phm-alerts.yaml"
+DASHBOARD = EXAMPLES / "grafana" / "phm-dashboard.json"
+PROCESS = {"process_cpu_seconds_total", "process_resident_memory_bytes"}
+LAYERS = {layer.value for layer in Layer}
+
+
+def rules() -> list[dict[str, Any]]:
+    return [rule for group in yaml.safe_load(ALERTS.read_text())["groups"] for rule in group["rules"]]
+
+
+def panels() -> list[dict[str, Any]]:
+    return [panel for panel in json.loads(DASHBOARD.read_text())["panels"] if panel["type"] != "row"]
+
+
+def queries() -> list[str]:
+    """Of the dashboard, with its variables replaced as Grafana does."""
+    found = [target["expr"] for panel in panels() for target in panel["targets"]]
+    return [text.replace("$instance", ".+").replace("$__rate_interval", "1m") for text in found]
+
+
+def known() -> dict[str, Metric]:
+    """Names as they appear in queries."""
+    found: dict[str, Metric] = {}
+    for metric in (*agent.ALL, *ground.ALL):
+        suffixes = ("_bucket", "_sum", "_count") if metric.kind == "histogram" else ("",)
+        found |= {f"{metric.name}{suffix}": metric for suffix in suffixes}
+    return found
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Prometheus]:
+    made = Prometheus(tmp_path_factory.mktemp("prometheus"), {}, (ALERTS,))
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("text", [*queries(), *(rule["expr"] for rule in rules())])
+def test_a_query_is_accepted_and_names_only_metrics_that_exist(text: str, server: Prometheus) -> None:
+    """With labels that its metric has: a query for another one would always show nothing."""
+    server.query(text)
+    names = set(re.findall(r"\b(?:phm|process)_\w+", re.sub(r'"[^"]*"', "", text)))
+    metrics = known()
+    assert names <= metrics.keys() | PROCESS, names - metrics.keys() - PROCESS
+    allowed = {"instance", "job", "le"} | {label for name in names & metrics.keys() for label in metrics[name].labels}
+    used = set(re.findall(r"[{,]\s*(\w+)\s*[=!]", text))
+    for group in re.findall(r"\b(?:by|on)\s*\(([^)]*)\)", text):
+        used |= {label.strip() for label in group.split(",")}
+    assert used <= allowed, used - allowed
+
+
+def test_each_panel_has_a_title_a_query_and_its_own_place() -> None:
+    """And labels in the legend that its metrics have."""
+    made = panels()
+    assert len({panel["id"] for panel in made}) == len(made)
+    taken: set[tuple[int, int]] = set()
+    for panel in made:
+        assert panel["title"] and panel["targets"]
+        place = panel["gridPos"]
+        cells = {
+            (x, y)
+            for x in range(place["x"], place["x"] + place["w"])
+            for y in range(place["y"], place["y"] + place["h"])
+        }
+        assert place["x"] + place["w"] <= 24 and not cells & taken, panel["title"]
+        taken |= cells
+        for target in panel["targets"]:
+            labels = set(re.findall(r"{{(\w+)}}", target["legendFormat"]))
+            names = re.findall(r"\bphm_\w+", target["expr"])
+            allowed = {"instance", "job"} | {
+                label for name in names if name in known() for label in known()[name].labels
+            }
+            assert labels <= allowed, (panel["title"], labels - allowed)
+
+
+def test_promtool_accepts_the_rules_and_the_configuration() -> None:
+    """Also with the rule file beside it."""
+    promtool("check", "rules", str(ALERTS))
+    promtool("check", "config", str(ALERTS.with_name("prometheus.yml")))
+
+
+def test_each_alert_fires_for_what_it_describes_and_not_otherwise(tmp_path: Path) -> None:
+    """Simulated by promtool: tests/metrics/phm-alerts.test.yaml names every alert."""
+    cases = Path(__file__).with_name("phm-alerts.test.yaml")
+    shutil.copy(ALERTS, tmp_path)
+    shutil.copy(cases, tmp_path)
+    said = promtool("test", "rules", cases.name, folder=tmp_path)
+    assert "SUCCESS" in said
+    for rule in rules():
+        assert rule["alert"] in cases.read_text(), rule["alert"]
+
+
+@pytest.mark.parametrize("rule", rules(), ids=lambda rule: str(rule["alert"]))
+def test_an_alert_says_what_happened_and_what_to_do(rule: dict[str, Any]) -> None:
+    """In sentences, with a severity."""
+    texts = rule["annotations"]
+    assert rule["labels"]["severity"] in ("warning", "critical")
+    assert texts["remedy"].endswith(".") and len(texts["remedy"]) > 20
+    assert "$labels" in texts["summary"]
+
+
+class Port:
+    """Takes what the reporter publishes."""
+
+    def __init__(self) -> None:
+        self.statuses: dict[str, DiagnosticFact] = {}
+
+    def publish(self, statuses: Any, topic: str = DIAGNOSTICS) -> int:
+        self.statuses = dict(statuses)
+        return 0
+
+
+def published(name: str) -> dict[str, DiagnosticFact]:
+    """What an agent publishes on /diagnostics, with a unit in each layer."""
+    link = state("link/radio", "link", Slot.RADIO, Layer.LINK)
+    port, about = Port(), context((*states(), link))
+    agents = about.settings.agent.model_copy(update={"name": name})
+    object.__setattr__(about, "settings", about.settings.model_copy(update={"agent": agents}))
+    DiagnosticsReporter(about, port).tick()
+    return port.statuses
+
+
+def test_the_analyzers_put_each_status_into_one_group() -> None:
+    """By agent and layer, as diagnostic_aggregator matches: a name that starts with the text. No layer is missing."""
+    file = yaml.safe_load((EXAMPLES / "ros" / "phm-analyzers.yaml").read_text())
+    parameters = file["analyzers"]["ros__parameters"]
+    groups = {key: value for key, value in parameters.items() if isinstance(value, dict)}
+    assert parameters["path"] == "PHM" and list(groups) == ["agent_1", "agent_2"]
+    for name, group in groups.items():
+        assert group["type"] == "diagnostic_aggregator/AnalyzerGroup"
+        assert set(group["analyzers"]) == {"summary", *LAYERS}
+        found: dict[str, list[str]] = {}
+        for status in published(name):
+            for key, one in group["analyzers"].items():
+                assert (one.get("num_items") == 0) == (key in LAYERS), "a layer may be empty, the summary may not"
+                assert one["type"] == "diagnostic_aggregator/GenericAnalyzer"
+                if any(status.startswith(text) for text in one["startswith"]):
+                    found.setdefault(status, []).append(key)
+        assert sorted(found) == sorted(published(name))
+        assert all(len(keys) == 1 for keys in found.values()), found
+        assert {key for keys in found.values() for key in keys} == {"summary", *LAYERS}
+
+
+def test_the_foxglove_layout_shows_what_is_published() -> None:
+    """Topics, hardware id and name are the reporter's, and each panel of the layout has a configuration of its type's keys."""
+    layout = json.loads((EXAMPLES / "foxglove" / "phm-layout.json").read_text())
+    panels = layout["configById"]
+    assert set(_leaves(layout["layout"])) == set(panels)
+    summary, status = panels["DiagnosticSummary!phm1"], panels["DiagnosticStatusPanel!phm2"]
+    assert set(summary) == {"topicToRender", "minLevel", "pinnedIds", "hardwareIdFilter", "sortByLevel"}
+    assert set(status) == {"topicToRender", "selectedHardwareId", "selectedName", "splitFraction"}
+    assert summary["topicToRender"] == status["topicToRender"] == DIAGNOSTICS
+    fact = published("agent_1")[status["selectedName"]]
+    assert fact.hardware_id == status["selectedHardwareId"]
+    path = panels["Plot!phm3"]["paths"][0]["value"]
+    assert path == f'{DIAGNOSTICS}.status[:]{{name=="{status["selectedName"]}"}}.level'
+    assert panels["RawMessages!phm4"]["topicPath"] == CONSENSUS
+
+
+def _leaves(node: Any) -> list[str]:
+    if isinstance(node, str):
+        return [node]
+    assert node["direction"] in ("row", "column")
+    return [*_leaves(node["first"]), *_leaves(node["second"])]
