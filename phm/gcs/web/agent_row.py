@@ -89,7 +89,17 @@ def row(document: Mapping[str, Any], problem: str) -> Json:
         "problem": text(problem) or None,
         "first_utc": None,
     }
-    return rows.row(found, alarm=None, armed_at=None, values={}, checks=units)
+    made = rows.row(found, alarm=None, armed_at=None, values={}, checks=units)
+    return {**made, "hops": [_hop(hop, units) for hop in made["hops"]]}
+
+
+def _hop(hop: Json, units: list[Json]) -> Json:
+    """As drawn for the ground, which has received a heartbeat; the agent itself knows of ground and radio only what it receives."""
+    unit = {"ground": "gcs", "radio": "radio"}.get(hop["name"])
+    if unit is None or hop["state"] == "broken":
+        return hop
+    ok = any(one["level"] == "OK" and one["unit"].partition("/")[0] == unit for one in units)
+    return {**hop, "state": "ok" if ok and hop["state"] == "ok" else "unknown"}
 
 
 def text(words: object) -> str:

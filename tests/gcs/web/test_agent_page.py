@@ -99,6 +99,19 @@ def test_all_checks_of_the_agent_are_shown(here: Written) -> None:
     assert "blocked by nodes/agent_1/node_1" in blocked["text"]
 
 
+@pytest.mark.parametrize(
+    ("level", "state"), [("OK", "ok"), ("STALE", "unknown"), ("n/a", "unknown"), (None, "unknown")]
+)
+def test_the_agent_knows_of_the_ground_only_what_it_receives(level: str | None, state: str) -> None:
+    """Ground and radio are drawn as working only if a check of the agent says so."""
+    others = [one for one in document()["checks"] if one["id"] not in ("gcs", "radio")]
+    added = [
+        {**others[0], "id": unit, "slot": slot, "level": level} for unit, slot in (("gcs", 1), ("radio", 11)) if level
+    ]
+    hops = {hop["name"]: hop["state"] for hop in agent_row.row(document(checks=[*others, *added]), "")["hops"]}
+    assert (hops["ground"], hops["radio"], hops["computer"], hops["node"]) == (state, state, "ok", "broken")
+
+
 def test_a_change_of_the_status_reaches_the_page(here: Written) -> None:
     """As a difference; a status that is gone makes the agent lost, with the reason."""
     live = Live(here.client)
