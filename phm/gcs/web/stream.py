@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Sequence
 
 from aiohttp import web
@@ -47,7 +48,8 @@ def handlers(station: GroundStation, clock: Clock) -> tuple[Handler, Handler]:
             client.add(station.line(number, event) + b"\n")
             alive = asyncio.create_task(_alive(station, clock, client))
             try:
-                await client.run(response, clock)
+                with contextlib.suppress(ConnectionError):  # the program has ended; aiohttp would log a traceback
+                    await client.run(response, clock)
             finally:
                 alive.cancel()
         return response

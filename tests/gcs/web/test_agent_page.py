@@ -127,6 +127,18 @@ def test_a_change_of_the_status_reaches_the_page(here: Written) -> None:
     live.close()
 
 
+def test_a_page_that_is_closed_is_no_error(here: Written, caplog: pytest.LogCaptureFixture) -> None:
+    """Browsers leave at any time: no traceback in the log."""
+    for turn in range(20):
+        live = Live(here.client)
+        until(lambda: len(here.page.server.clients), "the client")
+        here.write(document(status_word=turn))
+        live.close()
+        here.page.read()
+    until(lambda: len(here.page.server.clients) == 0, "no clients", lambda: here.page.read())
+    assert [record.getMessage() for record in caplog.records if record.levelname == "ERROR"] == []
+
+
 def test_nothing_can_be_requested(here: Written) -> None:
     """Also by who may operate: the page is for looking."""
     here.client.session()

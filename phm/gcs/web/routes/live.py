@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Sequence
 
 from aiohttp import web
@@ -31,7 +32,8 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
             client.add(full)
             ping = asyncio.create_task(_ping(site, client))
             try:
-                await client.run(response, site.clock)
+                with contextlib.suppress(ConnectionError):  # the page was closed; aiohttp would log a traceback
+                    await client.run(response, site.clock)
             finally:
                 ping.cancel()
         return response
