@@ -52,7 +52,9 @@ class _Counts(SubscriberQueue):
             if event == "text" and not body["repeat"]:
                 self.texts[(severity_name(body["severity"]).lower(),)] += 1
             elif event == "presence" and body["presence"] in (PresenceState.LATE.value, PresenceState.LOST.value):
-                self.gaps[str(body["name"]), str(body["presence"])] += 1
+                key = (str(body["name"]), str(body["presence"]))
+                if key in self.gaps or len(self.gaps) < MAX_SERIES:  # a sender can invent any number of agents
+                    self.gaps[key] += 1
             elif event == "ack":
                 self.answers[(str(body["result"]).lower(),)] += 1
         return True

@@ -15,9 +15,7 @@ from phm.reporters.metrics_counts import KINDS, EventCounts
 from phm.reporters.metrics_page import build_page
 from phm.transport.scrape_server import ScrapeServer
 
-MISSING = (
-    "metrics.listen needs prometheus-client: pip install 'phm-sidecar[metrics]', or build the image with EXTRAS=metrics"
-)
+MISSING = "metrics.listen needs prometheus-client: pip install 'phm-sidecar[metrics]'"
 
 
 class MetricsReporter(Reporter):

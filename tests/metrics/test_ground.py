@@ -11,7 +11,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from phm.core.model import Level, Slot
 from phm.gcs import metrics_catalog
 from phm.gcs.events import GcsEvent
-from phm.gcs.metrics import GroundMetrics
+from phm.gcs.metrics import MAX_SERIES, GroundMetrics
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.testing import FakeClock
 from phm.wire.openmetrics import MetricsText
@@ -81,6 +81,22 @@ def test_every_metric_of_the_ground() -> None:
     assert values["phm_gcs_texts_total", (("severity", "critical"),)] == 1
     assert values["phm_gcs_answers_total", (("result", "denied"),)] == 1
     assert values["phm_gcs_commands_sent_total", ()] == 3
+
+
+def test_invented_agents_cost_no_more_than_the_limit() -> None:
+    """Any number of names may come and go; those that were known first are counted further."""
+    fleet = Fleet()
+    station = Station(fleet)
+    metrics = GroundMetrics(station, FakeClock())
+    lost = [
+        GcsEvent(fleet.clock.stamp(), "presence", {"name": f"A{number}", "presence": "lost"})
+        for number in (*range(MAX_SERIES + 10), 0)
+    ]
+    station.publish(*lost)
+    text = MetricsText(metrics.page).render("text/plain")[0].decode()
+    found = [line for line in text.splitlines() if line.startswith("phm_gcs_agent_gaps_total{")]
+    assert len(found) == MAX_SERIES
+    assert found[0] == 'phm_gcs_agent_gaps_total{agent="A0",presence="lost"} 2.0'
 
 
 def test_promtool_accepts_the_page() -> None:

@@ -40,6 +40,20 @@ def test_dependencies_run_again_before_an_error_is_published() -> None:
     assert bench.opened == ["topics"]
 
 
+def test_a_fault_says_how_long_its_confirmation_took() -> None:
+    """From the start of the first of its ERROR results in a row; a result between them that is not ERROR begins anew."""
+    bench = chain()
+    bench.all_well()
+    for seconds, result in ((1.0, BAD), (1.0, OK), (1.0, BAD), (0.25, BAD)):
+        bench.now += seconds
+        bench.see("topics", result)
+    bench.now += 0.25
+    bench.see("container", OK)
+    bench.see("nodes", OK)
+    (fault,) = bench.tracker.open_faults()
+    assert fault.confirmed_s == pytest.approx(0.5)
+
+
 def test_a_result_with_another_target_confirms_no_action_on_the_first() -> None:
     """The same condition and text, and nothing to act on: the fault follows the newest result."""
     bench = chain()
