@@ -59,14 +59,15 @@ class SerialPorts:
         return reader.fact()
 
     def close(self) -> None:
-        """Close all ports. Waits for their threads for a moment."""
+        """Close all ports. Waits CLOSE_S for their threads together; one that hangs in a driver ends with the process."""
         with self._lock:
             self._closed = True
             readers = list(self._readers.values())
         for reader in readers:
             reader.stop()
+        until_s = self._clock.mono() + CLOSE_S
         for reader in readers:
-            reader.join()
+            reader.join(until_s - self._clock.mono())
 
 
 class _Reader:
@@ -89,8 +90,8 @@ class _Reader:
     def stop(self) -> None:
         self._stopping.set()
 
-    def join(self) -> None:
-        threads.join(self._thread, CLOSE_S)
+    def join(self, timeout_s: float) -> None:
+        threads.join(self._thread, timeout_s)
 
     def fact(self) -> SerialFact:
         with self._lock:
