@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -231,7 +232,8 @@ class _Filler:
 def _fill_in(entries: Iterable[Entry]) -> list[Entry]:
     filler, last = _Filler(), 0.0
     for entry in entries:
-        filler.take(entry)
+        with suppress(KeyError, TypeError, ValueError, AttributeError):  # a damaged line
+            filler.take(entry)
         last = entry.at
     filler.end(last)
     return filler.found
