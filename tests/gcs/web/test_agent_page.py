@@ -127,8 +127,8 @@ def test_a_change_of_the_status_reaches_the_page(here: Written) -> None:
     live.close()
 
 
-def test_a_page_that_is_closed_is_no_error(here: Written, caplog: pytest.LogCaptureFixture) -> None:
-    """Browsers leave at any time: no traceback in the log."""
+def test_a_closed_page_logs_no_error(here: Written, caplog: pytest.LogCaptureFixture) -> None:
+    """A browser may leave at any time, without a traceback in the log."""
     for turn in range(20):
         live = Live(here.client)
         until(lambda: len(here.page.server.clients), "the client")
