@@ -41,7 +41,7 @@ def test_dependencies_run_again_before_an_error_is_published() -> None:
 
 
 def test_a_fault_says_how_long_its_confirmation_took() -> None:
-    """From the start of the first of its ERROR results in a row; a result between them that is not ERROR begins anew."""
+    """From the start of the first of its ERROR results in a row; after any other result it counts again from 0."""
     bench = chain()
     bench.all_well()
     for seconds, result in ((1.0, BAD), (1.0, OK), (1.0, BAD), (0.25, BAD)):
