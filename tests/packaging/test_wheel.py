@@ -106,6 +106,13 @@ def test_a_folder_is_made_from_the_wheel_alone(clean: Path, tmp_path: Path) -> N
     assert (tmp_path / "agent" / "compose.yaml").exists()
 
 
+def test_the_page_is_in_the_wheel(clean: Path) -> None:
+    """With its scripts, its styles and the plotting library with its licence."""
+    code = "from phm.gcs import web; import pathlib; root = pathlib.Path(web.__file__).parent / 'static'; print(*root.rglob('*.*'), sep='\\n')"
+    names = {Path(line).name for line in run(clean / "python", "-c", code, cwd=clean).splitlines()}
+    assert {"index.html", "main.js", "page.css", "icon.svg", "uPlot.esm.js", "uPlot.LICENSE.txt"} <= names
+
+
 def test_without_rclpy_everything_still_loads(clean: Path) -> None:
     """No part of PHM needs ROS to be imported: all checks are listed, none with a problem."""
     entries = json.loads(run(clean / "phm", "checks", "--json", cwd=clean))

@@ -11,7 +11,7 @@ from playwright.sync_api import Page
 from tests.gcs.web.browser.scene import ROOT, a_bad_day, chromium, fleet, ground, tab
 
 FOLDER = ROOT / "docs" / "pictures"
-WIDE, LOW = {"width": 1240, "height": 640}, {"width": 1100, "height": 560}
+DOCKED, WIDE, LOW = {"width": 1310, "height": 620}, {"width": 1240, "height": 640}, {"width": 1100, "height": 560}
 SETTLE_MS = 3000
 
 
@@ -32,7 +32,7 @@ def main(folder: Path) -> None:
             page.locator(".row[data-name=A11].r-lost").wait_for()
             page.wait_for_timeout(SETTLE_MS)
             _write(page, folder / "web-swarm.png")
-        with tab(browser, f"{station.url}#/agent/A07", viewport=WIDE, color_scheme="dark") as page:
+        with tab(browser, f"{station.url}#/agent/A07", viewport=DOCKED, color_scheme="dark") as page:
             page.locator(".path").wait_for()
             page.wait_for_timeout(SETTLE_MS)
             _write(page, folder / "web-agent.png")

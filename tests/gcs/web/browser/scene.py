@@ -128,14 +128,14 @@ class Fleet:
                     if number in self.armed:
                         vehicle.pilot(armed=self.armed[number])
                     if number in self.views:
-                        self.tell(number, self.views[number])
+                        self.send_tunnel(number, self.views[number])
                     if number == 1 and self.digest is not None:
-                        self.tell(number, self.digest)
+                        self.send_tunnel(number, self.digest)
 
     def say(self, number: int, words: str, severity: int = 2) -> None:
         self.vehicles[number].say(words, severity)
 
-    def tell(self, number: int, message: tunnel.TunnelMessage) -> None:
+    def send_tunnel(self, number: int, message: tunnel.TunnelMessage) -> None:
         payload = tunnel.encode(message)
         padded = payload.ljust(128, b"\0")
         self.vehicles[number].send(mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, len(payload), padded))

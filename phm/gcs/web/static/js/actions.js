@@ -10,21 +10,21 @@ import { clock } from "./words.js";
 const HOLD_MINUTES = [5, 10, 30, 60];
 const STATES = { sent: "sent, no answer yet", answered: "answered", timeout: "no answer" };
 const FRESH_S = 15;
-const told = new Map();
+const announced = new Map();
 
 export function startActions() {
   on("requests", () => {
-    for (const request of store.requests.values()) tellResult(request);
+    for (const request of store.requests.values()) announce(request);
   });
 }
 
 /** The sentence about a request, once for each of its states. */
-function tellResult(request) {
+function announce(request) {
   const state = `${request.state} ${request.accepted} ${request.late}`;
-  const before = told.get(request.id);
-  told.set(request.id, state);
+  const before = announced.get(request.id);
+  announced.set(request.id, state);
   if (before === state || request.state === "sent") return;
-  // What was answered before this page was opened is no news.
+  // What was answered before this page was opened is not new.
   if (before === undefined && request.done_utc_s < utcNow() - FRESH_S) return;
   toast(request.sentence || `${request.agent} ${request.text}: ${STATES[request.state]}`, request.accepted ? "ok" : "error");
 }
@@ -81,7 +81,7 @@ async function send(body) {
   if (store.link !== "live") return toast("Not sent: there is no connection to the server.", "error");
   try {
     const request = await postJson("api/requests", body);
-    if (!told.has(request.id)) told.set(request.id, `${request.state} ${request.accepted} ${request.late}`);
+    if (!announced.has(request.id)) announced.set(request.id, `${request.state} ${request.accepted} ${request.late}`);
     toast(request.sentence || `${request.agent} ${request.text}: sent`, "info");
   } catch (error) {
     toast(`${body.agent}: not sent: ${error.message}`, "error");

@@ -92,7 +92,7 @@ function update(names) {
 
 function flash() {
   document.body.classList.remove("flash");
-  // Begin the animation anew.
+  // Begin the animation again.
   void document.body.offsetWidth;
   document.body.classList.add("flash");
 }

@@ -60,12 +60,12 @@ export function byId(id) {
   return document.getElementById(id);
 }
 
-/** A button with a text that tells what it does. */
+/** A button with a text that says what it does. */
 export function button(text, click, attributes = {}) {
   return el("button", { type: "button", "data-focus": text, ...attributes, text, on: { click } });
 }
 
-/** Text that somebody else wrote: isolated, so that its direction does not change what stands beside it. */
+/** Text that somebody else wrote: isolated, so that its direction does not change what is beside it. */
 export function said(text, name = "") {
   return el("bdi", { class: `air ${name}`.trim(), text });
 }

@@ -14,6 +14,7 @@ let more = null;
 let note = null;
 let oldest = null;
 let loading = 0;
+let shown = new Set();
 
 export function startEvents() {
   list = el("ol", { class: "log", tabindex: "0", "aria-label": "Events, the newest first" });
@@ -80,15 +81,19 @@ async function load(before) {
   if (number !== loading) return;
   if (!before) found = withNewest(found, again);
   const lines = found.map((event) => eventLine(event, true));
+  shown = new Set([...(before ? shown : []), ...found.map(key)]);
   if (before) list.append(...lines);
   else list.replaceChildren(...lines);
   more.hidden = !again;
   if (!list.childElementCount) setText(note, "No event fits.");
 }
 
+function key(event) {
+  return `${event.utc_s} ${event.words}`;
+}
+
 /** The newest events are not in the history yet, which is written every few seconds. */
 function withNewest(found, again) {
-  const key = (event) => `${event.utc_s} ${event.words}`;
   const known = new Set(found.map(key));
   const from = again && found.length ? found.at(-1).utc_s : 0;
   const fresh = store.events.filter((event) => fits(event) && event.utc_s >= from && !known.has(key(event)));
@@ -96,7 +101,7 @@ function withNewest(found, again) {
 }
 
 function add(found) {
-  const fresh = found.filter(fits).slice(-MOST);
+  const fresh = found.filter((event) => fits(event) && !shown.has(key(event))).slice(-MOST);
   list.prepend(...fresh.reverse().map((event) => eventLine(event, true)));
   while (list.childElementCount > 2 * MOST) list.lastElementChild.remove();
   if (fresh.length) setText(note, "");

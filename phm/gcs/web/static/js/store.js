@@ -1,4 +1,4 @@
-// The state of the swarm as the server tells it, and who is told of changes. Changes are shown once per frame of the display.
+// The state of the swarm as the server sends it, and who is notified of changes. Changes are shown once per frame of the display.
 
 const MAX_EVENTS = 2000;
 
@@ -14,7 +14,7 @@ export function on(kind, watcher) {
   watchers[kind].push(watcher);
 }
 
-/** Seconds on the server's clock; null while there is no connection: no age can be told then. */
+/** Seconds on the server's clock; null while there is no connection: no age is known then. */
 export function now() {
   return counted(server.now);
 }
@@ -29,7 +29,7 @@ function counted(last) {
   return last + ((performance.now() - server.at) / 1000) * (store.ground.rate ?? 1);
 }
 
-/** Age in seconds of what happened at `at`; null: never, or it cannot be told. */
+/** Age in seconds of what happened at `at`; null: never, or it is not known. */
 export function ageOf(at) {
   const current = now();
   return at === null || at === undefined || current === null ? null : Math.max(0, current - at);
@@ -108,17 +108,17 @@ function flush() {
   asked = false;
   const changed = dirty;
   dirty = { rows: new Set(), ground: false, events: [], requests: false, link: false };
-  if (changed.link) tell("link");
-  if (changed.ground) tell("ground");
-  if (changed.rows.size) tell("rows", changed.rows);
-  if (changed.events.length) tell("events", changed.events);
-  if (changed.requests) tell("requests");
+  if (changed.link) notify("link");
+  if (changed.ground) notify("ground");
+  if (changed.rows.size) notify("rows", changed.rows);
+  if (changed.events.length) notify("events", changed.events);
+  if (changed.requests) notify("requests");
 }
 
-function tell(kind, value) {
+function notify(kind, value) {
   for (const watcher of watchers[kind]) watcher(value);
 }
 
 // Ages count up: those that show one look four times a second and change only what differs.
-setInterval(() => requestAnimationFrame(() => tell("tick")), 250);
+setInterval(() => requestAnimationFrame(() => notify("tick")), 250);
 document.addEventListener("visibilitychange", () => asked && flush());

@@ -1,4 +1,4 @@
-// The swarm's own view beside the ground's: what the leader's digest says, who receives whom, and where the two differ.
+// The swarm's own view beside the ground's: what the leader's digest says, which agents receive each other, and where the two differ.
 
 import { byId, el, render, said, setText } from "./dom.js";
 import { ageOf, on, store } from "./store.js";
@@ -86,7 +86,7 @@ function matrix(agents) {
   if (!seeing.length || agents.length > MATRIX_MOST) return [];
   const numbers = [...new Set(agents.map((agent) => agent.agent))].sort((left, right) => left - right);
   const name = (number) => `A${String(number).padStart(2, "0")}`;
-  return [el("h3", { text: "Who receives whom" }), el("table", { class: "matrix" }, el("caption", { text: "Rows: the agent that reports. Columns: the agent it reports about." }),
+  return [el("h3", { text: "Which agents receive each other" }), el("table", { class: "matrix" }, el("caption", { text: "Rows: the agent that reports. Columns: the agent it reports about." }),
     el("thead", {}, el("tr", {}, el("th", { scope: "col", text: "Agent" }), ...numbers.map((number) => el("th", { scope: "col", text: name(number) })))),
     el("tbody", {}, ...seeing.map((agent) => el("tr", {}, el("th", { scope: "row", text: agent.name }), ...numbers.map((number) => {
       const [mark, text] = MARKS[agent.view.peers[number]] ?? ["none", number === agent.agent ? "self" : "–"];
