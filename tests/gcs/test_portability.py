@@ -60,6 +60,9 @@ if PLATFORM == "win32":
     sys.meta_path.insert(0, Missing())
     selectors.DefaultSelector = selectors.SelectSelector
     keys = queue.SimpleQueue()
+    import ssl
+
+    ssl.enum_certificates = lambda store: []  # there since Python has an ssl module; aiohttp asks for it
     msvcrt = sys.modules["msvcrt"] = types.ModuleType("msvcrt")
     msvcrt.kbhit, msvcrt.getwch = lambda: not keys.empty(), keys.get_nowait
 for module, names in LACKS[PLATFORM].items():
