@@ -6,6 +6,7 @@ import contextlib
 import http.client
 import json
 import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -394,3 +395,12 @@ def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch)
         until(lambda: quick.state["ground"]["dropped"] == 1, "the count")
         assert [note["number"] for note in quick.of("note")] == list(range(1, number + 1))
         slow.close()
+
+
+@pytest.mark.parametrize("option", ["--web", "--serve"])
+def test_without_the_extra_it_says_what_to_install(option: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before anything is opened."""
+    monkeypatch.setitem(sys.modules, "aiohttp", None)
+    result = CliRunner().invoke(group, ["gcs", "udpin:127.0.0.1:14550", option, "0"])
+    assert result.exit_code == 1
+    assert result.output.startswith(f"Error: {option} needs aiohttp: install it with `pip install 'phm-sidecar[web]'`")
