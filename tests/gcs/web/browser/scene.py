@@ -55,18 +55,11 @@ class GroundProcess:
 
     def start(self) -> None:
         """Returns when the page is served."""
-        words = [
-            sys.executable,
-            "-m",
-            "phm.cli",
-            "gcs",
-            f"udpin:127.0.0.1:{self.mavlink}",
-            "--web",
-            f"127.0.0.1:{self.port}",
-        ]
-        history = ["--history", str(self._folder / "history.db")]
+        words = [sys.executable, "-m", "phm.cli", "gcs", "--web", f"127.0.0.1:{self.port}"]
+        if "--replay" not in self._options:
+            words += [f"udpin:127.0.0.1:{self.mavlink}", "--history", str(self._folder / "history.db")]
         self._process = subprocess.Popen(
-            [*words, *history, *self._options], cwd=ROOT, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log,
+            [*words, *self._options], cwd=ROOT, stdin=subprocess.DEVNULL, stdout=self._log, stderr=self._log,
             env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'checks'}", "HOME": str(self._folder)},
         )  # fmt: skip
         until(self._serves, "the page", lambda: (self._folder / "gcs.log").read_text()[-2000:])

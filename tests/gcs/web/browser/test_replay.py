@@ -1,0 +1,30 @@
+"""A recorded flight on the same page, with its controls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from tests.fakes.until import until
+from tests.gcs.web.browser.scene import fleet, ground, tab
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_record_is_shown_on_the_same_page(browser: Browser, tmp_path: Path) -> None:
+    """The head has the moment of the flight and its speed, and the record is played to its end."""
+    record = tmp_path / "flight.jsonl"
+    with ground(tmp_path, "--record", str(record)) as station, fleet(station.mavlink, [1, 2], 0.5) as agents:
+        until(lambda: record.exists() and record.read_text().count('"slots"') >= 2, "the record")
+        agents.say(2, "A02 FAIL 11111011 6 planner dead")
+        until(lambda: "planner dead" in record.read_text(), "the line in the record")
+    folder = tmp_path / "replay"
+    folder.mkdir()
+    with ground(folder, "--replay", str(record)) as station, tab(browser, station.url) as page:
+        bar = page.get_by_role("region", name="Replay")
+        expect(bar).to_be_visible()
+        bar.get_by_label("Speed").select_option("4")
+        expect(bar.get_by_role("slider")).to_be_enabled()
+        expect(page.locator(".row[data-name=A02] .line")).to_contain_text("planner dead")
