@@ -105,8 +105,12 @@ class CompressedFiles(RotatedFiles):
                 break
         if not numbers:
             return None
-        for suffix in ("", COMPRESSED):
-            self._shift([f"{self._path}.{number}{suffix}" for number in numbers])
+        self._drop_duplicates()
+        # Number by number: were the uncompressed files moved first, SIGKILL in between would leave two different files with
+        # the same number, and the compressed copy of one would replace the other.
+        for older, newer in zip(numbers[:0:-1], numbers[-2::-1], strict=True):
+            for suffix in ("", COMPRESSED):
+                self._shift([f"{self._path}.{number}{suffix}" for number in (newer, older)])
         return f"{self._path}.{numbers[0]}"
 
     def prune(self) -> None:
@@ -160,11 +164,14 @@ class CompressedFiles(RotatedFiles):
                 _remove(os.path.join(directory, name))
 
     def _remove_duplicates(self) -> None:
-        """After a crash: a file and its complete copy."""
         with self.lock:
-            for path in self._newest_first():
-                if os.path.lexists(path + COMPRESSED):
-                    _remove(path)
+            self._drop_duplicates()
+
+    def _drop_duplicates(self) -> None:
+        """After a crash: a file and its complete copy."""
+        for path in self._newest_first():
+            if os.path.lexists(path + COMPRESSED):
+                _remove(path)
 
     def _compress(self, path: str) -> None:
         with open(path, "rb") as source:

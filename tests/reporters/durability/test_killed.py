@@ -1,0 +1,53 @@
+"""SIGKILL at any moment takes no event that the log has accepted; rotations and compressions are always at work here."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.reporters.durability._writer import Writer, events, numbers
+
+TIMES = int(os.environ.get("PHM_KILLS", "100"))
+"""With rotations every 60 events. `PHM_KILLS=1000` in the environment makes it a long test."""
+
+
+def killed(directory: Path, run: int, draw: random.Random, **sizes: int) -> Writer:
+    """A writer that was killed at a random moment, after its first event."""
+    made = Writer(directory, run, **sizes)
+    made.until(lambda: made.written > 0)
+    time.sleep(draw.uniform(0.0, 0.03))
+    made.kill()
+    return made
+
+
+def test_no_accepted_event_is_lost(tmp_path: Path) -> None:
+    """All runs write into the same files, as restarts of PHM do; `seq` has no gap, and nothing is there twice."""
+    draw = random.Random(17)
+    for run in range(1, TIMES + 1):
+        # All files together hold more than one run writes, so none of it is removed before it is compared.
+        made = killed(tmp_path, run, draw, max_size=20_000, files=100)
+        found = events(tmp_path, run)
+        assert found == list(range(1, len(found) + 1)), f"run {run}"
+        # The last event may be in the file before its number was in the pipe.
+        assert made.written <= len(found) <= made.written + 1, f"run {run}"
+        seqs = numbers(tmp_path, run)
+        assert seqs == list(range(1, len(seqs) + 1)), f"run {run}"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_compression_that_is_interrupted_loses_nothing(tmp_path: Path, seed: int) -> None:
+    """The next start completes or repeats it, and leaves no temporary file."""
+    draw = random.Random(seed)
+    for run in (1, 2, 3):
+        made = killed(tmp_path, run, draw, max_size=20_000, files=100)
+        assert len(events(tmp_path, run)) >= made.written
+    assert events(tmp_path, 1)[0] == 1
+    last = Writer(tmp_path, 4, max_size=20_000, files=100)
+    last.until(lambda: last.written > 200)
+    last.kill()
+    left = [path for path in tmp_path.iterdir() if path.name.endswith(".tmp") and str(last.pid) not in path.name]
+    assert left == []
