@@ -91,9 +91,7 @@ class WithRequests(click.Command):
 @click.option(
     "--speed",
     type=click.FloatRange(0.1, 1000),
-    default=1.0,
-    show_default=True,
-    help="Speed of --replay; the page can change it.",
+    help="Speed of --replay; the page can change it.  [default: 1]",
 )
 @click.option(
     "--edit",
@@ -136,7 +134,7 @@ def command(
     behind_proxy: bool,
     history: str | None,
     replay: str | None,
-    speed: float,
+    speed: float | None,
     edit: tuple[str, ...],
     as_json: bool,
     once: bool,
@@ -165,8 +163,10 @@ def command(
                 "--replay shows a record: it cannot be used with a URL, --record, --once and --json."
             )
         with _ending() as stop:
-            show_record(replay, speed, choice, lambda: clock.wait(stop, seconds))
+            show_record(replay, speed or 1.0, choice, lambda: clock.wait(stop, seconds))
         return
+    if speed is not None:
+        raise click.UsageError("--speed is for --replay.")
     choice.check()
     clock.measure()
     station = make_station(link_settings(urls, baud, key, unsigned), system, clock, expect, silent=silent, pilot=pilot)

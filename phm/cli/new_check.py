@@ -89,5 +89,4 @@ def _shown(folder: Path) -> str:
 
 
 def _fail(text: str) -> NoReturn:
-    click.echo(f"phm new-check: {text}", err=True)
-    raise click.exceptions.Exit(1)
+    raise click.ClickException(text)

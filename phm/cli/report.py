@@ -78,6 +78,8 @@ def _build(paths: tuple[str, ...], flight: int | None, dataset: str | None = Non
     from phm.review import document, record
 
     merged = record.build(_read(paths))
+    if not merged.agents and not merged.grounds:
+        raise click.ClickException(_nothing_read(paths, merged))
     try:
         made = document.build(merged, flight)
     except document.NoFlight as error:
@@ -85,6 +87,13 @@ def _build(paths: tuple[str, ...], flight: int | None, dataset: str | None = Non
     if dataset is not None:
         made["dataset"] = _add(merged, dataset)
     return made
+
+
+def _nothing_read(paths: tuple[str, ...], merged: Record) -> str:
+    """Why files with the right names are no record: a report of nothing would read as if nothing had failed."""
+    problems = merged.part.problems.found.items()
+    found = [f"{path}{f':{line}' if line else ''}: {what}" for (what, path), (_, line) in problems]
+    return f"no line of a record in {', '.join(paths)}: {'; '.join(found[:3]) or 'the files are empty'}"
 
 
 def _add(merged: Record, dataset: str) -> dict[str, Any]:
@@ -128,7 +137,7 @@ def _need(modules: tuple[str, ...]) -> None:
     missing = [module for module in modules if find_spec(module) is None]
     if missing:
         raise click.ClickException(
-            f"{', '.join(missing)} not installed: install PHM with its extra, phm-sidecar[report]"
+            f"phm report needs {', '.join(missing)}: install with `pip install 'phm-sidecar[report]'` (docs/reference/report.md)"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -89,4 +90,9 @@ def listening(option: str, where: tuple[str, int], make: Callable[[], S]) -> S:
         return make()
     except OSError as error:
         reason = (error.strerror or str(error)).partition(" (while ")[0]
-        raise click.ClickException(f"{option} {where[0]}:{where[1]}: {reason}") from None
+        remedy = (
+            f": another program listens there, choose another port with {option}"
+            if error.errno == errno.EADDRINUSE
+            else ""
+        )
+        raise click.ClickException(f"{option} {where[0]}:{where[1]}: {reason}{remedy}") from None

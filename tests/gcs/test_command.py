@@ -210,7 +210,11 @@ def test_a_port_in_use_is_one_sentence(tmp_path: Path) -> None:
         port = server.getsockname()[1]
         serving = run(f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}", "--serve", str(port))
         _, errors = serving.communicate(timeout=60)
-        assert (serving.returncode, errors) == (1, f"Error: --serve 127.0.0.1:{port}: Address already in use\n")
+        assert (serving.returncode, errors) == (
+            1,
+            f"Error: --serve 127.0.0.1:{port}: Address already in use: another program listens there, choose another port "
+            "with --serve\n",
+        )
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,20 @@ def test_what_is_wrong_is_said_in_a_sentence(
     assert text in result.output
 
 
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [(b"", "the files are empty"), (b"garbage\n", "phm.jsonl:1: not JSON"), (b'{"a": 1}\n', "no line of a record")],
+)
+def test_a_file_without_a_line_of_a_record_is_no_flight_without_faults(tmp_path: Path, data: bytes, text: str) -> None:
+    """It is an error in every output: nothing read must not look like nothing failed."""
+    (tmp_path / "phm.jsonl").write_bytes(data)
+    for words in ([], ["--json"], ["--html", tmp_path / "page.html"], ["--parquet", tmp_path / "set"]):
+        result = phm(tmp_path, *words)
+        assert (result.exit_code, result.stdout) == (1, "")
+        assert "no line of a record in" in result.stderr and text in result.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["phm.jsonl"]
+
+
 def test_an_unknown_flight_is_an_error_that_lists_the_known_ones(tmp_path: Path) -> None:
     """So that the next call is right."""
     one_flight(tmp_path).close()
@@ -94,4 +108,4 @@ def test_a_missing_package_is_named_with_the_extra(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("phm.cli.report.find_spec", lambda name: None if name == "duckdb" else object())
     result = phm(tmp_path, "--parquet", tmp_path / "set")
     assert result.exit_code == 1
-    assert "duckdb not installed: install PHM with its extra, phm-sidecar[report]" in result.output
+    assert "phm report needs duckdb: install with `pip install 'phm-sidecar[report]'`" in result.output

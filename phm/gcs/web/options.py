@@ -98,6 +98,11 @@ def tls_context(cert: str | None, key: str | None) -> ssl.SSLContext | None:
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
         context.load_cert_chain(cert, key, password=_no_password)
+    except ssl.SSLError as error:
+        raise OptionError(
+            f"--tls-cert {cert}, --tls-key {key}: expected a certificate and its private key, both in PEM format "
+            f"({error.reason or error})"
+        ) from None
     except (OSError, ValueError) as error:
         raise OptionError(f"--tls-cert {cert}, --tls-key {key}: {error}") from None
     return context
@@ -114,7 +119,7 @@ def _private(path: str) -> str:
             mode = os.fstat(stream.fileno()).st_mode
             data = stream.read(MAX_FILE + 1)
     except OSError as error:
-        raise OptionError(f"{path}: {error.strerror or error}") from None
+        raise OptionError(f"--token-file {path}: {error.strerror or error}") from None
     if not stat.S_ISREG(mode) or len(data) > MAX_FILE:
         raise OptionError(f"{path}: not a file of at most {MAX_FILE} bytes")
     if os.name == "posix" and mode & (stat.S_IRWXG | stat.S_IRWXO):

@@ -74,7 +74,9 @@ class WebServer:
 
     def about(self) -> str:
         """Its address and its clients."""
-        return f"page at {self.url} for {len(self.clients)}, {self.clients.dropped} dropped as too slow"
+        count, dropped = len(self.clients), self.clients.dropped
+        lost = f", {dropped} disconnected because they did not read" if dropped else ""
+        return f"page at {self.url}, {count} {'client' if count == 1 else 'clients'}{lost}"
 
     def send_live(self, number: int, data: bytes) -> None:
         """From any thread: a message for the page."""

@@ -181,6 +181,7 @@ def test_damaged_lines_are_skipped(tmp_path: Path) -> None:
         (("--replay", "/none", "--web", "0", "--once"), "cannot be used with"),
         (("--replay", "/none", "--web", "0", "--serve", "0"), "cannot be used with"),
         (("--replay", "/none", "--web", "0.0.0.0:0"), "add --token-file"),
+        (("--web", "0", "--speed", "10"), "--speed is for --replay"),
     ],
 )
 def test_a_mistake_is_explained(arguments: tuple[str, ...], words: str) -> None:
