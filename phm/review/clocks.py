@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import statistics
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from phm.review.ground_part import GroundRun
@@ -22,6 +22,14 @@ WINDOW_S = 2.5
 """Votes for one offset differ at most by this: an autopilot's heartbeat comes once a second, a line may wait for the radio."""
 OWN_ERROR_S = 1.0
 """Is added to half of the spread of the votes, because all of them may be late."""
+WIDTH_HEARD_S, HEARD_ERROR_S = 0.6, 0.2
+"""The same for heartbeats that two agents received: they differ by delays of the links only."""
+REFERENCE = "reference of the other agents"
+LEAST_HEARD = 5
+"""Fewer heartbeats could agree by chance."""
+SHARE_HEARD, MOST_OTHER = 0.5, 0.8
+"""Of the frames that both can have received at least this share must agree. And another offset may have at most this share of the
+votes: numbers that come again at even intervals fit several offsets."""
 MOST_EACH = 60
 """Observations of one kind that are compared."""
 WORDS = {"FAIL": "ERROR", "WARN": "WARN"}
@@ -93,19 +101,75 @@ def align(run: Run, grounds: Sequence[tuple[GroundRun, Clock]]) -> Clock:
     return clock
 
 
-def vote(differences: Sequence[float]) -> tuple[float, float, int] | None:
-    """(offset, error, number of votes); None when there is none, or two offsets have as many votes."""
+def align_together(runs: Sequence[tuple[Run, Clock]]) -> None:
+    """Compare the runs that the ground does not place with those that it does, else with the longest one.
+
+    By heartbeats that both have received: a frame has a number from 0 to 255, so the same number comes again and again, and the
+    right offset is the one at which most of them agree.
+    """
+    placed = [one for one in runs if one[1].offset_s is not None]
+    open_ones = [one for one in runs if one[1].offset_s is None and one[0].heard]
+    chosen = None
+    if not placed and open_ones:
+        chosen = max(open_ones, key=lambda one: _end(one[0].cover.spans) - _begin(one[0].cover.spans))
+        placed = [chosen]
+    for run, clock in open_ones:
+        if any(run is other for other, _ in placed):
+            continue
+        agreed = vote(list(_heard_by_both(run, clock, placed)), WIDTH_HEARD_S, HEARD_ERROR_S, most_other=MOST_OTHER)
+        if agreed is None or agreed[2] < max(LEAST_HEARD, SHARE_HEARD * _expected(run, clock, placed, agreed[0])):
+            continue
+        clock.offset_s, clock.error_s, clock.votes = agreed
+        clock.by = "heartbeats that another agent received, too"
+        clock.applied = abs(agreed[0]) > agreed[1]
+        if clock.applied:
+            clock.shift += agreed[0]
+        if chosen is not None:
+            chosen[1].by = REFERENCE
+
+
+def _expected(run: Run, clock: Clock, placed: Sequence[tuple[Run, Clock]], offset_s: float) -> int:
+    """How many frames both can have received at most if that is the offset: the fewer of those that each received meanwhile."""
+
+    def count(times: list[float], others: list[float]) -> int:
+        return sum(others[0] <= at <= others[-1] for at in times) if others else 0
+
+    mine = sorted(clock.t(at) + offset_s for times in run.heard.values() for at in times)
+    found = 0
+    for other, its in placed:
+        theirs = sorted(its.t(at) for times in other.heard.values() for at in times)
+        found = max(found, min(count(mine, theirs), count(theirs, mine)))
+    return found
+
+
+def _heard_by_both(run: Run, clock: Clock, placed: Sequence[tuple[Run, Clock]]) -> Iterator[float]:
+    """Of each frame number that both have, all differences of its times."""
+    for other, its in placed:
+        for frame, mine in run.heard.items():
+            for theirs in other.heard.get(frame, ())[:MOST_EACH]:
+                for own in mine[:MOST_EACH]:
+                    yield its.t(theirs) - clock.t(own)
+
+
+def vote(
+    differences: Sequence[float], window_s: float = WINDOW_S, error_s: float = OWN_ERROR_S, most_other: float = 0.999
+) -> tuple[float, float, int] | None:
+    """(offset, error, number of votes); None when there is none, or another offset has nearly as many votes.
+
+    window_s: votes for one offset differ at most by this. error_s: is added to half of their spread. most_other: what share of its
+    votes another offset may have.
+    """
     ordered = sorted(differences)
     if not ordered:
         return None
-    ranges = [(bisect_right(ordered, first + WINDOW_S), place) for place, first in enumerate(ordered)]
+    ranges = [(bisect_right(ordered, first + window_s), place) for place, first in enumerate(ordered)]
     end, begin = max(ranges, key=lambda one: one[0] - one[1])
     chosen = ordered[begin:end]
     for other_end, other in ranges:
-        apart = ordered[other] > chosen[-1] + WINDOW_S or ordered[other_end - 1] < chosen[0] - WINDOW_S
-        if apart and other_end - other == len(chosen):
+        apart = ordered[other] > chosen[-1] + window_s or ordered[other_end - 1] < chosen[0] - window_s
+        if apart and other_end - other > most_other * len(chosen):
             return None
-    return statistics.median(chosen), (chosen[-1] - chosen[0]) / 2 + OWN_ERROR_S, len(chosen)
+    return statistics.median(chosen), (chosen[-1] - chosen[0]) / 2 + error_s, len(chosen)
 
 
 def continue_by_autopilot(before: tuple[Run, Clock], run: Run, clock: Clock) -> None:

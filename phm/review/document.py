@@ -6,6 +6,7 @@ from typing import Any
 
 from phm import __version__
 from phm.review import availability, check_rates, fault_list, levels, sentences, table2
+from phm.review.clocks import REFERENCE
 from phm.review.flights import Flight, flights
 from phm.review.record import Agent, Record
 from phm.review.spans import clipped, total, without
@@ -17,8 +18,8 @@ MOST_POINTS = 150_000
 MARGIN_S = 2.0
 """A flight is shown with so much before and after it."""
 NO_GROUND = (
-    "no record of the ground (`phm gcs --record`) is among the files, so each agent's times are by its own clock and may be wrong "
-    "by as much as that clock: a log contains no heartbeat of another agent by which two logs could be compared"
+    "no record of the ground (`phm gcs --record`) is among the files, so times are by the agents' own clocks and may be wrong by as "
+    "much as these; agents that received the same heartbeats are compared with each other"
 )
 
 
@@ -207,8 +208,9 @@ def _clocks(record: Record) -> Json:
                     "steps": [[round(clock.t(mono), 3), round(step, 3)] for mono, step in clock.steps][:50],
                 }
             )
+    chosen = (agent.name for agent in record.agents for _, clock in agent.runs if clock.by == REFERENCE)
     return {
-        "reference": "ground" if record.grounds else "each agent",
+        "reference": "ground" if record.grounds else next(chosen, "each agent"),
         "missing": "" if record.grounds else NO_GROUND,
         "runs": rows,
     }

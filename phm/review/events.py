@@ -61,6 +61,7 @@ class Event(msgspec.Struct, gc=False):
     interval_s: float = 0.0
     took_s: float = 0.0
     lines: int = 0
+    frames: list[tuple[int, int, int, float]] = []
     # of the ground alone
     name: str | None = ""
     system: int | None = None

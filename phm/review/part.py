@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from phm.review.events import Event, numbers
+from phm.review.events import LATEST_S, Event, numbers
 from phm.review.ground_part import GroundRun
 from phm.review.lines import Problems
 from phm.review.run import MOST_SERIES, Change, Mark, Run
@@ -17,6 +17,7 @@ MOST_EVENTS = 200_000
 """Of one run and kind; more are counted and left out."""
 STEP_S = 0.2
 """A change of the difference between the two clocks of this size is a step."""
+MOST_FRAMES = 1000
 PLOTTED = (
     "cpu_percent",
     "memory_percent",
@@ -178,6 +179,13 @@ class Part:
     def _start(self, run: Run, event: Event) -> None:
         run.version, run.interval_s, run.started = event.version[:40], event.interval_s, event.mono
 
+    def _heard(self, run: Run, event: Event) -> None:
+        for system, component, number, mono in event.frames[:MOST_FRAMES]:
+            if len(run.heard) < MOST_EVENTS and 0.0 <= mono < LATEST_S:
+                times = run.heard.setdefault((system, component, number), [])
+                if len(times) < MOST_FRAMES:
+                    times.append(mono)
+
     def _mark(self, run: Run, event: Event) -> None:
         if len(run.marks) >= MOST_EVENTS:
             run.left_out += 1
@@ -245,4 +253,5 @@ _HANDLERS: dict[str, Callable[[Part, Run, Event], None]] = {
     "hold": Part._mark,
     "note": Part._mark,
     "lost": Part._mark,
+    "heard": Part._heard,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from phm.review.clocks import Clock, align, continue_by_autopilot, ground_clock
+from phm.review.clocks import Clock, align, align_together, continue_by_autopilot, ground_clock
 from phm.review.ground_part import GroundRun
 from phm.review.part import Part
 from phm.review.run import Change, Mark, Run
@@ -66,6 +66,7 @@ def build(part: Part) -> Record:
         agents.setdefault((run.agent, run.agent_id), Agent(run.agent, run.agent_id)).runs.append(
             (run, align(run, grounds))
         )
+    align_together([one for agent in agents.values() for one in agent.runs])
     names = [name for name, _ in agents]
     for (name, number), agent in agents.items():
         agent.name = name or f"agent {number}"

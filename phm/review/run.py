@@ -73,6 +73,8 @@ class Run:
     """By number of reboots: how often, least and largest of mono minus the autopilot's time since boot."""
     armed: list[tuple[float, bool]] = field(default_factory=list)
     """(mono, whether the autopilot was armed), when a line of its check says something new: for logs without flights."""
+    heard: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
+    """When which frames were received, by system, component and frame number: monotonic seconds."""
     series: dict[str, Series] = field(default_factory=dict)
 
     def merge(self, other: Run) -> None:
@@ -103,6 +105,8 @@ class Run:
         for number, seen in other.boots.items():
             had = self.boots.setdefault(number, seen)
             self.boots[number] = [had[0] + seen[0], min(had[1], seen[1]), max(had[2], seen[2])]
+        for frame, times in other.heard.items():
+            self.heard[frame] = sorted({*self.heard.get(frame, []), *times})
         for name, series in other.series.items():
             if name in self.series:
                 self.series[name].merge(series)

@@ -5,10 +5,14 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import phm
 from phm.core.model import ActionEvent, HoldChanged, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
 from phm.core.settings import LogSettings, Settings
+from phm.reporters.base import MavlinkSender
+from phm.reporters.heard_heartbeats import WRITE_S
 from phm.reporters.log import LogReporter
 from phm.reporters.rotating_file import FIRST_RETRY_S, RING_LINES
 from phm.reporters.text_log_format import NOTE_KINDS
@@ -35,7 +39,9 @@ def written(directory: Path) -> dict[str, set[str]]:
     clock = FakeClock()
     (directory / "logs").write_text("in the way")
     settings = Settings(log=LogSettings(directory=str(directory / "logs")), state_dir=str(directory / "state"))
-    log = LogReporter.build(replace(context(settings, clock=clock), armed=lambda: True))
+    listeners: list[Any] = []
+    links = cast(MavlinkSender, SimpleNamespace(listen=lambda callback, ids: listeners.append(callback)))
+    log = LogReporter.build(replace(context(settings, clock=clock), armed=lambda: True, mavlink=links))
     for _ in range(RING_LINES):
         log.handle(Note(at(), "PHM", "x"))
     (directory / "logs").unlink()
@@ -46,6 +52,9 @@ def written(directory: Path) -> dict[str, set[str]]:
     report = Report(at(), 1, at(), (UNIT,))
     for event in (ReportStarted(at(), 1), transition(UNIT), opened(UNIT), act, end, hold, report):
         log.handle(event)
+    frame = SimpleNamespace(get_srcSystem=lambda: 255, get_srcComponent=lambda: 190, get_seq=lambda: 8)
+    listeners[0](frame, "ground")
+    clock.advance(WRITE_S)
     log.tick()
     log.close()
     LogReporter.build(context(Settings(log=LogSettings(directory=str(directory / "logs")))))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 from phm.core.model import (
     ActionEvent,
@@ -27,6 +28,7 @@ from phm.core.model import (
 )
 from phm.core.settings import AgentSettings, LogSettings, Settings
 from phm.gcs.events import GcsEvent, encode
+from phm.reporters.base import MavlinkSender
 from phm.reporters.log import LogReporter
 from phm.review import document, gather, record
 from phm.testing import FakeClock
@@ -64,7 +66,13 @@ class Flown:
             log=LogSettings(directory=str(folder)),
             state_dir=str(folder / "state"),
         )
-        made = replace(context(settings, clock=self.clock), armed=lambda: self.armed, boot_id=boot)
+        self._listeners: list[Callable[[Any, str], None]] = []
+        made = replace(
+            context(settings, clock=self.clock),
+            armed=lambda: self.armed,
+            boot_id=boot,
+            mavlink=cast(MavlinkSender, SimpleNamespace(listen=lambda callback, ids: self._listeners.append(callback))),
+        )
         self.prefix = f"{boot[-4:]}-"
         self.log = LogReporter.build(made)
         for state in self.states.values():
@@ -84,6 +92,14 @@ class Flown:
     def arm(self, armed: bool) -> None:
         self.armed = armed
         self.log.tick()
+
+    def hear(self, system: int, component: int, number: int) -> None:
+        """A heartbeat that arrives now."""
+        frame = SimpleNamespace(
+            get_srcSystem=lambda: system, get_srcComponent=lambda: component, get_seq=lambda: number
+        )
+        for listener in self._listeners:
+            listener(frame, "ground")
 
     def note(self, text: str) -> None:
         self.log.handle(Note(self.at, "NOTE", text))

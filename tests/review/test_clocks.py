@@ -91,3 +91,61 @@ def test_the_offset_is_where_most_votes_agree() -> None:
 def test_a_clock_without_lines_is_the_monotonic_one() -> None:
     """There is nothing to derive UTC from."""
     assert own_clock([], 0.0).shift == 0.0
+
+
+class Sender:
+    """A ground station whose heartbeats several agents receive, with other frames in between."""
+
+    def __init__(self, *agents: Flown, seed: int = 3, steps: tuple[int, ...] = (1, 1, 1, 2, 3)) -> None:
+        """steps: by how much frame numbers rise between two heartbeats."""
+        self.agents, self.number, self.steps = agents, 0, steps
+        self.draw = random.Random(seed)
+
+    def until(self, seconds: float) -> None:
+        """One heartbeat a second, received after a short delay of each agent's link."""
+        while min(agent.now for agent in self.agents) < seconds:
+            for agent in self.agents:
+                agent.until(agent.now + 1.0, every=20.0)
+                if self.draw.random() > 0.1:
+                    agent.hear(255, 190, self.number % 256)
+                agent.log.tick()
+            self.number += self.draw.choice(self.steps)
+
+
+@pytest.mark.parametrize("wrong_s", [-3600.0, -3.0, 86_400.0])
+def test_agents_are_compared_by_the_heartbeats_that_both_received(tmp_path: Path, wrong_s: float) -> None:
+    """Without a record of the ground; one in ten frames is lost on each link."""
+    first = Flown(tmp_path / "a", 1, wrong_s=0.0)
+    second = Flown(tmp_path / "b", 2, wrong_s=wrong_s, mono=7000.0)
+    sky = Sender(first, second)
+    sky.until(1200)
+    second.fail("nodes/node_1", lasts=1.0)
+    failed_s = second.now - 1.0
+    first.until(1300)
+    for agent in sky.agents:
+        agent.close()
+    made = report(tmp_path)
+    assert made["clocks"]["reference"] == "agent_1"
+    clock = made["clocks"]["runs"][1]
+    assert clock["by"] == "heartbeats that another agent received, too" and clock["applied"]
+    assert clock["offset_s"] == pytest.approx(-wrong_s, abs=clock["error_s"]) and clock["error_s"] < 0.6
+    assert made["faults"][0]["opened"] == pytest.approx(T0 + failed_s, abs=clock["error_s"])
+
+
+def test_agents_that_received_nothing_in_common_keep_their_own_clocks(tmp_path: Path) -> None:
+    """Two flights with the same ground station, at different times: no number is invented."""
+    for number in (1, 2):
+        made = Flown(tmp_path / str(number), number, wrong_s=100.0 * number)
+        Sender(made, seed=number).until(1200)
+        made.close()
+    clocks = report(tmp_path)["clocks"]
+    assert clocks["reference"] == "each agent" and [run["offset_s"] for run in clocks["runs"]] == [None, None]
+
+
+def test_numbers_that_come_again_at_even_intervals_decide_nothing(tmp_path: Path) -> None:
+    """A ground station that sends heartbeats alone fits an offset of 256 s nearly as well as the right one."""
+    agents = [Flown(tmp_path / str(number), number, wrong_s=1000.0 * number) for number in (1, 2)]
+    Sender(*agents, steps=(1,)).until(3000)
+    for agent in agents:
+        agent.close()
+    assert [run["offset_s"] for run in report(tmp_path)["clocks"]["runs"]] == [None, None]
