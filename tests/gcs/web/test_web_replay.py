@@ -15,6 +15,7 @@ from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
 from phm.gcs.events import GcsEvent, encode
 from phm.gcs.web.options import ListenOptions
+from phm.gcs.web.replay import record as record_module
 from phm.gcs.web.replay.page import ReplayPage
 from phm.gcs.web.replay.record import RecordError, load
 from tests.fakes.until import until
@@ -171,6 +172,84 @@ def test_damaged_lines_are_skipped(tmp_path: Path) -> None:
     for name, words in (("none.jsonl", "no line of"), ("missing.jsonl", "no such file")):
         with pytest.raises(RecordError, match=words):
             load(tmp_path / name)
+
+
+def test_no_line_of_a_record_stops_the_page(tmp_path: Path) -> None:
+    """Numbers that JSON does not have, half characters, and values out of range: the rest is shown, and a jump succeeds."""
+    path = tmp_path / "flight.jsonl"
+    flight(path)
+    lines = path.read_bytes().splitlines()
+    head = json.loads(lines[3])
+    text = {
+        **head,
+        "event": "text",
+        "system": 7,
+        "component": 193,
+        "severity": 2,
+        "text": "A07 FAIL 2 x y",
+        "phm": True,
+    }
+    wrong = [
+        {**head, "event": "start", "system": 254, "component": "x"},
+        {**head, "event": "slots", "name": "A07", "word": float("inf"), "state": "active"},
+        {**head, "event": "digest", "name": "A07", "members": 10**9, "alive": 1, "levels": {"7": "OK"}},
+        {**head, "event": "presence", "name": "A08", "presence": "lost", "silent_s": "inf"},
+        {**head, "event": "presence", "name": "A08", "presence": "lost", "silent_s": -1e300},
+        {**head, "event": "lost", "lines": float("nan")},
+        {**head, "event": "presence", "name": "\ud800", "presence": "alive"},
+        {**text, "seq": "x", "repeat": False, "kind": "change"},
+        {**text, "mono": 1e11},
+    ]
+    lines[4:4] = [json.dumps(line).encode() for line in wrong]
+    path.write_bytes(b"\n".join(lines))
+    record = load(path)
+    assert record.end == pytest.approx(120, abs=3)
+    made = ReplayPage(record, ListenOptions(port=0), SystemClock(), speed=0.1)
+    try:
+        made.start()
+        until(lambda: served(made), "the page")
+        client = Client(made.address)
+        client.session()
+        client.post("/api/replay", {"do": "seek", "utc": record.utc(record.end)})
+        assert client.get("/api/state")["agents"]["A07"]["how"] == "OK"
+        until(lambda: client.get("/api/history/events?q=exited")["events"], "the events")
+        assert not client.get("/api/state")["ground"]["history"]["problem"]
+    finally:
+        made.close()
+
+
+def test_a_record_of_too_many_heartbeats_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small file must not fill the memory: what is filled in between its lines is counted."""
+    monkeypatch.setattr(record_module, "MAX_LINES", 5000)
+    path = tmp_path / "flight.jsonl"
+    path.write_text(
+        "".join(
+            json.dumps(
+                {"run": "r", "seq": one, "utc_s": 1e9 + at, "mono": at, "event": "slots"}
+                | {"name": f"A{one % 9 + 1}", "word": 1, "state": "4"}
+            )
+            + "\n"
+            for one, at in enumerate(range(0, 20_000, 1000))
+        )
+    )
+    with pytest.raises(RecordError, match="more than 5000 heartbeats"):
+        load(path)
+
+
+def test_levels_have_a_series(client: Client, live: Live) -> None:
+    """Up to the moment that is shown; heartbeat gaps are not made up."""
+    seek(client, live, 45)
+    assert [one["kind"] for one in client.get("/api/history/kinds?agent=A07")["kinds"]] == ["level"]
+
+    def levels(name: str) -> list[float]:
+        points = client.get(f"/api/history/series?agent={name}&kind=level")["points"]
+        return [value for _, value, _ in points if value is not None]
+
+    until(lambda: levels("A07")[-1:] == [3.0], "the failure")
+    assert levels("A07")[0] == 1.0
+    seek(client, live, 118)
+    assert levels("A07")[-1] == 1.0
+    assert levels("A08")[-1] == 0.0
 
 
 @pytest.mark.parametrize(

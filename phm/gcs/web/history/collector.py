@@ -40,34 +40,41 @@ class Collector:
     def frame(self, received: Received) -> None:
         frame, at = received.frame, received.at
         if isinstance(frame, RadioStatus):
-            for kind in RADIO:
-                value = getattr(frame, kind)
-                self._store.put(Sample(f"link:{received.link}"[:100], kind, at.utc, value))
+            self.radio(frame, received.link, at.utc)
             return
         self._count(frame.system, at.mono, at.utc)
         if isinstance(frame, Heartbeat) and received.of_agent:
             self._beat(frame, at.mono, at.utc)
-        elif isinstance(frame, ComputerStatus) and _name(frame.system, frame.component) in self._heard:
+        elif isinstance(frame, ComputerStatus) and sender_name(frame.system, frame.component) in self._heard:
             for kind, value in frame.values().items():
-                self._store.put(Sample(_name(frame.system, frame.component), kind, at.utc, float(value)))
+                self._store.put(Sample(sender_name(frame.system, frame.component), kind, at.utc, float(value)))
 
     def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None:
         if not _repeats(line):
             body = dumps(line)
             values = (line["utc_s"], line["who"], GRADES.index(line["grade"]), line["event"], line["words"], body)
             self._store.put(Row(EVENT, values))
-        if line["event"] == "presence" and line["presence"] != "alive":
-            self._store.put(Sample(line["name"], "level", line["utc_s"], 0.0))
-            self._levels.pop(line["name"], None)
+        self.presence(line)
         for fault in self._book.take(line):
             body = json.dumps(fault.json())
             self._store.put(Row(FAULT, (fault.key, fault.who, fault.at, float(line["utc_s"]), int(fault.open), body)))
+
+    def radio(self, frame: RadioStatus, link: str, utc: float) -> None:
+        """What the ground's own radio says of a link."""
+        for kind in RADIO:
+            self._store.put(Sample(f"link:{link}"[:100], kind, utc, getattr(frame, kind)))
+
+    def presence(self, line: Mapping[str, Any]) -> None:
+        """An agent that is not there has no level."""
+        if line["event"] == "presence" and line["presence"] != "alive":
+            self._store.put(Sample(line["name"], "level", line["utc_s"], 0.0))
+            self._levels.pop(line["name"], None)
 
     def turn(self, now: float) -> None:
         """Nothing is due without a frame."""
 
     def _beat(self, beat: Heartbeat, mono: float, utc: float) -> None:
-        name = _name(beat.system, beat.component)
+        name = sender_name(beat.system, beat.component)
         if name not in self._heard and len(self._heard) >= MAX_SENDERS:
             return
         self._agents.setdefault(beat.system, set()).add(name)
@@ -75,8 +82,12 @@ class Collector:
         if gap_s > COPY_S:
             self._store.put(Sample(name, "gap", utc, round(gap_s, 3)))
         self._heard[name] = mono
+        self.level(name, beat.custom_mode, mono, utc)
+
+    def level(self, name: str, word: int, mono: float, utc: float) -> None:
+        """An agent's status word."""
         try:
-            levels = status_word.decode(beat.custom_mode).values()
+            levels = status_word.decode(word).values()
         except ValueError:
             return
         level = max((LEVELS.get(one, 0) for one in levels), default=0)
@@ -99,7 +110,8 @@ class Collector:
         self._frames, self._rate_from = dict.fromkeys(self._frames, 0), (mono, utc)
 
 
-def _name(system: int, component: int) -> str:
+def sender_name(system: int, component: int) -> str:
+    """As the ground calls the agent."""
     return agent_name(system) if component == PHM_COMPONENT else f"{agent_name(system)}/{component}"
 
 

@@ -5,22 +5,26 @@ from __future__ import annotations
 from typing import Any
 
 from phm.core.clock import Clock
+from phm.gcs.frames import NO_AUTOPILOT, POWEROFF, Heartbeat, RadioStatus
 from phm.gcs.web import events
 from phm.gcs.web.alarms import AlarmBook
 from phm.gcs.web.events import GRADES
 from phm.gcs.web.feed import StationFeed
+from phm.gcs.web.history.collector import Collector, sender_name
 from phm.gcs.web.history.faults import FaultBook
 from phm.gcs.web.history.reader import HistoryReader
 from phm.gcs.web.history.store import EVENT, FAULT, HistoryStore, Row
 from phm.gcs.web.options import ListenOptions
 from phm.gcs.web.replay.player import Player
-from phm.gcs.web.replay.record import Record
+from phm.gcs.web.replay.record import Entry, Record
 from phm.gcs.web.server import WebServer
 from phm.gcs.web.site import Site
 from phm.gcs.web.view import View, dumps
 
 NO_REQUESTS = "a record is replayed: there is no agent to ask"
 WRITE_LIMIT_S = 60.0
+SAMPLES = 1000
+"""A line has fewer samples."""
 
 
 class ReplayPage:
@@ -75,15 +79,19 @@ class ReplayPage:
         self._store.close()
 
     def _remember(self) -> None:
-        """The history of the whole record; queries end at the time that is shown."""
+        """The history of the whole record; queries end at the time that is shown. Of the series only those that a record has:
+        levels, and the ground's own radios."""
         book = FaultBook()
+        series = Collector(self._store, book)
         for entry in self._record.entries:
+            self._samples(series, entry)
             if entry.line is None or entry.line["event"] == "snapshot":
                 continue
             try:
                 line = events.from_line({**entry.line, "mono": entry.at})
                 faults = book.take(line)
-            except (KeyError, TypeError, ValueError):
+                series.presence(line)
+            except (KeyError, TypeError, ValueError, OverflowError):
                 continue
             if not line.get("repeat"):
                 values = (line["utc_s"], line["who"], GRADES.index(line["grade"]), line["event"], line["words"])
@@ -91,11 +99,23 @@ class ReplayPage:
             for one in faults:
                 self._put(Row(FAULT, (one.key, one.who, one.at, one.at, int(one.open), dumps(one.json()))))
 
+    def _samples(self, series: Collector, entry: Entry) -> None:
+        self._make_room()
+        utc = self._record.utc(entry.at)
+        for frame, link in entry.frames:
+            if isinstance(frame, RadioStatus):
+                series.radio(frame, link, utc)
+            elif isinstance(frame, Heartbeat) and frame.state != POWEROFF and frame.autopilot == NO_AUTOPILOT:
+                series.level(sender_name(frame.system, frame.component), frame.custom_mode, entry.at, utc)
+
     def _put(self, row: Row) -> None:
-        """Wait where the disk is slower than the reader: nothing of a record is to be dropped."""
-        if self._store.waiting >= self._store.room:
-            self._store.flush(WRITE_LIMIT_S)
+        self._make_room()
         self._store.put(row)
+
+    def _make_room(self) -> None:
+        """Wait where the disk is slower than the reader: nothing of a record is to be dropped."""
+        if self._store.waiting + SAMPLES >= self._store.room:
+            self._store.flush(WRITE_LIMIT_S)
 
     def _ground(self) -> dict[str, Any]:
         return {**self.player.state(), "history": {"problem": self._store.problem()}}

@@ -6,7 +6,9 @@ its events until it was lost, so that presence and ages are right; series of hea
 
 from __future__ import annotations
 
+import json
 import re
+import struct
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -24,11 +26,19 @@ Json = Mapping[str, Any]
 Ids = tuple[int, int]
 """MAVLink system and component."""
 MAX_LINES = 2_000_000
+"""Also of the heartbeats that are filled in: 2 million need about 0.5 GB."""
 MAX_FILLED = 200_000
 """Heartbeats in a row of one sender."""
+LATEST_S = 1e10
+"""No moment of a record is later: UTC seconds of the year 2286."""
+MAX_SEQ, MAX_RADIOS = 2**53, 64
 PERIOD_S, SHORTEST_S = 2.0, 0.5
 BETWEEN_RUNS_S = 1.0
 _NAME = re.compile(r"A0*([1-9][0-9]{0,2})(?:/([0-9]{1,3}))?")
+
+
+_DAMAGED = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, struct.error)
+"""What reading a damaged line, or one of another version, raises."""
 
 
 class RecordError(Exception):
@@ -91,31 +101,48 @@ def load(path: str | Path) -> Record:
             run, at = str(line["run"]), entries[-1].at + BETWEEN_RUNS_S if entries else 0.0
             zero = line["mono"] - at
             runs.append(Run(at, float(line["utc_s"])))
-        if line["event"] == "start" and isinstance(line.get("system"), int):
-            ids = (line["system"], int(line.get("component", 190)))
+        if line["event"] == "start":
+            ids = _own(line) or ids
         last = entries[-1].at if entries else 0.0
         entry = Entry(max(last, line["mono"] - zero), line)
         try:
             _fill(entry, line)
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-            continue  # a line of another version, or damaged
+        except _DAMAGED:
+            continue
         entries.append(entry)
         if len(entries) > MAX_LINES:
             raise RecordError(f"{path}: more than {MAX_LINES} lines; split it")
     if not entries:
         raise RecordError(f"{path}: no line of `phm gcs --record` is in it")
-    entries += _fill_in(entries)
+    entries += _fill_in(entries, path)
     entries.sort(key=lambda entry: entry.at)
     return Record(tuple(entries), tuple(entry.at for entry in entries), tuple(runs), ids)
 
 
 def _sound(line: Json) -> bool:
-    numbers = (line.get("mono"), line.get("utc_s"))
-    return (
+    """Whether it is a line of a record, and can be written as JSON again: no NaN, no half of a surrogate pair."""
+    numbers, seq = (line.get("mono"), line.get("utc_s")), line.get("seq", 0)
+    if not (
         isinstance(line.get("event"), str)
         and isinstance(line.get("run"), str)
-        and all(isinstance(one, (int, float)) and abs(one) < 1e12 for one in numbers)
-    )
+        and all(isinstance(one, (int, float)) and 0 <= one < LATEST_S for one in numbers)
+        and isinstance(seq, int)
+        and 0 <= seq < MAX_SEQ
+    ):
+        return False
+    try:
+        json.dumps(line, ensure_ascii=False, allow_nan=False).encode("utf-8")
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+def _own(line: Json) -> Ids | None:
+    """The ids of the ground station in the first line of a run."""
+    system, component = line.get("system"), line.get("component", 190)
+    if isinstance(system, int) and isinstance(component, int) and 0 < system < 256 and 0 < component < 256:
+        return system, component
+    return None
 
 
 def _fill(entry: Entry, line: Json) -> None:
@@ -142,7 +169,8 @@ def _fill(entry: Entry, line: Json) -> None:
         case "link":
             entry.links = (str(line["link"]), bool(line["open"]), str(line["error"]))
         case "snapshot":
-            entry.frames += [(_radio(radio), str(radio["link"])) for radio in line["radios"] if radio["age_s"] < 60]
+            radios = list(line["radios"])[:MAX_RADIOS]
+            entry.frames += [(_radio(radio), str(radio["link"])) for radio in radios if radio["age_s"] < 60]
 
 
 def _ids(name: object) -> Ids:
@@ -169,7 +197,7 @@ def _tunnel(name: object, message: TunnelMessage) -> TunnelPayload:
 
 def _radio(radio: Json) -> RadioStatus:
     rssi, remrssi, noise, remnoise = (radio[key] for key in ("rssi", "remrssi", "noise", "remnoise"))
-    return RadioStatus(51, 68, rssi, remrssi, noise, remnoise, int(radio["txbuf"]))
+    return RadioStatus(51, 68, *map(int, (rssi, remrssi, noise, remnoise, radio["txbuf"])))
 
 
 # ---------------------------------------------------------------- heartbeats
@@ -178,8 +206,9 @@ def _radio(radio: Json) -> RadioStatus:
 class _Filler:
     """Fills in the heartbeats that changed nothing: repeated until the next one, the loss or the end of the run."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: str | Path) -> None:
         self.found: list[Entry] = []
+        self._path = path
         self._open: dict[Ids, tuple[float, Frame, str]] = {}
         """The last heartbeat of each sender, while it is there, and its link."""
         self._known: dict[Ids, tuple[Frame, str]] = {}
@@ -201,7 +230,8 @@ class _Filler:
             if isinstance(frame, Heartbeat):
                 self._next(frame, link, entry.at)
         for key in _lost(line):
-            self._fill(key, entry.at - float(line.get("silent_s") or line.get("age_s") or 0.0), inclusive=True)
+            silent_s = max(0.0, float(line.get("silent_s") or line.get("age_s") or 0.0))
+            self._fill(key, entry.at - silent_s, inclusive=True)
 
     def end(self, at: float) -> None:
         """No more heartbeats from here on."""
@@ -225,14 +255,17 @@ class _Filler:
         for number in range(1, int(min((end - at) / period_s, MAX_FILLED)) + 1):
             if at + number * period_s < end:
                 self.found.append(Entry(at + number * period_s, None, [(frame, link)]))
+        if len(self.found) > MAX_LINES:
+            raise RecordError(f"{self._path}: it is of more than {MAX_LINES} heartbeats; split it")
         if inclusive and end > at:
             self.found.append(Entry(end, None, [(frame, link)]))
 
 
-def _fill_in(entries: Iterable[Entry]) -> list[Entry]:
-    filler, last = _Filler(), 0.0
+def _fill_in(entries: Iterable[Entry], path: str | Path) -> list[Entry]:
+    """Raises RecordError."""
+    filler, last = _Filler(path), 0.0
     for entry in entries:
-        with suppress(KeyError, TypeError, ValueError, AttributeError):  # a damaged line
+        with suppress(*_DAMAGED):
             filler.take(entry)
         last = entry.at
     filler.end(last)
