@@ -19,9 +19,16 @@ class Ahead:
     LOOKS = 12
 
     def __init__(
-        self, horizon_s: float, confidence_percent: float, *, window_s: float = WINDOW_S, least_s: float = LEAST_S
+        self,
+        horizon_s: float,
+        confidence_percent: float,
+        *,
+        window_s: float = WINDOW_S,
+        least_s: float = LEAST_S,
+        falls: bool = False,
     ) -> None:
-        """horizon_s: how far ahead to look; 0: never."""
+        """horizon_s: how far ahead to look; 0: never. falls: the limit is one to fall below, else one to rise above."""
+        self._falls = falls
         self._horizon_s, self._percent, self._every_s = horizon_s, confidence_percent, least_s / self.LOOKS
         self._trend = api.Trend(window_s, least_s=least_s, confidence=confidence_percent / 100)
         self._looked_s = float("-inf")
@@ -58,8 +65,8 @@ class Ahead:
         return f"in {shown_s / 60:.0f} min" if shown_s >= 90 else f"in {shown_s:.0f} s"
 
     def _reported(self, found: api.Forecast | None) -> api.Forecast | None:
-        if found is None:
-            return None
+        if found is None or (found.slope < 0.0) is not self._falls:
+            return None  # also where a value returns through its limit
         share = STAY if self._soon is not None else 1.0
         near = found.likely_s <= share * self._horizon_s and found.latest_s <= share * UNSURE * self._horizon_s
         return found if near else None

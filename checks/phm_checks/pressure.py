@@ -80,14 +80,17 @@ class Pressure(PerContainer):
     def _judge(
         self, world: api.World, fact: api.PressureFact, over: PressureDelta, newest: PressureDelta
     ) -> api.Result:
+        memory = self._judge_memory(fact, over, newest, world.clock.mono())
         findings = [
             finding
             for finding in (
                 self._judge_limit(fact, over, newest),
-                self._judge_memory(fact, over, newest, world.clock.mono()) or self._judge_growth(fact),
+                memory,
                 self._judge_io(newest),
                 self._judge_pids(fact, over),
                 self._judge_waiting(world, over, newest),
+                # Last: a forecast explains no symptom, and must not take the place of what does.
+                self._judge_growth(fact) if memory is None else None,
             )
             if finding is not None
         ]

@@ -34,7 +34,7 @@ class Radio(api.Check):
         self._age, self._margin = StableNumber(share=1.0), StableNumber(share=0.5)
         self._was: frozenset[str] = frozenset()
         trends = settings.trends
-        self._fading = Ahead(trends.radio, trends.confidence, window_s=FADE_WINDOW_S, least_s=FADE_LEAST_S)
+        self._fading = Ahead(trends.radio, trends.confidence, window_s=FADE_WINDOW_S, least_s=FADE_LEAST_S, falls=True)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:

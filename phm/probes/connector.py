@@ -67,15 +67,16 @@ class Connector:
         """A connected socket that the deadline interrupts. Raises NotConnected, or CannotTell if PHM is the cause."""
         problem = ""
         for family, address in self._addresses(host, port, call):
-            connection = socket.socket(family, socket.SOCK_STREAM)
+            connection = None
             try:
+                connection = socket.socket(family, socket.SOCK_STREAM)
                 connection.settimeout(call.left_s)
                 call.pending.attach(connection)
                 connection.connect(address)
             except OSError as error:
-                connection.close()
-                if error.errno in _OURS:
-                    raise CannotTell(f"PHM cannot connect to {host}: {os.strerror(error.errno)}") from error
+                if connection is not None:
+                    connection.close()
+                demand_not_ours(error, host)
                 timed_out = isinstance(error, TimeoutError) or call.pending.expired
                 problem = f"no answer within {call.pending.limit_s:g} s" if timed_out else _reason(error)
                 if timed_out:
@@ -96,6 +97,12 @@ class Connector:
         except (OSError, UnicodeError) as error:
             raise CannotTell(f"the name {host} cannot be looked up: {error}") from error
         return [(entry[0], entry[4]) for entry in found[:MOST_ADDRESSES]]
+
+
+def demand_not_ours(error: OSError, host: str) -> None:
+    """Raises CannotTell if the error says nothing about the server, e.g. that PHM has no free file descriptor."""
+    if error.errno in _OURS:
+        raise CannotTell(f"PHM cannot connect to {host}: {os.strerror(error.errno or 0)}") from error
 
 
 def _reason(error: OSError) -> str:

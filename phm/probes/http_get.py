@@ -8,7 +8,7 @@ import ssl
 from urllib.parse import urlsplit
 
 from phm.facts import HttpFact
-from phm.probes.connector import Connector, NotConnected, TimedCall
+from phm.probes.connector import Connector, NotConnected, TimedCall, demand_not_ours
 
 BODY_BYTES = 64 << 10
 """More of a body is not read."""
@@ -31,6 +31,8 @@ def get(connector: Connector, url: str, *, timeout_s: float, verify_tls: bool) -
         except ssl.SSLCertVerificationError as error:
             return HttpFact(f"its certificate is not valid: {error.verify_message}", call.took_s)
         except (OSError, http.client.HTTPException, ValueError) as error:
+            if isinstance(error, OSError):
+                demand_not_ours(error, host)
             if call.pending.expired or isinstance(error, TimeoutError):
                 return HttpFact(f"no answer within {timeout_s:g} s", call.took_s)
             return HttpFact(f"no valid answer: {str(error) or type(error).__name__}", call.took_s)

@@ -59,7 +59,7 @@ def _read(file: str, load: Callable[..., Settings], *, links: bool) -> Configura
         used = settings if links else _without_links(settings)
         built.update(_build(file, used, installed))
         judged = built
-        if used is not settings and any(entry.needs for entry in settings.checks.values()):
+        if used is not settings and any(entry.needs for entry in (*settings.checks.values(), *settings.custom)):
             judged = _build(file, settings, installed)  # a need may name a unit of a link
         units = {name: _units(instances) for name, instances in judged.items()}
         known = {unit.id for units_of_check in units.values() for unit in units_of_check}

@@ -136,6 +136,36 @@ def test_a_restarted_container_is_observed_from_its_start() -> None:
     assert results[119].level is api.Level.WARN and results[121].level is api.Level.OK
 
 
+def test_a_shortage_of_now_has_priority_over_a_forecast() -> None:
+    """A forecast explains no other fault, so it must not take the place of one that does."""
+    (check,) = Pressure.build(testing.settings(containers=[{"name": "ros_app"}]))
+    clock, probe = testing.FakeClock(), testing.FakePressure()
+    for second in range(150):
+        fact = api.PressureFact(
+            clock.mono(),
+            "cgroup v2",
+            "a",
+            without_cache_bytes=100 * MIB + second * MIB // 2,
+            memory_limit=256 * MIB,
+            pids=95 if second > 140 else 5,
+            pids_limit=100,
+        )
+        probe.put("ros_app", fact)
+        result = check.run(testing.world(clock=clock, pressure=probe))
+        clock.advance(1.0)
+    assert isinstance(result, api.Result)
+    assert (result.level, result.condition) == (api.Level.WARN, "pids_limit")
+    assert "memory limit of 256 MB in" in result.summary, "both are said"
+
+
+def test_a_value_that_falls_through_its_limit_is_not_a_forecast() -> None:
+    """Memory that was above its limit, and is given back: the limit lies ahead of the falling trend, too."""
+    results = Machine().watch(
+        "host/memory", 203, lambda second: {"memory_percent": 99.0 - 0.01 * second if second < 200 else 50.0}
+    )
+    assert {result.level for result in results[200:]} == {api.Level.OK}
+
+
 def test_a_radio_that_loses_margin_is_reported_before_it_is_weak() -> None:
     """The pilot can turn back while commands still arrive."""
     endpoint = {"url": "/dev/ttyUSB0", "name": "ground"}

@@ -67,3 +67,15 @@ def test_names_are_unique_over_all_types() -> None:
     assert refused(f"  - {{{TCP}}}\n{web}") == [
         "phm.yaml:6: custom[1].name: check 'ssh' is defined twice, first in line 5: keep one"
     ]
+
+
+def test_needs_of_each_other_are_named_with_their_line() -> None:
+    """A longer way round is a cycle, too; it is reported once, at its first need."""
+    ways = "".join(
+        f"  - {{name: {name}, type: tcp, host: x, port: 7, needs: [custom/{need}]}}\n"
+        for name, need in (("a", "b"), ("b", "c"), ("c", "a"), ("d", "a"))
+    )
+    (found,) = refused(ways)
+    assert found.startswith(
+        "phm.yaml:5: custom[0].needs[0]: dependency cycle: custom/a -> custom/b -> custom/c -> custom/a"
+    )

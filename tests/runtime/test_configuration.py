@@ -98,3 +98,14 @@ def test_run_and_reload_read_and_build_once(
     result = CliRunner().invoke(group, ["run", "-c", str(file)])
     assert result.exit_code == 0, result.output
     assert seen == [ONCE, Counter({"file": 1, "graph": built, "checks": built * ONCE["checks"]})]
+
+
+def test_own_checks_may_need_a_link_also_where_no_link_is_opened(file: Path) -> None:
+    """`phm once` accepts what `phm validate` accepts."""
+    entry = {"name": "camera", "type": "tcp", "host": "127.0.0.1", "port": 9, "timeout": 1}
+    document = json.loads(file.read_text())
+    document["mavlink"]["endpoints"][0]["name"] = "ground"
+    file.write_text(json.dumps({**document, "custom": [{**entry, "needs": ["link/ground"]}]}))
+    for verb in ("validate", "once"):
+        result = CliRunner().invoke(group, [verb, "-c", str(file)])
+        assert result.exit_code in (0, 1), result.output

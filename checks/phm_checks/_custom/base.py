@@ -63,7 +63,7 @@ class CustomCheck(api.Check):
     @property
     def units(self) -> Sequence[api.Unit]:
         target = self._acts_on or self.container
-        needs = (f"container/{target}",) if target else ()
+        needs = tuple(f"container/{key}" for key in dict.fromkeys((target, self.container)) if key)
         return (api.Unit(f"{self.name}/{self.subject}", (*needs, *self.entry.needs), target, grace_s=self.entry.grace),)
 
     @property

@@ -19,6 +19,7 @@ class Log(CustomCheck):
             self.failures = 1  # the line is there; a second look finds nothing new
         self._found: dict[int, tuple[float, int, str]] = {}
         """By number of the pattern: when it was last found (monotonic seconds), how often since it was quiet, the newest line."""
+        self._generation = ""
 
     def look(self, world: api.World) -> Finding:
         entry = self.entry
@@ -34,6 +35,8 @@ class Log(CustomCheck):
         for number, (count, line) in enumerate(zip(fact.counts, fact.last, strict=True)):
             if count:
                 self._found[number] = (now, count + self._found.get(number, (0.0, 0, ""))[1], line)
+        if self._restarted(world):
+            self._found.clear()
         values: dict[str, api.Value] = {"lines": fact.lines}
         if fact.skipped:
             values["skipped_bytes"] = fact.skipped
@@ -45,3 +48,17 @@ class Log(CustomCheck):
         pattern = entry.patterns[number].pattern
         text = f"{pattern[:80]!r} found, expected not within {span(entry.quiet)}; newest line: {line[:200]}"
         return Finding(level, text, "log match", {**values, "matches": count})
+
+    def _restarted(self, world: api.World) -> bool:
+        """Whether the container that recovery acts on was started since the last run. What was found until now is of its former
+        run: it must not let the restart fail, or cause another one."""
+        if not self._acts_on:
+            return False
+        try:
+            fact = world.docker.container(self._acts_on)
+        except api.CannotTell:
+            return False
+        if fact is None or not fact.running:
+            return False
+        before, self._generation = self._generation, fact.generation
+        return before not in ("", fact.generation)

@@ -23,6 +23,7 @@ from phm.config.rules.custom import (
     custom_keys_fit,
     custom_names_are_unique,
     custom_needs_are_units,
+    custom_needs_have_no_loop,
     custom_patterns_compile,
 )
 from phm.config.rules.custom_values import (
@@ -95,6 +96,7 @@ RULES: tuple[Callable[[ConfigNode], None], ...] = (
     custom_services_have_one_type,
     own_topics_are_not_custom,
     custom_keys_fit,
+    custom_needs_have_no_loop,
     fleet_has_endpoints,
     fleet_modes_match,
     fleet_certificates_are_used,

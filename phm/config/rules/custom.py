@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from phm.config.node import ConfigNode
 from phm.config.problems import shown, unknown
-from phm.config.rules.common import configured, container_key, in_order, report_duplicates
+from phm.config.rules.common import configured, container_key, in_order, report_duplicates, shortest_path
 from phm.core.settings import CustomBase, RecoverySettings, Seconds
 
 PATTERNS = ("body",)
@@ -63,6 +63,24 @@ def custom_keys_fit(root: ConfigNode) -> None:
             entry.get("equals").add_problem("is never used without 'json_field': add it or remove this")
         elif kind == "process" and entry.get("max_count").given:
             in_order(entry.get("min_count"), entry.get("max_count"), int, (1, 1))
+
+
+def custom_needs_have_no_loop(root: ConfigNode) -> None:
+    """Own checks must not need each other. Each cycle is reported once, at the first need of it."""
+    written = [
+        (f"custom/{entry.get('name').text}", place)
+        for entry in root.get("custom").records()
+        for place in entry.get("needs").texts
+    ]
+    graph: dict[str, set[str]] = {}
+    for own, place in written:
+        graph.setdefault(own, set()).add(place.text)
+    reported: set[frozenset[str]] = set()
+    for own, place in written:
+        way = shortest_path(graph, place.text, own)
+        if way is not None and place.text != own and frozenset(way) not in reported:
+            reported.add(frozenset(way))
+            place.add_problem(f"dependency cycle: {' -> '.join([own, *way])} (remove one of these needs)")
 
 
 def custom_needs_are_units(root: ConfigNode, units: Iterable[str]) -> None:

@@ -194,3 +194,38 @@ def test_a_log_line_is_text() -> None:
     logs.lines["x"] = ["ERROR \x1b[2J" + "y" * 5000]
     result = run(build(type="log", path="/a", patterns=[{"pattern": "ERROR"}]), logs=logs)
     assert result.summary.isprintable() and len(result.summary) < 400
+
+
+def test_a_restart_of_the_container_that_recovery_acts_on_ends_a_failure_of_its_log() -> None:
+    """The line is of the former run: PHM would restart the container again for it. A line of the new run counts."""
+    clock, logs, docker = testing.FakeClock(), testing.FakeLogs(), testing.FakeDocker(testing.container("app"))
+    settings = testing.settings(
+        containers=[{"name": "app", "recover": True}],
+        custom=[{"name": "x", "type": "log", "container": "app", "patterns": [{"pattern": "FATAL"}],
+                 "recovery": {"container": "app"}}],
+    )  # fmt: skip
+    (check,) = Custom.build(settings)
+
+    def look(*lines: str) -> api.Level:
+        clock.advance(10)
+        logs.lines["x"] = list(lines)
+        return run(check, clock=clock, logs=logs, docker=docker).level
+
+    assert [look(), look("FATAL"), look()] == [OK, ERROR, ERROR]
+    docker.change("app", status="exited")
+    assert look("FATAL while it stops") is ERROR
+    docker.change("app", status="running", started_at="later")
+    assert look("FATAL while it stops") is OK
+    assert [look(), look("FATAL"), look()] == [OK, ERROR, ERROR]
+
+
+def test_a_check_needs_the_container_it_looks_into_and_the_one_that_recovery_restarts() -> None:
+    """A container that is down is one fault, and no reason to restart another."""
+    settings = testing.settings(
+        containers=[{"name": "app"}, {"name": "router", "recover": True}],
+        custom=[{"name": "x", "type": "command", "command": ["check"], "container": "app",
+                 "recovery": {"container": "router"}}],
+    )  # fmt: skip
+    (check,) = Custom.build(settings)
+    (unit,) = check.units
+    assert (unit.needs, unit.target) == (("container/router", "container/app"), "router")

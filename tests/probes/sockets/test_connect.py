@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import resource
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -102,3 +104,23 @@ def test_after_the_end_nothing_is_connected() -> None:
     sockets.close()
     with pytest.raises(CannotTell, match="PHM is stopping"):
         sockets.connect("127.0.0.1", 1, timeout_s=30)
+
+
+def test_a_lack_of_file_descriptors_is_not_a_failure_of_the_server(sockets: Sockets, serve: Serve) -> None:
+    """PHM's own shortage must not restart the container behind the server."""
+    port = serve(lambda connection: connection.recv(1))
+    calls: tuple[Callable[[], object], ...] = (
+        lambda: sockets.connect("127.0.0.1", port, timeout_s=5),
+        lambda: sockets.get(f"http://127.0.0.1:{port}/", timeout_s=5),
+    )
+    assert sockets.connect("127.0.0.1", 1, timeout_s=5).problem, "its threads run now"
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    lowest = os.dup(0)
+    os.close(lowest)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest, before[1]))
+    try:
+        for call in calls:
+            with pytest.raises(CannotTell, match="Too many open files"):
+                call()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
