@@ -15,7 +15,7 @@ import click
 
 from phm.cli.gcs_options import check_ports, link_options, link_settings, make_station
 from phm.cli.gcs_requests import REQUESTS
-from phm.cli.gcs_web import Part, WebChoice, make_parts, show_record
+from phm.cli.gcs_web import GroundPart, WebChoice, make_parts, show_record
 from phm.cli.web_options import address, web_options
 from phm.core import threads
 from phm.core.signals import Signals
@@ -218,7 +218,7 @@ def _patient(stop: threading.Event) -> Callable[[str], None]:
 
 
 @contextmanager
-def _running(station: GroundStation, parts: Sequence[Part]) -> Iterator[None]:
+def _running(station: GroundStation, parts: Sequence[GroundPart]) -> Iterator[None]:
     for part in parts:
         part.start()
     station.start()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from phm.gcs.station import GroundStation
 
 
-class Part(Protocol):
+class GroundPart(Protocol):
     """A part of `phm gcs` with a thread of its own. about: a note for the operator, empty for none."""
 
     def start(self) -> None: ...
@@ -65,9 +65,9 @@ class WebChoice:
                 require_aiohttp(option)
 
 
-def make_parts(choice: WebChoice, station: GroundStation, clock: Clock) -> list[Part]:
+def make_parts(choice: WebChoice, station: GroundStation, clock: Clock) -> list[GroundPart]:
     """The servers that are wanted, not yet started. Raises ClickException."""
-    found: list[Part] = []
+    found: list[GroundPart] = []
     if choice.serve is not None:
         found.append(_stream(choice, choice.serve, station, clock))
     if choice.web is not None:
@@ -102,7 +102,7 @@ def show_record(record: str, speed: float, choice: WebChoice, wait: Callable[[],
         page.close()
 
 
-def _stream(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> Part:
+def _stream(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> GroundPart:
     from phm.gcs.web import stream
 
     options = listen_options(
@@ -113,7 +113,7 @@ def _stream(choice: WebChoice, where: tuple[str, int], station: GroundStation, c
     return server
 
 
-def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> Part:
+def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> GroundPart:
     from phm.gcs.web.config_editor import ConfigEditor
     from phm.gcs.web.page import GroundPage
     from phm.gcs.web.routes import checks

@@ -25,7 +25,7 @@ _THERE = (PresenceState.ALIVE.value, PresenceState.LATE.value)
 _RADIO_SIDES = (("rssi", "noise", "local"), ("remrssi", "remnoise", "remote"))
 
 
-class Station(Protocol):
+class MeasuredStation(Protocol):
     """The part of `phm.gcs.station.GroundStation` that is read here."""
 
     commands_sent: int
@@ -63,7 +63,7 @@ class _Counts(SubscriberQueue):
 class GroundMetrics:
     """Counts from its construction on."""
 
-    def __init__(self, station: Station, clock: Clock) -> None:
+    def __init__(self, station: MeasuredStation, clock: Clock) -> None:
         self._station, self._counts = station, _Counts(clock)
         station.subscribe(self._counts)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phm.review.levels import RANK, Segment, of_agent, seconds
-from phm.review.record import Agent
+from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 KINDS = {
@@ -22,7 +22,7 @@ KINDS = {
 MOST_ROWS = 400
 
 
-def rows(agent: Agent, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
+def rows(agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
     """One row for each layer, container, node and topic of the agent, and one for the agent (`kind` agent)."""
     about = {unit: body for run, _ in agent.runs for unit, body in run.units.items()}
     groups: dict[tuple[str, str], list[Sequence[Segment]]] = {("agent", agent.name): list(units.values())}
@@ -41,7 +41,9 @@ def rows(agent: Agent, units: Mapping[str, Sequence[Segment]], begin: float, end
     ]
 
 
-def _row(agent: Agent, kind: str, name: str, segments: Sequence[Segment], begin: float, end: float) -> Json | None:
+def _row(
+    agent: AgentRecord, kind: str, name: str, segments: Sequence[Segment], begin: float, end: float
+) -> Json | None:
     spent = seconds(segments, begin, end)
     if not spent:
         return None
@@ -59,7 +61,7 @@ def _row(agent: Agent, kind: str, name: str, segments: Sequence[Segment], begin:
     }
 
 
-def unknown(agent: Agent, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
+def unknown(agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
     """Units that were STALE, the longest first: blocked by a known fault, or not known at all."""
     blocked: dict[str, list[tuple[float, str]]] = {}
     for t, change in agent.changes:

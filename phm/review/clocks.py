@@ -37,7 +37,7 @@ Observed = dict[tuple[object, ...], list[float]]
 
 
 @dataclass
-class Clock:
+class RunClock:
     """How the monotonic clock of a run becomes UTC: `t = mono + shift`.
 
     offset_s: what was added to the run's own UTC to get the reference's; None: unknown. error_s: how wrong that may be. by: what
@@ -56,10 +56,10 @@ class Clock:
         return mono + self.shift
 
 
-def own_clock(clock: Sequence[tuple[float, float]], end: float) -> Clock:
+def own_clock(clock: Sequence[tuple[float, float]], end: float) -> RunClock:
     """By the run's own UTC: of the differences of its two clocks the one that held longest. clock: as in `Run.clock`."""
     if not clock:
-        return Clock(0.0)
+        return RunClock(0.0)
     held: list[tuple[float, float, float]] = []
     for place, (mono, difference) in enumerate(clock):
         until = clock[place + 1][0] if place + 1 < len(clock) else max(end, mono)
@@ -67,14 +67,14 @@ def own_clock(clock: Sequence[tuple[float, float]], end: float) -> Clock:
     shift = max(held)[2]
     pairs = itertools.pairwise(clock)
     steps = [(after[0], after[1] - before[1]) for before, after in pairs if abs(after[1] - before[1]) > STEP_S]
-    return Clock(shift, steps=tuple(steps))
+    return RunClock(shift, steps=tuple(steps))
 
 
-def ground_clock(grounds: Iterable[GroundRun]) -> dict[str, Clock]:
+def ground_clock(grounds: Iterable[GroundRun]) -> dict[str, RunClock]:
     return {ground.run: own_clock(ground.clock, _end(ground.cover.spans)) for ground in grounds}
 
 
-def align(run: Run, grounds: Sequence[tuple[GroundRun, Clock]]) -> Clock:
+def align(run: Run, grounds: Sequence[tuple[GroundRun, RunClock]]) -> RunClock:
     """The clock of a run, by the ground where that is possible."""
     clock = own_clock(run.clock, _end(run.cover.spans))
     mine = _of_agent(run, clock)
@@ -101,7 +101,7 @@ def align(run: Run, grounds: Sequence[tuple[GroundRun, Clock]]) -> Clock:
     return clock
 
 
-def align_together(runs: Sequence[tuple[Run, Clock]]) -> None:
+def align_together(runs: Sequence[tuple[Run, RunClock]]) -> None:
     """Compare the runs that the ground does not place with those that it does, else with the longest one.
 
     By heartbeats that both have received: a frame has a number from 0 to 255, so the same number comes again and again, and the
@@ -128,7 +128,7 @@ def align_together(runs: Sequence[tuple[Run, Clock]]) -> None:
             chosen[1].by = REFERENCE
 
 
-def _expected(run: Run, clock: Clock, placed: Sequence[tuple[Run, Clock]], offset_s: float) -> int:
+def _expected(run: Run, clock: RunClock, placed: Sequence[tuple[Run, RunClock]], offset_s: float) -> int:
     """How many frames both can have received at most if that is the offset: the fewer of those that each received meanwhile."""
 
     def count(times: list[float], others: list[float]) -> int:
@@ -142,7 +142,7 @@ def _expected(run: Run, clock: Clock, placed: Sequence[tuple[Run, Clock]], offse
     return found
 
 
-def _heard_by_both(run: Run, clock: Clock, placed: Sequence[tuple[Run, Clock]]) -> Iterator[float]:
+def _heard_by_both(run: Run, clock: RunClock, placed: Sequence[tuple[Run, RunClock]]) -> Iterator[float]:
     """Of each frame number that both have, all differences of its times."""
     for other, its in placed:
         for frame, mine in run.heard.items():
@@ -172,7 +172,7 @@ def vote(
     return statistics.median(chosen), (chosen[-1] - chosen[0]) / 2 + error_s, len(chosen)
 
 
-def continue_by_autopilot(before: tuple[Run, Clock], run: Run, clock: Clock) -> None:
+def continue_by_autopilot(before: tuple[Run, RunClock], run: Run, clock: RunClock) -> None:
     """Place a later run of the same agent by the autopilot, which went on while PHM restarted.
 
     Only where the two clocks disagree by more than their error although the autopilot has not rebooted: its time since boot has
@@ -191,7 +191,7 @@ def continue_by_autopilot(before: tuple[Run, Clock], run: Run, clock: Clock) -> 
     clock.shift += offset
 
 
-def _of_agent(run: Run, clock: Clock) -> Observed:
+def _of_agent(run: Run, clock: RunClock) -> Observed:
     found: Observed = {}
     for change in run.changes:
         if change.brief and change.level in ("ERROR", "WARN") and not change.text_only:
@@ -203,7 +203,7 @@ def _of_agent(run: Run, clock: Clock) -> Observed:
     return found
 
 
-def _of_ground(ground: GroundRun, clock: Clock, agent: int) -> Observed:
+def _of_ground(ground: GroundRun, clock: RunClock, agent: int) -> Observed:
     found: Observed = {}
     for mono, which, slot, word, brief in ground.texts:
         if which == agent and word in WORDS:

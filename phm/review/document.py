@@ -8,7 +8,7 @@ from phm import __version__
 from phm.review import availability, check_rates, fault_list, levels, sentences, table2
 from phm.review.clocks import REFERENCE
 from phm.review.flights import Flight, flights
-from phm.review.record import Agent, Record
+from phm.review.record import AgentRecord, Record
 from phm.review.spans import clipped, total, without
 
 Json = dict[str, Any]
@@ -98,7 +98,12 @@ def _flight(flight: Flight) -> Json:
 
 
 def _agent(
-    record: Record, agent: Agent, units: dict[str, list[levels.Segment]], faults: list[Json], begin: float, end: float
+    record: Record,
+    agent: AgentRecord,
+    units: dict[str, list[levels.Segment]],
+    faults: list[Json],
+    begin: float,
+    end: float,
 ) -> Json:
     worst = levels.of_agent(units.values(), agent.cover) if agent.runs else levels.of_ground(record, agent.id)
     spent = levels.seconds(worst, begin, end)
@@ -216,7 +221,7 @@ def _clocks(record: Record) -> Json:
     }
 
 
-def _plots(agent: Agent, begin: float, end: float) -> list[Json]:
+def _plots(agent: AgentRecord, begin: float, end: float) -> list[Json]:
     found: dict[str, list[list[float]]] = {}
     for run, clock in agent.runs:
         for name, series in run.series.items():

@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from typing import Any
 
-from phm.review.record import Agent
+from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 BEFORE_S, AFTER_S = 5.0, 5.0
@@ -16,7 +16,7 @@ MOST_STEPS = 60
 KINDS = {"OK": "SUCCESS", "WARN": "WARNING", "ERROR": "FAILURE", "STALE": "STALE", "n/a": "BYPASS"}
 
 
-def rows(agent: Agent, begin: float, end: float) -> list[Json]:
+def rows(agent: AgentRecord, begin: float, end: float) -> list[Json]:
     """Faults that were open at any time between begin and end."""
     running = agent.cover[-1][1] if agent.cover else 0.0
     times, lines = _lines(agent)
@@ -36,7 +36,7 @@ def rows(agent: Agent, begin: float, end: float) -> list[Json]:
     return found
 
 
-def _row(agent: Agent, fault: Json, steps: list[Json], evidence: Json, running: float) -> Json:
+def _row(agent: AgentRecord, fault: Json, steps: list[Json], evidence: Json, running: float) -> Json:
     closed = fault["closed"]
     lasted = (closed if closed is not None else running) - fault["opened"]
     acted = next((step["t"] for step in steps if step["phase"] == "started"), None)
@@ -65,7 +65,7 @@ def _row(agent: Agent, fault: Json, steps: list[Json], evidence: Json, running: 
     }
 
 
-def _lines(agent: Agent) -> tuple[list[float], list[str]]:
+def _lines(agent: AgentRecord) -> tuple[list[float], list[str]]:
     """Every line of the record that is kept, by time."""
     found = [
         (t, f"{KINDS.get(change.level, change.level)}: {change.unit}: {change.summary}") for t, change in agent.changes

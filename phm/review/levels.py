@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from phm.review.record import Agent, Record
+from phm.review.record import AgentRecord, Record
 from phm.review.spans import Span, clipped
 
 Segment = tuple[float, float, str]
@@ -13,7 +13,7 @@ RANK = ("ERROR", "WARN", "STALE", "OK")
 """The first of these that a unit has is the agent's level. `n/a` does not count."""
 
 
-def of_units(agent: Agent) -> dict[str, list[Segment]]:
+def of_units(agent: AgentRecord) -> dict[str, list[Segment]]:
     """Each unit's levels, from the first line about it in a run to the end of the run."""
     found: dict[str, list[Segment]] = {}
     for run, clock in agent.runs:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from phm.review.record import Agent, Record
+from phm.review.record import AgentRecord, Record
 from phm.review.statistics import rate_limits
 from phm.wire.report import iso
 
@@ -157,7 +157,7 @@ def _rate(row: tuple[Any, ...]) -> Json:
     }
 
 
-def _tables(agent: Agent) -> dict[str, list[tuple[Any, ...]]]:
+def _tables(agent: AgentRecord) -> dict[str, list[tuple[Any, ...]]]:
     from phm.review import levels
 
     units = levels.of_units(agent)
@@ -189,7 +189,7 @@ def _tables(agent: Agent) -> dict[str, list[tuple[Any, ...]]]:
     }
 
 
-def _runs(agent: Agent) -> Iterator[tuple[Any, ...]]:
+def _runs(agent: AgentRecord) -> Iterator[tuple[Any, ...]]:
     from phm.review.spans import clipped, total
 
     for run, clock in agent.runs:
@@ -199,7 +199,7 @@ def _runs(agent: Agent) -> Iterator[tuple[Any, ...]]:
             yield run.boot_id, run.version, spans[0][0], spans[-1][1], armed_s, total(spans)
 
 
-def _checks(agent: Agent) -> Iterator[tuple[Any, ...]]:
+def _checks(agent: AgentRecord) -> Iterator[tuple[Any, ...]]:
     """For how long each check was run: the time of PHM on an agent that has it."""
     from phm.review.spans import clipped, total
 
@@ -208,7 +208,7 @@ def _checks(agent: Agent) -> Iterator[tuple[Any, ...]]:
         yield check, total(agent.cover), armed_s
 
 
-def _fault(agent: Agent, fault: Json) -> tuple[Any, ...]:
+def _fault(agent: AgentRecord, fault: Json) -> tuple[Any, ...]:
     lasted = (fault["closed"] if fault["closed"] is not None else agent.end) - fault["opened"]
     armed = any(begin <= fault["opened"] <= end for begin, end in agent.armed)
     keys = ("fault", "unit", "check", "slot", "layer", "condition", "target", "opened", "closed")

@@ -8,7 +8,7 @@ from typing import Any
 from phm.review.events import LATEST_S, Event, numbers
 from phm.review.ground_part import GroundRun
 from phm.review.lines import Problems
-from phm.review.run import MOST_SERIES, Change, Mark, Run
+from phm.review.run import MOST_SERIES, Change, Run, RunMark
 from phm.review.series import Series
 
 MOST_RUNS = 2000
@@ -209,7 +209,7 @@ class Part:
         elif event.event == "hold":
             body = {"target": event.target, "began": event.began}
         run.marks.append(
-            Mark(event.seq, event.mono, event.event, self._same(text[:1000]), {"kind": event.kind, **body})
+            RunMark(event.seq, event.mono, event.event, self._same(text[:1000]), {"kind": event.kind, **body})
         )
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from phm.review.clocks import Clock, align, align_together, continue_by_autopilot, ground_clock
+from phm.review.clocks import RunClock, align, align_together, continue_by_autopilot, ground_clock
 from phm.review.ground_part import GroundRun
 from phm.review.part import Part
-from phm.review.run import Change, Mark, Run
+from phm.review.run import Change, Run, RunMark
 from phm.review.spans import Cover, Span, joined
 
 QUIET_S = 30.0
@@ -16,16 +16,16 @@ QUIET_S = 30.0
 
 
 @dataclass
-class Agent:
+class AgentRecord:
     """One agent. cover: when its PHM wrote; armed: when its autopilot was, as far as known."""
 
     name: str
     id: int
-    runs: list[tuple[Run, Clock]] = field(default_factory=list)
+    runs: list[tuple[Run, RunClock]] = field(default_factory=list)
     cover: list[Span] = field(default_factory=list)
     armed: list[Span] = field(default_factory=list)
     changes: list[tuple[float, Change]] = field(default_factory=list)
-    marks: list[tuple[float, Mark]] = field(default_factory=list)
+    marks: list[tuple[float, RunMark]] = field(default_factory=list)
     faults: list[dict[str, Any]] = field(default_factory=list)
     reports: list[float] = field(default_factory=list)
 
@@ -38,8 +38,8 @@ class Agent:
 class Record:
     """agents by name; grounds with their clocks; part: problems and counts of the files."""
 
-    agents: list[Agent]
-    grounds: list[tuple[GroundRun, Clock]]
+    agents: list[AgentRecord]
+    grounds: list[tuple[GroundRun, RunClock]]
     part: Part
 
     @property
@@ -60,10 +60,10 @@ def build(part: Part) -> Record:
     """Sort, remove what two files have twice, align, and put each agent's runs together."""
     clocks = ground_clock(part.grounds.values())
     grounds = [(ground, clocks[ground.run]) for ground in part.grounds.values()]
-    agents: dict[tuple[str, int], Agent] = {}
+    agents: dict[tuple[str, int], AgentRecord] = {}
     for run in part.runs.values():
         _once(run)
-        agents.setdefault((run.agent, run.agent_id), Agent(run.agent, run.agent_id)).runs.append(
+        agents.setdefault((run.agent, run.agent_id), AgentRecord(run.agent, run.agent_id)).runs.append(
             (run, align(run, grounds))
         )
     align_together([one for agent in agents.values() for one in agent.runs])
@@ -76,7 +76,7 @@ def build(part: Part) -> Record:
     for number in sorted(
         {agent for ground, _ in grounds for agent in _heard(ground)} - {agent.id for agent in agents.values()}
     ):
-        agents["", number] = Agent(
+        agents["", number] = AgentRecord(
             next((g.names[number] for g, _ in grounds if number in g.names), f"A{number:02d}"), number
         )
     for agent in agents.values():
@@ -109,7 +109,7 @@ def _ordered_clock(clock: list[tuple[float, float]]) -> list[tuple[float, float]
     return kept
 
 
-def _join(agent: Agent) -> None:
+def _join(agent: AgentRecord) -> None:
     agent.runs.sort(key=lambda one: one[1].t(one[0].cover.spans[0][0]) if one[0].cover.spans else 0.0)
     for before, (run, clock) in zip(agent.runs, agent.runs[1:], strict=False):
         continue_by_autopilot(before, run, clock)
@@ -129,7 +129,7 @@ def _join(agent: Agent) -> None:
     agent.marks.sort(key=lambda one: one[0])
 
 
-def _fault(name: str, fault: dict[str, Any], run: Run, clock: Clock) -> dict[str, Any]:
+def _fault(name: str, fault: dict[str, Any], run: Run, clock: RunClock) -> dict[str, Any]:
     opened, closed = fault["opened_at"], fault["closed_at"]
     begin = clock.t(opened if opened is not None else closed)
     check = run.units.get(fault["unit"], {}).get("check") or fault["unit"].partition("/")[0]
@@ -154,7 +154,7 @@ def _continued(faults: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted(by_id.values(), key=lambda one: float(one["opened"]))
 
 
-def _armed(agent: Agent, grounds: list[tuple[GroundRun, Clock]]) -> None:
+def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> None:
     """From the flights in its log, else from what its check of the autopilot says; from the ground where it has no log."""
     edges = [
         (t, bool(mark.body["began"]), mark.body.get("duration_s")) for t, mark in agent.marks if mark.what == "flight"

@@ -33,7 +33,7 @@ class Change:
 
 
 @dataclass
-class Mark:
+class RunMark:
     """A line that is not about a unit: note, hold, flight, action, lost. body: its further keys."""
 
     seq: int
@@ -60,7 +60,7 @@ class Run:
     clock: list[tuple[float, float]] = field(default_factory=list)
     """(mono, utc - mono), at the first line and after each step."""
     changes: list[Change] = field(default_factory=list)
-    marks: list[Mark] = field(default_factory=list)
+    marks: list[RunMark] = field(default_factory=list)
     faults: dict[str, dict[str, Any]] = field(default_factory=dict)
     units: dict[str, dict[str, Any]] = field(default_factory=dict)
     """check, slot, layer, target, and the first level with its time."""

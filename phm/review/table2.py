@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from phm.review.check_rates import by_action, counted
-from phm.review.record import Agent
+from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 INJECT = re.compile(r"inject\b", re.IGNORECASE)
@@ -30,7 +30,7 @@ PAPER = {
 
 
 def build(
-    agents: Sequence[Agent], faults: Sequence[Json], uptime: Mapping[str, float], begin: float, end: float
+    agents: Sequence[AgentRecord], faults: Sequence[Json], uptime: Mapping[str, float], begin: float, end: float
 ) -> Json | None:
     """None when nothing was injected."""
     injected: list[Json] = []
@@ -72,7 +72,7 @@ def _caused(faults: Sequence[Json], text: str, t: float, until: float) -> Json |
     return next(iter(named or after), None)
 
 
-def _injection(agent: Agent, t: float, text: str, fault: Json | None) -> Json:
+def _injection(agent: AgentRecord, t: float, text: str, fault: Json | None) -> Json:
     row: Json = {"agent": agent.name, "t": round(t, 3), "text": text, "fault": None, "by_action": False}
     if fault is None:
         return {**row, "alarm_s": None, "logged_s": None, "published_s": None}

@@ -41,7 +41,7 @@ HEADERS = {
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
-class Problem(Exception):
+class HttpProblem(Exception):
     """The request is refused: an HTTP status and a sentence."""
 
     def __init__(self, status: int, text: str) -> None:
@@ -68,23 +68,23 @@ def operate(handler: Handler) -> Handler:
 
 
 async def read_json(request: web.Request, limit: int = MAX_BODY) -> dict[str, Any]:
-    """The body, a JSON object of at most `limit` bytes. Raises Problem."""
+    """The body, a JSON object of at most `limit` bytes. Raises HttpProblem."""
     if (request.content_length or 0) > limit:
-        raise Problem(413, f"the body has more than {limit} bytes")
+        raise HttpProblem(413, f"the body has more than {limit} bytes")
     try:
         data = await asyncio.wait_for(request.read(), BODY_S)
     except asyncio.TimeoutError:
-        raise Problem(408, "the body did not arrive in time") from None
+        raise HttpProblem(408, "the body did not arrive in time") from None
     except web.HTTPRequestEntityTooLarge:
-        raise Problem(413, f"the body has more than {limit} bytes") from None
+        raise HttpProblem(413, f"the body has more than {limit} bytes") from None
     if len(data) > limit:
-        raise Problem(413, f"the body has more than {limit} bytes")
+        raise HttpProblem(413, f"the body has more than {limit} bytes")
     try:
         body = json.loads(data)
     except (ValueError, RecursionError):
-        raise Problem(400, "the body is not JSON") from None
+        raise HttpProblem(400, "the body is not JSON") from None
     if not isinstance(body, dict):
-        raise Problem(400, "the body is not a JSON object")
+        raise HttpProblem(400, "the body is not a JSON object")
     return body
 
 
@@ -112,7 +112,7 @@ class Gate:
         try:
             await self._admit(request)
             return await handler(request)
-        except Problem as problem:
+        except HttpProblem as problem:
             response = answer({"error": str(problem)}, problem.status)
             if problem.status in (408, 413):
                 response.force_close()
@@ -134,7 +134,7 @@ class Gate:
         response.headers[hdrs.SERVER] = "phm"
 
     def session(self, request: web.Request) -> tuple[str, str | None]:
-        """The role of the sender, empty for none, and the CSRF value that it must send; None: it need not. Raises Problem."""
+        """The role of the sender, empty for none, and the CSRF value that it must send; None: it need not. Raises HttpProblem."""
         now, bearer = self._clock.mono(), request.headers.get(hdrs.AUTHORIZATION, "")
         if bearer:
             return self._by_token(request, bearer), None
@@ -142,14 +142,14 @@ class Gate:
         return ("", None) if found is None else (found.role, found.csrf)
 
     def check_token(self, request: web.Request, token: str) -> str:
-        """The role of a token. Raises Problem."""
+        """The role of a token. Raises HttpProblem."""
         now, address = self._clock.mono(), request.remote or "?"
         if self.sessions.blocked(address, now):
-            raise Problem(429, "too many wrong tokens: wait a minute")
+            raise HttpProblem(429, "too many wrong tokens: wait a minute")
         role = self.sessions.role_of(token)
         if not role:
             self.sessions.failed(address, now)
-            raise Problem(403, "the token is wrong")
+            raise HttpProblem(403, "the token is wrong")
         return role
 
     def same_origin(self, request: web.Request) -> bool:
@@ -171,19 +171,19 @@ class Gate:
 
     async def _admit(self, request: web.Request) -> None:
         if len(request.raw_path) > MAX_URL:
-            raise Problem(414, f"the URL has more than {MAX_URL} characters")
+            raise HttpProblem(414, f"the URL has more than {MAX_URL} characters")
         self._check_host(request)
         handler = request.match_info.handler
         role = getattr(handler, "phm_role", None)
         if request.match_info.http_exception is not None:
             return
         if role is None:
-            raise Problem(403, "this route says not who may use it")
+            raise HttpProblem(403, "this route says not who may use it")
         changes = request.method not in ("GET", "HEAD")
         if (changes or role or request.path.startswith("/api/")) and not self.same_origin(request):
-            raise Problem(403, "the request comes from a page of another origin")
+            raise HttpProblem(403, "the request comes from a page of another origin")
         if changes and request.content_type != "application/json":
-            raise Problem(415, "send JSON: Content-Type: application/json")
+            raise HttpProblem(415, "send JSON: Content-Type: application/json")
         if role:
             self._check_role(request, role, changes=changes)
 
@@ -192,11 +192,11 @@ class Gate:
         if not role and needed == VIEW and not changes and self.sessions.tokens is None:
             return  # any sender could open a session first: programs of this machine need not
         if not role:
-            raise Problem(401, "log in first")
+            raise HttpProblem(401, "log in first")
         if needed == OPERATE and role != OPERATE:
-            raise Problem(403, "this needs the role operate")
+            raise HttpProblem(403, "this needs the role operate")
         if changes and csrf is not None and not _same(request.headers.get(CSRF, ""), csrf):
-            raise Problem(403, f"the header {CSRF} is missing or wrong")
+            raise HttpProblem(403, f"the header {CSRF} is missing or wrong")
 
     def _check_host(self, request: web.Request) -> None:
         """On loopback, a page of anywhere can have its own name point here: then the Host header has that name."""
@@ -207,12 +207,12 @@ class Gate:
         except ValueError:
             name = ""
         if not is_loopback(name):
-            raise Problem(403, "ask for this machine by its own name or address")
+            raise HttpProblem(403, "ask for this machine by its own name or address")
 
     def _by_token(self, request: web.Request, header: str) -> str:
         kind, _, token = header.partition(" ")
         if kind.lower() != "bearer" or self.sessions.tokens is None:
-            raise Problem(401, "log in first")
+            raise HttpProblem(401, "log in first")
         return self.check_token(request, token.strip())
 
 

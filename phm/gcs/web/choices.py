@@ -7,7 +7,7 @@ from typing import Any
 
 from phm.gcs import operator
 from phm.gcs.operator import OperatorCommand
-from phm.gcs.web.site import Refused
+from phm.gcs.web.site import RequestRefused
 
 Json = dict[str, Any]
 LOAD_S = 10.0
@@ -44,7 +44,7 @@ def choices(agent: Mapping[str, Any]) -> list[Json]:
 
 
 def command_of(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCommand:
-    """The command of a request. agent: the row of its agent. Raises ValueError for what is none, and Refused for what the agent
+    """The command of a request. agent: the row of its agent. Raises ValueError for what is none, and RequestRefused for what the agent
     does not have."""
     match body.get("do"):
         case "check":
@@ -69,7 +69,7 @@ def _approve(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorComma
     fault = _number(body.get("fault"), "fault", 1, 10**9 - 1)
     one = next((one for one in agent["advice"] if one["fault"] == fault), None)
     if one is None:
-        raise Refused(f"{agent['name']} approve #{fault}: not sent, the agent advises nothing for it any more")
+        raise RequestRefused(f"{agent['name']} approve #{fault}: not sent, the agent advises nothing for it any more")
     return operator.approve(fault, f"{one['action']} {one['target']}".strip())
 
 
@@ -79,7 +79,7 @@ def _container(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCom
         raise ValueError("container is the name of a container")
     known = list(agent["containers"])
     if name not in known:
-        raise Refused(f"{agent['name']} {what} {name[:100]}: not sent, the agent has named no such container")
+        raise RequestRefused(f"{agent['name']} {what} {name[:100]}: not sent, the agent has named no such container")
     place = known.index(name) + 1
     if what == "restart":
         return operator.restart(place, name)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from aiohttp import web
 
 from phm.core.clock import Clock
-from phm.gcs.web.access import Problem
+from phm.gcs.web.access import HttpProblem
 from phm.gcs.web.options import is_loopback
 
 MAX_CLIENTS = 64
@@ -87,13 +87,13 @@ class Clients:
 
     @contextlib.contextmanager
     def admit(self, request: web.Request, seen: int) -> Iterator[StreamClient]:
-        """A place for a client. Raises Problem when there is none."""
+        """A place for a client. Raises HttpProblem when there is none."""
         client = StreamClient(request, seen, self._clock.mono())
         neighbours = sum(other.host == client.host for other in self._clients)
         if len(self._clients) >= MAX_CLIENTS:
-            raise Problem(503, f"at most {MAX_CLIENTS} clients are served")
+            raise HttpProblem(503, f"at most {MAX_CLIENTS} clients are served")
         if neighbours >= PER_HOST and not is_loopback(client.host):
-            raise Problem(503, f"at most {PER_HOST} clients of one host are served")
+            raise HttpProblem(503, f"at most {PER_HOST} clients of one host are served")
         self._clients.add(client)
         self._on_change(len(self._clients), self.dropped)
         try:

@@ -17,7 +17,7 @@ from phm.gcs.operator import Exchange, OperatorCommand
 from phm.gcs.station import GroundStation, Received
 from phm.gcs.subscriber_queue import QueuedEvent
 from phm.gcs.web.choices import choices, command_of
-from phm.gcs.web.site import Refused
+from phm.gcs.web.site import RequestRefused
 from phm.gcs.web.view import View
 
 Json = dict[str, Any]
@@ -74,29 +74,29 @@ class RequestDesk:
         self._lock = threading.Lock()
 
     def choices(self, agent: str) -> Json:
-        """What can be requested of an agent now. Raises Refused."""
+        """What can be requested of an agent now. Raises RequestRefused."""
         row = self._row(agent)
         note = self._problem(row)
         return {"choices": choices(row) if not note else [], "note": note}
 
     def submit(self, body: Mapping[str, Any], by: str) -> Json:
-        """Send it. Raises Refused, and ValueError for a body that is none."""
+        """Send it. Raises RequestRefused, and ValueError for a body that is none."""
         name = body.get("agent")
         if not isinstance(name, str):
             raise ValueError("agent is the name of an agent")
         row = self._row(name)
         command = command_of(body, row)
         if problem := self._problem(row):
-            raise Refused(f"{name} {command.text}: not sent, {problem}")
+            raise RequestRefused(f"{name} {command.text}: not sent, {problem}")
         with self._lock:
             waiting = [one for one in self._sent if one.waits]
             earlier = next((one for one in waiting if one.exchange.blocks(name, command)), None)
             if earlier is not None:
-                raise Refused(
+                raise RequestRefused(
                     f"{name} {command.text}: not sent, still waiting for the answer to {earlier.exchange.command.text}"
                 )
             if len(waiting) >= MAX_OPEN:
-                raise Refused(f"{name} {command.text}: not sent, {MAX_OPEN} requests wait for their answers")
+                raise RequestRefused(f"{name} {command.text}: not sent, {MAX_OPEN} requests wait for their answers")
             sent = self._send(row, command, str(body["do"]), by)
         self._publish([sent])
         return sent.json()
@@ -164,7 +164,7 @@ class RequestDesk:
     def _row(self, name: str) -> Json:
         row = self._view.row(name)
         if row is None:
-            raise Refused(f"there is no agent {name}"[:200])
+            raise RequestRefused(f"there is no agent {name}"[:200])
         return row
 
     def _problem(self, row: Json) -> str:

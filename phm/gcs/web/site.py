@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Json = dict[str, Any]
 
 
-class Refused(Exception):
+class RequestRefused(Exception):
     """A request of the operator is not sent; the message says why."""
 
 
@@ -25,10 +25,10 @@ class Requests(Protocol):
     """Takes requests of the operator (`phm.gcs.web.requests.RequestDesk`). Thread-safe, never waits for an agent."""
 
     def choices(self, agent: str) -> Json:
-        """What can be requested of an agent. Raises Refused."""
+        """What can be requested of an agent. Raises RequestRefused."""
 
     def submit(self, body: Mapping[str, Any], by: str) -> Json:
-        """Send it; the request as JSON. Raises Refused, and ValueError for a body that is none."""
+        """Send it; the request as JSON. Raises RequestRefused, and ValueError for a body that is none."""
 
     def recent(self) -> list[Json]:
         """The last ones, oldest first."""

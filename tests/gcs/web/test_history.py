@@ -14,7 +14,7 @@ from phm.core.model import Level, Slot
 from phm.gcs.presence import COPY_S
 from phm.gcs.web.history.faults import FaultBook
 from phm.gcs.web.history.reader import HistoryReader
-from phm.gcs.web.history.store import EVENT, HistoryStore, Row, Sample
+from phm.gcs.web.history.store import EVENT, HistoryRow, HistorySample, HistoryStore
 from tests.fakes.until import until
 from tests.gcs.web.swarm import Client, ground
 
@@ -135,8 +135,8 @@ def test_the_file_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     store.start()
     begin = clock.utc() - 10_000
     for number in range(10_000):
-        store.put(Row(EVENT, (begin + number, "A07", 0, "text", f"line {number}", '{"x":"' + "x" * 100 + '"}')))
-        store.put(Sample("A07", "gap", begin + number, 1.0))
+        store.put(HistoryRow(EVENT, (begin + number, "A07", 0, "text", f"line {number}", '{"x":"' + "x" * 100 + '"}')))
+        store.put(HistorySample("A07", "gap", begin + number, 1.0))
 
     def size() -> int:
         with sqlite3.connect(path) as connection:
@@ -156,7 +156,7 @@ def test_a_series_is_reduced_and_keeps_its_gaps(tmp_path: Path) -> None:
     store.start()
     for number in range(1000):
         at = begin + number + (500 if number >= 500 else 0)
-        store.put(Sample("A07", "cpu", at, 99.0 if number == 5 else 10.0))
+        store.put(HistorySample("A07", "cpu", at, 99.0 if number == 5 else 10.0))
     assert store.flush(30)
     reader = HistoryReader(path)
     until(lambda: reader.kinds("A07"), "the series")

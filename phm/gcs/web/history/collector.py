@@ -14,7 +14,7 @@ from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent
 from phm.gcs.web.events import GRADES
 from phm.gcs.web.history.faults import FaultBook
-from phm.gcs.web.history.store import EVENT, FAULT, HistoryStore, Row, Sample
+from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from phm.gcs.web.view import dumps
 from phm.wire import status_word
 from phm.wire.status_line import agent_name
@@ -47,27 +47,29 @@ class Collector:
             self._beat(frame, at.mono, at.utc)
         elif isinstance(frame, ComputerStatus) and sender_name(frame.system, frame.component) in self._heard:
             for kind, value in frame.values().items():
-                self._store.put(Sample(sender_name(frame.system, frame.component), kind, at.utc, float(value)))
+                self._store.put(HistorySample(sender_name(frame.system, frame.component), kind, at.utc, float(value)))
 
     def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None:
         if not _repeats(line):
             body = dumps(line)
             values = (line["utc_s"], line["who"], GRADES.index(line["grade"]), line["event"], line["words"], body)
-            self._store.put(Row(EVENT, values))
+            self._store.put(HistoryRow(EVENT, values))
         self.presence(line)
         for fault in self._book.take(line):
             body = json.dumps(fault.json())
-            self._store.put(Row(FAULT, (fault.key, fault.who, fault.at, float(line["utc_s"]), int(fault.open), body)))
+            self._store.put(
+                HistoryRow(FAULT, (fault.key, fault.who, fault.at, float(line["utc_s"]), int(fault.open), body))
+            )
 
     def radio(self, frame: RadioStatus, link: str, utc: float) -> None:
         """What the ground's own radio says of a link."""
         for kind in RADIO:
-            self._store.put(Sample(f"link:{link}"[:100], kind, utc, getattr(frame, kind)))
+            self._store.put(HistorySample(f"link:{link}"[:100], kind, utc, getattr(frame, kind)))
 
     def presence(self, line: Mapping[str, Any]) -> None:
         """An agent that is not there has no level."""
         if line["event"] == "presence" and line["presence"] != "alive":
-            self._store.put(Sample(line["name"], "level", line["utc_s"], 0.0))
+            self._store.put(HistorySample(line["name"], "level", line["utc_s"], 0.0))
             self._levels.pop(line["name"], None)
 
     def turn(self, now: float) -> None:
@@ -80,7 +82,7 @@ class Collector:
         self._agents.setdefault(beat.system, set()).add(name)
         gap_s = mono - self._heard.get(name, mono)
         if gap_s > COPY_S:
-            self._store.put(Sample(name, "gap", utc, round(gap_s, 3)))
+            self._store.put(HistorySample(name, "gap", utc, round(gap_s, 3)))
         self._heard[name] = mono
         self.level(name, beat.custom_mode, mono, utc)
 
@@ -94,7 +96,7 @@ class Collector:
         known, since = self._levels.get(name, (None, 0.0))
         if level != known or mono - since >= LEVEL_S:
             self._levels[name] = (level, mono)
-            self._store.put(Sample(name, "level", utc, float(level)))
+            self._store.put(HistorySample(name, "level", utc, float(level)))
 
     def _count(self, system: int, mono: float, utc: float) -> None:
         """Frames a second, over RATE_S."""
@@ -106,7 +108,7 @@ class Collector:
             return
         for number, count in self._frames.items():
             for name in self._agents.get(number, ()):
-                self._store.put(Sample(name, "rate", utc, round(count / took, 2)))
+                self._store.put(HistorySample(name, "rate", utc, round(count / took, 2)))
         self._frames, self._rate_from = dict.fromkeys(self._frames, 0), (mono, utc)
 
 

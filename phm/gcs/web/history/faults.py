@@ -28,7 +28,7 @@ DAY_S = 86_400.0
 
 
 @dataclass(slots=True)
-class Fault:
+class FaultEntry:
     """key: unique in the history. number: as in `#17`, None: not known."""
 
     key: str
@@ -61,9 +61,9 @@ class Fault:
         }
 
 
-def from_json(body: Mapping[str, Any]) -> Fault:
+def from_json(body: Mapping[str, Any]) -> FaultEntry:
     """Raises KeyError and TypeError for another JSON."""
-    return Fault(
+    return FaultEntry(
         str(body["key"]),
         str(body["agent"]),
         int(body["slot"]),
@@ -79,13 +79,13 @@ def from_json(body: Mapping[str, Any]) -> Fault:
 class FaultBook:
     """Open faults. `take` returns those that have changed."""
 
-    def __init__(self, known: Iterable[Fault] = ()) -> None:
+    def __init__(self, known: Iterable[FaultEntry] = ()) -> None:
         """known: those that were open when the ground stopped."""
-        self._open: OrderedDict[str, Fault] = OrderedDict((fault.key, fault) for fault in known)
-        self._quiet: deque[tuple[float, Fault]] = deque(maxlen=MAX_QUIET)
+        self._open: OrderedDict[str, FaultEntry] = OrderedDict((fault.key, fault) for fault in known)
+        self._quiet: deque[tuple[float, FaultEntry]] = deque(maxlen=MAX_QUIET)
         """Those that ended by a heartbeat: their line may still come."""
 
-    def take(self, line: Mapping[str, Any]) -> list[Fault]:
+    def take(self, line: Mapping[str, Any]) -> list[FaultEntry]:
         """line: of `phm.gcs.web.events.from_line`."""
         who, utc_s = str(line["who"]), float(line["utc_s"])
         match line["event"]:
@@ -103,7 +103,7 @@ class FaultBook:
                 return self._close(self._of(who), utc_s, "its PHM has restarted")
         return []
 
-    def _line(self, who: str, line: ParsedLine, utc_s: float) -> list[Fault]:
+    def _line(self, who: str, line: ParsedLine, utc_s: float) -> list[FaultEntry]:
         found = self._of(who)
         if line.word == "ADVISE" and line.advice is not None:
             return self._about(
@@ -129,7 +129,7 @@ class FaultBook:
             return self._close(over, utc_s, line.text, name)
         return []
 
-    def _ended_quietly(self, who: str, line: ParsedLine, utc_s: float) -> list[Fault]:
+    def _ended_quietly(self, who: str, line: ParsedLine, utc_s: float) -> list[FaultEntry]:
         """The fault that a heartbeat ended a short time ago, and whose line follows now: the line says more."""
         for at, one in reversed(self._quiet):
             if one.who == who and one.slot == line.slot and utc_s - at <= LINE_S and line.resolves(one.text):
@@ -138,7 +138,7 @@ class FaultBook:
                 return [one]
         return []
 
-    def _bad(self, who: str, line: ParsedLine, utc_s: float) -> list[Fault]:
+    def _bad(self, who: str, line: ParsedLine, utc_s: float) -> list[FaultEntry]:
         level = line.level.name if line.level is not None else ""
         same = [one for one in self._of(who) if one.slot == line.slot and matches(one.text, line.text)]
         if same:
@@ -147,7 +147,9 @@ class FaultBook:
             same[0].level = level
             same[0].step("confirmed", utc_s, f"{line.word} {line.text}")
             return same[:1]
-        fault = Fault(f"{who} {line.slot} {utc_s:.3f} {line.text}", who, line.slot, line.text, level, utc_s, line.fault)
+        fault = FaultEntry(
+            f"{who} {line.slot} {utc_s:.3f} {line.text}", who, line.slot, line.text, level, utc_s, line.fault
+        )
         fault.step("confirmed", utc_s, f"{line.word} {line.text}")
         self._open[fault.key] = fault
         while len(self._open) > MAX_OPEN:
@@ -155,8 +157,8 @@ class FaultBook:
         return [fault]
 
     def _about(
-        self, found: list[Fault], line: ParsedLine, number: int | None, step: str, text: str, utc_s: float
-    ) -> list[Fault]:
+        self, found: list[FaultEntry], line: ParsedLine, number: int | None, step: str, text: str, utc_s: float
+    ) -> list[FaultEntry]:
         """A step of the fault with this number, else of the newest one of the slot."""
         here = [one for one in found if one.slot == line.slot]
         chosen = next((one for one in here if number is not None and one.number == number), here[-1] if here else None)
@@ -166,7 +168,7 @@ class FaultBook:
         chosen.step(step, utc_s, text)
         return [chosen]
 
-    def _detail(self, who: str, fault: str, text: str, utc_s: float) -> list[Fault]:
+    def _detail(self, who: str, fault: str, text: str, utc_s: float) -> list[FaultEntry]:
         since = _SINCE.search(text)
         number = fault.rpartition("-")[2]
         if since is None or not number.isdecimal():
@@ -179,14 +181,14 @@ class FaultBook:
         chosen[0].step("detected", _moment(chosen[0].at, *map(int, since.groups())), text)
         return chosen[:1]
 
-    def _close(self, over: list[Fault], utc_s: float, text: str, step: str = "recovered") -> list[Fault]:
+    def _close(self, over: list[FaultEntry], utc_s: float, text: str, step: str = "recovered") -> list[FaultEntry]:
         for one in over:
             one.open = False
             one.step(step, utc_s, text)
             self._open.pop(one.key, None)
         return over
 
-    def _of(self, who: str) -> list[Fault]:
+    def _of(self, who: str) -> list[FaultEntry]:
         return [one for one in self._open.values() if one.who == who]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from phm.gcs.web.events import GRADES
-from phm.gcs.web.history.faults import Fault, from_json
+from phm.gcs.web.history.faults import FaultEntry, from_json
 
 Json = dict[str, Any]
 QUERY_S = 5.0
@@ -103,9 +103,9 @@ class HistoryReader:
             ).fetchall()
         return {"faults": [json.loads(body) for (body,) in rows]}
 
-    def open_faults(self) -> list[Fault]:
+    def open_faults(self) -> list[FaultEntry]:
         """Those that were open when the ground stopped; empty if there is no history yet, or it cannot be read."""
-        found: list[Fault] = []
+        found: list[FaultEntry] = []
         with contextlib.suppress(HistoryError):
             for body in reversed(self.faults("", only_open=True)["faults"]):
                 with contextlib.suppress(KeyError, TypeError, ValueError):

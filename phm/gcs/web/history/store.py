@@ -47,7 +47,7 @@ FAULT = "INSERT OR REPLACE INTO fault (key, who, at, changed, open, body) VALUES
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class HistorySample:
     """who: name of an agent, or `link:` and a name. at: UTC seconds. value: None where a line is to be interrupted."""
 
     who: str
@@ -57,7 +57,7 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class HistoryRow:
     """A statement of this module and its values."""
 
     statement: str
@@ -73,7 +73,7 @@ class HistoryStore:
         self._folder = Path(tempfile.mkdtemp(prefix="phm-gcs-")) if path is None else None
         self.path = path if path is not None else Path(self._folder or "") / "history.db"
         self._clock, self._max_bytes, self._max_age_s = clock, max_bytes, max_age_s
-        self._queue: BoundedQueue[Sample | Row] = BoundedQueue(clock, MAX_WAITING)
+        self._queue: BoundedQueue[HistorySample | HistoryRow] = BoundedQueue(clock, MAX_WAITING)
         self._series: dict[tuple[str, str], int] = {}
         self._connection: sqlite3.Connection | None = None
         self._problem = self._aside = ""
@@ -88,7 +88,7 @@ class HistoryStore:
         if threads.start(self._thread):
             self._clock.wait(self._tried, OPEN_S)
 
-    def put(self, row: Sample | Row) -> None:
+    def put(self, row: HistorySample | HistoryRow) -> None:
         self._queue.put(row)
 
     @property
@@ -123,7 +123,7 @@ class HistoryStore:
     # ------------------------------------------------------------ the thread
 
     def _loop(self) -> None:
-        last, left = False, list[Sample | Row]()
+        last, left = False, list[HistorySample | HistoryRow]()
         while not last:
             last = self._stop.is_set()
             try:
@@ -167,17 +167,17 @@ class HistoryStore:
         self._connection = connection
         self._series = {(who, kind): key for key, who, kind in connection.execute("SELECT id, who, kind FROM series")}
 
-    def _write(self, connection: sqlite3.Connection, rows: Iterable[Sample | Row]) -> None:
+    def _write(self, connection: sqlite3.Connection, rows: Iterable[HistorySample | HistoryRow]) -> None:
         with connection:
             for row in rows:
-                if isinstance(row, Row):
+                if isinstance(row, HistoryRow):
                     connection.execute(row.statement, row.values)
                     continue
                 key = self._key(connection, row)
                 if key is not None:
                     connection.execute(SAMPLE, (key, row.at, row.value))
 
-    def _key(self, connection: sqlite3.Connection, row: Sample) -> int | None:
+    def _key(self, connection: sqlite3.Connection, row: HistorySample) -> int | None:
         """None: there are too many."""
         name = (row.who, row.kind)
         if name not in self._series:

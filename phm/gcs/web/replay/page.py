@@ -13,10 +13,10 @@ from phm.gcs.web.feed import StationFeed
 from phm.gcs.web.history.collector import Collector, sender_name
 from phm.gcs.web.history.faults import FaultBook
 from phm.gcs.web.history.reader import HistoryReader
-from phm.gcs.web.history.store import EVENT, FAULT, HistoryStore, Row
+from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistoryStore
 from phm.gcs.web.options import ListenOptions
 from phm.gcs.web.replay.player import Player
-from phm.gcs.web.replay.record import Entry, Record
+from phm.gcs.web.replay.record import Entry, GroundRecord
 from phm.gcs.web.server import WebServer
 from phm.gcs.web.site import Site
 from phm.gcs.web.view import View, dumps
@@ -30,7 +30,7 @@ SAMPLES = 1000
 class ReplayPage:
     """Listens from the start. Raises OSError when it cannot."""
 
-    def __init__(self, record: Record, options: ListenOptions, clock: Clock, speed: float = 1.0) -> None:
+    def __init__(self, record: GroundRecord, options: ListenOptions, clock: Clock, speed: float = 1.0) -> None:
         self._record, self._clock = record, clock
         self.player = Player(record, speed)
         self._view, alarms = View(self.player.clock), AlarmBook()
@@ -95,9 +95,9 @@ class ReplayPage:
                 continue
             if not line.get("repeat"):
                 values = (line["utc_s"], line["who"], GRADES.index(line["grade"]), line["event"], line["words"])
-                self._put(Row(EVENT, (*values, dumps(line))))
+                self._put(HistoryRow(EVENT, (*values, dumps(line))))
             for one in faults:
-                self._put(Row(FAULT, (one.key, one.who, one.at, one.at, int(one.open), dumps(one.json()))))
+                self._put(HistoryRow(FAULT, (one.key, one.who, one.at, one.at, int(one.open), dumps(one.json()))))
 
     def _samples(self, series: Collector, entry: Entry) -> None:
         self._make_room()
@@ -108,7 +108,7 @@ class ReplayPage:
             elif isinstance(frame, Heartbeat) and frame.state != POWEROFF and frame.autopilot == NO_AUTOPILOT:
                 series.level(sender_name(frame.system, frame.component), frame.custom_mode, entry.at, utc)
 
-    def _put(self, row: Row) -> None:
+    def _put(self, row: HistoryRow) -> None:
         self._make_room()
         self._store.put(row)
 

@@ -17,7 +17,7 @@ from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Heartbeat
 from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
-from phm.gcs.web.replay.record import Entry, Record
+from phm.gcs.web.replay.record import Entry, GroundRecord
 from phm.gcs.web.view import dumps
 
 logger = logging.getLogger(__name__)
@@ -58,7 +58,7 @@ class Player:
     run = "replay"
     silent = True
 
-    def __init__(self, record: Record, speed: float = 1.0) -> None:
+    def __init__(self, record: GroundRecord, speed: float = 1.0) -> None:
         self._record, self._speed = record, min(max(speed, SLOWEST), FASTEST)
         self._playing, self._now, self._next = True, 0.0, 0
         self._real = SystemClock()

@@ -57,7 +57,7 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RecordedRun:
     """One run of `phm gcs` in the record: at on the timeline, and UTC seconds, of its first line."""
 
     at: float
@@ -65,12 +65,12 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class GroundRecord:
     """entries: in the order of time, which begins at 0."""
 
     entries: tuple[Entry, ...]
     times: tuple[float, ...]
-    runs: tuple[Run, ...]
+    runs: tuple[RecordedRun, ...]
     ids: tuple[int, int]
 
     @property
@@ -88,11 +88,11 @@ class Record:
         return min(max(0.0, run.at + utc - run.utc), self.end)
 
 
-def load(path: str | Path) -> Record:
+def load(path: str | Path) -> GroundRecord:
     """Raises RecordError."""
     if not Path(path).is_file():
         raise RecordError(f"{path}: there is no such file")
-    entries, runs, ids = list[Entry](), list[Run](), (254, 190)
+    entries, runs, ids = list[Entry](), list[RecordedRun](), (254, 190)
     run, zero = "", 0.0
     for line in json_log.read(path):
         if not _sound(line):
@@ -100,7 +100,7 @@ def load(path: str | Path) -> Record:
         if line["run"] != run:
             run, at = str(line["run"]), entries[-1].at + BETWEEN_RUNS_S if entries else 0.0
             zero = line["mono"] - at
-            runs.append(Run(at, float(line["utc_s"])))
+            runs.append(RecordedRun(at, float(line["utc_s"])))
         if line["event"] == "start":
             ids = _own(line) or ids
         last = entries[-1].at if entries else 0.0
@@ -116,7 +116,7 @@ def load(path: str | Path) -> Record:
         raise RecordError(f"{path}: no line of `phm gcs --record` is in it")
     entries += _fill_in(entries, path)
     entries.sort(key=lambda entry: entry.at)
-    return Record(tuple(entries), tuple(entry.at for entry in entries), tuple(runs), ids)
+    return GroundRecord(tuple(entries), tuple(entry.at for entry in entries), tuple(runs), ids)
 
 
 def _sound(line: Json) -> bool:

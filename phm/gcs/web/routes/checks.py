@@ -9,7 +9,7 @@ from typing import Any
 from aiohttp import web
 
 from phm.config import ConfigError
-from phm.gcs.web.access import MOST_BODY, Problem, answer, operate, read_json, view
+from phm.gcs.web.access import MOST_BODY, HttpProblem, answer, operate, read_json, view
 from phm.gcs.web.config_editor import ConfigEditor, NotSaved
 from phm.gcs.web.site import Site
 
@@ -23,7 +23,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
 
     def here() -> ConfigEditor:
         if editor is None:
-            raise Problem(404, "configurations cannot be edited here")
+            raise HttpProblem(404, "configurations cannot be edited here")
         return editor
 
     async def about(request: web.Request) -> web.Response:
@@ -44,7 +44,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
         body = await read_json(request, MOST_BODY)
         name, text, version = (body.get(key) for key in ("name", "text", "version"))
         if not (isinstance(name, str) and isinstance(text, str) and isinstance(version, str)):
-            raise Problem(400, "send name, text and version")
+            raise HttpProblem(400, "send name, text and version")
         return answer(
             await _run(
                 lambda: here().save(name, text, version, body.get("variables"), anyway=body.get("anyway") is True)
@@ -61,12 +61,12 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
 
 
 async def _run(ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """In a thread: a configuration is read, parsed and validated. Raises Problem."""
+    """In a thread: a configuration is read, parsed and validated. Raises HttpProblem."""
     try:
         return await asyncio.to_thread(ask)
     except KeyError:
-        raise Problem(404, "there is no such file: `phm gcs --web --edit FILE` allows one") from None
+        raise HttpProblem(404, "there is no such file: `phm gcs --web --edit FILE` allows one") from None
     except NotSaved as refused:
-        raise Problem(409, str(refused)) from None
+        raise HttpProblem(409, str(refused)) from None
     except (ConfigError, ValueError) as error:
-        raise Problem(400, str(error)) from None
+        raise HttpProblem(400, str(error)) from None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from aiohttp import web
 
-from phm.gcs.web.access import Problem, answer, operate, read_json
+from phm.gcs.web.access import HttpProblem, answer, operate, read_json
 from phm.gcs.web.site import Site
 
 
@@ -15,21 +15,21 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     async def alarms(request: web.Request) -> web.Response:
         body = await read_json(request)
         if site.alarms is None:
-            raise Problem(409, "there are no alarms here")
+            raise HttpProblem(409, "there are no alarms here")
         try:
             site.alarms.control(body, site.view.moment()[0])
         except ValueError as error:
-            raise Problem(400, str(error)) from None
+            raise HttpProblem(400, str(error)) from None
         return answer({})
 
     async def replay(request: web.Request) -> web.Response:
         body = await read_json(request)
         if site.replay is None:
-            raise Problem(409, "no record is replayed here")
+            raise HttpProblem(409, "no record is replayed here")
         try:
             await asyncio.to_thread(site.replay.control, body)
         except ValueError as error:
-            raise Problem(400, str(error)) from None
+            raise HttpProblem(400, str(error)) from None
         return answer({})
 
     return [web.post("/api/alarms", operate(alarms)), web.post("/api/replay", operate(replay))]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from aiohttp import web
 
-from phm.gcs.web.access import Handler, Problem, answer, view
+from phm.gcs.web.access import Handler, HttpProblem, answer, view
 from phm.gcs.web.history.reader import HistoryError, HistoryReader
 from phm.gcs.web.site import Site
 
@@ -22,11 +22,11 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     def handler(ask: Callable[[Site, HistoryReader, web.Request], Any]) -> Handler:
         async def handle(request: web.Request) -> web.Response:
             if site.history is None:
-                raise Problem(404, "there is no history here")
+                raise HttpProblem(404, "there is no history here")
             try:
                 return answer(await asyncio.to_thread(ask, site, site.history, request))
             except HistoryError as error:
-                raise Problem(503, str(error)) from None
+                raise HttpProblem(503, str(error)) from None
 
         return view(handle)
 
@@ -45,7 +45,7 @@ def _series(site: Site, history: HistoryReader, request: web.Request) -> Any:
     until = min(until, utc) if site.replay is not None else until
     since = _armed(site, who) if request.query.get("since") == "armed" else _number(request, "since", until - DEFAULT_S)
     if since > until:
-        raise Problem(400, "since is after until")
+        raise HttpProblem(400, "since is after until")
     points = int(_number(request, "points", 600))
     return history.series(who, _text(request, "kind"), since, until, points)
 
@@ -57,7 +57,7 @@ def _kinds(site: Site, history: HistoryReader, request: web.Request) -> Any:
 def _events(site: Site, history: HistoryReader, request: web.Request) -> Any:
     before = request.query.get("before")
     if before is not None and not (before.isascii() and before.isdecimal() and len(before) < 18):
-        raise Problem(400, "before is the id of an event")
+        raise HttpProblem(400, "before is the id of an event")
     return history.events(
         who=_text(request, "agent"),
         event=_text(request, "event"),
@@ -78,14 +78,14 @@ def _armed(site: Site, who: str) -> float:
     row = site.view.row(who)
     now, utc = site.view.moment()
     if row is None or row.get("armed_at") is None:
-        raise Problem(409, "the autopilot of this agent is not armed")
+        raise HttpProblem(409, "the autopilot of this agent is not armed")
     return float(utc - (now - row["armed_at"]))
 
 
 def _text(request: web.Request, name: str) -> str:
     value = request.query.get(name, "")
     if len(value) > MAX_TEXT:
-        raise Problem(400, f"{name} has more than {MAX_TEXT} characters")
+        raise HttpProblem(400, f"{name} has more than {MAX_TEXT} characters")
     return value
 
 
@@ -96,5 +96,5 @@ def _number(request: web.Request, name: str, default: float) -> float:
     except ValueError:
         found = math.nan
     if not math.isfinite(found) or abs(found) > 1e11:
-        raise Problem(400, f"{name} is a number")
+        raise HttpProblem(400, f"{name} is a number")
     return found

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from aiohttp import hdrs, web
 
-from phm.gcs.metrics import GroundMetrics, Station
-from phm.gcs.web.access import Problem, view
+from phm.gcs.metrics import GroundMetrics, MeasuredStation
+from phm.gcs.web.access import HttpProblem, view
 from phm.gcs.web.site import Site
 
 AGAIN_S = 0.5
@@ -19,7 +19,7 @@ MISSING = "/metrics needs prometheus-client: pip install 'phm-sidecar[metrics]'"
 class _Page:
     """The handler; counts from the start of the server on."""
 
-    def __init__(self, site: Site, station: Station) -> None:
+    def __init__(self, site: Site, station: MeasuredStation) -> None:
         self._clock, self._ground = site.clock, GroundMetrics(station, site.clock)
         self._kept: dict[bool, tuple[float, bytes, str]] = {}
         self._lock = asyncio.Lock()
@@ -28,7 +28,7 @@ class _Page:
         try:
             from phm.wire.openmetrics import MetricsText, wants_openmetrics
         except ImportError:
-            raise Problem(503, MISSING) from None
+            raise HttpProblem(503, MISSING) from None
         accept = ",".join(request.headers.getall(hdrs.ACCEPT, ()))
         first = wants_openmetrics(accept)
         async with self._lock:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from aiohttp import web
 
-from phm.gcs.web.access import Problem, answer, operate, read_json, view
+from phm.gcs.web.access import HttpProblem, answer, operate, read_json, view
 from phm.gcs.web.options import OPERATE
-from phm.gcs.web.site import Refused, Site
+from phm.gcs.web.site import RequestRefused, Site
 
 
 def routes(site: Site) -> Sequence[web.RouteDef]:
@@ -18,8 +18,8 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
             return answer({"choices": [], "note": site.no_requests})
         try:
             return answer(site.requests.choices(request.query.get("agent", "")))
-        except Refused as refusal:
-            raise Problem(404, str(refusal)) from None
+        except RequestRefused as refusal:
+            raise HttpProblem(404, str(refusal)) from None
 
     async def recent(request: web.Request) -> web.Response:
         return answer({"requests": site.requests.recent() if site.requests is not None else []})
@@ -27,14 +27,14 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     async def submit(request: web.Request) -> web.Response:
         body = await read_json(request)
         if site.requests is None:
-            raise Problem(409, site.no_requests)
+            raise HttpProblem(409, site.no_requests)
         try:
             # Sending never waits for an agent, but takes the lock of the station.
             return answer(await asyncio.to_thread(site.requests.submit, body, OPERATE), 202)
-        except Refused as refusal:
-            raise Problem(409, str(refusal)) from None
+        except RequestRefused as refusal:
+            raise HttpProblem(409, str(refusal)) from None
         except ValueError as error:
-            raise Problem(400, str(error)) from None
+            raise HttpProblem(400, str(error)) from None
 
     return [
         web.get("/api/choices", view(choices)),

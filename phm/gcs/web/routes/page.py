@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from aiohttp import hdrs, web
 
-from phm.gcs.web.access import Problem, answer, public, read_json, view
+from phm.gcs.web.access import HttpProblem, answer, public, read_json, view
 from phm.gcs.web.options import OPERATE
 from phm.gcs.web.routes.checks import EXTRA as CHECKS
 from phm.gcs.web.server_keys import GATE
@@ -21,7 +21,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
 
     def file(request: web.Request, name: str) -> web.Response:
         if name not in found:
-            raise Problem(404, "there is no such file")
+            raise HttpProblem(404, "there is no such file")
         return _response(request, found[name])
 
     async def index(request: web.Request) -> web.Response:
@@ -47,7 +47,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
         if gate.sessions.tokens is None:
             return _begin(request, site, OPERATE)
         if not isinstance(token, str) or len(token) > MAX_TOKEN:
-            raise Problem(400, 'send {"token": "..."}')
+            raise HttpProblem(400, 'send {"token": "..."}')
         return _begin(request, site, gate.check_token(request, token))
 
     async def logout(request: web.Request) -> web.Response:
