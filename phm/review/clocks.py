@@ -14,6 +14,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+from phm.review.events import WORDS
 from phm.review.ground_part import GroundRun
 from phm.review.part import STEP_S
 from phm.review.run import Run
@@ -32,7 +33,6 @@ SHARE_HEARD, MOST_OTHER = 0.5, 0.8
 votes: numbers that come again at even intervals fit several offsets."""
 MOST_EACH = 60
 """Observations of one kind that are compared."""
-WORDS = {"FAIL": "ERROR", "WARN": "WARN"}
 Observed = dict[tuple[object, ...], list[float]]
 
 

@@ -15,6 +15,7 @@ Json = dict[str, Any]
 VERSION = 1
 """`report` of the object; raised when a key changes its meaning or is removed."""
 MOST_POINTS = 150_000
+MOST_OTHER = 20_000
 MARGIN_S = 2.0
 """A flight is shown with so much before and after it."""
 NO_GROUND = (
@@ -69,6 +70,7 @@ def build(record: Record, flight: int | None = None) -> Json:
         "plots": _thinned(
             [plot for agent in record.agents for plot in _plots(agent, begin, end)] + _ground_plots(record, begin, end)
         ),
+        "other": _others(record, begin, end),
         "table2": table2.build(record.agents, faults, uptimes, begin, end),
         "files": _files(record),
     }
@@ -249,6 +251,25 @@ def _ground_plots(record: Record, begin: float, end: float) -> list[Json]:
             points = [[round(clock.t(at), 2), value] for at, value in series.points() if begin <= clock.t(at) <= end]
             found.append({"agent": "ground", "name": name, "points": points})
     return [plot for plot in found if len(plot["points"]) > 1]
+
+
+def _others(record: Record, begin: float, end: float) -> Json:
+    names = {agent.id: agent.name for agent in record.agents}
+    inside = [other for other in record.others if begin <= other.t <= end]
+    rows = [
+        {
+            "t": round(other.t, 3),
+            "agent": names[other.system],
+            "system": other.system,
+            "what": other.what,
+            "text": other.text,
+            "level": other.level,
+            "by": other.by,
+            "file": other.file,
+        }
+        for other in inside[:MOST_OTHER]
+    ]
+    return {"outside": len(record.others) - len(inside), "left_out": len(inside) - len(rows), "rows": rows}
 
 
 def _files(record: Record) -> Json:

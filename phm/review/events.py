@@ -7,6 +7,8 @@ from typing import Any
 import msgspec
 
 Number = int | float
+WORDS = {"FAIL": "ERROR", "WARN": "WARN"}
+"""Of PHM's lines about a change, and their levels."""
 LATEST_S = 1e11
 """No clock of a record is later, in seconds."""
 

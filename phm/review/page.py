@@ -18,6 +18,8 @@ from phm.wire.report import clock_text
 Json = dict[str, Any]
 MOST_FAULTS = 3000
 """Rows of the table; the JSON document has all."""
+MOST_OTHER = 5000
+"""Marks of other records."""
 UPLOT = "gcs/web/static/vendor"
 
 
@@ -57,7 +59,17 @@ def _data(document: Json) -> str:
         {**plot, "points": [[round(t - begin, 1) for t, _ in plot["points"]], [value for _, value in plot["points"]]]}
         for plot in document["plots"]
     ]
-    shown = {"window": document["window"], "agents": document["agents"], "faults": faults, "plots": plots}
+    others = [
+        [round(row["t"] - begin, 2), row["agent"], row["what"], row["text"], row["level"]]
+        for row in document["other"]["rows"][:MOST_OTHER]
+    ]
+    shown = {
+        "other": others,
+        "window": document["window"],
+        "agents": document["agents"],
+        "faults": faults,
+        "plots": plots,
+    }
     text = json.dumps(shown, separators=(",", ":"))
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 

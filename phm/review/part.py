@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from phm.review.events import LATEST_S, Event, numbers
 from phm.review.ground_part import GroundRun
 from phm.review.lines import Problems
+from phm.review.other import KINDS, MOST, Other
 from phm.review.run import MOST_SERIES, Change, Run, RunMark
 from phm.review.series import Series
 
@@ -43,6 +45,7 @@ class Part:
     def __init__(self) -> None:
         self.runs: dict[tuple[str, str], Run] = {}
         self.grounds: dict[str, GroundRun] = {}
+        self.others: list[Other] = []
         self.problems = Problems()
         self.lines = 0
         self.bytes = 0
@@ -57,8 +60,19 @@ class Part:
                 self.problems.add("more runs of the ground than a report takes", path)
                 return
             self.grounds.setdefault(event.run, GroundRun(event.run)).take(event)
+        elif event.event in KINDS:
+            self._other(event, path)
         else:
             self.problems.add("neither boot_id nor run: not a record of PHM", path)
+
+    def _other(self, event: Event, path: str) -> None:
+        made = Other.of(event, Path(path).name)
+        if made is None:
+            self.problems.add("an entry without a possible time or system, left out", path)
+        elif len(self.others) >= MOST:
+            self.problems.add(f"more than {MOST} entries of other records; the others are left out", path)
+        else:
+            self.others.append(made)
 
     def merge(self, other: Part) -> None:
         for key, run in other.runs.items():
@@ -71,6 +85,14 @@ class Part:
                 self.grounds[name].merge(ground)
             elif len(self.grounds) < MOST_RUNS:
                 self.grounds[name] = ground
+        room = MOST - len(self.others)
+        self.others += other.others[:room]
+        if left_out := len(other.others[room:]):
+            self.problems.add(
+                f"more than {MOST} entries of other records; the others are left out",
+                other.others[-1].file,
+                count=left_out,
+            )
         self.problems.merge(other.problems)
         self.lines, self.bytes = self.lines + other.lines, self.bytes + other.bytes
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from phm.review.clocks import RunClock, align, align_together, continue_by_autopilot, ground_clock
 from phm.review.ground_part import GroundRun
+from phm.review.other import Other
 from phm.review.part import Part
 from phm.review.run import Change, Run, RunMark
 from phm.review.spans import Cover, Span, joined
@@ -36,11 +38,12 @@ class AgentRecord:
 
 @dataclass
 class Record:
-    """agents by name; grounds with their clocks; part: problems and counts of the files."""
+    """agents by name; grounds with their clocks; part: problems and counts of the files; others: in the order of time."""
 
     agents: list[AgentRecord]
     grounds: list[tuple[GroundRun, RunClock]]
     part: Part
+    others: list[Other] = field(default_factory=list)
 
     @property
     def begin(self) -> float:
@@ -53,7 +56,7 @@ class Record:
     def _spans(self) -> list[Span]:
         own = [span for agent in self.agents for span in agent.cover]
         ground = [[clock.t(span[0]), clock.t(span[1])] for one, clock in self.grounds for span in one.cover.spans]
-        return own or ground
+        return own or ground or [[other.t, other.t] for other in self.others]
 
 
 def build(part: Part) -> Record:
@@ -79,9 +82,14 @@ def build(part: Part) -> Record:
         agents["", number] = AgentRecord(
             next((g.names[number] for g, _ in grounds if number in g.names), f"A{number:02d}"), number
         )
+    others = sorted(part.others)
+    for number in sorted({other.system for other in others} - {agent.id for agent in agents.values()}):
+        agents["", number] = AgentRecord(f"vehicle {number}", number)
     for agent in agents.values():
         _armed(agent, grounds)
-    return Record(sorted(agents.values(), key=lambda agent: (agent.id, agent.name)), grounds, part)
+        if not agent.armed:
+            _armed_by_others(agent, [other for other in others if other.system == agent.id])
+    return Record(sorted(agents.values(), key=lambda agent: (agent.id, agent.name)), grounds, part, others)
 
 
 def _heard(ground: GroundRun) -> set[int]:
@@ -170,6 +178,17 @@ def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> Non
             if which == agent.id
         ]
         end = max((clock.t(ground.cover.spans[-1][1]) for ground, clock in grounds if ground.cover.spans), default=0.0)
+    agent.armed = _spans(edges, end)
+
+
+def _armed_by_others(agent: AgentRecord, others: list[Other]) -> None:
+    """From other records, where neither its log nor the ground says it."""
+    edges = [(other.t, other.began, None) for other in others if other.what == "arming"]
+    agent.armed = _spans(edges, others[-1].t if others else 0.0)
+
+
+def _spans(edges: Sequence[tuple[float, bool, Any]], end: float) -> list[Span]:
+    """(t, armed or disarmed, for how long it was armed if that is known) to armed periods; one that goes on ends at `end`."""
     spans: list[Span] = []
     since: float | None = None
     for t, began, duration_s in sorted(edges, key=lambda edge: edge[0]):
@@ -180,4 +199,4 @@ def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> Non
             since = None
     if since is not None and end > since:
         spans.append([since, end])
-    agent.armed = joined(spans)
+    return joined(spans)

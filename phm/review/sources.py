@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from phm.review import source_dataflash, source_tlog
 from phm.review.events import Event, parse
 from phm.review.lines import Piece, Problems, lines
 
@@ -41,7 +42,11 @@ def _is_json_lines(path: Path, head: bytes) -> bool:
     return NAME.fullmatch(path.name) is not None
 
 
-SOURCES: tuple[Source, ...] = (Source("JSON lines", _is_json_lines, _json_lines, divisible=True),)
+SOURCES: tuple[Source, ...] = (
+    Source("JSON lines", _is_json_lines, _json_lines, divisible=True),
+    Source("DataFlash", source_dataflash.fits, source_dataflash.read),
+    Source("tlog", source_tlog.fits, source_tlog.read),
+)
 
 
 def source_of(path: Path) -> Source | None:

@@ -48,6 +48,8 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
         found.append(
             ("Checks, all records of the dataset", ("check", "records", "faults", "MTBF (95 %)", "MTTR"), rows)
         )
+    if document["other"]["rows"] or document["other"]["outside"]:
+        found.append(_others(document["other"], most))
     low = [row for row in document["availability"] if row["availability"] is not None and row["availability"] < 1]
     if low:
         head = ("agent", "of", "availability", "in ERROR", "unknown")
@@ -58,9 +60,9 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
                 [_available(row) for row in sorted(low, key=lambda row: float(row["availability"]))],
             )
         )
-    found.append(
-        ("Clocks", ("agent", "run", "offset", "error", "by"), [_clock(row) for row in document["clocks"]["runs"]])
-    )
+    if document["clocks"]["runs"]:
+        head = ("agent", "run", "offset", "error", "by")
+        found.append(("Clocks", head, [_clock(row) for row in document["clocks"]["runs"]]))
     if document["files"]["problems"]:
         head = ("problem", "how often", "first in")
         found.append(("Not read", head, [_problem(row) for row in document["files"]["problems"]]))
@@ -152,6 +154,25 @@ def _clock(row: Json) -> tuple[str, ...]:
     offset += "" if row["applied"] or row["offset_s"] is None else " (within its error, not applied)"
     steps = f"; its UTC jumped {len(row['steps'])} times" if row["steps"] else ""
     return (row["agent"], row["boot_id"], offset, _seconds(row["error_s"]), (row["by"] or "its own clock") + steps)
+
+
+def _others(other: Json, most: int) -> Table:
+    """What others recorded; texts without a level only where there is room for all."""
+    rows = other["rows"]
+    if len(rows) > most:
+        rows = [row for row in rows if row["level"] or row["what"] != "statustext"]
+    outside = f"; {other['outside']} more are not in the time of this report" if other["outside"] else ""
+    hidden = len(other["rows"]) - len(rows)
+    texts = f", without {hidden} texts" if hidden else ""
+    head: tuple[str, ...] = ("agent", "at (UTC)", "what", "level", "text", "file")
+    shown: list[tuple[str, ...]] = [
+        (row["agent"], clock_text(row["t"]), row["what"], row["level"], _said(row), row["file"]) for row in rows
+    ]
+    return (f"Records of others{texts}{outside}", head, shown)
+
+
+def _said(row: Json) -> str:
+    return f"{row['by']}: {row['text']}" if row["by"] else str(row["text"])
 
 
 def _problem(row: Json) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 // A block of its own: uPlot before it has names of its own.
 {
 const data = JSON.parse(document.getElementById("data").textContent);
-const { window: span, agents, faults, plots } = data;
+const { window: span, agents, faults, plots, other } = data;
 const $ = (id) => document.getElementById(id);
 const element = (tag, text, kind) => { const made = document.createElement(tag); if (text !== undefined) made.textContent = text; if (kind) made.className = kind; return made; };
 const pad = (n, w = 2) => String(Math.floor(n)).padStart(w, "0");
@@ -18,6 +18,9 @@ let from = 0, to = whole, colours = {}, rows = [], marks = [];
 const open = new Set();
 const byAgent = new Map(agents.map((agent) => [agent.agent, []]));
 faults.forEach((fault, index) => byAgent.get(fault.agent)?.push([fault.opened - span.begin, index]));
+
+const others = new Map(agents.map((agent) => [agent.agent, []]));
+for (const [s, agent, what, text, level] of other) others.get(agent)?.push([s, what, text, level]);
 
 function layout() {
   rows = []; let y = TOP;
@@ -67,6 +70,7 @@ function drawRow(row, width) {
     for (const [a, b] of agent.link_gaps) { pen.beginPath(); pen.moveTo(x(a - span.begin, width), y + 2.5); pen.lineTo(Math.max(x(b - span.begin, width), x(a - span.begin, width) + 3), y + 2.5); pen.stroke(); }
     pen.setLineDash([]);
     for (const [t, action, phase] of agent.actions) { const px = x(t - span.begin, width); if (px < LEFT || px > width) continue; if (phase === "started") { triangle(px, y + height - 4, 4); marks.push({ px, y: y + height - 5, text: `${action} ${phase}` }); } }
+    for (const [s, what, text, level] of others.get(agent.agent) || []) { const px = x(s, width); if (px < LEFT || px > width) continue; ring(px, y + height / 2, 3, level); marks.push({ px, y: y + height / 2, text: `${clock(s, 1)} ${what}: ${text}` }); }
     for (const [s, index] of byAgent.get(agent.agent) || []) { const px = x(s, width); if (px < LEFT - 6 || px > width) continue; diamond(px, y + 6, 5); marks.push({ px, y: y + 6, index, text: `${faults[index].brief || faults[index].unit}` }); }
   }
   pen.restore();
@@ -74,6 +78,7 @@ function drawRow(row, width) {
 function bar(a, b, base, tall, width, least = 0.6) { const left = x(a - span.begin, width), right = x(b - span.begin, width); pen.fillRect(left, base - tall, Math.max(least, right - left), tall); }
 function diamond(px, py, r) { pen.beginPath(); pen.moveTo(px, py - r); pen.lineTo(px + r, py); pen.lineTo(px, py + r); pen.lineTo(px - r, py); pen.closePath(); pen.fillStyle = colours.error; pen.fill(); pen.strokeStyle = colours.bg; pen.lineWidth = 1; pen.stroke(); }
 function triangle(px, py, r) { pen.beginPath(); pen.moveTo(px, py - r); pen.lineTo(px + r, py + r * 0.6); pen.lineTo(px - r, py + r * 0.6); pen.closePath(); pen.fillStyle = colours.act; pen.fill(); pen.strokeStyle = colours.bg; pen.lineWidth = 1; pen.stroke(); }
+function ring(px, py, r, level) { pen.beginPath(); pen.arc(px, py, r, 0, 7); pen.fillStyle = level ? colour(level) : colours.bg; pen.fill(); pen.strokeStyle = colours.fg; pen.lineWidth = 1; pen.stroke(); }
 let asked = false;
 function redraw() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; draw(); }); } }
 let later = 0;

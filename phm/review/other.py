@@ -1,0 +1,78 @@
+"""What records of others say of a vehicle: modes, arming, errors, failsafes and texts, on the time axis of PHM's events."""
+
+from __future__ import annotations
+
+import gzip
+import re
+import zlib
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from phm.review.events import LATEST_S, WORDS, Event
+from phm.review.lines import BLOCK, Problems
+from phm.wire.text import one_line
+
+KINDS = frozenset(("mode", "arming", "error", "failsafe", "statustext"))
+"""`event` of such an event."""
+MOST = 50_000
+"""Of all files; more are counted and left out."""
+MOST_SYSTEMS = 256
+MOST_TEXT = 200
+GZIP = b"\x1f\x8b"
+EARLIEST_S = 946_684_800.0
+"""2000-01-01: an earlier time is a clock that was never set."""
+_OURS = re.compile(r"A\d{1,3} ([A-Z]+)\b")
+_FORWARDED = re.compile(r"SRC=(\d{1,3}/\d{1,3}):(.*)", re.DOTALL)
+
+
+class Other(NamedTuple):
+    """One entry. t: UTC seconds by the record's own clock. by: system/component of a text's sender. began: armed or disarmed."""
+
+    t: float
+    system: int
+    what: str
+    text: str
+    level: str
+    by: str
+    file: str
+    began: bool
+
+    @classmethod
+    def of(cls, event: Event, file: str) -> Other | None:
+        """None: it has no possible time or system."""
+        if not EARLIEST_S < event.utc_s < LATEST_S or event.system is None or not 0 < event.system < MOST_SYSTEMS:
+            return None
+        text = one_line(event.text)[:MOST_TEXT]
+        return cls(event.utc_s, event.system, event.event, text, event.level, str(event.by), file, event.began)
+
+
+def text_event(system: int, utc_s: float, text: str, by: str = "", level: str = "") -> Event:
+    """A text of the vehicle. A line of PHM, as ArduPilot logs it too, has the level that it states."""
+    if forwarded := _FORWARDED.match(text):
+        by, text = forwarded.groups()
+    if ours := _OURS.match(text):
+        level = WORDS.get(ours.group(1), level)
+    return Event("statustext", system=system, utc_s=utc_s, text=text, by=by, level=level)
+
+
+def unpacked(head: bytes) -> bytes:
+    """The first bytes of a file, decompressed if it is compressed by gzip."""
+    if not head.startswith(GZIP):
+        return head
+    try:
+        return zlib.decompressobj(31).decompress(head, 4096)
+    except zlib.error:
+        return b""
+
+
+def blocks(path: str, problems: Problems) -> Iterator[bytes]:
+    """The file in blocks of 1 MB, decompressed if it is compressed by gzip."""
+    try:
+        with open(path, "rb") as plain:
+            packed = plain.read(2) == GZIP
+            plain.seek(0)
+            stream = gzip.GzipFile(fileobj=plain) if packed else plain
+            while block := stream.read(BLOCK):
+                yield block
+    except (OSError, EOFError, zlib.error) as error:
+        problems.add(f"damaged or unreadable from here on: {error or type(error).__name__}", path)
