@@ -72,7 +72,7 @@ def read(path: Path | str) -> Iterator[dict[str, Any]]:
             if files(path) == found:
                 break
         for stream in streams:
-            yield from (event for event in map(_parse, _lines(stream)) if event is not None)
+            yield from (event for event in map(parse, _lines(stream)) if event is not None)
 
 
 def _open(found: list[Path], stack: ExitStack) -> list[IO[bytes]]:
@@ -84,14 +84,14 @@ def _open(found: list[Path], stack: ExitStack) -> list[IO[bytes]]:
             stream: IO[bytes] = stack.enter_context(file.open("rb"))
             if file.name.endswith(COMPRESSED):
                 stream = cast(IO[bytes], stack.enter_context(gzip.GzipFile(fileobj=stream)))
-            key = _identity(stream)
+            key = identity(stream)
         except (OSError, EOFError, zlib.error):
             continue
         streams.setdefault(key, stream)
     return list(reversed(streams.values()))
 
 
-def _identity(stream: IO[bytes]) -> object:
+def identity(stream: IO[bytes]) -> object:
     """Equal for a file and its compressed copy: the first line has number and stamps. Leaves the stream at its start."""
     first = stream.readline(MAX_LINE)
     stream.seek(0)
@@ -108,7 +108,8 @@ def _lines(stream: IO[bytes]) -> Iterator[bytes]:
             yield line
 
 
-def _parse(line: bytes) -> dict[str, Any] | None:
+def parse(line: bytes) -> dict[str, Any] | None:
+    """The event of a line; None: it is not a JSON object."""
     try:
         event = json.loads(line)
     except (ValueError, RecursionError):

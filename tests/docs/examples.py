@@ -100,6 +100,15 @@ def _log() -> str:
     return "\n".join(kept)
 
 
+def _logs() -> str:
+    """`phm logs` of the fault, as a file of the story's record."""
+    words = "--kind FAILURE --kind ACTION --kind RESOLVED"
+    with tempfile.TemporaryDirectory() as place:
+        Path(place, "phm.jsonl").write_text("\n".join(map(json.dumps, play().record)), "utf-8")
+        output = CliRunner().invoke(group, ["logs", place, *words.split()], env={"COLUMNS": str(WIDTH)}).output
+    return "\n".join([f"$ phm logs {words}", *(line.rstrip() for line in output.splitlines())])
+
+
 def _event(event: str, **where: object) -> str:
     found = (line for line in play().record if line["event"] == event)
     line = next(line for line in found if all(line[key] == value for key, value in where.items()))
@@ -150,6 +159,7 @@ EXAMPLES: dict[str, Callable[[], str]] = {
     "timeline": _timeline,
     "gcs": _gcs,
     "log": _log,
+    "logs": _logs,
     "transition": lambda: _event("transition", unit="nodes/agent_1/node_1", level="ERROR"),
     "fault-opened": lambda: _event("fault_opened"),
     "action": lambda: _event("action", phase="verified"),

@@ -1,0 +1,170 @@
+"""A line of the record in words: what happened, and below it cause, consequence, action and remedy.
+
+The words are those of the record (`summary`, `detail`, `values`); nothing is judged here again.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from phm.wire.text import one_line
+
+Json = Mapping[str, Any]
+
+MOST_TEXT = 2000
+MOST_ITEMS = 8
+_REMEMBERED = 256
+_MEANING = {
+    "advised": "PHM waits for an operator",
+    "expired": "no one approved it in time",
+    "refused": "the operator's request was not carried out",
+    "failed": "the action failed",
+    "escalated": "PHM has given up",
+}
+
+
+@dataclass(frozen=True)
+class Words:
+    """when: UTC. details: pairs of a label and a text."""
+
+    when: str
+    agent: str
+    kind: str
+    text: str
+    details: tuple[tuple[str, str], ...] = ()
+
+
+class Explainer:
+    """Remembers open faults, so that what was said is not said again."""
+
+    def __init__(self) -> None:
+        self._faults: OrderedDict[tuple[str, str], str] = OrderedDict()
+        self._last: OrderedDict[str, tuple[object, int]] = OrderedDict()
+
+    def explain(self, event: Json) -> Words:
+        """Without a text, where the line before has said it: the fault that this transition has opened."""
+        name, made = event.get("event"), words(event)
+        said = (_text(event, "agent"), _text(event, "fault"))
+        if name == "fault_opened":
+            _keep(self._faults, said, _text(event, "summary"))
+        elif name == "transition" and said[1] and self._faults.get(said) == _text(event, "summary"):
+            values = tuple(detail for detail in made.details if detail[0] == "values")
+            return replace(made, text="", details=values)
+        return made
+
+    def gap(self, event: Json) -> int:
+        """How many lines before this one are missing, by the numbers of the lines."""
+        boot, seq, agent = event.get("boot_id"), event.get("seq"), _text(event, "agent")
+        if not isinstance(seq, int):
+            return 0
+        before = self._last.get(agent)
+        _keep(self._last, agent, (boot, seq))
+        if before is None or before[0] != boot or event.get("event") == "lost":
+            return 0
+        return max(0, seq - before[1] - 1)
+
+
+def words(event: Json) -> Words:
+    """Every text is safe to print, and bounded."""
+    when = _text(event, "utc")[:24].removesuffix("Z").replace("T", " ", 1)
+    slot = event.get("slot")
+    place = f"({slot}) " if isinstance(slot, int) else ""
+    details = tuple((label, text) for label, text in _details(event) if text)
+    return Words(when, _text(event, "agent")[:64], _text(event, "kind")[:16] or "?", place + _said(event), details)
+
+
+def _said(event: Json) -> str:
+    name, unit = event.get("event"), _text(event, "unit")
+    if name in ("transition", "unit", "fault_opened"):
+        return f"{unit}: {_text(event, 'summary')}{_was(event)}"
+    if name == "fault_closed":
+        by, lasted = _text(event, "by"), event.get("duration_s")
+        after = f" after {lasted:.1f} s" if isinstance(lasted, (int, float)) else ""
+        return f"{unit}: {_text(event, 'outcome')}{f' by {by}' if by else ''}{after}"
+    if name == "action":
+        return f"{unit}: {_text(event, 'action')} {_text(event, 'phase')}: {_text(event, 'detail')}"
+    if name == "start":
+        return f"PHM {_text(event, 'version')} started, process {_text(event, 'pid')}"
+    if name == "report_started":
+        return f"report {_text(event, 'number')} started"
+    if name == "report":
+        return f"report {_text(event, 'number')}: {_text(event, 'successes')} OK, {_text(event, 'failures')} failed"
+    if name == "lost":
+        return f"{_text(event, 'lines')} lines before this one were lost: {_text(event, 'reason')}"
+    return _text(event, "text") or _text(event, "event")
+
+
+def _was(event: Json) -> str:
+    return "" if event.get("event") != "transition" or event.get("changed_text") else f" (was {_text(event, 'old')})"
+
+
+def _details(event: Json) -> Iterator[tuple[str, str]]:
+    name, fault = event.get("event"), _text(event, "fault")
+    if name in ("transition", "unit"):
+        blocker = _text(event, "blocked_by")
+        cause = f"blocked by {blocker}" if blocker else _condition(event)
+        yield "cause", "" if cause in _text(event, "summary") else cause
+        if event.get("level") not in ("OK", "n/a"):
+            yield "values", _values(event.get("values"))
+            yield "see", _timeline(fault)
+    elif name == "fault_opened":
+        yield "cause", _condition(event)
+        yield "possible cause", _list(event.get("suspects"))
+        yield "blocks", _list(event.get("consequences")) or _list(event.get("blocks"))
+        yield "see", _timeline(fault)
+    elif name == "fault_closed":
+        yield "had blocked", _list(event.get("blocks"))
+        yield "see", _timeline(fault) if event.get("outcome") == "escalated" else ""
+    elif name == "action":
+        phase = _text(event, "phase")
+        yield "means", _MEANING.get(phase, "")
+        yield "remedy", f"phm approve {fault}" if phase == "advised" and fault else ""
+        yield "see", _timeline(fault) if phase in ("failed", "escalated") else ""
+
+
+def _condition(event: Json) -> str:
+    condition, target = _text(event, "condition"), _text(event, "target")
+    return f"{condition.replace('_', ' ')}{f' in {target}' if target else ''}" if condition else ""
+
+
+def _timeline(fault: str) -> str:
+    return f"phm faults {fault}" if fault else ""
+
+
+def _values(values: object) -> str:
+    if not isinstance(values, dict):
+        return ""
+    known = {key: value for key, value in values.items() if value is not None}
+    listed = [f"{key}: {_plain(value)}" for key, value in list(known.items())[:MOST_ITEMS]]
+    more = [f"and {len(known) - MOST_ITEMS} more"] if len(known) > MOST_ITEMS else []
+    return _safe(", ".join([*listed, *more]))
+
+
+def _list(value: object) -> str:
+    if not isinstance(value, list):
+        return ""
+    more = [f"and {len(value) - MOST_ITEMS} more"] if len(value) > MOST_ITEMS else []
+    return _safe(", ".join([*(_plain(each) for each in value[:MOST_ITEMS]), *more]))
+
+
+def _text(event: Json, key: str) -> str:
+    value = event.get(key)
+    return "" if value is None or isinstance(value, (dict, list)) else _plain(value)
+
+
+def _plain(value: object) -> str:
+    return _safe(value if isinstance(value, str) else str(value)[:MOST_TEXT])
+
+
+def _safe(text: str) -> str:
+    return one_line(text if len(text) <= MOST_TEXT else text[: MOST_TEXT - 1] + "…")
+
+
+def _keep(memory: OrderedDict[Any, Any], key: object, value: object) -> None:
+    memory[key] = value
+    memory.move_to_end(key)
+    if len(memory) > _REMEMBERED:
+        memory.popitem(last=False)

@@ -1,0 +1,273 @@
+"""`phm logs`: what the log reporter writes is shown, explained, filtered, and followed across rotation."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from phm.cli import group
+from phm.core.clock import SystemClock
+from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Slot
+from phm.core.settings import Settings
+from phm.logs.choice import utc_s
+from phm.logs.reader import LogReader
+from phm.reporters.base import ReporterContext
+from phm.reporters.log import LogReporter
+from tests.fakes.records import at, closed, context, opened, transition, unit
+from tests.fakes.until import until
+
+DEAD = unit(
+    "nodes/n1",
+    Slot.NODES,
+    Level.ERROR,
+    "Node n1 is not running: restart it.",
+    condition="node_missing",
+    target="app",
+    values={"listed": 0},
+    fault="ab12-1",
+)
+BLOCKED = unit("topics/t1", Slot.TOPICS, Level.STALE, "topic t1 lacks its publisher", blocked_by=DEAD.unit)
+STORY: list[Event] = [
+    opened(DEAD),
+    transition(DEAD),
+    transition(BLOCKED, seconds=0.1),
+    ActionEvent(at(1.0), "ab12-1", DEAD.unit, "restart", "app", Phase.ADVISED, "restart app"),
+    closed(DEAD, Outcome.RESOLVED, "restart", 4.5),
+]
+
+
+def log_of(folder: Path, name: str = "agent_1", **more: Any) -> LogReporter:
+    made = {"agent": {"name": name}, "log": {"directory": str(folder), **more}, "state_dir": str(folder / "state")}
+    return LogReporter.build(context(Settings.model_validate(made)))
+
+
+def record(folder: Path, *events: Event, name: str = "agent_1") -> None:
+    log = log_of(folder, name)
+    for event in events:
+        log.handle(event)
+    log.close()
+
+
+def note(text: str, seconds: float = 0.0) -> Note:
+    return Note(at(seconds), "NOTE", text)
+
+
+def logs(*words: object) -> Result:
+    return CliRunner().invoke(group, ["logs", *map(str, words)], env={"COLUMNS": "200"})
+
+
+def events(*words: object) -> list[dict[str, Any]]:
+    result = logs(*words, "--json")
+    assert result.exit_code == 0, result.output
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_a_fault_is_explained_with_cause_values_consequence_and_remedy(tmp_path: Path) -> None:
+    """The summary is said once, and the lines below say what is behind it and what to do."""
+    record(tmp_path, *STORY)
+    shown = logs(tmp_path).output
+    for words in (
+        "2026-03-01 12:00:00.123 FAILURE (6) nodes/n1: Node n1 is not running: restart it.",
+        "cause: node missing in app",
+        "values: listed: 0",
+        "see: phm faults ab12-1",
+        "STALE (7) topics/t1: topic t1 lacks its publisher",
+        "cause: blocked by nodes/n1",
+        "remedy: phm approve ab12-1",
+        "RESOLVED (6) nodes/n1: resolved by restart after 4.5 s",
+    ):
+        assert words in shown
+    assert shown.count("Node n1 is not running") == 1
+    assert "cause:" not in logs(tmp_path, "--brief").output
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--unit", "topics/*"], {"topics/t1"}),
+        (["--unit", "n*"], {"nodes/n1"}),
+        (["--level", "stale"], {"topics/t1"}),
+        (["--kind", "action"], {"nodes/n1"}),
+        (["--since", "2026-03-01T12:00:01Z"], {"nodes/n1"}),
+        (["--since", "1min"], set()),
+        (["--agent", "agent_2"], set()),
+        (["--agent", "A01", "--kind", "STALE"], {"topics/t1"}),
+    ],
+)
+def test_lines_are_filtered(words: list[str], expected: set[str], tmp_path: Path) -> None:
+    """By unit, level, kind, time and agent."""
+    record(tmp_path, *STORY)
+    assert {event["unit"] for event in events(tmp_path, *words) if "unit" in event} == expected
+
+
+def test_take_off_is_the_beginning_of_the_last_flight(tmp_path: Path) -> None:
+    """Also when PHM was restarted during the flight, and when the clock stepped back."""
+    armed: list[bool] = [False]
+    log = LogReporter(
+        ReporterContext(
+            Settings.model_validate({"log": {"directory": str(tmp_path)}, "state_dir": str(tmp_path / "state")}),
+            SystemClock(),
+            "boot12345678",
+            tuple,
+            lambda: True,
+            dict,
+            armed=lambda: armed[0],
+        )
+    )
+    for number, state in enumerate((True, False, True)):
+        log.handle(note(f"before {number}"))
+        armed[0] = state
+        log.tick()
+    log.handle(note("in flight", -1000.0))
+    log.close()
+    found = events(tmp_path, "--since", "take-off")
+    assert [event.get("text") for event in found][1:] == ["in flight"]
+    assert found[0]["event"] == "flight" and found[0]["number"] == 2
+
+
+def test_without_a_flight_take_off_is_an_error(tmp_path: Path) -> None:
+    """With what to do."""
+    record(tmp_path, note("x"))
+    result = logs(tmp_path, "--since", "take-off")
+    assert result.exit_code == 1 and "leave out --since take-off" in result.output
+
+
+def test_a_wrong_time_is_an_error(tmp_path: Path) -> None:
+    """It names what is allowed."""
+    result = logs(tmp_path, "--since", "yesterday")
+    assert result.exit_code == 2 and "take-off" in result.output and "2026-03-01T12:00:05" in result.output
+
+
+def test_without_a_log_it_says_where_it_looked(tmp_path: Path) -> None:
+    """A missing directory, and one without a log."""
+    for place in (tmp_path, tmp_path / "none"):
+        result = logs(place)
+        assert result.exit_code == 1 and str(place) in result.output
+
+
+def test_logs_of_several_agents_are_in_the_order_of_time(tmp_path: Path) -> None:
+    """A folder with subfolders; each line names its agent."""
+    for name, times in (("agent_1", (1, 4)), ("agent_2", (2, 3))):
+        record(tmp_path / name, *(note(f"{name} {second}", second) for second in times), name=name)
+    found = [event["text"] for event in events(tmp_path, "--kind", "NOTE")]
+    assert found == ["agent_1 1", "agent_2 2", "agent_2 3", "agent_1 4"]
+    assert "agent_2 NOTE agent_2 3" in logs(tmp_path).output
+
+
+def test_rotated_and_compressed_files_are_read_in_order(tmp_path: Path) -> None:
+    """Damage ends one file, not the log, and is said."""
+    record(tmp_path, *(note(f"n{number}", number) for number in range(9)))
+    lines = (tmp_path / "phm.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "phm.jsonl.2.gz").write_bytes(gzip.compress(b"".join(lines[:4])) + b"damaged")
+    (tmp_path / "phm.jsonl.1").write_bytes(b"".join(lines[4:7]) + b'{"torn":')
+    (tmp_path / "phm.jsonl").write_bytes(b"\0\0\n[1]\n" + b"".join(lines[7:]))
+    result = logs(tmp_path, "--json")
+    assert [json.loads(line)["seq"] for line in result.stdout.splitlines()] == list(range(1, 11))
+    assert "phm.jsonl.2.gz: damaged" in result.stderr and "2 lines are torn" in result.stderr
+
+
+def test_missing_lines_are_shown(tmp_path: Path) -> None:
+    """By the numbers of the lines."""
+    record(tmp_path, *(note(f"n{number}") for number in range(9)))
+    lines = (tmp_path / "phm.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "phm.jsonl").write_bytes(b"".join(lines[:3] + lines[6:]))
+    assert "3 lines are missing here" in logs(tmp_path).output
+
+
+def test_text_from_outside_is_safe_and_bounded(tmp_path: Path) -> None:
+    """No escape reaches the terminal, whatever types the keys have."""
+    hostile = {
+        **dict.fromkeys(("unit", "summary", "kind", "agent", "utc", "fault", "condition"), "\x1b[2J\n" * 5000),
+        "event": "transition",
+        "level": ["x"],
+        "values": {"\x1b": "\x1b" * 9000},
+        "slot": {},
+        "seq": "1",
+    }
+    kinds = ("transition", "fault_opened", "fault_closed", "action", "start", "report", "lost", "?", 7, None)
+    lines = [json.dumps({**hostile, "event": kind, "duration_s": "x", "suspects": 3}) for kind in kinds]
+    (tmp_path / "phm.jsonl").write_text("\n".join(lines))
+    result = logs(tmp_path, "--reports")
+    assert result.exit_code == 0 and "\x1b" not in result.output
+    assert max(map(len, result.output.splitlines())) < 100_000
+
+
+def test_a_log_is_read_once_whatever_the_rotation_does_meanwhile(tmp_path: Path) -> None:
+    """Events come in order, without a gap and without a repetition, while files are renamed, compressed and emptied."""
+    log = log_of(tmp_path, max_size="100kB", files=50)
+    reader, seen = LogReader(tmp_path), 0
+    for number in range(2000):
+        log.handle(note(f"{number} " + "x" * 400, number))
+        if number % 97 == 0:
+            for event in reader.events():
+                seen += 1
+                assert event["seq"] == seen
+    log.close()
+    rest = [event["seq"] for event in reader.events(last=True)]
+    assert rest == list(range(seen + 1, 2002)) and not reader.damaged
+    assert len(list(tmp_path.glob("phm.jsonl.*"))) > 5
+    reader.close()
+
+
+def test_a_log_that_was_emptied_is_followed_on(tmp_path: Path) -> None:
+    """As by logrotate's copytruncate."""
+    path = tmp_path / "phm.jsonl"
+    path.write_text('{"seq":1}\n{"seq":2}\n{"to')
+    reader = LogReader(path)
+    assert [event["seq"] for event in reader.events()] == [1, 2]
+    path.write_text('{"seq":3}\n')
+    list(reader.events())
+    assert [event["seq"] for event in reader.events()] == [3]
+    reader.close()
+
+
+def test_a_line_is_bounded(tmp_path: Path) -> None:
+    """A compressed file can hold an endless line; what is after it is read."""
+    path = tmp_path / "phm.jsonl.gz"
+    path.write_bytes(gzip.compress(b"x" * 9_000_000 + b'\n{"seq":1,"utc_s":5}\n'))
+    reader = LogReader(path, alone=True)
+    assert [utc_s(event) for event in reader.events()] == [5.0] and reader.skipped == 1
+
+
+@pytest.fixture
+def follow(tmp_path: Path) -> Iterator[Callable[..., Path]]:
+    """Start `phm logs --follow` as a program; its output is in the file."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(*words: object) -> Path:
+        shown = tmp_path / "shown"
+        with shown.open("wb") as target:
+            command = [sys.executable, "-m", "phm.cli", "logs", "--follow", *map(str, words)]
+            started.append(subprocess.Popen(command, stdout=target, stderr=target, env={**os.environ}))
+        return shown
+
+    yield start
+    for program in started:
+        program.terminate()
+        program.wait(30)
+
+
+def test_following_survives_a_rotation(follow: Callable[..., Path], tmp_path: Path) -> None:
+    """It begins before there is a log, and shows each line once, in order, over several rotations."""
+    place = tmp_path / "log"
+    shown = follow(place, "--kind", "NOTE", "--json")
+
+    def numbers() -> list[int]:
+        return [int(json.loads(line)["text"].split()[0]) for line in shown.read_bytes().splitlines()]
+
+    log = log_of(place, max_size="100kB", files=50)
+    for number in range(0, 900, 300):
+        for each in range(number, number + 300):
+            log.handle(note(f"{each} " + "x" * 400, each))
+        until(lambda last=number + 299: numbers()[-1:] == [last], "the last line to be shown", numbers)  # type: ignore[misc]
+    log.close()
+    assert numbers() == list(range(900)) and len(list(place.glob("phm.jsonl.*"))) > 2
