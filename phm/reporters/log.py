@@ -30,6 +30,7 @@ from phm.core.model import (
 from phm.reporters.base import Reporter, ReporterContext
 from phm.reporters.flights import FlightChange, FlightCounter
 from phm.reporters.heard_heartbeats import HeardHeartbeats
+from phm.reporters.own_cost import own_cost
 from phm.reporters.rotating_file import RotatingFile
 from phm.reporters.text_log_format import MAX_BYTES, TextLogFormatter, closed_kind, encode, note_kind, unit_kind
 from phm.wire.json_log import VERSION
@@ -146,6 +147,7 @@ class LogReporter(Reporter):
             for state in event.units:
                 yield (at, "unit", unit_kind(state), {**_unit(state), "number": event.number})
             yield at, "report", "REPORT", _report(event)
+            yield at, "cost", "PHM", own_cost(self._context.health())
 
     def _action(self, event: ActionEvent) -> dict[str, Any]:
         slot = self._slots.get(event.unit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from phm import __version__
@@ -9,6 +10,7 @@ from phm.review import availability, check_rates, fault_list, levels, sentences,
 from phm.review.clocks import REFERENCE
 from phm.review.flights import Flight, flights
 from phm.review.record import AgentRecord, Record
+from phm.review.run import Run
 from phm.review.spans import clipped, total, without
 
 Json = dict[str, Any]
@@ -185,6 +187,9 @@ def _own(record: Record, uptimes: dict[str, float]) -> Json:
                 "agent": agent.name,
                 "uptime": uptimes.get(agent.name),
                 "restarts": len(runs) - 1,
+                "cpu_percent": _cpu_percent(runs),
+                "memory_bytes": max(run.memory_bytes for run in runs) or None,
+                "sent_bytes": sum(run.cost[-1][2] - run.cost[0][2] for run in runs if run.cost) or None,
                 "reports": reports,
                 "report_mean_s": round(sum(run.report_s[0] for run in runs) / reports, 4) if reports else None,
                 "report_longest_s": round(max(run.report_s[1] for run in runs), 4) if reports else None,
@@ -197,6 +202,13 @@ def _own(record: Record, uptimes: dict[str, float]) -> Json:
             }
         )
     return {"uptime": round(sum(uptimes.values()) / len(uptimes), 6) if uptimes else None, "agents": agents}
+
+
+def _cpu_percent(runs: Sequence[Run]) -> float | None:
+    """CPU time of PHM per time, in percent of one core; None: the logs do not contain it."""
+    known = [run.cost for run in runs if len(run.cost) > 1]
+    seconds = sum(cost[-1][0] - cost[0][0] for cost in known)
+    return round(100 * sum(cost[-1][1] - cost[0][1] for cost in known) / seconds, 2) if seconds > 0 else None
 
 
 def _clocks(record: Record) -> Json:

@@ -63,6 +63,9 @@ class Event(msgspec.Struct, gc=False):
     interval_s: float = 0.0
     took_s: float = 0.0
     lines: int = 0
+    cpu_s: float | None = None
+    memory_bytes: int = 0
+    sent_bytes: dict[str, int] = {}
     frames: list[tuple[int, int, int, float]] = []
     # of the ground alone
     name: str | None = ""

@@ -208,6 +208,12 @@ class Part:
                 if len(times) < MOST_FRAMES:
                     times.append(mono)
 
+    def _cost(self, run: Run, event: Event) -> None:
+        if event.cpu_s is not None and 0.0 <= event.cpu_s < LATEST_S:
+            run.cost.append((event.mono, event.cpu_s, sum(event.sent_bytes.values())))
+            del run.cost[1:-1]
+        run.memory_bytes = max(run.memory_bytes, event.memory_bytes)
+
     def _mark(self, run: Run, event: Event) -> None:
         if len(run.marks) >= MOST_EVENTS:
             run.left_out += 1
@@ -276,4 +282,5 @@ _HANDLERS: dict[str, Callable[[Part, Run, Event], None]] = {
     "note": Part._mark,
     "lost": Part._mark,
     "heard": Part._heard,
+    "cost": Part._cost,
 }

@@ -73,6 +73,10 @@ class Run:
     """By number of reboots: how often, least and largest of mono minus the autopilot's time since boot."""
     armed: list[tuple[float, bool]] = field(default_factory=list)
     """(mono, whether the autopilot was armed), when a line of its check says something new: for logs without flights."""
+    cost: list[tuple[float, float, int]] = field(default_factory=list)
+    """(mono, CPU seconds and bytes sent since PHM's start) of the first and the last line that says so."""
+    memory_bytes: int = 0
+    """The most that PHM used."""
     heard: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
     """When which frames were received, by system, component and frame number: monotonic seconds."""
     series: dict[str, Series] = field(default_factory=dict)
@@ -105,6 +109,9 @@ class Run:
         for number, seen in other.boots.items():
             had = self.boots.setdefault(number, seen)
             self.boots[number] = [had[0] + seen[0], min(had[1], seen[1]), max(had[2], seen[2])]
+        self.cost = sorted({*self.cost, *other.cost})
+        del self.cost[1:-1]
+        self.memory_bytes = max(self.memory_bytes, other.memory_bytes)
         for frame, times in other.heard.items():
             self.heard[frame] = sorted({*self.heard.get(frame, []), *times})
         for name, series in other.series.items():

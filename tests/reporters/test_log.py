@@ -73,9 +73,10 @@ def test_every_line_has_agent_boot_number_and_time(tmp_path: Path) -> None:
         "unit",
         "unit",
         "report",
+        "cost",
         "note",
     ]
-    assert [line["seq"] for line in lines] == list(range(1, 9))
+    assert [line["seq"] for line in lines] == list(range(1, 10))
     assert all(set(line) >= HEAD for line in lines)
     first = lines[1]
     assert (first["v"], first["agent"], first["agent_id"], first["boot_id"]) == (2, "agent_1", 1, "boot12345678")
@@ -121,7 +122,7 @@ def test_a_fault_is_recorded_from_opening_to_outcome(tmp_path: Path) -> None:
 
 def test_a_report_has_counts_array_and_slots(tmp_path: Path) -> None:
     """The same numbers as in the text log; unknown and unused slots are null."""
-    line = written(tmp_path, Report(at(2), 3, at(), (DEAD, unit("host", Slot.HOST))))[-1]
+    line = written(tmp_path, Report(at(2), 3, at(), (DEAD, unit("host", Slot.HOST))))[-2]
     assert (line["successes"], line["failures"], line["number"], line["took_s"]) == (0, 1, 3, 2.0)
     assert line["status_array"] == [None, None, None, None, None, 0, None, None]
     assert line["slots"] == {"6": "ERROR", "9": "OK"}

@@ -218,3 +218,16 @@ def test_the_document_is_json(tmp_path: Path) -> None:
     made = report(tmp_path)
     assert json.loads(json.dumps(made, allow_nan=False)) == made
     assert made["report"] == 1
+
+
+def test_what_phm_cost_is_the_difference_of_its_counters(tmp_path: Path) -> None:
+    """CPU time and bytes count from the start of PHM, over reloads; memory is the most that was used."""
+    line = {"v": 2, "agent": "a", "agent_id": 1, "boot_id": "b", "kind": "PHM", "event": "cost"}
+    with open(tmp_path / "phm.jsonl", "w") as file:
+        for seq, (mono, cpu_s, memory, sent) in enumerate(
+            [(10, 5.0, 70, 100), (60, 6.0, 90, 250), (110, 8.0, 80, 600)]
+        ):
+            cost = {"cpu_s": cpu_s, "memory_bytes": memory, "sent_bytes": {"ground": sent, "peers": sent}}
+            file.write(json.dumps({**line, "seq": seq + 1, "mono": mono, "utc_s": T0 + mono, **cost}) + "\n")
+    (row,) = report(tmp_path)["phm"]["agents"]
+    assert (row["cpu_percent"], row["memory_bytes"], row["sent_bytes"]) == (3.0, 90, 1000)
