@@ -40,7 +40,16 @@ class Programs:
         self._free = threading.BoundedSemaphore(AT_ONCE)
         self._locks: dict[str, threading.Lock] = {}
         self._unfinished: dict[tuple[str, tuple[str, ...]], str] = {}
+        self._running: set[int] = set()
+        self._closed = False
         self._lock = threading.Lock()
+
+    def close(self) -> None:
+        """Kill the programs that run beside PHM, with their children; no other is started."""
+        with self._lock:
+            self._closed = True
+            for pid in self._running:
+                _kill(pid)
 
     def run(self, argv: Sequence[str], *, timeout_s: float, container: str = "") -> ProgramFact:
         until = self._clock.mono() + timeout_s
@@ -102,6 +111,26 @@ class Programs:
 
     def _beside(self, argv: Sequence[str], until: float, timeout_s: float) -> ProgramFact:
         began = self._clock.mono()
+        program = self._started(argv)
+        try:
+            output, errors, ended = self._read(program, until)
+        finally:
+            with self._lock:
+                self._running.discard(program.pid)
+            _kill(program.pid)  # it is not reaped yet, so the number is still its own
+            code = program.wait()
+            for stream in (program.stdout, program.stderr):
+                if stream is not None:
+                    stream.close()
+        if not ended:
+            raise CannotTell(f"{argv[0]} did not end within {timeout_s:g} s and was killed")
+        if code < 0:
+            raise CannotTell(f"{argv[0]} was ended by signal {-code}")
+        return ProgramFact(code, _text(output or errors), self._clock.mono() - began)
+
+    def _started(self, argv: Sequence[str]) -> subprocess.Popen[bytes]:
+        if self._closed:
+            raise CannotTell("PHM is stopping")
         try:
             program = subprocess.Popen(
                 list(argv),
@@ -115,20 +144,11 @@ class Programs:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise CannotTell(f"{argv[0]} cannot be started: {reason}") from error
-        try:
-            output, errors, ended = self._read(program, until)
-        finally:
-            with contextlib.suppress(OSError):
-                os.killpg(program.pid, signal.SIGKILL)  # it is not reaped yet, so the number is still its own
-            code = program.wait()
-            for stream in (program.stdout, program.stderr):
-                if stream is not None:
-                    stream.close()
-        if not ended:
-            raise CannotTell(f"{argv[0]} did not end within {timeout_s:g} s and was killed")
-        if code < 0:
-            raise CannotTell(f"{argv[0]} was ended by signal {-code}")
-        return ProgramFact(code, _text(output or errors), self._clock.mono() - began)
+        with self._lock:
+            self._running.add(program.pid)
+            if self._closed:  # meanwhile
+                _kill(program.pid)
+        return program
 
     def _read(self, program: subprocess.Popen[bytes], until: float) -> tuple[bytes, bytes, bool]:
         """The beginning of its output and errors, and whether it ended in time."""
@@ -151,6 +171,11 @@ class Programs:
                 if not selector.get_map() and not ended:
                     self._clock.wait(threading.Event(), min(left_s, 0.01))
         return b"", b"", False
+
+
+def _kill(group: int) -> None:
+    with contextlib.suppress(OSError):
+        os.killpg(group, signal.SIGKILL)
 
 
 def _has_ended(pid: int) -> bool:

@@ -76,6 +76,7 @@ class ProbeSet:
     sockets: Sockets
     serial: SerialPorts
     matcher: PatternMatcher
+    programs: Programs
     logs: Logs
     world: World
 
@@ -148,6 +149,7 @@ class ProbeSet:
             ("sockets", self.sockets.close),
             ("serial", self.serial.close),
             ("matcher", self.matcher.close),
+            ("programs", self.programs.close),
             ("logs", self.logs.close),
             ("engine", self.engine.close),
         ]
@@ -223,6 +225,7 @@ def build_probes(
     serial = SerialPorts(clock, devices.place)
     matcher = PatternMatcher(clock)
     logs = Logs(engine, docker.container, clock, matcher)
+    programs = Programs(engine, docker.container, clock)
     sockets = Sockets(clock, matcher)
     world = World(
         clock=clock,
@@ -239,11 +242,11 @@ def build_probes(
         sockets=sockets,
         messages=MavlinkMessages(hub, settings, clock, links.autopilot),
         serial=serial,
-        programs=Programs(engine, docker.container, clock),
+        programs=programs,
         logs=logs,
     )
     used = hub if settings.mavlink.endpoints else None
-    return ProbeSet(engine, docker, watch, pulse, notices, used, ros, sockets, serial, matcher, logs, world)
+    return ProbeSet(engine, docker, watch, pulse, notices, used, ros, sockets, serial, matcher, programs, logs, world)
 
 
 def _addressed(settings: Settings) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from phm import api
 from phm.api import Level
@@ -18,6 +19,11 @@ RANK = (Level.ERROR, Level.WARN, Level.OK)
 class Mavlink(CustomCheck):
     """Messages count on links that lead to the autopilot. While the autopilot is lost, that is the fault."""
 
+    def __init__(self, entry: Any, settings: api.Settings) -> None:
+        super().__init__(entry, settings)
+        self._since: float | None = None
+        """When it first looked (monotonic seconds): after a reload of the configuration nothing has been received, either."""
+
     @property
     def units(self) -> Sequence[api.Unit]:
         (unit,) = super().units
@@ -26,13 +32,14 @@ class Mavlink(CustomCheck):
 
     def look(self, world: api.World) -> Finding:
         entry, name = self.entry, self.entry.message
+        self._since = world.clock.mono() if self._since is None else self._since
         values = world.messages.values(name, entry.field, component=entry.component, instance=entry.instance)
         if not values and entry.component == 1 and world.links.autopilot() is None:
             raise api.CannotTell(f"no {name}: no autopilot has been received")
         if all_closed(world, to_autopilot(self.settings)):
             raise api.CannotTell(f"{name} unknown: every link to the autopilot is closed")
         if not values:
-            return self._never(world)
+            return self._never(world.clock.mono() - self._since)
         findings = [self._judge(value, several=len(values) > 1) for value in values]
         known = [found for found in findings if isinstance(found, Finding)]
         worst = min(known, key=lambda found: RANK.index(found.level), default=None)
@@ -41,9 +48,9 @@ class Mavlink(CustomCheck):
             return worst
         raise api.CannotTell(unknown[0])
 
-    def _never(self, world: api.World) -> Finding:
+    def _never(self, watched_s: float) -> Finding:
         entry = self.entry
-        if world.myself.look().uptime_s < max(entry.max_age, entry.grace):
+        if watched_s < max(entry.max_age, entry.grace):
             raise api.CannotTell(f"no {entry.message} received yet")
         which = "" if entry.instance is None else f" of instance {entry.instance}"
         instead = "" if entry.request else ": let the autopilot send it, or request it with 'request'"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import pytest
@@ -28,14 +29,19 @@ def build(**entry: Any) -> api.Check:
 
 
 def evaluate(
-    check: api.Check, *values: api.MessageValue, autopilot: bool = True, uptime_s: float = 60.0, is_open: bool = True
+    check: api.Check, *values: api.MessageValue, autopilot: bool = True, watched_s: float = 60.0, is_open: bool = True
 ) -> api.Result:
+    """The result after the first run was `watched_s` ago."""
     messages = testing.FakeMessages()
     messages.fields[MESSAGE, FIELD] = values
     pilot = api.AutopilotFact(0.5, False) if autopilot else None
     links = testing.FakeLinks(autopilot=pilot, links=(api.LinkFact("fc", is_open),))
-    me = testing.FakeSelf(uptime_s=uptime_s)
-    result = check.run(testing.world(messages=messages, links=links, myself=me))
+    clock = testing.FakeClock()
+    world = testing.world(clock=clock, messages=messages, links=links)
+    with contextlib.suppress(api.CannotTell):
+        check.run(world)
+    clock.advance(watched_s)
+    result = check.run(world)
     assert isinstance(result, api.Result)
     return result
 
@@ -83,11 +89,11 @@ def test_a_message_that_stops_is_a_failure() -> None:
 
 
 def test_a_message_that_never_came_is_a_failure_with_a_remedy() -> None:
-    """Once there was time for it."""
+    """Once there was time for it, also after a reload of the configuration: the newest message of before is not known."""
     assert "let the autopilot send it, or request it with 'request'" in evaluate(build()).summary
     assert "request it" not in evaluate(build(request=1.0)).summary
     with pytest.raises(api.CannotTell, match="no BATTERY_STATUS received yet"):
-        evaluate(build(), uptime_s=5.0)
+        evaluate(build(), watched_s=5.0)
 
 
 def test_without_autopilot_or_link_it_is_not_known() -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import socket
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -130,3 +131,32 @@ def test_the_processes_that_phm_sees_are_listed(programs: Programs) -> None:
     """With their command lines, without PHM."""
     listed = {fact.pid: fact.command for fact in programs.processes()}
     assert os.getpid() not in listed and os.getppid() in listed and listed[os.getppid()]
+
+
+def test_no_program_is_left_over_when_phm_stops(programs: Programs, tmp_path: Path) -> None:
+    """Nor are its children, and none is started any more. A reload stops them, too."""
+    file = tmp_path / "pids"
+    code = f"import os, time; child = os.fork(); open({str(file)!r}, 'a').write(f'{{os.getpid()}}\\n'); time.sleep(60)"
+    ended: list[str] = []
+
+    def run() -> None:
+        with pytest.raises(CannotTell) as caught:
+            programs.run(python(code), timeout_s=60)
+        ended.append(str(caught.value))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    until(lambda: file.exists() and len(file.read_text().split()) == 2, "the program and its child run")
+    programs.close()
+    thread.join(10)
+    assert ended and "was ended by signal 9" in ended[0]
+    until(lambda: not any(_runs(int(pid)) for pid in file.read_text().split()), "both ended")
+    with pytest.raises(CannotTell, match="PHM is stopping"):
+        programs.run(python("pass"), timeout_s=5)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
