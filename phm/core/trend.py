@@ -97,6 +97,27 @@ class Trend:
         return Forecast(left / abs(slope), left / bounds[0], left / bounds[1], slope, span_s)
 
 
+@dataclass(frozen=True, slots=True)
+class Line:
+    """The slope of some points, per second, and the lowest and highest of its confidence interval."""
+
+    slope: float
+    low: float
+    high: float
+
+
+def line(points: Sequence[tuple[float, float]], *, confidence: float = 0.95) -> Line | None:
+    """The slope of points at different times, with a two-sided confidence interval. None when they are too few for it.
+
+    It compares all pairs: 100 points take some milliseconds.
+    """
+    if len(points) < LEAST_POINTS:
+        return None
+    slope = _slope(points)
+    bounds = _bounds(points, slope, NormalDist().inv_cdf((1 + confidence) / 2))
+    return None if bounds is None else Line(slope, *bounds)
+
+
 def _slopes(points: Sequence[tuple[float, float]]) -> list[float]:
     return sorted(
         (later[1] - earlier[1]) / (later[0] - earlier[0])
