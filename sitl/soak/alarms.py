@@ -12,7 +12,8 @@ from sitl.campaign.trial import Trial
 
 @dataclass(frozen=True)
 class Alarms:
-    """agent_hours: observed. low, high: 95 % limits of the false alarms per agent hour. listed: the false alarms in words."""
+    """agent_hours: observed. low, high: 95 % limits of the false alarms per agent hour. listed: the false alarms in words;
+    not_seen: the missed faults."""
 
     agent_hours: float
     false: int
@@ -22,6 +23,7 @@ class Alarms:
     missed: int
     by_action: int
     listed: tuple[str, ...]
+    not_seen: tuple[str, ...]
 
     @property
     def per_agent_hour(self) -> float | None:
@@ -48,4 +50,5 @@ def count(trials: Sequence[Trial]) -> Alarms:
             f"{', '.join(each.fault for each in trial.injections) or 'nothing injected'}: {alarm.summary}"
             for trial, alarm in false
         ),
+        tuple(f"{each.injection.fault} on A{each.injection.agent:02d}" for each in verdicts if each.missed),
     )

@@ -124,7 +124,7 @@ def test_false_alarms_are_counted_per_agent_hour() -> None:
     cut = quiet(900, kind=ABORTED, alarms=[one])
     found = count([quiet(1800), cut, trial(injections=[injection()])])
     hours = (8 * 2700 + trial().agents * trial().seconds) / 3600
-    assert (found.false, found.injected) == (1, 1)
+    assert (found.false, found.injected, found.not_seen) == (1, 1, ())
     assert found.per_agent_hour == pytest.approx(1 / hours)
     assert found.low < 1 / hours < found.high
     assert "A02 nodes/x" in found.listed[0] and "nothing injected" in found.listed[0]

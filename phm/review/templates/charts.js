@@ -35,7 +35,7 @@ function draw(chart) {
   const joined = chart.kind === "dots" ? [chart.series[0].x, chart.series[0].y] : uPlot.join(chart.series.map((one) => [one.x, one.y]));
   shown.push(new uPlot({
     width: Math.max(280, box.clientWidth - 14), height: rows.length ? 70 + 18 * rows.length : 230, scales: { x, y },
-    series: [{ label: chart.x }, ...chart.series.map((one, number) => look(chart, number, one))],
+    series: [{ label: "at" }, ...chart.series.map((one, number) => look(chart, number, one))],
     axes: [{ ...axis, label: chart.x, labelSize: 18 }, { ...axis, ...named }],
     legend: { show: chart.series.length > 1 && chart.series.length <= 12 }, hooks: { draw: chart.marks?.length ? [marked(chart.marks)] : [] },
   }, joined, box));
