@@ -19,6 +19,10 @@ TAIL = 4000
 """Of a container's log, at most so many of the newest lines are read."""
 LINE_CHARS = 2000
 """The rest of a longer line is not searched."""
+CLOCK_S = 2.0
+"""PHM's clock may be so far behind that of the engine, which is the same unless the engine is on another computer."""
+MOST_PARTS = 40
+"""So many parts of READ_BYTES are as much as TAIL lines of LINE_CHARS."""
 _STAMPED = re.compile(rb"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?Z ?(.*)", re.DOTALL)
 
 
@@ -76,19 +80,36 @@ class Logs:
         fact = self._container(container)
         if fact is None:
             raise CannotTell(f"{container} does not exist, so it has no log")
+        now = self._clock.utc()
         if place.since is None:
-            now = self._clock.utc()
-            place.since = (int(now), int(now % 1 * 1e9))
+            since = (int(now), int(now % 1 * 1e9))
+            # Older lines have a later time if the clock was set back, as at a start without a battery-backed clock.
+            until = self._clock.mono() + timeout_s
+            for _ in range(MOST_PARTS):
+                found, newest = self._newer(fact.id, since, max(0.1, until - self._clock.mono()))
+                if newest == since:
+                    break
+                since = newest
+            place.since = since
             return b""
-        since = f"{place.since[0]}.{place.since[1]:09d}"
-        data = self._engine.logs(fact.id, since, tail=TAIL, limit=READ_BYTES, deadline_s=timeout_s)
-        found, known = [], place.since
+        if (ahead_s := place.since[0] - now) > CLOCK_S:
+            raise CannotTell(
+                f"the newest line of its log is from {ahead_s:.0f} s after the present time: the clock was set back"
+            )
+        found, place.since = self._newer(fact.id, place.since, timeout_s)
+        return b"\n".join(found)
+
+    def _newer(self, container: str, known: tuple[int, int], timeout_s: float) -> tuple[list[bytes], tuple[int, int]]:
+        """Lines that are newer, without their timestamps, and the time of the newest."""
+        since, newest = f"{known[0]}.{known[1]:09d}", known
+        data = self._engine.logs(container, since, tail=TAIL, limit=READ_BYTES, deadline_s=timeout_s)
+        found = []
         for line in data[: data.rfind(b"\n") + 1].split(b"\n"):
             match = _STAMPED.fullmatch(line)
             if match is not None and (stamp := _stamp(match)) > known:
                 found.append(match[8])
-                place.since = max(place.since, stamp)
-        return b"\n".join(found)
+                newest = max(newest, stamp)
+        return found, newest
 
 
 def _stamp(match: re.Match[bytes]) -> tuple[int, int]:

@@ -113,3 +113,34 @@ def test_processes_of_a_container_are_counted(place: Place) -> None:
     check = place.check(type="process", process=["while", "sleep"])
     assert place.run(check).level is Level.OK
     assert place.run(place.check(type="process", process=["no such process"])).level is Level.ERROR
+
+
+class SlowClock(SystemClock):
+    """The computer's clock, `behind_s` late: a companion computer without a battery-backed clock, before it has the time."""
+
+    behind_s = 0.0
+
+    def utc(self) -> float:
+        return super().utc() - self.behind_s
+
+
+def test_lines_of_an_earlier_flight_are_not_new_where_the_clock_was_set_back(
+    place: Place, engine: DockerEngine
+) -> None:
+    """Their times are in the future. Until the clock has reached them, new lines cannot be told apart, which is STALE."""
+    container = place.world.docker.container(place.name)
+    assert container is not None
+    place.run(place.check(type="command", command=shell("echo FATAL of before > /tmp/say")))
+    until(lambda: b"FATAL" in engine.logs(container.id, "0.0", tail=10, limit=1000), "the line is in the log")
+    clock = SlowClock()
+    clock.behind_s = 3600.0
+    logs = Logs(engine, place.world.docker.container, clock, place.matcher)
+    check = place.check(type="log", patterns=[{"pattern": "FATAL"}])
+    world = testing.world(clock=clock, docker=place.world.docker, logs=logs)
+    assert check.run(world).level is Level.OK
+    with pytest.raises(CannotTell, match="the newest line of its log is from .* after the present time"):
+        check.run(world)
+    clock.behind_s = 0.0
+    assert check.run(world).level is Level.OK
+    place.run(place.check(type="command", command=shell("echo FATAL now > /tmp/say")))
+    until(lambda: check.run(world).level is Level.ERROR, "the new line")
