@@ -34,6 +34,9 @@ EXTRA = ("msgspec", "jinja2")
     type=click.Path(file_okay=False),
     help="Add the record to a dataset of many flights, and show MTBF and MTTR of all of them.",
 )
+@click.option(
+    "--mcap", metavar="FILE", type=click.Path(dir_okay=False), help="Write levels and faults as ROS 2 diagnostics."
+)
 @click.option("--compare", is_flag=True, help="Compare two records: exactly two PATHs; PATH#N is flight N of one.")
 def command(
     paths: tuple[str, ...],
@@ -43,6 +46,7 @@ def command(
     as_csv: bool,
     as_markdown: bool,
     parquet: str | None,
+    mcap: str | None,
     compare: bool,
 ) -> None:
     """Report what failed, when and why, from logs after the flight.
@@ -52,13 +56,13 @@ def command(
     """
     if as_json + as_csv + as_markdown > 1:
         raise click.UsageError("choose one of --json, --csv and --markdown")
-    if compare and (len(paths) != 2 or html or as_csv or parquet):
+    if compare and (len(paths) != 2 or html or as_csv or parquet or mcap):
         raise click.UsageError("--compare takes two PATHs, and prints tables, --json or --markdown")
-    _need(EXTRA if parquet is None else (*EXTRA, "duckdb", "pyarrow"))
+    _need((*EXTRA, *(() if parquet is None else ("duckdb", "pyarrow")), *(() if mcap is None else ("mcap",))))
     if compare:
         _compare(paths, flight, as_json, as_markdown)
         return
-    made = _build(paths, flight, parquet)
+    made = _build(paths, flight, parquet, mcap)
     if html is not None:
         _write_page(made, html)
     if as_json:
@@ -71,10 +75,14 @@ def command(
         _show(made)
         if html is not None:
             click.echo(f"page: {html}")
+        if mcap is not None:
+            click.echo(f"recording: {mcap}")
 
 
-def _build(paths: tuple[str, ...], flight: int | None, dataset: str | None = None) -> dict[str, Any]:
-    """The document of these records, which are added to the dataset; exits with 1 when there is none."""
+def _build(
+    paths: tuple[str, ...], flight: int | None, dataset: str | None = None, recording: str | None = None
+) -> dict[str, Any]:
+    """The document of these records, which are added to the dataset and written as a recording; exits with 1 when there is none."""
     from phm.review import document, record
 
     merged = record.build(_read(paths))
@@ -86,6 +94,8 @@ def _build(paths: tuple[str, ...], flight: int | None, dataset: str | None = Non
         raise click.ClickException(str(error)) from None
     if dataset is not None:
         made["dataset"] = _add(merged, dataset)
+    if recording is not None:
+        _write_recording(merged, made, recording)
     return made
 
 
@@ -157,6 +167,15 @@ def _read(paths: tuple[str, ...]) -> Part:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("reading", total=found.bytes)
         return gather.read(found, lambda count: bar.advance(task, count))
+
+
+def _write_recording(merged: Record, made: dict[str, Any], path: str) -> None:
+    from phm.review import mcap_file
+
+    try:
+        mcap_file.write(merged, made, path)
+    except OSError as error:
+        raise click.ClickException(f"cannot write {path}: {error.strerror}") from None
 
 
 def _write_page(made: dict[str, Any], path: str) -> None:
