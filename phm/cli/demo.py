@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from phm.cli.web_options import require_aiohttp
+
 if TYPE_CHECKING:
     from phm.simulation.demo import Demo
 
 STEP_S = 0.2
 
 
-@click.command(epilog="Example: phm demo --for 60")
+@click.command(epilog="Example: phm demo --web --for 600")
 @click.option("--for", "seconds", type=click.IntRange(min=1), default=60, show_default=True, help="Seconds to run.")
 @click.option(
     "--ground-port", type=click.IntRange(1024, 65535), default=14551, show_default=True, help="UDP port of `phm gcs`."
@@ -31,8 +33,16 @@ STEP_S = 0.2
     show_default=True,
     help="First of 21 ports for autopilots.",
 )
+@click.option(
+    "--web",
+    metavar="PORT",
+    type=click.IntRange(0, 65535),
+    is_flag=False,
+    flag_value=8080,
+    help="Also serve the page of `phm gcs --web` at 127.0.0.1, without a value at port 8080.",
+)
 @click.pass_context
-def command(ctx: click.Context, seconds: int, ground_port: int, first_port: int) -> None:
+def command(ctx: click.Context, seconds: int, ground_port: int, first_port: int, web: int | None) -> None:
     """Show three simulated agents and two faults on this machine.
 
     Needs neither Docker nor ROS.
@@ -45,6 +55,8 @@ def command(ctx: click.Context, seconds: int, ground_port: int, first_port: int)
         raise click.UsageError("phm demo runs the daemon, which needs Linux: on this system use phm gcs alone.")
     from phm.simulation.demo import FAULTS, Demo, DemoPorts
 
+    if web is not None:
+        require_aiohttp("--web")
     for at_s, text in FAULTS:
         click.echo(f"after {at_s:.0f} s {text}", err=True)
     signal.signal(signal.SIGTERM, _end)
@@ -52,14 +64,15 @@ def command(ctx: click.Context, seconds: int, ground_port: int, first_port: int)
         demo = Demo(Path(folder), DemoPorts(first_port, ground_port))
         try:
             demo.start()
-            code = _watch(demo, seconds, ground_port)
+            code = _watch(demo, seconds, ground_port, web)
         finally:
             demo.close()
     ctx.exit(code)
 
 
-def _watch(demo: Demo, seconds: int, port: int) -> int:
-    words = [sys.executable, "-m", "phm.cli", "gcs", "--for", str(seconds), f"udpin:127.0.0.1:{port}"]
+def _watch(demo: Demo, seconds: int, port: int, web: int | None) -> int:
+    page = [] if web is None else ["--web", f"127.0.0.1:{web}", "--history", "none"]
+    words = [sys.executable, "-m", "phm.cli", "gcs", "--for", str(seconds), *page, f"udpin:127.0.0.1:{port}"]
     started = time.monotonic()
     with subprocess.Popen(words) as gcs:
         try:

@@ -27,11 +27,12 @@ def free_base() -> int:
 def test_three_agents_report_to_the_ground(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     base = free_base()
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    words = ["--for", str(SECONDS), "--first-port", str(base), "--ground-port", str(base + 25)]
+    words = ["--for", str(SECONDS), "--first-port", str(base), "--ground-port", str(base + 25), "--web", "0"]
     done = subprocess.run(
         [sys.executable, "-m", "phm.cli", "demo", *words], capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
     assert done.returncode == 0, done.stderr
+    assert "page at http://127.0.0.1:" in done.stderr
     for agent in ("A01", "A02", "A03"):
         assert f"{agent} ACTIVE" in done.stdout or f"{agent} OK" in done.stdout
     commands = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, timeout=10, check=True).stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -104,6 +105,16 @@ def test_a_check_is_added_without_yaml(page: Page, file: Path) -> None:
     assert text.startswith(TEXT)
     for line in ("custom:", "  - type: tcp", "    name: planner", "    port: 8080", "    slot: 14"):
         assert line in text.splitlines(), text
+
+
+def test_the_heads_of_the_units_are_whole_words_on_a_tablet(page: Page) -> None:
+    """A narrow column does not break its head."""
+    page.set_viewport_size({"width": 1024, "height": 768})
+    heads = page.get_by_role("columnheader", name=re.compile("^(Slot|Change)$"))
+    expect(heads).to_have_count(2)
+    for head in heads.all():
+        box = head.bounding_box()
+        assert box is not None and box["height"] < 40
 
 
 def test_what_is_in_the_file_is_text_never_markup(page: Page) -> None:
