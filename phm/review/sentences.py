@@ -13,9 +13,19 @@ Json = dict[str, Any]
 ADVICE = re.compile(r": ([a-z][^:]+)$")
 """What to do, at the end of the sentence of a fault: after its last colon."""
 
+NO_AGENT = (
+    "Faults are unknown: no agent is in the record.",
+    "Whether a fault was open at the end is unknown.",
+    "The worst agent and PHM's own uptime are unknown.",
+    "Before the next flight, find out why the ground received no agent.",
+)
+"""A record of nothing must not read like a record of no fault."""
+
 
 def build(document: Json) -> list[str]:
     """Duration and agents; faults; what is open; the worst agent and PHM itself; what to do before the next flight."""
+    if not document["agents"]:
+        return [_what(document), *NO_AGENT]
     return [_what(document), _faults(document), _open(document), _worst(document), _next(document)]
 
 

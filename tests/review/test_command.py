@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from phm.cli import group
-from tests.review.records import Flown
+from tests.review.records import Flown, Ground
 from tests.review.test_document import one_flight
 
 
@@ -85,7 +85,7 @@ def test_what_is_wrong_is_said_in_a_sentence(
     ("data", "text"),
     [(b"", "the files are empty"), (b"garbage\n", "phm.jsonl:1: not JSON"), (b'{"a": 1}\n', "no line of a record")],
 )
-def test_a_file_without_a_line_of_a_record_is_no_flight_without_faults(tmp_path: Path, data: bytes, text: str) -> None:
+def test_a_file_without_a_line_of_a_record_does_not_read_like_a_flight(tmp_path: Path, data: bytes, text: str) -> None:
     """It is an error in every output: nothing read must not look like nothing failed."""
     (tmp_path / "phm.jsonl").write_bytes(data)
     for words in ([], ["--json"], ["--html", tmp_path / "page.html"], ["--parquet", tmp_path / "set"]):
@@ -93,6 +93,18 @@ def test_a_file_without_a_line_of_a_record_is_no_flight_without_faults(tmp_path:
         assert (result.exit_code, result.stdout) == (1, "")
         assert "no line of a record in" in result.stderr and text in result.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["phm.jsonl"]
+
+
+def test_a_ground_that_received_no_agent_does_not_read_like_a_flight_without_faults(tmp_path: Path) -> None:
+    """What is not known is called unknown, and the advice is not to go on."""
+    ground = Ground(tmp_path / "ground.jsonl")
+    ground.event(1, "link", link="udpin:127.0.0.1:14551", open=True, error="")
+    ground.close()
+    result = phm(tmp_path)
+    assert result.exit_code == 0
+    assert "Faults are unknown: no agent is in the record." in result.output
+    assert "no fault." not in result.output and "Nothing in the record" not in result.output
+    assert len(json.loads(phm(tmp_path, "--json").output)["sentences"]) == 5
 
 
 def test_an_unknown_flight_is_an_error_that_lists_the_known_ones(tmp_path: Path) -> None:
