@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,9 @@ from phm_checks._text import brief, clean
 DEADLINE_MARGIN_S = 5.0
 """The probe ends at the entry's `timeout`; the run is overdue only if the probe does not."""
 FAILED = "custom_failed"
+RENEW_S = 60.0
+"""A line for the operator of which only numbers change is renewed so often: the ground receives each change."""
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,8 @@ class CustomCheck(api.Check):
         self.slot = Slot(entry.slot)
         self.period_s, self.failures = entry.period, entry.failures
         self.deadline_s = entry.timeout + DEADLINE_MARGIN_S
+        self._shown: tuple[Level, str, float] = (Level.OK, "", 0.0)
+        """Level and line for the operator, and since when (monotonic seconds)."""
 
     @property
     def container(self) -> str:
@@ -81,11 +87,21 @@ class CustomCheck(api.Check):
             raise api.CannotTell(clean(str(reason), 300)) from reason
         text = f"{self.subject}: {clean(found.text, 300)}"
         if found.level is Level.OK:
+            self._shown = (Level.OK, "", 0.0)
             return api.ok(text, **found.values)
         level = Level.WARN if self.entry.level == "warn" else found.level
         words = f"{text}. {clean(self.entry.advice)}" if self.entry.advice else text
-        short = self.entry.brief or brief(self.subject, found.short)
-        return api.Result(level, words, brief(short), FAILED, self._acts_on, found.values)
+        short = brief(self.entry.brief or brief(self.subject, found.short))
+        line = self._steady(level, short, world.clock.mono())
+        return api.Result(level, words, line, FAILED, self._acts_on, found.values)
+
+    def _steady(self, level: Level, line: str, now_s: float) -> str:
+        """The line that is shown already, if the new one differs in numbers alone."""
+        before, shown, since_s = self._shown
+        same = before is level and _NUMBER.sub("", shown) == _NUMBER.sub("", line)
+        if not same or now_s - since_s >= RENEW_S:
+            self._shown = (level, line, now_s)
+        return self._shown[1]
 
     @property
     def _acts_on(self) -> str:

@@ -229,3 +229,23 @@ def test_a_check_needs_the_container_it_looks_into_and_the_one_that_recovery_res
     (check,) = Custom.build(settings)
     (unit,) = check.units
     assert (unit.needs, unit.target) == (("container/router", "container/app"), "router")
+
+
+def test_a_number_that_fluctuates_does_not_change_the_line_for_the_operator_each_time() -> None:
+    """The ground receives each change, and six within a minute would be called flapping. Other words are shown at once."""
+    clock, programs = testing.FakeClock(), testing.FakePrograms()
+    check = build(type="command", command=["check"])
+
+    def look(output: str, code: int = 2) -> api.Result:
+        programs.answers["", "check"] = api.ProgramFact(code, output, 0.1)
+        clock.advance(10)
+        return run(check, clock=clock, programs=programs)
+
+    results = [look(f"LOAD {9 + 0.1 * number:g}") for number in range(12)]
+    assert len({result.brief for result in results}) == 2, "once a minute"
+    assert results[5].summary == "x: LOAD 9.5", "the log has the newest"
+    assert look("LOAD 8.1", code=1).brief == "x LOAD 8.1", "another level"
+    assert look("no sensor", code=1).brief == "x no sensor"
+    assert (look("fine", code=0).level, look("no sensor 7").brief, look("LOAD 9.9").brief) == (
+        OK, "x no sensor 7", "x LOAD 9.9",
+    )  # fmt: skip
