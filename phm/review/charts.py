@@ -47,4 +47,4 @@ class Section:
 def render(title: str, said: Sequence[str], sections: Sequence[object], charts: Sequence[Chart]) -> str:
     """The page. said: its first sentences. sections: with the attributes of `Section`. Needs jinja2."""
     drawn = [asdict(chart) for chart in charts if any(series.x for series in chart.series)]
-    return html_file.render("charts.html", "charts.js", drawn, title=title, said=said, sections=sections)
+    return html_file.render("charts.html", "charts.js", drawn, title=title, said=said, sections=sections, drawn=drawn)

@@ -6,31 +6,19 @@ import json
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict, fields
-from html import escape
 from typing import Any
 
+from phm.review import charts
 from sitl.campaign import fault_rows, plots
 from sitl.campaign.groups import Group, groups
 from sitl.campaign.progress import progress
-from sitl.campaign.sections import problems, sections
+from sitl.campaign.sections import Section, problems, sections
 from sitl.campaign.targets import evaluated
 from sitl.campaign.trial import Trial
 from sitl.campaign.verdict import Verdict
 
 BEGIN, END = "<!-- campaign: begin, written by scripts/campaign --markdown -->", "<!-- campaign: end -->"
 PAPER_LINES = (("paper: detection 5.2 s", 5.2), ("paper: response 14.82 s", 14.82))
-STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #1b1f24; background: #fff }
-h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
-table { border-collapse: collapse; margin: .5rem 0; font-variant-numeric: tabular-nums } .wide { overflow-x: auto }
-th, td { border-bottom: 1px solid #d5dae0; padding: .2rem .6rem; text-align: left; vertical-align: top }
-.met { color: #13672f } .missed { color: #a40e26; font-weight: 600 }
-svg { width: 100%; height: auto; font: 12px system-ui, sans-serif; fill: #1b1f24 }
-svg .grid { stroke: #e3e7eb } svg .mark { stroke: #9a6700; fill: #9a6700 } svg text.mark { stroke: none }
-svg circle { fill: #0b61c4; fill-opacity: .55 } svg .curve { fill: none; stroke-width: 2 }
-svg path.c0 { stroke: #0b61c4 } svg path.c1 { stroke: #b35900 } svg path.c2 { stroke: #13672f }
-svg text.c0 { fill: #0b61c4 } svg text.c1 { fill: #b35900 } svg text.c2 { fill: #13672f }
-"""
 WIDTH = 100
 """Columns of a document's lines."""
 NOT_FIGURES = {"classes", "judged"}
@@ -123,26 +111,20 @@ def _plain(value: Any) -> Any:
 
 
 def as_html(trials: Sequence[Trial]) -> str:
+    """One file that needs no network, made of the parts of `phm report`. Needs jinja2."""
     found = groups(trials)
-    parts = ["<h1>PHM fault campaign</h1>", *(f"<p>{escape(line)}</p>" for line in description(found).splitlines())]
-    for section in sections(found):
-        parts += [f"<h2>{escape(section.title)}</h2>", f"<p>{escape(section.words)}</p>" if section.words else ""]
-        parts.append(_table(section.head, section.rows) if section.head else _list(section.sentences))
-    for group in found:
-        parts += _drawn(group)
-    for group in found[1:]:
-        parts += [
-            f"<h2>Every injected fault ({escape(group.name)})</h2>",
-            _table(fault_rows.FAULTS, fault_rows.faults(group)),
-        ]
-    body = "\n".join(part for part in parts if part)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>PHM fault campaign</title>'
-        f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head>\n<body>\n{body}\n</body></html>\n'
-    )
+    parts = [
+        *sections(found),
+        *(
+            Section(f"Every injected fault ({group.name})", "", fault_rows.FAULTS, fault_rows.faults(group))
+            for group in found[1:]
+        ),
+    ]
+    drawn = [chart for group in found for chart in _drawn(group)]
+    return charts.render("PHM fault campaign", description(found).splitlines(), parts, drawn)
 
 
-def _drawn(group: Group) -> list[str]:
+def _drawn(group: Group) -> list[charts.Chart]:
     """The plots of a group."""
     verdicts = group.all.verdicts
 
@@ -159,12 +141,16 @@ def _drawn(group: Group) -> list[str]:
         ("recovered", all_of("recovered_s")),
     ]
     return [
-        f"<h2>Times ({escape(group.name)})</h2>",
-        plots.steps("Share of the faults within a time", curves, PAPER_LINES),
-        "<h3>Detection: seconds from injection to the log, one dot per fault</h3>",
-        plots.strips("Detection", per_class("detected_s"), PAPER_LINES[:1]),
-        "<h3>Recovery: seconds from injection until PHM and the world agree, one dot per fault</h3>",
-        plots.strips("Recovery", per_class("recovered_s")),
+        plots.steps(f"Share of the faults within a time ({group.name})", curves, PAPER_LINES),
+        plots.strips(
+            f"Detection: seconds from injection to the log, one dot per fault ({group.name})",
+            per_class("detected_s"),
+            PAPER_LINES[:1],
+        ),
+        plots.strips(
+            f"Recovery: seconds from injection until PHM and the world agree, one dot per fault ({group.name})",
+            per_class("recovered_s"),
+        ),
     ]
 
 
@@ -210,19 +196,3 @@ def _cell(text: str) -> str:
 def _rows(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     return lines + [f"| {' | '.join(_cell(cell) for cell in row)} |" for row in rows]
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    titles = "".join(f"<th>{escape(name)}</th>" for name in head)
-    lines = ["<tr>" + "".join(f"<td{_class(cell)}>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
-    return f'<div class="wide"><table><tr>{titles}</tr>\n' + "\n".join(lines) + "</table></div>"
-
-
-def _class(cell: str) -> str:
-    if cell.endswith(": NOT met"):
-        return ' class="missed"'
-    return ' class="met"' if cell.endswith(": met") else ""
-
-
-def _list(sentences: Sequence[str]) -> str:
-    return "<ul>" + "".join(f"<li>{escape(each)}</li>" for each in sentences or ["nothing"]) + "</ul>"
