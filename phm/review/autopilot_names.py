@@ -29,6 +29,11 @@ VEHICLES = {
 """First word of the text with the version of the firmware."""
 _TYPES = {1: "PLANE", 10: "ROVER", 11: "ROVER", 12: "SUB", 5: "TRACKER"}
 _COPTERS = frozenset((2, 3, 4, 13, 14, 15, 29, 35))
+_PX4_NAV = {
+    0: "MANUAL", 1: "ALTCTL", 2: "POSCTL", 3: "AUTO.MISSION", 4: "AUTO.LOITER", 5: "AUTO.RTL", 10: "ACRO", 12: "DESCEND",
+    13: "TERMINATION", 14: "OFFBOARD", 15: "STABILIZED", 17: "AUTO.TAKEOFF", 18: "AUTO.LAND", 19: "AUTO.FOLLOW_TARGET",
+    20: "AUTO.PRECLAND", 21: "ORBIT", 22: "AUTO.VTOL_TAKEOFF",
+}  # fmt: skip
 _PX4_MAIN = (
     "",
     "MANUAL",
@@ -83,3 +88,8 @@ def px4_mode(custom_mode: int) -> str:
     name = _PX4_MAIN[main] if main < len(_PX4_MAIN) else ""
     detail = _PX4_AUTO[sub] if name == "AUTO" and sub < len(_PX4_AUTO) else ""
     return f"{name}.{detail}" if detail else name or f"mode {custom_mode}"
+
+
+def px4_nav_state(number: int) -> str:
+    """Name of `vehicle_status.nav_state`."""
+    return _PX4_NAV.get(number, f"mode {number}")

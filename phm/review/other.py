@@ -52,7 +52,7 @@ def text_event(system: int, utc_s: float, text: str, by: str = "", level: str = 
         by, text = forwarded.groups()
     if ours := _OURS.match(text):
         level = WORDS.get(ours.group(1), level)
-    return Event("statustext", system=system, utc_s=utc_s, text=text, by=by, level=level)
+    return Event("statustext", system=system, utc_s=utc_s, text=text[:MOST_TEXT], by=by, level=level)
 
 
 def unpacked(head: bytes) -> bytes:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from phm.review import source_dataflash, source_tlog
+from phm.review import source_dataflash, source_tlog, source_ulog
 from phm.review.events import Event, parse
 from phm.review.lines import Piece, Problems, lines
 
@@ -45,6 +45,7 @@ def _is_json_lines(path: Path, head: bytes) -> bool:
 SOURCES: tuple[Source, ...] = (
     Source("JSON lines", _is_json_lines, _json_lines, divisible=True),
     Source("DataFlash", source_dataflash.fits, source_dataflash.read),
+    Source("ULog", source_ulog.fits, source_ulog.read),
     Source("tlog", source_tlog.fits, source_tlog.read),
 )
 

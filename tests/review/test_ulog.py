@@ -1,0 +1,101 @@
+"""Logs of PX4 in the report. Their files are written by the documented format (`crafted_ulog`)."""
+
+from __future__ import annotations
+
+import gzip
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hypothesis import given, settings, strategies as st
+
+from phm.review import source_ulog
+from phm.review.lines import Piece, Problems
+from tests.review import crafted_ulog
+from tests.review.records import T0, report
+
+
+def read(file: Path) -> tuple[list[Any], Problems]:
+    problems = Problems()
+    return list(source_ulog.read(Piece(str(file)), problems)), problems
+
+
+def test_modes_arming_failsafes_and_texts_have_the_time_of_the_gps(tmp_path: Path) -> None:
+    """On the row of the vehicle with the system of MAV_SYS_ID; compressed too."""
+    (tmp_path / "1.ulg.gz").write_bytes(gzip.compress(crafted_ulog.log(T0 + 50)))
+    made = report(tmp_path)
+    rows = [(round(row["t"] - T0, 1), row["what"], row["text"], row["level"]) for row in made["other"]["rows"]]
+    assert rows == [
+        (10.0, "mode", "AUTO.LOITER", ""),
+        (60.0, "arming", "armed", ""),
+        (61.0, "statustext", "Takeoff detected", ""),
+        (80.0, "mode", "OFFBOARD", ""),
+        (90.0, "failsafe", "failsafe active", "ERROR"),
+        (90.0, "mode", "AUTO.RTL", ""),
+        (90.5, "statustext", "Failsafe activated", "WARN"),
+        (95.0, "failsafe", "failsafe ended", ""),
+        (120.0, "arming", "disarmed", ""),
+    ]
+    assert {row["agent"] for row in made["other"]["rows"]} == {"vehicle 7"}
+    assert [round(flight["duration_s"]) for flight in made["flights"]] == [60]
+
+
+def test_a_log_without_a_fix_is_left_out_and_named(tmp_path: Path) -> None:
+    """Its times are not known."""
+    file = tmp_path / "1.ulg"
+    file.write_bytes(crafted_ulog.log(T0, fix=False))
+    events, problems = read(file)
+    assert not events and any("no time of a GPS" in what for what, _ in problems.found)
+
+
+def test_after_damage_it_continues_at_the_next_synchronization(tmp_path: Path) -> None:
+    """Bytes that are not a message cost what is before the next message SYNC, and are named."""
+    plain = crafted_ulog.log(T0 + 50)
+    place = plain.index(crafted_ulog.status(60, 2, 4))
+    file = tmp_path / "1.ulg"
+    file.write_bytes(plain[:place] + b"\xff\xff\xff" + plain[place:])
+    events, problems = read(file)
+    assert "OFFBOARD" in [event.text for event in events] and "Takeoff detected" not in [event.text for event in events]
+    assert any("not a message of a ULog" in what for what, _ in problems.found)
+
+
+def test_types_within_types_are_not_expanded(tmp_path: Path) -> None:
+    """A definition of 65,000 to the power of 6 fields costs nothing, one that contains itself ends."""
+    bombs = [f"t{each}:t{each + 1}[65000] x;" for each in range(6)] + ["t6:uint8_t x;", "t7:t7 x;"]
+    evil = [
+        crafted_ulog.message("F", each.encode()) for each in (*bombs, "vehicle_status:t0 x;t7 y;uint64_t timestamp;")
+    ]
+    file = tmp_path / "1.ulg"
+    file.write_bytes(
+        crafted_ulog.log(T0 + 50)[:16] + b"".join(evil) + crafted_ulog.message("A", b"\0\1\0vehicle_status")
+    )
+    events, problems = read(file)
+    assert not events and any("damaged message" in what for what, _ in problems.found)
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.data())
+def test_damage_never_raises(data: st.DataObject) -> None:
+    """Bytes that were changed, removed or added: what is left is read."""
+    content = bytearray(crafted_ulog.log(T0 + 50))
+    for _ in range(data.draw(st.integers(1, 6))):
+        begin = data.draw(st.integers(0, len(content) - 1))
+        content[begin : begin + data.draw(st.integers(0, 40))] = data.draw(st.binary(max_size=40))
+        content = content or bytearray(b"x")
+    with tempfile.NamedTemporaryFile() as file:
+        file.write(content)
+        file.flush()
+        assert len(read(Path(file.name))[0]) < 1000
+
+
+def test_types_without_fields_are_refused(tmp_path: Path) -> None:
+    """Many fields of no size would be counted for hours."""
+    empty = ["e:", *(f"n{each}:" + f"{'e' if each == 0 else f'n{each - 1}'} x;" * 3000 for each in range(6))]
+    evil = [
+        crafted_ulog.message("F", each.encode()) for each in (*empty, "vehicle_status:n5 x;e[-3] y;uint64_t timestamp;")
+    ]
+    file = tmp_path / "1.ulg"
+    file.write_bytes(
+        crafted_ulog.log(T0 + 50)[:16] + b"".join(evil) + crafted_ulog.message("A", b"\0\1\0vehicle_status")
+    )
+    assert not read(file)[0]
