@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from phm.review import page
+from tests.fakes.recorded_flight import FOLDER
 from tests.review.records import Flown, Ground, report
 from tests.review.test_document import one_flight
 
@@ -81,4 +82,24 @@ def test_a_browser_shows_it_without_a_request_and_without_a_violation(tmp_path: 
     tab.wait_for_function("before => document.getElementById('range').textContent !== before", arg=whole)
     assert tab.evaluate("window.hit") is None
     assert (requests, said) == ([file.as_uri()], [])
+    tab.close()
+
+
+@pytest.mark.browser
+def test_entries_of_other_records_are_marks_with_their_text(tmp_path: Path, browser: Any) -> None:
+    """The pointer on a ring in the row of the vehicle shows what its autopilot recorded; hostile text stays text."""
+    made = report(FOLDER / "dataflash_flight.bin.gz")
+    rows, window = made["other"]["rows"], made["window"]
+    row = next(row for row in rows if row["text"] == "LAND")
+    row["text"] = EVIL
+    file = tmp_path / "page.html"
+    file.write_text(page.render(made), "utf-8")
+    tab = browser.new_page(viewport={"width": 1300, "height": 900})
+    tab.goto(file.as_uri())
+    tab.wait_for_selector("html[data-ready=yes]", state="attached")
+    box = tab.locator("#time").bounding_box()
+    share = (row["t"] - window["begin"]) / window["duration_s"]
+    tab.mouse.move(box["x"] + 150 + share * (box["width"] - 158), box["y"] + 36)
+    tab.wait_for_function("text => document.getElementById('tip').textContent.includes(text)", arg=f"mode: {EVIL}")
+    assert tab.evaluate("window.hit") is None
     tab.close()
