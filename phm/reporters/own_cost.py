@@ -32,7 +32,7 @@ def own_cost(health: Mapping[str, Any]) -> dict[str, Any]:
         "memory_bytes": memory,
         "processes": processes,
         "threads": threading.active_count(),
-        "sent_bytes": {str(link["name"]): int(link["bytes_out"]) for link in health.get("links", ())},
+        "sent_bytes": {str(link["name"]): int(link.get("bytes_out", 0)) for link in health.get("links", ())},
     }
 
 
