@@ -73,13 +73,14 @@ def listen_options(
     behind_proxy: bool,
     stream: bool = False,
 ) -> ListenOptions:
-    """stream: it is for `--serve`, where no client can change anything and any address is allowed. Raises ClickException."""
+    """stream: it is for `--serve`, where no client can change anything: without a token, any address is allowed. Raises
+    ClickException."""
     from phm.gcs.web.options import ListenOptions, OptionError, read_tokens, tls_context
 
     try:
         tokens = read_tokens(token_file) if token_file else None
         options = ListenOptions(*where, tokens, tls_context(tls_cert, tls_key), behind_proxy)
-        return options if stream else options.check()
+        return options if stream and tokens is None and not behind_proxy else options.check()
     except OptionError as error:
         raise click.ClickException(str(error)) from None
 

@@ -141,6 +141,12 @@ class Gate:
         found = self.sessions.find(request.cookies.get(self.cookie, ""), now)
         return ("", None) if found is None else (found.role, found.csrf)
 
+    def lasts(self, request: web.Request) -> bool:
+        """Whether the sender of an endless response is still logged in. Counts as use of its session."""
+        if self.sessions.tokens is None or request.headers.get(hdrs.AUTHORIZATION):
+            return True
+        return self.sessions.find(request.cookies.get(self.cookie, ""), self._clock.mono()) is not None
+
     def check_token(self, request: web.Request, token: str) -> str:
         """The role of a token. Raises HttpProblem."""
         now, address = self._clock.mono(), request.remote or "?"

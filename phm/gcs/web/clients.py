@@ -74,10 +74,16 @@ class StreamClient:
 
 
 class Clients:
-    """All clients of one server. on_change: takes how many there are, and how many were dropped."""
+    """All clients of one server. on_change: takes how many there are, and how many were dropped. lasts: whether the sender of a
+    request is still logged in."""
 
-    def __init__(self, clock: Clock, on_change: Callable[[int, int], None] | None = None) -> None:
-        self._clock, self._on_change = clock, on_change or (lambda count, dropped: None)
+    def __init__(
+        self,
+        clock: Clock,
+        on_change: Callable[[int, int], None] | None = None,
+        lasts: Callable[[web.Request], bool] = lambda request: True,
+    ) -> None:
+        self._clock, self._on_change, self._lasts = clock, on_change or (lambda count, dropped: None), lasts
         self._clients: set[StreamClient] = set()
         self.dropped = 0
         """Clients that did not keep up."""
@@ -110,10 +116,13 @@ class Clients:
                 client.add(data)
 
     def look(self) -> None:
-        """Drop clients that do not keep up. To be called every LOOK_S."""
+        """Drop clients that do not keep up, and end those whose session has ended. To be called every LOOK_S."""
         now = self._clock.mono()
         for client in tuple(self._clients):
-            if not client.bytes:
+            if not self._lasts(client.request):
+                self._clients.discard(client)
+                client.drop()
+            elif not client.bytes:
                 client.moved = now
             elif client.bytes > MAX_BACKLOG or now - client.moved > STUCK_S:
                 self._clients.discard(client)

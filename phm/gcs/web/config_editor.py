@@ -55,7 +55,7 @@ class ConfigEditor:
 
     def open(self, name: str) -> Json:
         """`name`, `text`, and `version` for `save`. Raises ConfigError, and KeyError for a file that is not one of them."""
-        text = read_file(self._files[name])
+        text = read_file(self._path(name))
         return {"name": name, "text": text, "version": _version(text)}
 
     def check(self, body: Mapping[str, Any]) -> Json:
@@ -91,9 +91,10 @@ class ConfigEditor:
     def save(self, name: str, text: str, version: str, variables: object, *, anyway: bool) -> Json:
         """Write one of the files, whose content must still be that of `version`; the new `version`.
 
-        anyway: also with problems, e.g. because a check is installed on the agent only. Raises NotSaved; KeyError as `open`.
+        anyway: also with problems, e.g. because a check is installed on the agent only. Raises NotSaved; KeyError as
+        `open`; ValueError as `check`.
         """
-        path = self._files[name]
+        path, text = self._path(name), _text({"text": text}, "text")
         _, broken = values(text, name)
         _, problems = self._units(text, name, _variables(variables))
         if broken or not text.strip():
@@ -114,6 +115,13 @@ class ConfigEditor:
             except OSError as error:
                 raise NotSaved(f"{name} cannot be written: {error.strerror or error}") from None
         return {"name": name, "text": text, "version": _version(text)}
+
+    def _path(self, name: str) -> Path:
+        """Raises KeyError, also if its place has been taken by a link to another file."""
+        path = self._files[name]
+        if os.path.realpath(path) != str(path):
+            raise KeyError(name)
+        return path
 
     @contextmanager
     def _turn(self) -> Iterator[None]:

@@ -52,8 +52,8 @@ class WebServer:
         self._listener = socket.create_server((host, options.port), family=family, backlog=MAX_CONNECTIONS)
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._connections = Connections(site.clock)
-        self.clients = Clients(site.clock, site.on_clients)
         gate = Gate(options, self.address[1], site.clock)
+        self.clients = Clients(site.clock, site.on_clients, gate.lasts)
         self._app = web.Application(middlewares=[self._serve_one, gate.middleware], client_max_size=MOST_BODY)
         self._app[GATE], self._app[CLIENTS] = gate, self.clients
         self._app.on_response_prepare.append(gate.headers)

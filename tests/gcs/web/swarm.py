@@ -139,6 +139,7 @@ class Live:
     def __init__(self, client: Client, path: str = "/api/live") -> None:
         self._connection = client.connect()
         headers = {"Cookie": client.cookie} if client.cookie else {}
+        headers |= {"Authorization": f"Bearer {client.token}"} if client.token else {}
         self._connection.request("GET", path, headers=headers)
         self.response = self._connection.getresponse()
         assert self.response.status == 200, self.response.read()
@@ -218,8 +219,8 @@ class Ground:
     def client(self) -> Client:
         return Client(self.page.address)
 
-    def live(self, client: Client | None = None) -> Live:
-        self._lives.append(Live(client or self.client()))
+    def live(self, client: Client | None = None, path: str = "/api/live") -> Live:
+        self._lives.append(Live(client or self.client(), path))
         return self._lives[-1]
 
     def close(self) -> None:

@@ -168,6 +168,19 @@ def test_the_operate_role_operates(locked: Ground) -> None:
     assert client.ask("GET", "/api/state")[0] == 401
 
 
+def test_a_stream_ends_with_its_session(locked: Ground) -> None:
+    """After the log-out nothing more is received; the streams of another session, and of a program with a token, go on."""
+    client, other, program = locked.client(), locked.client(), locked.client()
+    assert client.login(VIEW)[0] == other.login(VIEW)[0] == 200
+    program.token = VIEW
+    streams = [locked.live(client), locked.live(client, "/stream"), locked.live(other), locked.live(program)]
+    assert client.ask("POST", "/api/logout", {})[0] == 200
+    until(lambda: streams[0].ended and streams[1].ended, "the end of the streams")
+    before = [len(one.messages) for one in streams[2:]]
+    locked.vehicle().beat()
+    until(lambda: all(len(one.messages) > n for one, n in zip(streams[2:], before, strict=True)), "the other streams")
+
+
 def test_tokens_cannot_be_guessed_quickly(locked: Ground) -> None:
     """After a few wrong ones even the right one has to wait."""
     client = locked.client()
@@ -224,6 +237,8 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path) -> None:
         (("--web", "192.168.7.1:0"), "add --token-file"),
         (("--web", "example.org:0"), "add --token-file"),
         (("--web", "0.0.0.0:0", "--token-file", "{tokens}"), "--tls-cert"),
+        (("--serve", "0.0.0.0:0", "--token-file", "{tokens}"), "--tls-cert"),
+        (("--serve", "0.0.0.0:0", "--behind-proxy"), "add --token-file"),
         (("--web", "127.0.0.1:0", "--behind-proxy"), "--behind-proxy needs --token-file"),
         (("--web", "127.0.0.1:0", "--tls-cert", "{tokens}"), "belong together"),
         (("--web", "127.0.0.1:0", "--tls-cert", "{tokens}", "--tls-key", "{tokens}"), "both in PEM format"),

@@ -134,6 +134,30 @@ def test_a_link_that_changes_later_leads_nowhere_else(file: Path) -> None:
     assert editor.open(str(link))["text"] == TEXT
 
 
+def test_a_link_in_the_place_of_the_file_leads_nowhere_else(client: Client, file: Path) -> None:
+    """Who can write the folder could otherwise have any file shown, and written."""
+    other = file.parent / "secret.yaml"
+    other.write_text("agent: {id: 9}\n")
+    version = client.post("/api/config/open", {"name": str(file)})["version"]
+    file.unlink()
+    file.symlink_to(other)
+    client.post("/api/config/open", {"name": str(file)}, 404)
+    client.post("/api/config/save", {"name": str(file), "text": TEXT, "version": version, "variables": NAMED}, 404)
+    assert other.read_text() == "agent: {id: 9}\n"
+
+
+@pytest.mark.parametrize(
+    "text", ["# " + "a" * 300_000 + "\n" + TEXT, TEXT + "# \ud800\n"], ids=["large", "half a character"]
+)
+def test_a_text_that_cannot_be_read_again_is_not_saved(client: Client, file: Path, text: str) -> None:
+    """Else the file could not be opened any more."""
+    version = client.post("/api/config/open", {"name": str(file)})["version"]
+    body = {"name": str(file), "text": text, "version": version, "variables": NAMED, "anyway": True}
+    status, answer, _ = client.ask("POST", "/api/config/save", body)
+    assert (status // 100, file.read_text()) == (4, TEXT), answer
+    assert "codec" not in answer["error"]
+
+
 @pytest.mark.parametrize(
     "body",
     [

@@ -14,7 +14,7 @@ from phm.core.model import Level, Slot
 from phm.gcs.presence import COPY_S
 from phm.gcs.web.history.faults import FaultBook
 from phm.gcs.web.history.reader import HistoryReader
-from phm.gcs.web.history.store import EVENT, HistoryRow, HistorySample, HistoryStore
+from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from tests.fakes.until import until
 from tests.gcs.web.swarm import Client, ground
 
@@ -113,6 +113,46 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
 def events_or_none(client: Client) -> Any:
     status, body, _ = client.ask("GET", "/api/history/events")
     return body["events"] if status == 200 else None
+
+
+def test_damaged_entries_do_not_stop_the_page(tmp_path: Path) -> None:
+    """A file that SQLite can read may have entries that are none: the page starts, and shows the others."""
+    path = tmp_path / "history.db"
+    store = HistoryStore(path, SystemClock())
+    store.start()
+    for key, body in (("1", "{torn"), ("2", "[]"), ("3", '{"key": "3"}'), ("4", '{"steps": [{}]}')):
+        store.put(HistoryRow(FAULT, (key, "A07", time.time(), time.time(), 1, body)))
+        store.put(HistoryRow(EVENT, (time.time(), "A07", 1, "text", "exited", body)))
+    assert store.flush(30)
+    store.close()
+    with ground(history=path) as made:
+        client = made.client()
+        assert [one.get("key") for one in faults(client)] == [None, "3"]
+        assert len(events(client, "q=exited")) == 2
+
+
+def test_an_entry_that_cannot_be_kept_is_left_out(tmp_path: Path) -> None:
+    """It is counted; the entries beside it are kept, and the file is not taken for damaged."""
+    path = tmp_path / "history.db"
+    store = HistoryStore(path, SystemClock())
+    store.start()
+    good = (time.time(), "A07", 1, "text", "exited", "{}")
+    for values in (
+        good,
+        (*good[:4], "\ud800", "{}"),
+        (None, *good[1:]),
+        (2**70, *good[1:]),
+        (*good[:4], object(), "{}"),
+        good,
+    ):
+        store.put(HistoryRow(EVENT, values))
+    until(lambda: store.waiting == 0 and "4 entries" in store.problem(), "the count", store.problem)
+    store.close()
+    assert (
+        len(HistoryReader(path).events(who="", event="", text="", grade="", before=None, until=None, limit=9)["events"])
+        == 2
+    )
+    assert not list(tmp_path.glob("*.damaged-*"))
 
 
 def test_a_folder_that_cannot_be_written_does_not_stop_the_page(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ class FaultEntry:
 
 
 def from_json(body: Mapping[str, Any]) -> FaultEntry:
-    """Raises KeyError and TypeError for another JSON."""
+    """Raises KeyError, TypeError and ValueError for another JSON."""
     return FaultEntry(
         str(body["key"]),
         str(body["agent"]),
@@ -72,7 +72,7 @@ def from_json(body: Mapping[str, Any]) -> FaultEntry:
         float(body["utc_s"]),
         body["number"],
         bool(body["open"]),
-        [dict(step) for step in body["steps"]],
+        [{**step, "utc_s": float(step["utc_s"])} for step in list(body["steps"])[:MAX_STEPS]],
     )
 
 

@@ -91,7 +91,7 @@ class HistoryReader:
         statement = f"SELECT id, body FROM event WHERE {' AND '.join(wheres)} ORDER BY id DESC LIMIT ?"  # noqa: S608
         with self._open() as connection:
             rows = connection.execute(statement, (*values, limit + 1)).fetchall()
-        found = [{**json.loads(body), "id": key} for key, body in rows[:limit]]
+        found = [{**body, "id": key} for key, text in rows[:limit] for body in _bodies(text)]
         return {"events": found, "more": len(rows) > limit}
 
     def faults(self, who: str, *, only_open: bool, until: float | None = None) -> Json:
@@ -101,7 +101,7 @@ class HistoryReader:
                 "SELECT body FROM fault WHERE (? = '' OR who = ?) AND open >= ? AND at <= ? ORDER BY at DESC LIMIT ?",
                 (who, who, int(only_open), until if until is not None else 1e12, MAX_FAULTS),
             ).fetchall()
-        return {"faults": [json.loads(body) for (body,) in rows]}
+        return {"faults": [body for (text,) in rows for body in _bodies(text)]}
 
     def open_faults(self) -> list[FaultEntry]:
         """Those that were open when the ground stopped; empty if there is no history yet, or it cannot be read."""
@@ -124,6 +124,15 @@ class HistoryReader:
                 yield connection
         except (sqlite3.Error, ValueError) as error:
             raise HistoryError(f"the history cannot be read: {error}") from None
+
+
+def _bodies(text: object) -> list[Json]:
+    """The object that an entry has; none when it is damaged."""
+    try:
+        body = json.loads(str(text))
+    except (ValueError, RecursionError):
+        return []
+    return [body] if isinstance(body, dict) else []
 
 
 def _rounded(value: float | None) -> float | None:

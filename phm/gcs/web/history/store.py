@@ -46,6 +46,14 @@ EVENT = "INSERT INTO event (at, who, grade, event, words, body) VALUES (?, ?, ?,
 FAULT = "INSERT OR REPLACE INTO fault (key, who, at, changed, open, body) VALUES (?, ?, ?, ?, ?, ?)"
 
 
+_UNUSABLE = (
+    sqlite3.IntegrityError, sqlite3.ProgrammingError, sqlite3.InterfaceError, OverflowError, UnicodeError, ValueError,
+)  # fmt: skip
+"""What writing a row raises that is not fit for the file, such as half a character. The file itself is well."""
+MAX_ASIDES = 3
+"""So many damaged files of one run are kept: on a broken disk, each new file would be damaged again."""
+
+
 @dataclass(frozen=True, slots=True)
 class HistorySample:
     """who: name of an agent, or `link:` and a name. at: UTC seconds. value: None where a line is to be interrupted."""
@@ -80,7 +88,7 @@ class HistoryStore:
         self._prune_at = 0.0
         self._retry_at = float("-inf")
         self._stop, self._tried = threading.Event(), threading.Event()
-        self._written = 0
+        self._unusable = self._asides = 0
         self._thread = threading.Thread(target=self._loop, name="phm-gcs-history", daemon=True)
 
     def start(self) -> None:
@@ -100,7 +108,7 @@ class HistoryStore:
 
     def problem(self) -> str:
         """A sentence while something is missing, else empty."""
-        dropped = self._queue.dropped
+        dropped = self._queue.dropped + self._unusable
         lost = f"{dropped} entries of the history are missing" if dropped else ""
         return "; ".join(filter(None, (self._problem, self._aside, lost)))
 
@@ -170,12 +178,19 @@ class HistoryStore:
     def _write(self, connection: sqlite3.Connection, rows: Iterable[HistorySample | HistoryRow]) -> None:
         with connection:
             for row in rows:
-                if isinstance(row, HistoryRow):
-                    connection.execute(row.statement, row.values)
-                    continue
-                key = self._key(connection, row)
-                if key is not None:
-                    connection.execute(SAMPLE, (key, row.at, row.value))
+                try:
+                    self._write_one(connection, row)
+                except _UNUSABLE as error:
+                    self._unusable += 1
+                    logger.warning("an entry of the history cannot be kept: %s", type(error).__name__)
+
+    def _write_one(self, connection: sqlite3.Connection, row: HistorySample | HistoryRow) -> None:
+        if isinstance(row, HistoryRow):
+            connection.execute(row.statement, row.values)
+            return
+        key = self._key(connection, row)
+        if key is not None:
+            connection.execute(SAMPLE, (key, row.at, row.value))
 
     def _key(self, connection: sqlite3.Connection, row: HistorySample) -> int | None:
         """None: there are too many."""
@@ -222,6 +237,10 @@ class HistoryStore:
 
     def _set_aside(self, reason: str) -> None:
         self._disconnect()
+        if self._asides >= MAX_ASIDES:
+            self._fail(f"the history is damaged again ({reason}): it is no longer written ({self.path})")
+            return
+        self._asides += 1
         kept = self.path.with_name(f"{self.path.name}.damaged-{int(self._clock.utc())}")
         try:
             os.replace(self.path, kept)

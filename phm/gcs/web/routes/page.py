@@ -9,7 +9,7 @@ from aiohttp import hdrs, web
 from phm.gcs.web.access import HttpProblem, answer, public, read_json, view
 from phm.gcs.web.options import OPERATE
 from phm.gcs.web.routes.checks import EXTRA as CHECKS
-from phm.gcs.web.server_keys import GATE
+from phm.gcs.web.server_keys import CLIENTS, GATE
 from phm.gcs.web.site import Site
 from phm.gcs.web.static_files import StaticFile, load
 
@@ -38,7 +38,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
         gate = request.app[GATE]
         role, csrf = gate.session(request)
         if role or gate.sessions.tokens is not None:
-            return answer(_about(site, role, csrf, login=not role))
+            return answer(_about(request, site, role, csrf))
         return _begin(request, site, OPERATE)
 
     async def login(request: web.Request) -> web.Response:
@@ -53,6 +53,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     async def logout(request: web.Request) -> web.Response:
         gate = request.app[GATE]
         gate.sessions.end(request.cookies.get(gate.cookie, ""))
+        request.app[CLIENTS].look()  # its streams end with it
         response = answer({})
         response.del_cookie(gate.cookie, path="/")
         return response
@@ -82,12 +83,20 @@ def _begin(request: web.Request, site: Site, role: str) -> web.Response:
     gate = request.app[GATE]
     gate.sessions.end(request.cookies.get(gate.cookie, ""))
     key, session = gate.sessions.begin(role, site.clock.mono())
-    response = answer(_about(site, session.role, session.csrf, login=False))
+    response = answer(_about(request, site, session.role, session.csrf))
     secure = gate.options.tls is not None or gate.options.behind_proxy
     response.set_cookie(gate.cookie, key, path="/", httponly=True, samesite="Strict", secure=secure)
     return response
 
 
-def _about(site: Site, role: str, csrf: str | None, *, login: bool) -> dict[str, object]:
-    checks = role == OPERATE and CHECKS in site.extra
-    return {"role": role or None, "csrf": csrf, "login": login, "page": site.page, "checks": checks}
+def _about(request: web.Request, site: Site, role: str, csrf: str | None) -> dict[str, object]:
+    """role: empty, when the sender has to log in. tokens: whether one can log in, and out."""
+    checks, tokens = role == OPERATE and CHECKS in site.extra, request.app[GATE].sessions.tokens is not None
+    return {
+        "role": role or None,
+        "csrf": csrf,
+        "login": not role,
+        "tokens": tokens,
+        "page": site.page,
+        "checks": checks,
+    }

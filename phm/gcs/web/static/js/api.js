@@ -2,7 +2,7 @@
 
 const LIMIT_MS = 10000;
 
-export const session = { role: null, csrf: null, login: false, page: "gcs" };
+export const session = { role: null, csrf: null, login: false, tokens: false, page: "gcs" };
 
 /** What the server refuses, or that it does not answer. */
 export class Refused extends Error {

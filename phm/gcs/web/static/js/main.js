@@ -48,7 +48,7 @@ function showLink() {
   setText(byId("link"), words[store.link]);
   byId("banner").hidden = store.link !== "down";
   if (store.link === "login") showLogin();
-  byId("logout").hidden = !session.role || sessionStorage.getItem("phm-token") === null;
+  byId("logout").hidden = !session.role || !session.tokens;
   banner();
   route();
   if (store.link === "live") showChecks();
@@ -82,7 +82,6 @@ function showLogin() {
       event.preventDefault();
       try {
         await login(token.value);
-        sessionStorage.setItem("phm-token", "used");
         token.value = "";
         setText(problem, "");
         connect();
