@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from phm.review.statistics import rate_limits
 from sitl.campaign.scoring import judge
-from sitl.campaign.trial import Trial
+from sitl.campaign.trial import ABORTED, Trial
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class Alarms:
 
 
 def count(trials: Sequence[Trial]) -> Alarms:
-    """Of all that was observed, also of a run that was interrupted."""
+    """Of all that was observed, also of a run that was interrupted; the fault of such a run counts as not injected."""
     judged = [judge(trial) for trial in trials]
     false = [(each.trial, alarm) for each in judged for alarm in each.false]
-    verdicts = [verdict for each in judged for verdict in each.verdicts]
+    verdicts = [verdict for each in judged if each.trial.kind != ABORTED for verdict in each.verdicts]
     hours = sum(max(0.0, trial.seconds) * trial.agents for trial in trials) / 3600
     low, high = rate_limits(len(false), hours)
     return Alarms(

@@ -130,6 +130,14 @@ def test_false_alarms_are_counted_per_agent_hour() -> None:
     assert "A02 nodes/x" in found.listed[0] and "nothing injected" in found.listed[0]
 
 
+def test_a_fault_that_an_interrupt_cut_short_is_not_missed() -> None:
+    """Its run is observed time, but it says nothing about detection."""
+    cut = trial(kind=ABORTED, injections=[injection()], alarms=[])
+    assert count([trial(injections=[injection()], alarms=[])]).missed == 1
+    found = count([cut])
+    assert (found.injected, found.missed, found.agent_hours > 0) == (0, 0, True)
+
+
 def test_few_hours_without_an_alarm_have_an_upper_limit() -> None:
     """The upper limit is that of Poisson's distribution: 3.69 events when none was seen."""
     found = count([quiet(3600)])
