@@ -17,7 +17,7 @@ KINDS = frozenset(("mode", "arming", "error", "failsafe", "statustext"))
 MOST = 50_000
 """Of all files; more are counted and left out."""
 MOST_SYSTEMS = 256
-MOST_TEXT = 200
+MOST_TEXT, MOST_BY = 200, 20
 GZIP = b"\x1f\x8b"
 EARLIEST_S = 946_684_800.0
 """2000-01-01: an earlier time is a clock that was never set."""
@@ -42,8 +42,11 @@ class Other(NamedTuple):
         """None: it has no possible time or system."""
         if not EARLIEST_S < event.utc_s < LATEST_S or event.system is None or not 0 < event.system < MOST_SYSTEMS:
             return None
-        text = one_line(event.text)[:MOST_TEXT]
-        return cls(event.utc_s, event.system, event.event, text, event.level, str(event.by), file, event.began)
+        text = one_line(event.text[:MOST_TEXT])
+        # A hostile line of JSON comes here too: none of its texts is kept as it is.
+        level = event.level if event.level in WORDS.values() else ""
+        by = one_line(str(event.by)[:MOST_BY])
+        return cls(event.utc_s, event.system, event.event, text, level, by, file, event.began)
 
 
 def text_event(system: int, utc_s: float, text: str, by: str = "", level: str = "") -> Event:

@@ -15,7 +15,9 @@ from pymavlink import DFReader
 
 from phm.cli import group
 from phm.review import gather, page, source_dataflash, source_tlog
+from phm.review.events import Event
 from phm.review.lines import Piece, Problems
+from phm.review.other import Other
 from tests.fakes.recorded_flight import FOLDER
 from tests.review.records import T0, Flown, report
 
@@ -204,3 +206,11 @@ def status_text(text: str, number: int = 0, part: int = 0) -> bytes:
 
 def stamped(t: float, frame: bytes) -> bytes:
     return int(t * 1e6).to_bytes(8, "big") + frame
+
+
+def test_what_is_kept_of_an_entry_is_limited() -> None:
+    """A line of JSON may claim to be one: its texts are cut, an unknown level is none."""
+    made = Other.of(Event("mode", system=1, utc_s=T0, text="x" * 10_000, by="y" * 10_000, level="z" * 10_000), "file")
+    assert made is not None and (len(made.text), len(made.by), made.level) == (200, 20, "")
+    for system, utc_s in ((None, T0), (0, T0), (256, T0), (1, 5.0), (1, float("nan")), (1, float("inf"))):
+        assert Other.of(Event("mode", system=system, utc_s=utc_s), "file") is None
