@@ -25,7 +25,7 @@ def test_many_alarms_leave_room_for_the_agents(browser: Browser, tmp_path: Path)
             agents.say(number, f"A{number:02d} FAIL 11111001 6 planner dead, and a text as long")
         expect(page.locator("#alarms li")).to_have_count(COUNT)
         expect(page.locator("#alarms button").first).to_be_in_viewport()
-        expect(page.locator(".rows .row").first).to_be_in_viewport(ratio=1)
+        expect(page.locator(".rows .row .name").first).to_be_in_viewport(ratio=1)
         page.goto(f"{station.url}#/events")
         words = page.locator(".log li .air").first.bounding_box()
         assert words is not None and words["width"] > 300
