@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, expect
 
 from tests.fakes.until import until
 from tests.gcs.web.browser.scene import fleet, ground, tab
+from tests.gcs.web.test_web_replay import flight
 
 pytestmark = pytest.mark.browser
 
@@ -28,3 +29,22 @@ def test_a_record_is_shown_on_the_same_page(browser: Browser, tmp_path: Path) ->
         bar.get_by_label("Speed").select_option("4")
         expect(bar.get_by_role("slider")).to_be_enabled()
         expect(page.locator(".row[data-name=A02] .line")).to_contain_text("planner dead")
+
+
+def test_pause_a_jump_and_plots(browser: Browser, tmp_path: Path) -> None:
+    """Paused, the moment stands still; a jump shows the state of its moment; an agent's levels are plotted."""
+    record = tmp_path / "flight.jsonl"
+    flight(record)
+    with ground(tmp_path, "--replay", str(record), "--speed", "0.1") as station, tab(browser, station.url) as page:
+        bar = page.get_by_role("region", name="Replay")
+        bar.get_by_role("button", name="Pause").click()
+        expect(bar.get_by_role("button", name="Play")).to_be_visible()
+        slider = bar.get_by_role("slider")
+        begin = float(slider.get_attribute("min") or 0)
+        state = page.locator(".row[data-name=A07] .how")
+        for seconds, words in ((45, "ERROR"), (20, "OK"), (45, "ERROR")):
+            slider.fill(str(round(begin) + seconds))
+            expect(state).to_contain_text(words)
+            assert abs(float(slider.input_value()) - begin - seconds) < 3
+        page.locator(".row[data-name=A07]").get_by_role("button").first.click()
+        expect(page.locator("#panel figcaption").filter(has_text="worst level")).to_contain_text("3")
