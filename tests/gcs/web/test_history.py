@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -153,6 +154,35 @@ def test_an_entry_that_cannot_be_kept_is_left_out(tmp_path: Path) -> None:
         == 2
     )
     assert not list(tmp_path.glob("*.damaged-*"))
+
+
+def test_slow_queries_delay_no_request_of_an_operator(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many clients ask for the past; those that cannot wait any more are told so."""
+    go_on, asked = threading.Event(), list[int]()
+
+    def slow(reader: HistoryReader, who: str) -> list[Any]:
+        asked.append(1)
+        go_on.wait(60)
+        return []
+
+    monkeypatch.setattr(HistoryReader, "kinds", slow)
+    with ground() as made:
+        operator, found = made.client(), list[int]()
+        operator.session()
+        ask = [
+            threading.Thread(target=lambda: found.append(made.client().ask("GET", "/api/history/kinds?agent=A07")[0]))
+            for _ in range(70)
+        ]
+        for one in ask:
+            one.start()
+        try:
+            until(lambda: asked and 503 in found, "the refusals")
+            assert operator.ask("POST", "/api/requests", {"agent": "A09", "do": "check"})[0] == 409
+        finally:
+            go_on.set()
+            for one in ask:
+                one.join(30)
+        assert found.count(200) >= 64
 
 
 def test_a_folder_that_cannot_be_written_does_not_stop_the_page(tmp_path: Path) -> None:

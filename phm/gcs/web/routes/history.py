@@ -16,17 +16,27 @@ from phm.gcs.web.site import Site
 T = TypeVar("T")
 DEFAULT_S = 600.0
 MAX_TEXT = 200
+MAX_QUERIES, MAX_WAITING = 2, 64
+"""Queries at once, so that there are always threads for requests of an operator; and with those that wait."""
 
 
 def routes(site: Site) -> Sequence[web.RouteDef]:
+    turn, waiting = asyncio.Semaphore(MAX_QUERIES), [0]
+
     def handler(ask: Callable[[Site, HistoryReader, web.Request], Any]) -> Handler:
         async def handle(request: web.Request) -> web.Response:
             if site.history is None:
                 raise HttpProblem(404, "there is no history here")
+            if waiting[0] >= MAX_WAITING:
+                raise HttpProblem(503, "the history is asked too much: try again")
+            waiting[0] += 1
             try:
-                return answer(await asyncio.to_thread(ask, site, site.history, request))
+                async with turn:
+                    return answer(await asyncio.to_thread(ask, site, site.history, request))
             except HistoryError as error:
                 raise HttpProblem(503, str(error)) from None
+            finally:
+                waiting[0] -= 1
 
         return view(handle)
 
