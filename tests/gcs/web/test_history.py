@@ -157,7 +157,7 @@ def test_an_entry_that_cannot_be_kept_is_left_out(tmp_path: Path) -> None:
 
 
 def test_slow_queries_delay_no_request_of_an_operator(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many clients ask for the past; those that cannot wait any more are told so."""
+    """However many clients ask for the past; those that cannot wait any more are refused."""
     go_on, asked = threading.Event(), list[int]()
 
     def slow(reader: HistoryReader, who: str) -> list[Any]:

@@ -32,7 +32,7 @@ def test_a_record_is_shown_on_the_same_page(browser: Browser, tmp_path: Path) ->
 
 
 def test_pause_a_jump_and_plots(browser: Browser, tmp_path: Path) -> None:
-    """Paused, the moment stands still; a jump shows the state of its moment; an agent's levels are plotted."""
+    """Paused, the moment is the same; a jump shows the state of its moment; an agent's levels are plotted."""
     record = tmp_path / "flight.jsonl"
     flight(record)
     with ground(tmp_path, "--replay", str(record), "--speed", "0.1") as station, tab(browser, station.url) as page:
