@@ -10,7 +10,7 @@ from phm.review import html_file
 
 
 @dataclass(frozen=True)
-class Series:
+class ChartSeries:
     """Points in ascending order of x; y None: a gap."""
 
     name: str
@@ -26,7 +26,7 @@ class Chart:
     title: str
     unit: str
     x: str
-    series: Sequence[Series]
+    series: Sequence[ChartSeries]
     kind: Literal["line", "steps", "dots"] = "line"
     rows: Sequence[str] = ()
     log: tuple[float, float] | None = None
@@ -34,7 +34,7 @@ class Chart:
 
 
 @dataclass(frozen=True)
-class Section:
+class ChartSection:
     """A table, or sentences, with a title and an introduction."""
 
     title: str
@@ -45,6 +45,6 @@ class Section:
 
 
 def render(title: str, said: Sequence[str], sections: Sequence[object], charts: Sequence[Chart]) -> str:
-    """The page. said: its first sentences. sections: with the attributes of `Section`. Needs jinja2."""
+    """The page. said: its first sentences. sections: with the attributes of `ChartSection`. Needs jinja2."""
     drawn = [asdict(chart) for chart in charts if any(series.x for series in chart.series)]
     return html_file.render("charts.html", "charts.js", drawn, title=title, said=said, sections=sections, drawn=drawn)

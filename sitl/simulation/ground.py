@@ -127,7 +127,10 @@ class Ground:
             if time.monotonic() >= due:
                 due = time.monotonic() + HEARTBEAT_S
                 self._send(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 0, 0, 4, 3))
-            readable, _, _ = select.select(port.sockets(), [], [], 0.05)
+            try:
+                readable, _, _ = select.select(port.sockets(), [], [], 0.05)
+            except (OSError, ValueError):
+                return  # another thread has closed the port: its number is -1
             for sock in readable:
                 for _, message in port.receive(sock):
                     self._take(message)

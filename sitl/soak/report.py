@@ -98,8 +98,8 @@ def sentences(found: Json) -> list[str]:
 def page(found: Json, samples: Sequence[Sample], trials: Sequence[Trial]) -> str:
     """One HTML file. Needs jinja2."""
     sections = [
-        charts.Section("Slopes", "Per hour, over all agents together.", HEAD, table(found)),
-        charts.Section("False alarms", sentences=found["alarms"]["listed"] or ["none"]),
+        charts.ChartSection("Slopes", "Per hour, over all agents together.", HEAD, table(found)),
+        charts.ChartSection("False alarms", sentences=found["alarms"]["listed"] or ["none"]),
     ]
     return charts.render("PHM soak", sentences(found), sections, _plots(samples, trials))
 
@@ -116,7 +116,7 @@ def _plots(samples: Sequence[Sample], trials: Sequence[Trial]) -> list[charts.Ch
             mine = [sample for sample in samples if sample.agent == agent]
             drawn = averaged([points(mine, measurement)], DRAWN)
             series.append(
-                charts.Series(
+                charts.ChartSeries(
                     f"A{agent:02d}",
                     [round((at - begin) / 3600, 5) for at, _ in drawn],
                     [round(value, 4) for _, value in drawn],

@@ -37,7 +37,7 @@ class Numbers(Decoder):
         return bool(self._counters)
 
     def read(self, data: bytes) -> tuple[float | None, Mapping[str, str], bytes]:
-        return self._counters.pop(0), {}, data
+        return self._counters.pop(0), {}, data, ()
 
 
 @fuzzed(

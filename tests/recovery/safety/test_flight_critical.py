@@ -17,8 +17,8 @@ from phm.recovery.safety.guarded_engine import READS, guarded
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
 
-NOT_ABOUT_A_CONTAINER = {"create_from_image"}
-"""Creates a container that is never started."""
+NOT_ABOUT_A_CONTAINER = {"create_from_image", "exec_read", "exec_exit_code"}
+"""Creates a container that is never started; concern a program that `exec_create` has prepared in a named container."""
 
 
 class Scene:
