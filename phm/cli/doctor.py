@@ -32,7 +32,7 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     """
     from phm.doctor.examination import examine
 
-    found = examine(_surroundings(config))
+    found = examine(surroundings(config))
     good = not any(row.state == "missing" for rows in found.values() for row in rows)
     if as_json:
         listed = [{"group": group, **asdict(row)} for group, rows in found.items() for row in rows]
@@ -42,7 +42,7 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     ctx.exit(0 if good else 1)
 
 
-def _surroundings(config: str | None) -> Surroundings:
+def surroundings(config: str | None) -> Surroundings:
     """With the configuration where there is a valid one, else with the defaults."""
     from phm.config import ConfigError, find
     from phm.core.settings import Settings

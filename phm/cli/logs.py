@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from phm.cli.hold import Duration
+from phm.cli.logs_bundle import bundle
 from phm.cli.options import config_option, json_option, load_settings
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ class _Since(click.ParamType):  # type: ignore[type-arg]
 class WithTasks(click.Command):
     """`phm logs collect DIR` is another command than `phm logs PATH`; a folder of that name is ``./collect``."""
 
-    requests: Mapping[str, click.Command] = {}
+    requests: Mapping[str, click.Command] = {"bundle": bundle}
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any

@@ -1,0 +1,184 @@
+"""`phm logs bundle`: complete, bounded, and without the secrets that were planted everywhere."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import stat
+import tarfile
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given, strategies as st
+
+from phm.cli import group
+from phm.logs import bundle as bundles
+from phm.logs.secrets import MOST_LINE, Secrets, is_secret
+from tests.cli.test_logs import note, record
+
+KEY = "00112233445566778899aabbccddeeff00112233445566778899aabbccddeeff"
+HOOK = "json://robot:Pa55phrase@example.org/T0PSECRETPATH?x=Qu3ryT0ken"
+SLACK = "slack://T1JJ3T3L2AAAA/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ"
+PLANTED = (
+    *(KEY, KEY.upper(), HOOK, "Pa55phrase", "T0PSECRETPATH", "Qu3ryT0ken", "TIiajkdnlazkcOXrIdevi7FQ", "T1JJ3T3L2AAAA"),
+    *("env-v4lue-one", "env-v4lue-two", "c0mmented-0ut", "b3arer-in-a-log", "url-passw0rd", "block-l1ne-one"),
+    *("MIIBVwIBADANBg", "j5on-in-a-log", "opti0n-value", 'quo"ted-s3cret', r"quo\"ted-s3cret"),
+)
+
+
+@pytest.fixture
+def agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An agent with secrets in its configuration, environment, signing key and logs. Returns its configuration."""
+    key = tmp_path / "key"
+    key.write_text(KEY)
+    key.chmod(0o600)
+    config = tmp_path / "phm.yaml"
+    config.write_text(
+        f"""\
+# password: c0mmented-0ut
+agent: {{name: agent_1, id: 1}}
+log: {{directory: {tmp_path / "log"}}}
+state_dir: {tmp_path / "state"}
+docker: {{socket: "unix://{tmp_path}/none.sock"}}
+mavlink: {{signing: {{key: {key}}}}}
+notify:
+  urls: ["{HOOK}", "{SLACK}"]
+"""
+    )
+    monkeypatch.setenv("PHM_API_TOKEN", "env-v4lue-one")
+    monkeypatch.setenv("SOME_PASSWORD", "env-v4lue-two")
+    monkeypatch.setenv("QUOTED_SECRET", 'quo"ted-s3cret')
+    said = (
+        f"key {KEY} and {HOOK} and TIiajkdnlazkcOXrIdevi7FQ",
+        "env-v4lue-one, env-v4lue-two, Authorization: Bearer b3arer-in-a-log",
+        'http://user:url-passw0rd@example.org/x {"token": "j5on-in-a-log"} --password opti0n-value quo"ted-s3cret',
+        "-----BEGIN PRIVATE KEY----- MIIBVwIBADANBg -----END PRIVATE KEY-----",
+        "an ordinary line",
+    )
+    record(tmp_path / "log", *map(note, said))
+    lines = (tmp_path / "log" / "phm.jsonl").read_bytes()
+    (tmp_path / "log" / "phm.jsonl.1.gz").write_bytes(gzip.compress(lines) + b"damaged")
+    return config
+
+
+def bundle(config: Path, file: Path) -> Result:
+    words = ["logs", "bundle", str(file), "-c", str(config), "--run-dir", str(file.parent / "run")]
+    return CliRunner().invoke(group, words)
+
+
+def members(file: Path) -> dict[str, bytes]:
+    with tarfile.open(file) as archive:
+        made = {member.name.partition("/")[2]: archive.extractfile(member) for member in archive}
+        return {name: content.read() for name, content in made.items() if content is not None}
+
+
+def test_no_planted_secret_is_in_the_bundle_or_on_the_terminal(agent: Path, tmp_path: Path) -> None:
+    """Whatever the place it was planted in; what was removed is listed in both."""
+    file = tmp_path / "problem.tar.gz"
+    result = bundle(agent, file)
+    assert result.exit_code == 0, result.output
+    inside = members(file)
+    for name, content in [*inside.items(), ("the terminal", result.output.encode())]:
+        for secret in PLANTED:
+            assert secret.encode() not in content, f"{secret} is in {name}"
+    removed = inside["REMOVED.txt"].decode()
+    for words in ("MAVLink signing key", "URL of notify.urls", "value of PHM_API_TOKEN", "logs/phm.jsonl", "phm.yaml"):
+        assert words in removed and words in result.output
+
+
+def test_the_bundle_has_what_a_reader_needs(agent: Path, tmp_path: Path) -> None:
+    """Logs that can be read, configuration, versions, environment, doctor, and what is missing with the reason."""
+    file = tmp_path / "problem.tar.gz"
+    bundle(agent, file)
+    inside = members(file)
+    wanted = {"phm.yaml", "versions.json", "environment.json", "doctor.txt", "REMOVED.txt", "MISSING.txt"}
+    assert wanted | {"logs/phm.jsonl", "logs/phm.jsonl.1", "logs/phm.log"} == set(inside)
+    texts = [json.loads(line).get("text") for line in inside["logs/phm.jsonl"].splitlines()]
+    assert "an ordinary line" in texts and len(texts) == 6
+    assert json.loads(inside["versions.json"])["phm"] and b"engine: " in inside["doctor.txt"]
+    assert b"status.json" in inside["MISSING.txt"] and b"logs/phm.jsonl.1: its rest" in inside["MISSING.txt"]
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
+def test_an_existing_file_is_not_replaced(agent: Path, tmp_path: Path) -> None:
+    """And nothing is left behind."""
+    file = tmp_path / "problem.tar.gz"
+    file.write_text("mine")
+    result = bundle(agent, file)
+    assert result.exit_code == 1 and "exists already" in result.output and file.read_text() == "mine"
+    assert not list(tmp_path.glob(".phm-bundle*"))
+
+
+def test_a_configuration_that_is_not_yaml_is_left_out(agent: Path, tmp_path: Path) -> None:
+    """Its secrets cannot be found; the rest is written."""
+    agent.write_text('a: "\npassword: |\n  block-l1ne-one')
+    file = tmp_path / "problem.tar.gz"
+    assert bundle(agent, file).exit_code == 0
+    inside = members(file)
+    assert "phm.yaml" not in inside and b"phm.yaml: " in inside["MISSING.txt"]
+
+
+def test_logs_are_capped_the_newest_first(agent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What does not fit is listed."""
+    monkeypatch.setattr(bundles, "MOST_LOG_BYTES", 600)
+    file = tmp_path / "problem.tar.gz"
+    bundle(agent, file)
+    inside = members(file)
+    assert "logs/phm.jsonl" in inside and "logs/phm.jsonl.1" not in inside and b"phm.jsonl.1" in inside["MISSING.txt"]
+
+
+@pytest.mark.parametrize(
+    ("name", "secret"),
+    [
+        *(
+            ("API_KEY", True),
+            ("dbPassword", True),
+            ("GITHUB_TOKEN", True),
+            ("x-auth", True),
+            ("AWS_SECRET_ACCESS_KEY", True),
+        ),
+        *(("MONKEY", False), ("PATH", False), ("ROS_DOMAIN_ID", False), ("keyboard", False), ("author", False)),
+    ],
+)
+def test_names_of_secrets_are_recognized(name: str, secret: bool) -> None:
+    """By the parts of the name."""
+    assert is_secret(name) is secret
+
+
+def test_inspect_output_is_cleaned_by_its_structure() -> None:
+    """Variables, options with a value of their own, labels, and keys of several lines."""
+    tree = {
+        "Config": {"Env": ["DB_PASSWORD=a b", "PATH=/bin"], "Cmd": ["run", "--token", "xyz", "--port", "1"]},
+        "Labels": {
+            "api.key": "abc",
+            "note": "-----BEGIN RSA PRIVATE KEY-----\nMIIB\n-----END RSA PRIVATE KEY-----\nafter",
+        },
+    }
+    cleaned = Secrets().clean_json(tree, "x")
+    assert cleaned["Config"]["Env"] == ["DB_PASSWORD=<removed>", "PATH=/bin"]
+    assert cleaned["Config"]["Cmd"] == ["run", "--token", "<removed>", "--port", "1"]
+    assert cleaned["Labels"] == {"api.key": "<removed>", "note": "<removed>\nafter"}
+
+
+@given(st.text(), st.text("ab./:@?=&", min_size=8), st.text())
+def test_a_known_value_never_remains(before: str, value: str, after: str) -> None:
+    """Whatever is around it."""
+    secrets = Secrets()
+    secrets.learn(value, "x")
+    assert value not in secrets.clean(f"{before}{value}{after}", "y")
+
+
+def test_a_cut_line_has_no_part_of_a_secret() -> None:
+    """The cut goes through the known value: its first part is cut off, too."""
+    secrets = Secrets()
+    secrets.learn("s3cret" * 100, "x")
+    assert "s3cret" not in secrets.clean("x" * (MOST_LINE - 300) + "s3cret" * 100, "y")
+
+
+@pytest.mark.parametrize(
+    "piece", ["a", "token", "key=", "://", "token_", "-----BEGIN ", "auth: ", "x.", "-token", '\\"']
+)
+def test_a_hostile_line_takes_bounded_steps(piece: str) -> None:
+    """No pattern is quadratic: the longest line is done (a quadratic one would take minutes, and the test its limit)."""
+    assert Secrets().clean("token " + piece * (MOST_LINE // len(piece)), "x")
