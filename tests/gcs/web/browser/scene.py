@@ -25,7 +25,7 @@ from tests.fakes.until import until
 from tests.gcs.web.swarm import Vehicle
 
 ROOT = Path(__file__).parents[4]
-LIMIT_MS = 30_000
+LIMIT_MS = 120_000
 CHROMIUM = "/usr/bin/chromium"
 SWITCHES = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
