@@ -66,7 +66,7 @@ class _Since(click.ParamType):  # type: ignore[type-arg]
 
 
 class WithTasks(click.Command):
-    """`phm logs collect DIR` is another command than `phm logs PATH`; a folder of that name is ``./collect``."""
+    """`phm logs bundle FILE` is another command than `phm logs PATH`; a folder of that name is ``./bundle``."""
 
     requests: Mapping[str, click.Command] = {"bundle": bundle}
 
@@ -126,7 +126,7 @@ def command(
     brief: bool,
     as_json: bool,
 ) -> None:
-    """Show, follow, collect or bundle logs, with explanations.
+    """Show, follow or bundle logs, with explanations.
 
     PATH is a log, its directory, or a folder with the logs of several agents; without it, log.directory of the
     configuration. Rotated and compressed files are included; lines of several agents are in the order of their times.

@@ -1,4 +1,4 @@
-"""`phm logs bundle` and `phm logs collect` with containers of a real engine."""
+"""`phm logs bundle` with containers of a real engine."""
 
 from __future__ import annotations
 
