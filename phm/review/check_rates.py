@@ -11,10 +11,18 @@ Json = dict[str, Any]
 CONSEQUENCE = "reattributed"
 """Outcome of a fault that turned out to follow from another one: it is not counted."""
 
+ROUNDED_S = 0.001
+"""Times in rows are rounded."""
+
 
 def counted(faults: Sequence[Json]) -> list[Json]:
     """Faults without consequences of others."""
     return [fault for fault in faults if fault["outcome"] != CONSEQUENCE]
+
+
+def opened(faults: Sequence[Json], begin: float) -> list[Json]:
+    """Those that opened in the window: one that was open before belongs to the time before."""
+    return [fault for fault in counted(faults) if fault["opened"] >= begin - ROUNDED_S]
 
 
 def rows(faults: Sequence[Json], observed_s: Mapping[str, float]) -> list[Json]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from phm.review.check_rates import counted
+from phm.review.check_rates import opened
 from phm.review.statistics import same_rate
 
 Json = dict[str, Any]
@@ -27,7 +27,7 @@ def build(first: Json, second: Json) -> Json:
         "a": _about(first),
         "b": _about(second),
         "checks": _rows(_checks(first), _checks(second), "check"),
-        "faults": _rows(_faults(first), _faults(second), "fault"),
+        "faults": _rows(_faults(first, second), _faults(second, first), "fault"),
     }
 
 
@@ -48,7 +48,7 @@ def _about(document: Json) -> Json:
         "window": document["window"],
         "agents": len(document["agents"]),
         "versions": versions,
-        "faults": len(counted(document["faults"])),
+        "faults": len(opened(document["faults"], document["window"]["begin"])),
         "ran_s": round(_ran_s(document), 3),
         "uptime": document["phm"]["uptime"],
     }
@@ -63,29 +63,35 @@ def _checks(document: Json) -> dict[str, tuple[int, float, float | None]]:
     return {row["check"]: (row["faults"], row["observed_s"], row["mttr_s"]) for row in document["checks"]}
 
 
-def _faults(document: Json) -> dict[str, tuple[int, float, float | None]]:
-    """By unit and condition, over all agents."""
-    ran_s = {row["check"]: float(row["observed_s"]) for row in document["checks"]}
-    found: dict[str, list[Json]] = {f"\0{check}": [] for check in ran_s}
-    for fault in counted(document["faults"]):
+def _named(document: Json) -> dict[str, list[Json]]:
+    """Faults by unit and condition, over all agents."""
+    found: dict[str, list[Json]] = {}
+    for fault in opened(document["faults"], document["window"]["begin"]):
         found.setdefault(f"{fault['unit']} {fault['condition']}".strip(), []).append(fault)
+    return found
+
+
+def _faults(document: Json, other: Json) -> dict[str, tuple[int, float, float | None]]:
+    """Also of those that only the other record has: their check was observed here without such a fault."""
+    ran_s = {row["check"]: float(row["observed_s"]) for row in document["checks"]}
+    found, elsewhere = _named(document), _named(other)
     rows: dict[str, tuple[int, float, float | None]] = {}
-    for name, faults in found.items():
-        if faults:
-            times = [fault["lasted_s"] for fault in faults if fault["outcome"] == "resolved"]
-            rows[name] = (len(faults), ran_s.get(faults[0]["check"], 0.0), sum(times) / len(times) if times else None)
+    for name, known in {**elsewhere, **found}.items():
+        faults = found.get(name, [])
+        times = [fault["lasted_s"] for fault in faults if fault["outcome"] == "resolved"]
+        rows[name] = (len(faults), ran_s.get(known[0]["check"], 0.0), sum(times) / len(times) if times else None)
     return rows
 
 
 def _rows(
     first: dict[str, tuple[int, float, float | None]], second: dict[str, tuple[int, float, float | None]], kind: str
 ) -> list[Json]:
+    """A check that one of the records does not have was observed for no time there."""
     names = [name for name in {**first, **second} if first.get(name, (0,))[0] or second.get(name, (0,))[0]]
-    longest = [max((row[1] for row in rows.values()), default=0.0) for rows in (first, second)]
     found: list[Json] = []
     for name in names:
-        count_a, time_a, mttr_a = first.get(name, (0, longest[0], None))
-        count_b, time_b, mttr_b = second.get(name, (0, longest[1], None))
+        count_a, time_a, mttr_a = first.get(name, (0, 0.0, None))
+        count_b, time_b, mttr_b = second.get(name, (0, 0.0, None))
         found.append(
             {
                 kind: name,

@@ -65,7 +65,7 @@ def build(record: Record, flight: int | None = None) -> Json:
         "agents": rows,
         "faults": faults,
         "availability": available,
-        "checks": check_rates.rows(faults, observed),
+        "checks": check_rates.rows(check_rates.opened(faults, round(begin, 3)), observed),
         "unknown": sorted(unknown, key=lambda row: -(row["unknown_s"] + row["blocked_s"]))[:200],
         "phm": _own(record, uptimes),
         "clocks": _clocks(record),
@@ -113,7 +113,7 @@ def _agent(
     spent = levels.seconds(worst, begin, end)
     first = max(begin, agent.cover[0][0]) if agent.cover else begin
     # A log that ends while its autopilot is armed was not ended by anyone: PHM, or its computer, was lost.
-    flying = bool(agent.armed) and agent.armed[-1][1] >= agent.end - 1.0
+    flying = agent.flying and bool(agent.armed) and agent.armed[-1][1] >= agent.end - 1.0
     last = end if flying else min(end, agent.end)
     down = clipped(without([[first, last]], agent.cover), begin, end) if agent.runs and last > first else []
     lost = sum(mark.body["lines"] for _, mark in agent.marks if mark.what == "lost")
@@ -135,7 +135,7 @@ def _agent(
             for run, clock in agent.runs
             if run.cover.spans
         ][:200],
-        "faults": len(check_rates.counted(faults)),
+        "faults": len(check_rates.opened(faults, round(begin, 3))),
         "error_s": round(spent.get("ERROR", 0.0), 3),
         "warn_s": round(spent.get("WARN", 0.0), 3),
         "unknown_s": round(spent.get("STALE", 0.0), 3),
@@ -176,7 +176,7 @@ def _own(record: Record, uptimes: dict[str, float]) -> Json:
         if not agent.runs:
             continue
         runs = [run for run, _ in agent.runs]
-        reports = sum(len(run.reports) for run in runs)
+        reports, timed = sum(len(run.reports) for run in runs), sum(run.report_s[2] for run in runs)
         checks: dict[str, list[float]] = {}
         for run in runs:
             for check, (count, whole, most) in run.check_ms.items():
@@ -191,7 +191,7 @@ def _own(record: Record, uptimes: dict[str, float]) -> Json:
                 "memory_bytes": max(run.memory_bytes for run in runs) or None,
                 "sent_bytes": sum(run.cost[-1][2] - run.cost[0][2] for run in runs if run.cost) or None,
                 "reports": reports,
-                "report_mean_s": round(sum(run.report_s[0] for run in runs) / reports, 4) if reports else None,
+                "report_mean_s": round(sum(run.report_s[0] for run in runs) / timed, 4) if timed else None,
                 "report_longest_s": round(max(run.report_s[1] for run in runs), 4) if reports else None,
                 "check_mean_ms": {
                     check: round(each[1] / each[0], 2) for check, each in sorted(checks.items()) if each[0]

@@ -45,7 +45,7 @@ class Found:
 
 def find(paths: Sequence[str]) -> Found:
     """The records in files and folders (with their subfolders). Raises NoRecord."""
-    found, seen = Found(), set[bytes]()
+    found, seen = Found(), dict[bytes, int]()
     for name in paths:
         path = Path(name)
         if not path.exists():
@@ -57,9 +57,13 @@ def find(paths: Sequence[str]) -> Found:
                 continue
             identity = _identity(file)
             if identity in seen:
-                found.twice.append(file)
+                place = seen[identity]
+                had = found.files[place]
+                longer = _length(file) > _length(had[0])
+                found.twice.append(had[0] if longer else file)
+                found.files[place] = (file, source) if longer else had
                 continue
-            seen.add(identity)
+            seen[identity] = len(found.files)
             found.files.append((file, source))
             if len(found.files) > MOST_FILES:
                 raise NoRecord(f"more than {MOST_FILES} files: name fewer folders")
@@ -135,6 +139,20 @@ def _files(path: Path) -> Iterator[Path]:
             file = Path(folder, name)
             if file.is_file() and not file.is_symlink():
                 yield file
+
+
+def _length(path: Path) -> int:
+    """Bytes of text that can be read: a copy may have been made while the file grew, or be damaged."""
+    length = 0
+    try:
+        if not path.name.endswith(COMPRESSED):
+            return path.stat().st_size
+        with gzip.open(path) as packed:
+            while part := packed.read(1 << 20):
+                length += len(part)
+    except (OSError, EOFError, zlib.error):
+        pass
+    return length
 
 
 def _identity(path: Path) -> bytes:

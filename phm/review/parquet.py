@@ -101,18 +101,17 @@ def write(record: Record, folder: str, name: str) -> dict[str, int]:
             old.unlink()
     for agent in record.agents:
         day = iso(agent.cover[0][0])[:10] if agent.cover else "unknown"
-        place = f"day={day}/agent={re.sub(r'[^A-Za-z0-9_.-]', '_', agent.name)[:80]}"
+        place = f"day={day}/agent={_folder(agent.name)}"
         for table, rows in _tables(agent).items():
             if not rows:
                 continue
             columns = {"record": pa.array([name] * len(rows), pa.string())}
             for place_of, (column, kind) in enumerate(SCHEMAS[table]):
                 values = [row[place_of] for row in rows]
-                values = (
-                    [None if value is None else round(value * 1000) for value in values]
-                    if kind == "timestamp"
-                    else values
-                )
+                if kind == "timestamp":
+                    values = [None if value is None else round(value * 1000) for value in values]
+                elif kind == "int32":
+                    values = [_small(value) for value in values]
                 columns[column] = pa.array(values, kinds[kind])
             target = Path(folder, table, place)
             target.mkdir(parents=True, exist_ok=True)
@@ -122,6 +121,17 @@ def write(record: Record, folder: str, name: str) -> dict[str, int]:
             )
             counts[table] = counts.get(table, 0) + len(rows)
     return counts
+
+
+def _folder(name: str) -> str:
+    """A name as part of a path. Different names have different ones."""
+    safe = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:80]
+    return safe if safe == name else f"{safe}-{hashlib.sha256(name.encode()).hexdigest()[:6]}"
+
+
+def _small(value: int | None) -> int | None:
+    """None for what cannot be the number of a slot or attempt."""
+    return value if value is not None and abs(value) < 2**31 else None
 
 
 def rates(folder: str) -> list[Json]:

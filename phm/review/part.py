@@ -20,6 +20,8 @@ MOST_EVENTS = 200_000
 STEP_S = 0.2
 """A change of the difference between the two clocks of this size is a step."""
 MOST_FRAMES = 1000
+LARGEST = 1e15
+"""No measurement is larger: sums of them stay finite."""
 PLOTTED = (
     "cpu_percent",
     "memory_percent",
@@ -137,9 +139,12 @@ class Part:
             }
         if event.check in MEASURED:
             _measure(run, event)
-        if event.duration_ms is not None and (event.check in run.check_ms or len(run.check_ms) < MOST_SERIES):
+        spent_ms = event.duration_ms
+        if spent_ms is None or not 0.0 <= spent_ms < LATEST_S:
+            return
+        if event.check in run.check_ms or len(run.check_ms) < MOST_SERIES:
             spent = run.check_ms.setdefault(event.check, [0.0, 0.0, 0.0])
-            spent[0], spent[1], spent[2] = spent[0] + 1, spent[1] + event.duration_ms, max(spent[2], event.duration_ms)
+            spent[0], spent[1], spent[2] = spent[0] + 1, spent[1] + spent_ms, max(spent[2], spent_ms)
 
     def _change(self, run: Run, event: Event) -> None:
         self._unit(run, event)
@@ -196,7 +201,8 @@ class Part:
     def _report(self, run: Run, event: Event) -> None:
         if len(run.reports) < MOST_EVENTS:
             run.reports.append(event.mono)
-        run.report_s = [run.report_s[0] + event.took_s, max(run.report_s[1], event.took_s)]
+        if 0.0 <= event.took_s < LATEST_S:
+            run.report_s = [run.report_s[0] + event.took_s, max(run.report_s[1], event.took_s), run.report_s[2] + 1]
 
     def _start(self, run: Run, event: Event) -> None:
         run.version, run.interval_s, run.started = event.version[:40], event.interval_s, event.mono
@@ -247,7 +253,7 @@ def _measure(run: Run, event: Event) -> None:
             if name == "armed" and (not run.armed or run.armed[-1][1] is not value) and len(run.armed) < MOST_UNITS:
                 run.armed.append((event.mono, value))
             continue
-        if not isinstance(value, (int, float)):
+        if not isinstance(value, (int, float)) or abs(value) > LARGEST:
             continue
         if name == "boot_s":
             _boot(run, event, float(value))

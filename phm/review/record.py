@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,13 +20,14 @@ QUIET_S = 30.0
 
 @dataclass
 class AgentRecord:
-    """One agent. cover: when its PHM wrote; armed: when its autopilot was, as far as known."""
+    """One agent. cover: when its PHM wrote; armed: when its autopilot was, as far as known; flying: it was at the end."""
 
     name: str
     id: int
     runs: list[tuple[Run, RunClock]] = field(default_factory=list)
     cover: list[Span] = field(default_factory=list)
     armed: list[Span] = field(default_factory=list)
+    flying: bool = False
     changes: list[tuple[float, Change]] = field(default_factory=list)
     marks: list[tuple[float, RunMark]] = field(default_factory=list)
     faults: list[dict[str, Any]] = field(default_factory=list)
@@ -103,6 +105,7 @@ def _once(run: Run) -> None:
     run.changes = sorted(changes.values(), key=lambda change: (change.mono, change.seq))
     marks = {(mark.seq, mark.mono): mark for mark in run.marks}
     run.marks = sorted(marks.values(), key=lambda mark: (mark.mono, mark.seq))
+    run.reports = array("d", sorted(set(run.reports)))
     run.cover.tolerance = max(QUIET_S, 2.5 * run.interval_s)
     run.cover.merge(Cover(0.0))
     run.numbers.merge(Cover(0.0))
@@ -132,6 +135,7 @@ def _join(agent: AgentRecord) -> None:
             agent.faults.append(_fault(name, fault, run, clock))
     agent.cover = joined(spans)
     agent.faults = _continued(agent.faults)
+    _end_forgotten(agent)
     agent.reports = sorted(set(agent.reports))
     agent.changes.sort(key=lambda one: one[0])
     agent.marks.sort(key=lambda one: one[0])
@@ -162,6 +166,22 @@ def _continued(faults: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted(by_id.values(), key=lambda one: float(one["opened"]))
 
 
+def _end_forgotten(agent: AgentRecord) -> None:
+    """A fault that a later run does not know although its unit is well has ended at an unknown time, at the latest with its run."""
+    last: dict[str, tuple[Run, str]] = {}
+    ends: dict[str, float] = {}
+    for run, clock in agent.runs:
+        last.update({unit: (run, body["level"]) for unit, body in run.units.items()})
+        last.update({change.unit: (run, change.level) for change in run.changes if not change.text_only})
+        ends.update({fault: clock.t(run.cover.spans[-1][1]) for fault in run.faults if run.cover.spans})
+    for fault in agent.faults:
+        if fault["closed"] is not None or fault["unit"] not in last:
+            continue
+        run, level = last[fault["unit"]]
+        if level == "OK" and fault["fault"] not in run.faults:
+            fault.update(closed=max(fault["opened"], ends.get(fault["fault"], fault["opened"])), outcome="unknown")
+
+
 def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> None:
     """From the flights in its log, else from what its check of the autopilot says; from the ground where it has no log."""
     edges = [
@@ -178,13 +198,18 @@ def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> Non
             if which == agent.id
         ]
         end = max((clock.t(ground.cover.spans[-1][1]) for ground, clock in grounds if ground.cover.spans), default=0.0)
-    agent.armed = _spans(edges, end)
+    agent.armed, agent.flying = _spans(edges, end), _flying(edges)
 
 
 def _armed_by_others(agent: AgentRecord, others: list[Other]) -> None:
     """From other records, where neither its log nor the ground says it."""
     edges = [(other.t, other.began, None) for other in others if other.what == "arming"]
-    agent.armed = _spans(edges, others[-1].t if others else 0.0)
+    agent.armed, agent.flying = _spans(edges, others[-1].t if others else 0.0), _flying(edges)
+
+
+def _flying(edges: Sequence[tuple[float, bool, Any]]) -> bool:
+    """Whether the last of them is an arming."""
+    return bool(edges) and max(edges, key=lambda edge: edge[0])[1]
 
 
 def _spans(edges: Sequence[tuple[float, bool, Any]], end: float) -> list[Span]:

@@ -65,8 +65,8 @@ class Run:
     units: dict[str, dict[str, Any]] = field(default_factory=dict)
     """check, slot, layer, target, and the first level with its time."""
     reports: array[float] = field(default_factory=lambda: array("d"))
-    report_s: list[float] = field(default_factory=lambda: [0.0, 0.0])
-    """Sum and largest of the time that a report took."""
+    report_s: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    """Sum and largest of the time that a report took, and of how many reports."""
     check_ms: dict[str, list[float]] = field(default_factory=dict)
     """Of each check: number of lines, sum and largest of `duration_ms`."""
     boots: dict[int, list[float]] = field(default_factory=dict)
@@ -102,7 +102,11 @@ class Run:
                 self.units[unit] = body
         self.reports.extend(other.reports)
         self.armed = sorted({*self.armed, *other.armed})
-        self.report_s = [self.report_s[0] + other.report_s[0], max(self.report_s[1], other.report_s[1])]
+        self.report_s = [
+            self.report_s[0] + other.report_s[0],
+            max(self.report_s[1], other.report_s[1]),
+            self.report_s[2] + other.report_s[2],
+        ]
         for check, (count, whole, most) in other.check_ms.items():
             had = self.check_ms.setdefault(check, [0.0, 0.0, 0.0])
             self.check_ms[check] = [had[0] + count, had[1] + whole, max(had[2], most)]

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from typing import Any
 
-from phm.review.check_rates import by_action, counted
+from phm.review.check_rates import by_action, counted, opened
 from phm.wire.report import clock_text
 
 Json = dict[str, Any]
@@ -50,7 +50,7 @@ def _what(document: Json) -> str:
 
 
 def _faults(document: Json) -> str:
-    faults = counted(document["faults"])
+    faults = opened(document["faults"], document["window"]["begin"])
     if not faults:
         return "There was no fault."
     actions = sum(by_action(fault) for fault in faults)

@@ -68,8 +68,13 @@ def build(
 def _caused(faults: Sequence[Json], text: str, t: float, until: float) -> Json | None:
     """The first fault after an injection and before the next one; one whose subject the text names goes first."""
     after = [fault for fault in faults if t <= fault["opened"] < until]
-    named = [fault for fault in after if (fault["unit"].partition("/")[2] or fault["unit"]) in text]
+    named = [fault for fault in after if _names(text, fault["unit"].partition("/")[2] or fault["unit"])]
     return next(iter(named or after), None)
+
+
+def _names(text: str, subject: str) -> bool:
+    """Whether the text has this name: node_1 is not in node_10."""
+    return re.search(rf"(?<![\w.-]){re.escape(subject)}(?![\w-])", text) is not None
 
 
 def _injection(agent: AgentRecord, t: float, text: str, fault: Json | None) -> Json:
