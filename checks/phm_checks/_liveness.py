@@ -203,8 +203,11 @@ def late_beacon(case: Findings) -> RuleResult:
 
 
 def _certainly_blocked(case: Findings) -> bool:
-    """The process sends its beacons in time and uses no CPU, and its executor has not run for CERTAIN_HANG_S."""
+    """The process sends its beacons in time and uses no CPU, and its executor has neither run nor published for CERTAIN_HANG_S."""
     late, process = case.says(Kind.BEACON, Observation.LATE), case.says(Kind.PROCESS, Observation.ALIVE)
+    silent = case.says(Kind.TOPICS, Observation.SILENT)
+    if silent is not None and silent.lasted_s < CERTAIN_HANG_S:
+        return False  # it has published since then: it is slow, as on a disk that is
     return late is not None and late.lasted_s >= CERTAIN_HANG_S and process is not None and process.measured
 
 

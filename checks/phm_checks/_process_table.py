@@ -265,6 +265,10 @@ class ProcessTable:
         if known.state in ("T", "t"):
             words = f"its process {known.pid} is stopped (state {known.state}: SIGSTOP or a debugger)"
             return Evidence(Kind.PROCESS, Observation.STOPPED, words, age_s)
+        if known.state == "D":
+            # It does not use the CPU because it cannot: a restart would wait for the same disk.
+            words = f"its process {known.pid} waits for a disk or a device (state D)"
+            return Evidence(Kind.PROCESS, Observation.ALIVE, words, age_s, measured=False)
         if known.busy:
             return Evidence(Kind.PROCESS, Observation.BUSY, f"its process {known.pid} is using the CPU", age_s)
         words = f"its process {known.pid} is running"

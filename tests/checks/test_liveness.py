@@ -253,11 +253,20 @@ def test_a_node_that_unregistered_recently_is_not_reported_for_its_silent_beacon
             ],
             False,
         ),
+        (
+            [
+                RUNS,
+                piece(Kind.BEACON, Observation.LATE, 60.0),
+                piece(Kind.TOPICS, Observation.SILENT, CERTAIN_HANG_S - 0.1),
+            ],
+            False,
+        ),
     ],
 )
 def test_starvation_does_not_block_an_executor_whose_beacon_is_in_time(evidence: list[Evidence], certain: bool) -> None:
-    """For long: its process gets the CPU and does not use it. If the beacon is silent too, or its CPU use unknown, it may be starved."""
-    verdict = fuse([*evidence, LISTED, SILENT], NO_HISTORY)
+    """For long: its process gets the CPU and does not use it. If the beacon is silent too, its CPU use unknown, or it published
+    meanwhile, it may be starved."""
+    verdict = fuse([SILENT, *evidence, LISTED], NO_HISTORY)
     assert verdict.state is NodeState.HUNG
     assert verdict.witnessed is certain
 

@@ -111,6 +111,21 @@ def test_a_busy_node_is_not_dead(state: str) -> None:
     assert bench.after(BUSY_S, lambda passed: busy(5.0 + passed)).condition == "node_busy"
 
 
+def test_a_node_that_waits_for_a_disk_is_not_hung() -> None:
+    """State D: it does not use the CPU because it cannot, and a restart would wait for the same disk. So nothing acts on it."""
+    bench = rated()
+    bench.ros.change(beacons=live_beacon())
+    bench.after(3.0)
+
+    def waiting(passed: float) -> None:
+        bench.processes(MAIN, api.ProcessFact(71, 1, "D", 5.0, ONE.command))
+        bench.ros.change(topics=active_topic(passed), beacons=live_beacon(0.1, late_s=passed))
+
+    result = bench.after(20.0, waiting)
+    assert result.condition == "node_unanswering" and not result.evidence.conclusive
+    assert "its process 71 waits for a disk or a device (state D)" in result.summary
+
+
 def test_a_sleeping_executor_is_hung() -> None:
     """A deadlock: the beacon reports it, the process sleeps. Unknown before HANG_S, so that topics wait."""
     bench = rated()
