@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Route, expect
 
+from tests.fakes.until import until
 from tests.gcs.web.browser.scene import fleet, ground, tab
 
 pytestmark = pytest.mark.browser
@@ -29,6 +30,26 @@ def test_a_killed_server_is_shown_and_its_return_needs_no_hand(browser: Browser,
         expect(row.locator(".age")).to_contain_text(" s")
         expect(row.locator(".how")).to_have_text("OK")
         assert page.evaluate("window.stays")
+
+
+@pytest.mark.parametrize("file", ["**/js/live.js", "**/js/main.js", "**/css/page.css"])
+def test_a_page_of_which_a_file_did_not_load_is_loaded_again(browser: Browser, tmp_path: Path, file: str) -> None:
+    """A browser ends all requests when the network of its computer changes; without its modules the page could not say so."""
+    failures = 2
+
+    def fail(route: Route) -> None:
+        nonlocal failures
+        failures -= 1
+        if failures >= 0:
+            route.abort("internetdisconnected")
+        else:
+            route.continue_()
+
+    with ground(tmp_path) as station, tab(browser, "about:blank") as page:
+        page.route(file, fail)
+        page.goto(station.url)
+        until(lambda: failures < 0, f"the third request of {file}", step=lambda: page.wait_for_timeout(50))
+        expect(page.locator("#link")).to_contain_text("Live")
 
 
 def test_a_token_is_asked_for_and_its_role_decides(browser: Browser, tmp_path: Path) -> None:
