@@ -160,6 +160,11 @@ class Pipeline:
         with self._lock:
             return self._tracker.failing_dependents(unit, mono)
 
+    def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
+        """Dependents of `unit` that were OK before and of which no run since `mono` could tell: see `Tracker.unknown_dependents`."""
+        with self._lock:
+            return self._tracker.unknown_dependents(unit, mono)
+
     def bad_since(self, unit: str, mono: float) -> bool:
         """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.confirmed_bad`."""
         with self._lock:

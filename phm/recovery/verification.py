@@ -31,6 +31,8 @@ class CheckResults(Protocol):
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]: ...
 
+    def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]: ...
+
     def newest(self, unit: str, mono: float) -> Result | None: ...
 
     def active_pressure(self, unit: str) -> str: ...
@@ -106,9 +108,12 @@ class Verification:
         return VerificationResult(missing=self.unit, undecided=decides_s > 0, not_counted=self.starved)
 
     def _of_dependents(self, checks: CheckResults, now: float, more_s: float) -> VerificationResult | None:
-        failing = checks.failing_dependents(self.unit, self.done + self.verify_after_s)
-        if not failing and checks.ok_since(self.unit, self.done + self.verify_after_s):
-            return VerificationResult()
+        counts_from = self.done + self.verify_after_s
+        failing = checks.failing_dependents(self.unit, counts_from)
+        if not failing and checks.ok_since(self.unit, counts_from):
+            # Not known is not back. It is not missing either: what nobody can tell in `verify_s` restarts nothing.
+            self.waiting = checks.unknown_dependents(self.unit, counts_from)
+            return None if self.waiting and now - self.done <= self.verify_s else VerificationResult()
         self.waiting = failing or self.waiting
         longest_s = self.dependents_within_s
         if longest_s is None:

@@ -100,6 +100,20 @@ class Tracker:
         below = (self._units[name] for name in self._below(self._units[unit]))
         return tuple(record.id for record in below if record.failing or record.started < mono)
 
+    def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
+        """Dependents of `unit` in the same target that were OK since its container started, and whose newest run since `mono`
+        could not tell.
+
+        Example: PHM was taken off the network, too, and its ROS child has just been restarted. That is no evidence that nodes
+        are back.
+        """
+        below = (self._units[name] for name in self._below(self._units[unit]))
+        return tuple(
+            record.id
+            for record in below
+            if record.started >= mono and record.unknown and record.ok_since_start_s(mono) > 0
+        )
+
     def starved_by(self, unit: str, now: Stamp) -> str:
         """The pressure unit that explains this unit's problem, now or until a moment ago; empty: none.
 

@@ -22,6 +22,9 @@ class Silent:
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         return ()
 
+    def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
+        return ()
+
     def newest(self, unit: str, mono: float) -> Result | None:
         found = error("silent", brief="silent", condition="address_silent")
         return found if self.started >= mono else None
@@ -67,6 +70,48 @@ def test_dependents_are_waited_for_as_long_as_the_action_states(
     proving = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=dependents_within_s)
     assert proving.result(Alone(0.0), longest_s) is None
     assert proving.result(Alone(0.0), longest_s + 0.1) == VerificationResult(missing="nodes/one", partly=True)
+
+
+class Unseen(Silent):
+    """The unit is OK; whether its dependents are is not known before `known_at`, and then they are in ERROR or, if `back`, OK."""
+
+    def __init__(self, known_at: float, *, back: bool) -> None:
+        super().__init__(0.0)
+        self.known_at, self.back, self.now = known_at, back, 0.0
+
+    def ok_since(self, unit: str, mono: float) -> bool:
+        return True
+
+    def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
+        return ("nodes/one",) if self.now >= self.known_at and not self.back else ()
+
+    def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
+        return ("nodes/one",) if self.now < self.known_at else ()
+
+    def result_at(self, verification: Verification, now: float) -> VerificationResult | None:
+        self.now = now
+        return verification.result(self, now)
+
+
+@pytest.mark.parametrize(
+    ("back", "expected"), [(True, VerificationResult()), (False, VerificationResult(missing="nodes/one", partly=True))]
+)
+def test_dependents_that_nobody_sees_are_not_back(back: bool, expected: VerificationResult) -> None:
+    """PHM's ROS child has just been restarted: its ignorance does not verify that a reconnection has brought back the nodes."""
+    verification = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=6.0)
+    unseen = Unseen(13.0, back=back)
+    assert unseen.result_at(verification, 2.1) is None
+    assert unseen.result_at(verification, 12.9) is None
+    assert verification.waiting == ("nodes/one",)
+    assert unseen.result_at(verification, 13.0) == expected
+
+
+def test_what_stays_unknown_restarts_nothing() -> None:
+    """After `recovery.verify` the unit itself decides."""
+    verification = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=6.0)
+    unseen = Unseen(100.0, back=False)
+    assert unseen.result_at(verification, 30.0) is None
+    assert unseen.result_at(verification, 30.1) == VerificationResult()
 
 
 class Starved(Silent):

@@ -129,6 +129,29 @@ def test_a_repair_counts_only_after_verification() -> None:
     assert bench.opened == ["network"]
 
 
+def test_a_dependent_that_nobody_sees_is_unknown_if_it_was_ok_before() -> None:
+    """A unit that was never OK since its container started proves nothing by staying unknown."""
+    bench = Bench(
+        [unit("network", target="app"), *(unit(name, "network", target="app") for name in ("nodes", "topic"))]
+    )
+    bench.later(10)
+    bench.see("network", OK)
+    bench.see("nodes", OK)
+    bench.see("topic", stale("no message type known"))
+    bench.now += 1
+    bench.see("network", BAD)
+    bench.take(bench.tracker.begin_action("app", "network", "reconnect", bench.stamp(), 60.0, proving=True))
+    bench.now += 1
+    done = bench.now
+    bench.see("network", OK)
+    assert bench.tracker.unknown_dependents("network", done) == ()
+    bench.see("nodes", stale("the ROS child is starting"))
+    bench.see("topic", stale("the ROS child is starting"))
+    assert bench.tracker.unknown_dependents("network", done) == ("nodes",)
+    bench.see("nodes", OK)
+    assert bench.tracker.unknown_dependents("network", done) == ()
+
+
 def test_a_partial_repair_leaves_the_fault_to_the_next_action() -> None:
     """One cause, one fault: the restart after the reconnection resolves the same fault."""
     bench = repairing()
