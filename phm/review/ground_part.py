@@ -39,6 +39,10 @@ class GroundRun:
     armed: list[tuple[float, int, bool]] = field(default_factory=list)
     bytes_of: dict[int, int] = field(default_factory=dict)
     """Lines of text received from each agent."""
+    received: list[tuple[float, int, int]] = field(default_factory=list)
+    """(mono, agent, bytes) of these lines."""
+    untimed: int = 0
+    """Lines that are not among them."""
     names: dict[int, str] = field(default_factory=dict)
     series: dict[str, Series] = field(default_factory=dict)
 
@@ -72,6 +76,9 @@ class GroundRun:
         self.levels = sorted({*self.levels, *other.levels})
         self.texts = sorted({*self.texts, *other.texts})
         self.armed = sorted({*self.armed, *other.armed})
+        room = max(0, MOST_EVENTS - len(self.received))
+        self.untimed += other.untimed + len(other.received[room:])
+        self.received += other.received[:room]
         for agent, count in other.bytes_of.items():
             self.bytes_of[agent] = self.bytes_of.get(agent, 0) + count
         self.names = {**other.names, **self.names}
@@ -91,6 +98,10 @@ class GroundRun:
         elif event.event == "text" and event.phm:
             if len(self.bytes_of) < 300:
                 self.bytes_of[agent] = self.bytes_of.get(agent, 0) + len(event.text) + 4
+            if len(self.received) < MOST_EVENTS:
+                self.received.append((event.mono, agent, len(event.text) + 4))
+            else:
+                self.untimed += 1
             if event.kind == "change" and not event.repeat and event.slot is not None and event.brief:
                 self.texts.append((event.mono, agent, event.slot, str(event.word or ""), event.brief))
 

@@ -201,8 +201,9 @@ class Part:
     def _report(self, run: Run, event: Event) -> None:
         if len(run.reports) < MOST_EVENTS:
             run.reports.append(event.mono)
-        if 0.0 <= event.took_s < LATEST_S:
-            run.report_s = [run.report_s[0] + event.took_s, max(run.report_s[1], event.took_s), run.report_s[2] + 1]
+        if 0.0 <= event.took_s < LATEST_S and len(run.took_at) < MOST_EVENTS:
+            run.took_at.append(event.mono)
+            run.took_s.append(event.took_s)
 
     def _start(self, run: Run, event: Event) -> None:
         run.version, run.interval_s, run.started = event.version[:40], event.interval_s, event.mono
@@ -216,9 +217,8 @@ class Part:
 
     def _cost(self, run: Run, event: Event) -> None:
         if event.cpu_s is not None and 0.0 <= event.cpu_s < LATEST_S:
-            run.cost.append((event.mono, event.cpu_s, sum(event.sent_bytes.values())))
-            del run.cost[1:-1]
-        run.memory_bytes = max(run.memory_bytes, event.memory_bytes)
+            sent_bytes = min(max(0, sum(event.sent_bytes.values())), int(LARGEST))
+            run.cost.add(event.mono, event.cpu_s, sent_bytes, min(max(0, event.memory_bytes), int(LARGEST)))
 
     def _mark(self, run: Run, event: Event) -> None:
         if len(run.marks) >= MOST_EVENTS:

@@ -6,6 +6,7 @@ from array import array
 from dataclasses import dataclass, field
 from typing import Any
 
+from phm.review.cost import Cost
 from phm.review.series import Series
 from phm.review.spans import Cover
 
@@ -65,18 +66,16 @@ class Run:
     units: dict[str, dict[str, Any]] = field(default_factory=dict)
     """check, slot, layer, target, and the first level with its time."""
     reports: array[float] = field(default_factory=lambda: array("d"))
-    report_s: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    """Sum and largest of the time that a report took, and of how many reports."""
+    took_at: array[float] = field(default_factory=lambda: array("d"))
+    took_s: array[float] = field(default_factory=lambda: array("d"))
+    """How long the report at this time took."""
     check_ms: dict[str, list[float]] = field(default_factory=dict)
     """Of each check: number of lines, sum and largest of `duration_ms`."""
     boots: dict[int, list[float]] = field(default_factory=dict)
     """By number of reboots: how often, least and largest of mono minus the autopilot's time since boot."""
     armed: list[tuple[float, bool]] = field(default_factory=list)
     """(mono, whether the autopilot was armed), when a line of its check says something new: for logs without flights."""
-    cost: list[tuple[float, float, int]] = field(default_factory=list)
-    """(mono, CPU seconds and bytes sent since PHM's start) of the first and the last line that says so."""
-    memory_bytes: int = 0
-    """The most that PHM used."""
+    cost: Cost = field(default_factory=Cost)
     heard: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
     """When which frames were received, by system, component and frame number: monotonic seconds."""
     series: dict[str, Series] = field(default_factory=dict)
@@ -102,20 +101,15 @@ class Run:
                 self.units[unit] = body
         self.reports.extend(other.reports)
         self.armed = sorted({*self.armed, *other.armed})
-        self.report_s = [
-            self.report_s[0] + other.report_s[0],
-            max(self.report_s[1], other.report_s[1]),
-            self.report_s[2] + other.report_s[2],
-        ]
+        self.took_at.extend(other.took_at)
+        self.took_s.extend(other.took_s)
         for check, (count, whole, most) in other.check_ms.items():
             had = self.check_ms.setdefault(check, [0.0, 0.0, 0.0])
             self.check_ms[check] = [had[0] + count, had[1] + whole, max(had[2], most)]
         for number, seen in other.boots.items():
             had = self.boots.setdefault(number, seen)
             self.boots[number] = [had[0] + seen[0], min(had[1], seen[1]), max(had[2], seen[2])]
-        self.cost = sorted({*self.cost, *other.cost})
-        del self.cost[1:-1]
-        self.memory_bytes = max(self.memory_bytes, other.memory_bytes)
+        self.cost.merge(other.cost)
         for frame, times in other.heard.items():
             self.heard[frame] = sorted({*self.heard.get(frame, []), *times})
         for name, series in other.series.items():

@@ -1,0 +1,101 @@
+"""With `--flight` PHM's own figures are those of the flight, and what the record cannot say of a part of it is not known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm.review import page
+from phm.review.cost import MOST, Cost
+from tests.review.records import T0, Ground, report
+
+LINE = {"v": 2, "agent": "agent_1", "agent_id": 1, "boot_id": "b", "kind": "PHM"}
+CALM, BUSY = 0.01, 0.5
+"""CPU seconds per second on the ground and in flight."""
+
+
+def recorded(path: Path) -> None:
+    """From 0 to 1000 s with a report and a cost every 20 s; armed from 400 to 600 s, when all costs more."""
+    cpu_s, sent, lines = 0.0, 0, list[dict[str, Any]]()
+    for at in range(0, 1001, 20):
+        flying = 400 < at <= 600
+        cpu_s, sent = cpu_s + 20 * (BUSY if flying else CALM), sent + (2000 if flying else 20)
+        lines.append({"event": "report", "number": at, "took_s": 2.0 if flying else 0.1, "at": at})
+        memory = 90_000_000 if flying else 40_000_000
+        lines.append(
+            {"event": "cost", "cpu_s": cpu_s, "memory_bytes": memory, "sent_bytes": {"ground": sent}, "at": at}
+        )
+        if at in (400, 600):
+            duration = {} if at == 400 else {"duration_s": 200.0}
+            lines.append({"event": "flight", "number": 1, "began": at == 400, "at": at, **duration})
+    with path.open("w") as file:
+        for seq, line in enumerate(lines, 1):
+            at = line.pop("at")
+            file.write(json.dumps({**LINE, "seq": seq, "mono": 50.0 + at, "utc_s": T0 + at, **line}) + "\n")
+
+
+def test_cost_and_reports_of_a_flight_are_those_of_the_flight(tmp_path: Path) -> None:
+    """The margin of 2 s on both sides is calm: its share is interpolated."""
+    recorded(tmp_path / "phm.jsonl")
+    (whole,), (flight,) = report(tmp_path)["phm"]["agents"], report(tmp_path, flight=1)["phm"]["agents"]
+    expected = 100 * (200 * BUSY + 4 * CALM) / 204
+    assert flight["cpu_percent"] == pytest.approx(expected, abs=0.01)
+    assert flight["sent_bytes"] == 10 * 2000 + 4
+    assert (flight["reports"], flight["report_longest_s"]) == (11, 2.0)
+    assert flight["report_mean_s"] == pytest.approx((10 * 2.0 + 0.1) / 11, abs=1e-4)
+    assert flight["memory_bytes"] == 90_000_000
+    assert whole["cpu_percent"] == pytest.approx(100 * (200 * BUSY + 800 * CALM) / 1000)
+    assert (whole["sent_bytes"], whole["reports"]) == (10 * 2000 + 40 * 20, 51)
+
+
+def test_the_most_memory_of_a_flight_is_not_that_of_another_time(tmp_path: Path) -> None:
+    """Neither what PHM needed before the flight nor after it counts."""
+    recorded(tmp_path / "phm.jsonl")
+    text = (tmp_path / "phm.jsonl").read_text().splitlines()
+    first = json.loads(text[1])
+    text[1] = json.dumps({**first, "memory_bytes": 500_000_000})
+    (tmp_path / "phm.jsonl").write_text("\n".join(text) + "\n")
+    assert report(tmp_path)["phm"]["agents"][0]["memory_bytes"] == 500_000_000
+    assert report(tmp_path, flight=1)["phm"]["agents"][0]["memory_bytes"] == 90_000_000
+
+
+def test_text_bytes_of_a_flight_are_those_that_the_ground_received_in_it(tmp_path: Path) -> None:
+    """Lines before and after do not count; each has its four bytes of MAVLink fields, as in the whole record."""
+    recorded(tmp_path / "phm.jsonl")
+    ground = Ground(tmp_path / "ground.jsonl")
+    for at in (100, 500, 550, 900):
+        ground.text(at, 1, 6, "node_1 dead")
+    ground.close()
+    size = len("A01 FAIL 6 node_1 dead") + 4
+    assert report(tmp_path)["phm"]["agents"][0]["text_bytes"] == 4 * size
+    assert report(tmp_path, flight=1)["phm"]["agents"][0]["text_bytes"] == 2 * size
+
+
+def test_what_the_record_cannot_say_of_a_flight_is_not_known(tmp_path: Path) -> None:
+    """A log without cost, and times of checks, which are sums of whole runs; the page says so in words."""
+    recorded(tmp_path / "phm.jsonl")
+    kept = [line for line in (tmp_path / "phm.jsonl").read_text().splitlines() if '"cost"' not in line]
+    (tmp_path / "phm.jsonl").write_text("\n".join(kept) + "\n")
+    made = report(tmp_path, flight=1)
+    (row,) = made["phm"]["agents"]
+    unknown = ("cpu_percent", "memory_bytes", "sent_bytes", "check_mean_ms", "text_bytes")
+    assert [row[key] for key in unknown] == [None] * 5
+    assert "not known" in page.render(made)
+
+
+def test_samples_of_the_cost_are_limited_and_totals_stay_right() -> None:
+    """A run of weeks keeps as many samples as one of hours, in one piece or in merged ones."""
+    parts = [Cost() for _ in range(4)]
+    for number in range(40_000):
+        parts[number // 10_000].add(number * 20.0, number * 1.0, number * 100, 999 if number == 20_001 else 5)
+    whole = Cost()
+    for part in parts:
+        whole.merge(part)
+    assert len(whole.samples) <= MOST
+    seconds, cpu_s, sent = whole.between(100_000.0, 500_000.0) or (0.0, 0.0, 0.0)
+    assert seconds == 400_000.0 and cpu_s == pytest.approx(20_000.0) and sent == pytest.approx(2_000_000)
+    assert whole.memory(0.0, 1e9) == 999
+    assert whole.between(1e6, 2e6) is None and Cost().between(0.0, 1.0) is None
