@@ -26,7 +26,7 @@ class Cost:
 
     def between(self, begin: float, end: float) -> tuple[float, float, float] | None:
         """(seconds, CPU seconds, bytes sent) between two monotonic times, or between the first and the last sample where these
-        are nearer; interpolated between two samples. None: less than two of them tell it."""
+        are nearer; interpolated between two samples. None: that needs two of them."""
         ordered = sorted(self.samples)
         if len(ordered) < 2:
             return None

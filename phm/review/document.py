@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from phm import __version__
@@ -117,6 +118,17 @@ def _clocks(record: Record) -> Json:
         "reference": "ground" if record.grounds else next(chosen, "each agent"),
         "missing": "" if record.grounds else NO_GROUND,
         "runs": rows,
+        "others": [
+            {
+                "file": Path(clock.file).name,
+                "offset_s": None if clock.offset_s is None else round(clock.offset_s, 3),
+                "error_s": None if clock.error_s is None else round(clock.error_s, 3),
+                "lines": clock.lines,
+                "applied": clock.offset_s is not None,
+                "by": clock.by,
+            }
+            for clock in record.other_clocks
+        ],
     }
 
 
@@ -132,7 +144,7 @@ def _others(record: Record, begin: float, end: float) -> Json:
             "text": other.text,
             "level": other.level,
             "by": other.by,
-            "file": other.file,
+            "file": Path(other.file).name,
         }
         for other in inside[:MOST_OTHER]
     ]

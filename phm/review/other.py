@@ -26,7 +26,8 @@ _FORWARDED = re.compile(r"SRC=(\d{1,3}/\d{1,3}):(.*)", re.DOTALL)
 
 
 class Other(NamedTuple):
-    """One entry. t: UTC seconds by the record's own clock. by: system/component of a text's sender. began: armed or disarmed."""
+    """One entry. t: UTC seconds by the record's own clock, until the clocks are compared. by: system/component of a text's sender.
+    file: path. began: armed or disarmed."""
 
     t: float
     system: int

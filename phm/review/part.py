@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from phm.review.events import LATEST_S, Event, numbers
@@ -68,7 +67,7 @@ class Part:
             self.problems.add("neither boot_id nor run: not a record of PHM", path)
 
     def _other(self, event: Event, path: str) -> None:
-        made = Other.of(event, Path(path).name)
+        made = Other.of(event, path)
         if made is None:
             self.problems.add("an entry without a possible time or system, left out", path)
         elif len(self.others) >= MOST:

@@ -10,6 +10,7 @@ from typing import Any
 from phm.review.clocks import RunClock, align, align_together, continue_by_autopilot, ground_clock
 from phm.review.ground_part import GroundRun
 from phm.review.other import Other
+from phm.review.other_clocks import OtherClock, align_others
 from phm.review.part import Part
 from phm.review.run import Change, Run, RunMark
 from phm.review.spans import Cover, Span, joined
@@ -40,12 +41,14 @@ class AgentRecord:
 
 @dataclass
 class Record:
-    """agents by name; grounds with their clocks; part: problems and counts of the files; others: in the order of time."""
+    """agents by name; grounds with their clocks; part: problems and counts of the files; others: in the order of time, with
+    the clock of each of their files."""
 
     agents: list[AgentRecord]
     grounds: list[tuple[GroundRun, RunClock]]
     part: Part
     others: list[Other] = field(default_factory=list)
+    other_clocks: list[OtherClock] = field(default_factory=list)
 
     @property
     def begin(self) -> float:
@@ -84,14 +87,16 @@ def build(part: Part) -> Record:
         agents["", number] = AgentRecord(
             next((g.names[number] for g, _ in grounds if number in g.names), f"A{number:02d}"), number
         )
-    others = sorted(part.others)
+    others, other_clocks = align_others(part.others, [one for agent in agents.values() for one in agent.runs])
     for number in sorted({other.system for other in others} - {agent.id for agent in agents.values()}):
         agents["", number] = AgentRecord(f"vehicle {number}", number)
     for agent in agents.values():
         _armed(agent, grounds)
         if not agent.armed:
             _armed_by_others(agent, [other for other in others if other.system == agent.id])
-    return Record(sorted(agents.values(), key=lambda agent: (agent.id, agent.name)), grounds, part, others)
+    return Record(
+        sorted(agents.values(), key=lambda agent: (agent.id, agent.name)), grounds, part, others, other_clocks
+    )
 
 
 def _heard(ground: GroundRun) -> set[int]:

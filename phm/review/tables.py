@@ -62,7 +62,14 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
         )
     if document["clocks"]["runs"]:
         head = ("agent", "run", "offset", "error", "by")
-        found.append(("Clocks", head, [_clock(row) for row in document["clocks"]["runs"]]))
+        found.append(
+            (
+                "Clocks",
+                head,
+                [_clock(row) for row in document["clocks"]["runs"]]
+                + [_other_clock(row) for row in document["clocks"]["others"]],
+            )
+        )
     if document["files"]["problems"]:
         head = ("problem", "how often", "first in")
         found.append(("Not read", head, [_problem(row) for row in document["files"]["problems"]]))
@@ -154,6 +161,12 @@ def _clock(row: Json) -> tuple[str, ...]:
     offset += "" if row["applied"] or row["offset_s"] is None else " (within its error, not applied)"
     steps = f"; its UTC jumped {len(row['steps'])} times" if row["steps"] else ""
     return (row["agent"], row["boot_id"], offset, _seconds(row["error_s"]), (row["by"] or "its own clock") + steps)
+
+
+def _other_clock(row: Json) -> tuple[str, ...]:
+    offset = "unknown" if row["offset_s"] is None else f"{row['offset_s']:+.2f} s"
+    by = f"{row['lines']} {row['by']}" if row["applied"] else row["by"]
+    return (row["file"], "-", offset, _seconds(row["error_s"]), by)
 
 
 def _others(other: Json, most: int) -> Table:

@@ -1,0 +1,135 @@
+"""The clocks of other people's records, by the lines of PHM in them: an autopilot logs the lines that it receives from PHM.
+
+PHM's own log says when it had each of these lines to say. Lines about changes that both have are votes for an offset, as for the
+clocks of agents; then all lines are paired in order, and the offset is the median of those about changes. The regular status lines count and widen
+the error, but are sent some tenths of a second after their report. A line arrives after it was written, never before: so the
+offset is too small by the usual delay of the link.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import statistics
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from phm.core.model import Level, Slot
+from phm.review.clocks import MOST_EACH, OWN_ERROR_S, WINDOW_S, RunClock, vote
+from phm.review.other import Other
+from phm.review.run import Run
+from phm.wire import status_line
+
+LEAST_LINES, LEAST_CHANGES = 3, 2
+"""So many lines must agree, and so many of them must be about changes: regular lines come at even intervals and fit many offsets."""
+MOST_VOTES = 200_000
+BY = "lines of PHM that its own log has, too"
+NO_LINES = "its own clock: there is no line about a change in it that PHM's log has, too"
+_LINE = re.compile(r"A(\d{1,3}) ([A-Z]+) (?:([01-]{8})(?: |$)|(\d{1,2}) )")
+Key = tuple[object, ...]
+Times = Mapping[Key, Sequence[float]]
+REFRESH = "regular"
+SLOTS = frozenset(each.value for each in Slot)
+
+
+@dataclass(frozen=True)
+class OtherClock:
+    """offset_s: was added to all times of the file to get the reference's; None: unknown. error_s: how wrong that may be. lines: how
+    many lines of PHM agree. by: what it is derived from, or why it is not."""
+
+    file: str
+    offset_s: float | None = None
+    error_s: float | None = None
+    lines: int = 0
+    by: str = NO_LINES
+
+
+def align_others(others: Iterable[Other], runs: Sequence[tuple[Run, RunClock]]) -> tuple[list[Other], list[OtherClock]]:
+    """The entries with the reference's times in the order of time, and the clock of each file. runs: with their clocks."""
+    by_file: dict[str, list[Other]] = {}
+    for other in others:
+        by_file.setdefault(other.file, []).append(other)
+    said = _sorted(_said(runs))
+    moved: list[Other] = []
+    clocks: list[OtherClock] = []
+    for file, entries in sorted(by_file.items()):
+        clock = _clock(file, _sorted(_received(entries)), said)
+        clocks.append(clock)
+        offset_s = clock.offset_s
+        moved += entries if offset_s is None else (one._replace(t=one.t + offset_s) for one in entries)
+    return sorted(moved), clocks
+
+
+def _clock(file: str, received: Times, said: Times) -> OtherClock:
+    differences = (
+        ours - theirs
+        for key in received.keys() & said.keys()
+        if key[-1] != REFRESH
+        for ours in said[key][:MOST_EACH]
+        for theirs in received[key][:MOST_EACH]
+    )
+    agreed = vote(list(itertools.islice(differences, MOST_VOTES)))
+    if agreed is None:
+        return OtherClock(file)
+    pairs = {key: _paired(times, said.get(key, ()), agreed[0]) for key, times in received.items()}
+    every = [difference for found in pairs.values() for difference in found]
+    changes = [difference for key, found in pairs.items() if key[-1] != REFRESH for difference in found]
+    if len(every) < LEAST_LINES or len(changes) < LEAST_CHANGES:
+        few = f"its own clock: {len(changes)} lines about changes and {len(every) - len(changes)} regular ones agree with PHM's log"
+        return OtherClock(
+            file, lines=len(every), by=f"{few}, {LEAST_LINES} with {LEAST_CHANGES} about changes are needed"
+        )
+    offset_s = statistics.median(changes)
+    spread_s = max(max(every) - offset_s, offset_s - min(every))
+    return OtherClock(file, offset_s, spread_s + OWN_ERROR_S, len(every), BY)
+
+
+def _paired(theirs: Sequence[float], ours: Sequence[float], offset_s: float) -> list[float]:
+    """Differences of times that belong together, each used once, in order."""
+    found, place = list[float](), 0
+    for t in theirs:
+        while place < len(ours) and ours[place] - t < offset_s - WINDOW_S:
+            place += 1
+        if place < len(ours) and ours[place] - t <= offset_s + WINDOW_S:
+            found.append(ours[place] - t)
+            place += 1
+    return found
+
+
+def _said(runs: Sequence[tuple[Run, RunClock]]) -> Iterator[tuple[Key, float]]:
+    """When PHM had which lines to say, by its log."""
+    for run, clock in runs:
+        for change in run.changes:
+            slot = run.units.get(change.unit, {}).get("slot")
+            if change.text_only or slot not in SLOTS:
+                continue
+            if change.level in ("ERROR", "WARN"):
+                text = status_line.failing(run.agent_id, Level[change.level], Slot(slot), change.brief or change.unit)
+                yield (run.agent_id, text), clock.t(change.mono)
+            elif change.level == "OK" and change.old in ("ERROR", "WARN"):
+                yield (run.agent_id, "OK", slot), clock.t(change.mono)
+        for mono in run.reports:
+            yield (run.agent_id, REFRESH), clock.t(mono)
+
+
+def _received(entries: Iterable[Other]) -> Iterator[tuple[Key, float]]:
+    for other in entries:
+        line = _LINE.match(other.text) if other.what == "statustext" else None
+        if line is None:
+            continue
+        agent, word, array, slot = int(line[1]), line[2], line[3], line[4]
+        if array:
+            yield (agent, REFRESH), other.t
+        elif word == "OK":
+            yield (agent, "OK", int(slot)), other.t
+        else:
+            yield (agent, other.text), other.t
+
+
+def _sorted(pairs: Iterable[tuple[Key, float]]) -> dict[Key, list[float]]:
+    found: dict[Key, list[float]] = {}
+    for key, t in pairs:
+        found.setdefault(key, []).append(t)
+    for times in found.values():
+        times.sort()
+    return found

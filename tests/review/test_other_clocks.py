@@ -1,0 +1,144 @@
+"""Records of others get PHM's time by the lines of PHM in them, with an error that is stated."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from phm.cli import group
+from phm.core.model import Level, Slot
+from phm.transport.dialect import mavlink
+from phm.wire import status_line
+from tests.fakes.recorded_flight import FOLDER
+from tests.review.records import T0, Flown, report
+from tests.review.test_autopilot_records import DATAFLASH, stamped
+
+PHM_LOG = FOLDER / "streams_phm.jsonl.gz"
+UNITS = {"nodes/node_1": 6, "container/ros_app": 2, "rates/topic_1": 8}
+
+
+def clock_of(made: dict[str, Any], file: Path) -> dict[str, Any]:
+    return next(row for row in made["clocks"]["others"] if row["file"] == file.name)
+
+
+def heard(at: float, text: str, agent: int = 1) -> bytes:
+    """A line of PHM as a telemetry log has it, received at so many seconds since T0 by the recorder's clock."""
+    link = mavlink.MAVLink(None, srcSystem=agent, srcComponent=193)
+    return stamped(T0 + at, bytes(mavlink.MAVLink_statustext_message(4, text.encode()).pack(link)))
+
+
+def flown(folder: Path, number: int = 1, *, times: dict[float, str]) -> list[tuple[float, str]]:
+    """An agent of which these units fail at these times; the lines that PHM sent, by true seconds since T0."""
+    made, lines = Flown(folder, number), list[tuple[float, str]]()
+    for at, unit in times.items():
+        made.until(at)
+        slot = Slot(UNITS[unit])
+        lines.append((at, status_line.failing(number, Level.ERROR, slot, f"{unit} gone")))
+        made.fail(unit, lasts=4.0)
+        lines.append((at + 4.0, status_line.recovered(number, slot, f"{unit} gone", "restart")))
+    made.until(max(times) + 60)
+    made.close()
+    return lines
+
+
+THREE = {100.0: "nodes/node_1", 173.0: "container/ros_app", 311.0: "rates/topic_1"}
+
+
+def test_a_recorded_dataflash_log_gets_the_time_of_the_phm_beside_it(tmp_path: Path) -> None:
+    """Recorded: the GPS time of ArduPilot's simulation was 2.2 s behind the computer's clock; its lines say so."""
+    log = tmp_path / "phm.jsonl.gz"
+    shutil.copy(PHM_LOG, log)
+    shutil.copy(DATAFLASH, tmp_path / DATAFLASH.name)
+    made = report(tmp_path)
+    clock = clock_of(made, DATAFLASH)
+    assert (clock["applied"], clock["lines"]) == (True, 13)
+    assert clock["offset_s"] == pytest.approx(2.16, abs=0.05) and 1.0 < clock["error_s"] < 1.5
+    (change,) = [row for row in made["other"]["rows"] if row["text"] == "A01 WARN 9 CPU 100 %"]
+    # PHM's own log has this line at 1795306586.266.
+    assert change["t"] == pytest.approx(1_795_306_586.266, abs=0.1)
+    shown = CliRunner().invoke(group, ["report", str(tmp_path)], env={"COLUMNS": "200"}).output
+    assert "+2.16 s" in shown and "13 lines of PHM that its own log has, too" in shown
+
+
+@pytest.mark.parametrize("wrong_s", [-86_400.0, -7.5, 0.0, 3600.0])
+def test_the_offset_is_right_within_its_error(tmp_path: Path, wrong_s: float) -> None:
+    """The recorder's clock is wrong, and each line came with a delay of its own; entries without a line move, too."""
+    lines = flown(tmp_path / "log", times=THREE)
+    delays = (0.1, 0.9, 0.2, 0.4, 0.3, 0.2)
+    frames = [heard(at + delay + wrong_s, text) for (at, text), delay in zip(lines, delays, strict=True)]
+    file = tmp_path / "ground.tlog"
+    file.write_bytes(b"".join([*frames, heard(350.0 + wrong_s, "Mission: 1 Takeoff")]))
+    made = report(tmp_path)
+    clock = clock_of(made, file)
+    assert (clock["applied"], clock["lines"]) == (True, 6)
+    assert abs(clock["offset_s"] + wrong_s) <= clock["error_s"] < 2.5
+    assert clock["offset_s"] <= -wrong_s, "a line is never received before it was written"
+    (other,) = [row for row in made["other"]["rows"] if row["text"] == "Mission: 1 Takeoff"]
+    assert other["t"] == pytest.approx(T0 + 350.0, abs=clock["error_s"])
+
+
+def test_lines_that_waited_for_the_link_do_not_move_it(tmp_path: Path) -> None:
+    """A queue of old lines that arrives at once is outside of the window, and does not count."""
+    lines = flown(tmp_path / "log", times=THREE)
+    late = {2: 40.0, 3: 36.0}
+    frames = [heard(at + late.get(place, 0.2) + 60.0, text) for place, (at, text) in enumerate(lines)]
+    file = tmp_path / "ground.tlog"
+    file.write_bytes(b"".join(frames))
+    clock = clock_of(report(tmp_path), file)
+    assert clock["lines"] == 4 and clock["offset_s"] == pytest.approx(-60.2, abs=0.01)
+
+
+def test_a_line_that_comes_twice_counts_once(tmp_path: Path) -> None:
+    """Lines are paired in order, each with one."""
+    lines = flown(tmp_path / "log", times=THREE)
+    file = tmp_path / "ground.tlog"
+    file.write_bytes(b"".join(heard(at + again, text) for at, text in lines for again in (0.1, 1.3)))
+    assert clock_of(report(tmp_path), file)["lines"] == 6
+
+
+def test_too_few_lines_leave_the_clock_as_it_says(tmp_path: Path) -> None:
+    """Two lines could agree by chance; regular lines alone fit many offsets. The reason is in the report."""
+    lines = flown(tmp_path / "log", times=THREE)
+    few, regular, none = tmp_path / "few.tlog", tmp_path / "regular.tlog", tmp_path / "none.tlog"
+    few.write_bytes(b"".join(heard(at + 60.0, text) for at, text in lines[:2]))
+    regular.write_bytes(b"".join(heard(at + 5.0, "A01 OK 11111111") for at in range(20, 300, 20)))
+    none.write_bytes(heard(100.0, "Mission: 1 Takeoff"))
+    made = report(tmp_path)
+    assert not any(clock["applied"] for clock in made["clocks"]["others"])
+    assert clock_of(made, few)["by"].startswith("its own clock: 2 lines about changes and 0 regular ones agree")
+    assert clock_of(made, regular)["by"] == clock_of(made, none)["by"]
+    (entry,) = [row for row in made["other"]["rows"] if row["text"] == "Mission: 1 Takeoff"]
+    assert entry["t"] == T0 + 100.0
+
+
+def test_two_offsets_with_as_many_lines_decide_nothing(tmp_path: Path) -> None:
+    """The same failures 200 s apart, of which the record has only one set: it may be either."""
+    again = {**THREE, **{at + 300.0: unit for at, unit in THREE.items()}}
+    lines = flown(tmp_path / "log", times=dict(sorted(again.items())))
+    file = tmp_path / "ground.tlog"
+    file.write_bytes(b"".join(heard(at + 60.0, text) for at, text in lines[:6]))
+    clock = clock_of(report(tmp_path), file)
+    assert (clock["applied"], clock["offset_s"]) == (False, None)
+
+
+def test_records_with_the_same_name_have_clocks_of_their_own(tmp_path: Path) -> None:
+    """Autopilots number their logs: 00000001.BIN of two vehicles are two records."""
+    for number, wrong_s in ((1, 30.0), (2, -45.0)):
+        folder = tmp_path / f"agent_{number}"
+        lines = flown(folder, number, times=THREE)
+        (folder / "1.tlog").write_bytes(b"".join(heard(at + wrong_s, text, number) for at, text in lines))
+    offsets = [clock["offset_s"] for clock in report(tmp_path)["clocks"]["others"]]
+    assert offsets == [pytest.approx(-30.0), pytest.approx(45.0)]
+
+
+def test_hostile_lines_neither_raise_nor_move_anything(tmp_path: Path) -> None:
+    """Impossible agents and slots, and thousands of equal lines."""
+    flown(tmp_path / "log", times=THREE)
+    texts = ["A999 FAIL 99 x", "A01 FAIL 6", "A01 OK 99 x", "A01 WARN 0 y", "A01 FAIL 6 nodes/node_1 gone"]
+    file = tmp_path / "ground.tlog"
+    file.write_bytes(b"".join(heard(place * 1.5, texts[place % len(texts)]) for place in range(3000)))
+    assert not clock_of(report(tmp_path), file)["applied"]
