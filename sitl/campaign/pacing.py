@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 
+from sitl.campaign.plan import TrialPlan
 from sitl.campaign.trial import Trial
 
 LASTING_S = 31.0
@@ -54,3 +55,10 @@ class Pacing:
         if self._actions is None or len(recent) <= self._actions:
             return now
         return recent[-1 - self._actions] + WINDOW_S
+
+
+def first_ready(waiting: Sequence[TrialPlan], ready_at: Callable[[TrialPlan], float], now: float) -> TrialPlan:
+    """The first of the plan that may run now; if all must wait, the one that waits least. Otherwise one agent whose budget is
+    used up would hold up all others.
+    """
+    return min(waiting, key=lambda trial: (max(now, ready_at(trial)), trial.number))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from rich.console import Console
 from sitl.campaign import fault_rows
 from sitl.campaign.busy import BusyLoad
 from sitl.campaign.differences import of_swarm
+from sitl.campaign.pacing import first_ready
 from sitl.campaign.plan import TrialPlan
 from sitl.campaign.run import NotOk, Runner
 from sitl.campaign.schedule import Schedule
@@ -112,14 +113,14 @@ class _Sequence:
                 return False
         return True
 
-    def _runs(self, index: int, trials: tuple[TrialPlan, ...]) -> list[tuple[str, int, str, Callable[[], Trial]]]:
-        """Kind, number, words and function of each run of a seed."""
-        runner = self._runner
-        return [
-            (NOMINAL, 0, "nothing is injected", partial(runner.nominal, self._asked.nominal)),
-            (OFF, 0, "recovery is off", partial(runner.off, self._to_do.seeds[index])),
-            *((TRIAL, each.number, _words(each), partial(runner.trial, each)) for each in trials),
-        ]
+    def _runs(self, index: int, trials: tuple[TrialPlan, ...]) -> Iterator[tuple[str, int, str, Callable[[], Trial]]]:
+        """Kind, number, words and function of each run of a seed that is to be made."""
+        runner, seed = self._runner, self._to_do.seeds[index]
+        yield NOMINAL, 0, "nothing is injected", partial(runner.nominal, self._asked.nominal)
+        yield OFF, 0, "recovery is off", partial(runner.off, seed)
+        while waiting := [each for each in trials if (seed, TRIAL, each.number) not in self._done]:
+            trial = first_ready(waiting, lambda each: runner.ready_at(each.draws), time.monotonic())
+            yield TRIAL, trial.number, _words(trial), partial(runner.trial, trial)
 
     def _ensure(self, index: int, kind: str, number: int, words: str, make: Callable[[], Trial]) -> bool:
         seed, limit = self._to_do.seeds[index], self._asked.stop_after

@@ -276,10 +276,15 @@ class Runner:
                 return False
         return True
 
+    def ready_at(self, draws: Sequence[Draw]) -> float:
+        """When these may be injected (monotonic seconds)."""
+        return self._pacing.ready_at(
+            [(each.agent, each.unit) for each in self.injector.planned(draws)], time.monotonic()
+        )
+
     def _rest(self, draws: Sequence[Draw]) -> None:
         """Wait until these may be injected."""
-        now = time.monotonic()
-        until = self._pacing.ready_at([(each.agent, each.unit) for each in self.injector.planned(draws)], now)
+        now, until = time.monotonic(), self.ready_at(draws)
         if until - now > LASTING_S:
             self.progress(f"  waiting {until - now:.0f} s until PHM's budget of actions has room again")
         self._wait(lambda: time.monotonic() >= until, WINDOW_S)

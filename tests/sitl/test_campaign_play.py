@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import pytest
 from sitl.campaign import irregular, play
 from sitl.campaign.arguments import parser
 from sitl.campaign.groups import groups
-from sitl.campaign.plan import TrialPlan
+from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.progress import left
 from sitl.campaign.run import NotOk
 from sitl.campaign.schedule import schedule
@@ -31,6 +31,11 @@ class Runner:
         self.setting: dict[str, Any] = {}
         self.on_end: Callable[[Trial], None] = lambda trial: None
         self._left = stop_at
+        self.waits: dict[int, float] = {}
+
+    def ready_at(self, draws: Sequence[Draw]) -> float:
+        """Seconds from now that each agent needs; see `Pacing.ready_at`."""
+        return time.monotonic() + max(self.waits.get(draw.agent, 0.0) for draw in draws)
 
     def _made(self, kind: str, number: int, **more: Any) -> Trial:
         if not self._left:
@@ -96,6 +101,19 @@ def test_all_seeds_are_run_in_sequence_and_resumed(tmp_path: Path) -> None:
         assert each.setting["differences"][0]["key"] == "a.b"
         assert "memory_full" in each.setting["excluded"]
     assert run(file, Runner(0))[0], "nothing is left to do"
+
+
+def test_a_trial_whose_agents_must_wait_lets_the_others_pass(tmp_path: Path) -> None:
+    """PHM's budget on one agent does not hold up the campaign; if all must wait, the one with the shortest wait is next."""
+    file, runner = tmp_path / "trials.jsonl", Runner()
+    plans = schedule(parser().parse_args([*WORDS, "--trials", "12"])).plans[0]
+    slow = plans[0].draws[0].agent
+    runner.waits = {slow: 900.0}
+    assert run(file, runner, "--trials", "12", "--seeds", "1")[0]
+    order = [each.number for each in load(file) if each.kind == TRIAL]
+    late = [each.number for each in plans if any(draw.agent == slow for draw in each.draws)]
+    assert sorted(order) == list(range(1, 13))
+    assert order[-len(late) :] == late
 
 
 def test_another_profile_has_trials_of_its_own(tmp_path: Path) -> None:
