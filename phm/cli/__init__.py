@@ -31,6 +31,7 @@ VERBS = {
     "status": "Show daemon and agent status.",
     "faults": "List open and recent faults, or show one with its timeline.",
     "reload": "Reload the configuration of the running daemon.",
+    "deliver": "Send a configuration to an agent over IP, which applies it.",
     "approve": "Approve the recommended action for an open fault.",
     "hold": "Suspend recovery of one container or of all.",
     "release": "End a hold, so that recovery resumes.",

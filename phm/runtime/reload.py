@@ -22,8 +22,9 @@ from phm.runtime.daemon import Daemon
 
 logger = logging.getLogger(__name__)
 
-FIXED = ("agent", "mavlink", "process", "state_dir", "run_dir")
-"""Sections that need a restart: the agent's identity, its links, its priority, and the directories that are locked."""
+FIXED = ("agent", "mavlink", "process", "state_dir", "run_dir", "delivery")
+"""Sections that need a restart: the agent's identity, its links, its priority, the directories that are locked, and the port for
+configurations."""
 ANSWER_S = 30.0
 MAX_PROBLEMS = 100
 

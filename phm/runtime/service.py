@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+from dataclasses import dataclass
 
 from phm.core import threads
 from phm.core.clock import SystemClock
@@ -15,11 +16,19 @@ from phm.core.systemd import SystemdNotifier
 from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.configuration import Configuration
 from phm.runtime.daemon import STALLED_END_S, SUPERVISE_S, Daemon
+from phm.runtime.delivery import Delivery, open_server
 from phm.runtime.reload import ReadAgain, Reloader
 
 logger = logging.getLogger(__name__)
 
 ENDING = frozenset((signal.SIGTERM, signal.SIGINT))
+
+
+@dataclass
+class _Running:
+    """The daemon that runs now; a reload replaces it."""
+
+    daemon: Daemon
 
 
 def run(configuration: Configuration, read: ReadAgain) -> int:
@@ -36,36 +45,49 @@ def run(configuration: Configuration, read: ReadAgain) -> int:
     clock.measure()
     systemd = SystemdNotifier(clock)
     reloader = Reloader(read)
-    problems = (threads.problem, lambda: lock.problem, lambda: priority.problem)
-    daemon = Daemon(settings, clock, watchdog, plan=configuration.plan, problems=problems, reload=reloader.request)
+    delivery = Delivery(configuration.file, settings, lambda: running.daemon, reloader.request)
+    server, unusable = open_server(delivery, settings, clock)
+    problems = (
+        threads.problem,
+        lambda: lock.problem,
+        lambda: priority.problem,
+        server.problem if server else lambda: unusable,
+    )
+    running = _Running(
+        Daemon(settings, clock, watchdog, plan=configuration.plan, problems=problems, reload=reloader.request)
+    )
     with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:
-        daemon.start()
+        running.daemon.start()
         watchdog.start()
+        if server is not None:
+            server.start()
         systemd.ready()
-        daemon = _serve(daemon, signals, reloader, systemd)
+        _serve(running, signals, reloader, systemd)
         systemd.stopping()
-        hung = daemon.stop()
+        if server is not None:
+            server.close()
+        hung = running.daemon.stop()
         lock.release()
         if hung:
             logger.critical("PHM exits although these parts still hang: %s", ", ".join(hung))
     return os.EX_OK
 
 
-def _serve(daemon: Daemon, signals: Signals, reloader: Reloader, systemd: SystemdNotifier) -> Daemon:
-    """Supervise until a signal ends it; returns the daemon that runs then."""
+def _serve(running: _Running, signals: Signals, reloader: Reloader, systemd: SystemdNotifier) -> None:
+    """Supervise until a signal ends it."""
     while True:
-        if not daemon.supervise():
+        if not running.daemon.supervise():
             logger.critical("PHM has stalled for %.0f s and exits so that it is restarted", STALLED_END_S)
             logging.shutdown()
             os._exit(os.EX_SOFTWARE)  # an orderly stop would wait for what hangs
-        if daemon.alive:
+        if running.daemon.alive:
             systemd.watchdog()
         for number in signals.wait(SUPERVISE_S):
             if number in ENDING:
-                return daemon
+                return
             if number == signal.SIGCONT:
-                daemon.wake()
+                running.daemon.wake()
             if number == signal.SIGHUP:
                 systemd.reloading()
-                daemon = reloader.run(daemon)
+                running.daemon = reloader.run(running.daemon)
                 systemd.ready()

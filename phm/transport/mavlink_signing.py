@@ -62,28 +62,28 @@ class SignatureResult(Enum):
     FORGED = "forged"
 
 
-def read_key(path: str) -> bytes:
-    """The key: 32 bytes, or 64 hexadecimal digits. Raises InvalidKey."""
+def read_key(path: str, setting: str = "mavlink.signing.key") -> bytes:
+    """The key: 32 bytes, or 64 hexadecimal digits. setting: what names the file, for messages. Raises InvalidKey."""
     try:
         with open(os.open(path, _READING), "rb") as stream:
             about = os.fstat(stream.fileno())
             if not stat.S_ISREG(about.st_mode):
-                raise InvalidKey(f"mavlink.signing.key: {path} is not a regular file")
+                raise InvalidKey(f"{setting}: {path} is not a regular file")
             if sys.platform != "win32" and about.st_mode & 0o077:  # Windows has no such bits
                 raise InvalidKey(
-                    f"mavlink.signing.key: {path} can be read by others than its owner (mode "
+                    f"{setting}: {path} can be read by others than its owner (mode "
                     f"{stat.S_IMODE(about.st_mode):04o}): `chmod 600 {path}`, and make a new key if it was read"
                 )
             data = stream.read(4096)
     except OSError as error:
-        raise InvalidKey(f"mavlink.signing.key: {path} cannot be read: {error.strerror or error}") from error
+        raise InvalidKey(f"{setting}: {path} cannot be read: {error.strerror or error}") from error
     if len(data) == KEY_BYTES:
         return data
     with contextlib.suppress(ValueError):
         words = bytes.fromhex(data.decode("ascii").strip())
         if len(words) == KEY_BYTES:
             return words
-    raise InvalidKey(f"mavlink.signing.key: {path} must hold 32 bytes or 64 hexadecimal digits, not {len(data)} bytes")
+    raise InvalidKey(f"{setting}: {path} must hold 32 bytes or 64 hexadecimal digits, not {len(data)} bytes")
 
 
 class Signing:

@@ -42,6 +42,7 @@ from phm.core.settings.custom import (
     TopicCheckSettings,
 )
 from phm.core.settings.daemon import CheckSettings, DockerSettings, LogSettings, ProcessSettings
+from phm.core.settings.delivery import DeliverySettings
 from phm.core.settings.fleet import FleetEndpoint, FleetSettings, FleetTlsSettings
 from phm.core.settings.host import FreeDiskSettings, HostSettings, PressureSettings
 from phm.core.settings.mavlink import EndpointSettings, MavlinkSettings, SigningSettings
@@ -72,6 +73,7 @@ __all__ = [
     "CustomCheckSettings",
     "CustomRecoverySettings",
     "DataSettings",
+    "DeliverySettings",
     "DeviceSettings",
     "DiagnosticsSettings",
     "DockerSettings",
@@ -155,6 +157,8 @@ class Settings(Section):
     """Own checks without code."""
     metrics: MetricsSettings = MetricsSettings()
     """Measurements for Prometheus."""
+    delivery: DeliverySettings = DeliverySettings()
+    """New configurations over IP."""
     docker: DockerSettings = DockerSettings()
     """The Docker Engine."""
     process: ProcessSettings = ProcessSettings()

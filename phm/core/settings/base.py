@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 _UNITS: dict[str, dict[str, float]] = {
     "duration": {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
@@ -78,6 +78,25 @@ RosName = Annotated[str, Field(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-
 
 
 AbsolutePath = Annotated[str, Field(pattern=r"^/", max_length=4096)]
+
+
+def host_and_port(address: str) -> tuple[str, int]:
+    """Of a valid `ListenAddress`."""
+    host, _, port = address.rpartition(":")
+    return host.strip("[]"), int(port)
+
+
+def _with_port(value: str) -> str:
+    if not 1 <= host_and_port(value)[1] <= 65535:
+        raise ValueError(f"{value!r} has no port from 1 to 65535: expected such as 127.0.0.1:9464")
+    return value
+
+
+ListenAddress = Annotated[
+    str,
+    Field(pattern=r"^([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}$", min_length=3, max_length=300),
+    AfterValidator(_with_port),
+]
 
 
 UnexpectedLevel = Literal["off", "warn", "error"]

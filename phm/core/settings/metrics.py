@@ -3,15 +3,8 @@
 from __future__ import annotations
 
 import ipaddress
-from typing import Annotated
 
-from pydantic import Field, field_validator
-
-from phm.core.settings.base import Section
-
-ListenAddress = Annotated[
-    str, Field(pattern=r"^([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}$", min_length=3, max_length=300)
-]
+from phm.core.settings.base import ListenAddress, Section, host_and_port
 
 
 class MetricsSettings(Section):
@@ -20,18 +13,10 @@ class MetricsSettings(Section):
     listen: ListenAddress | None = None
     """Address and port of the page /metrics, e.g. 127.0.0.1:9464. Any program that reaches another address than loopback can read it."""
 
-    @field_validator("listen")
-    @classmethod
-    def _port(cls, value: str | None) -> str | None:
-        if value is not None and not 1 <= int(value.rpartition(":")[2]) <= 65535:
-            raise ValueError(f"{value!r} has no port from 1 to 65535: expected such as 127.0.0.1:9464")
-        return value
-
     @property
     def address(self) -> tuple[str, int]:
         """Host and port of `listen`, which must be set."""
-        host, _, port = (self.listen or "").rpartition(":")
-        return host.strip("[]"), int(port)
+        return host_and_port(self.listen or "")
 
 
 def is_loopback(host: str) -> bool:

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from phm.checking.plan import CheckPlan, unit_rows
 from phm.config import ConfigError, Problem
 from phm.config.edit import MAX_EDITS, Edit, EditError, apply, diff, values
 from phm.config.load import read_file
+from phm.config.save import replace
 from phm.config.schema import schema
 from phm.config.yaml_tree import MAX_BYTES
 
@@ -111,7 +111,7 @@ class ConfigEditor:
             if "\r\n" in present:
                 text = text.replace("\r\n", "\n").replace("\n", "\r\n")
             try:
-                _replace(path, text)
+                replace(path, text.encode("utf-8"))
             except OSError as error:
                 raise NotSaved(f"{name} cannot be written: {error.strerror or error}") from None
         return {"name": name, "text": text, "version": _version(text)}
@@ -140,25 +140,6 @@ class ConfigEditor:
             return unit_rows(self._plan_of(text, name, variables)), ()
         except ConfigError as error:
             return [], error.problems
-
-
-def _replace(path: Path, text: str) -> None:
-    """Atomically, with the owner and the permissions of the present file. Raises OSError."""
-    present = path.stat()
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(text.encode("utf-8"))
-            stream.flush()
-            os.fsync(stream.fileno())
-        if hasattr(os, "chown"):
-            with suppress(PermissionError):  # only root may give a file to somebody else
-                os.chown(temporary, present.st_uid, present.st_gid)
-        os.chmod(temporary, present.st_mode & 0o777)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
 
 
 def _version(text: str) -> str:
