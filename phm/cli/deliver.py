@@ -45,7 +45,7 @@ def command(
     """
     from phm.config import ConfigError
     from phm.config.load import read_file
-    from phm.transport import delivery_client
+    from phm.gcs import delivery_client
     from phm.transport.mavlink_signing import InvalidKey, read_key
     from phm.wire.delivery import version_of
 

@@ -15,8 +15,8 @@ from phm.commands import delivery_server
 from phm.commands.delivery_server import MAX_CLIENTS, MAX_SAME, DeliveryServer
 from phm.core.clock import SystemClock
 from phm.core.rate_limiter import RateLimiter
-from phm.transport import delivery_client
-from phm.transport.delivery_client import NoAnswer
+from phm.gcs import delivery_client
+from phm.gcs.delivery_client import NoAnswer
 from phm.wire import delivery as wire
 from phm.wire.delivery import Answer
 from tests.fakes.until import until
@@ -128,7 +128,7 @@ def test_a_recorded_request_is_refused_later(bench: Bench) -> None:
 def test_a_request_that_was_changed_on_its_way_is_refused(bench: Bench, field: str) -> None:
     """The signature covers all fields, so no one can exchange the configuration or what it replaces."""
     with bench.connect() as stream:
-        changed = _signed(stream, **{field: 7 if field == "size" else "ab" * 32})
+        changed = _signed(stream, KEY, TEXT, **{field: 7 if field == "size" else "ab" * 32})
         assert "key" in bench.say(changed, stream)
     assert bench.executed == []
 
