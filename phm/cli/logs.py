@@ -14,6 +14,7 @@ import click
 
 from phm.cli.hold import Duration
 from phm.cli.logs_bundle import bundle
+from phm.cli.logs_collect import collect
 from phm.cli.options import config_option, json_option, load_settings
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class _Since(click.ParamType):  # type: ignore[type-arg]
 class WithTasks(click.Command):
     """`phm logs bundle FILE` is another command than `phm logs PATH`; a folder of that name is ``./bundle``."""
 
-    requests: Mapping[str, click.Command] = {"bundle": bundle}
+    requests: Mapping[str, click.Command] = {"bundle": bundle, "collect": collect}
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
@@ -126,7 +127,7 @@ def command(
     brief: bool,
     as_json: bool,
 ) -> None:
-    """Show, follow or bundle logs, with explanations.
+    """Show, follow, collect or bundle logs, with explanations.
 
     PATH is a log, its directory, or a folder with the logs of several agents; without it, log.directory of the
     configuration. Rotated and compressed files are included; lines of several agents are in the order of their times.

@@ -59,7 +59,7 @@ EVENT_SILENCE_S = 60.0
 
 
 class DockerEngine(DockerSession):
-    """The engine at `url` (``unix:///path`` or ``tcp://host:port``). Thread-safe; nothing is opened here.
+    """The engine at `url` (``unix:///path``, ``tcp://host:port``, ``ssh://user@host``). Thread-safe; nothing is opened here.
 
     Every method raises a subclass of `EngineError` (itself a `phm.facts.CannotTell`): EngineTimeout,
     EngineUnreachable, EngineRefused (403; also NotPermitted), EngineConflict (409), EngineMissing (404),
@@ -130,7 +130,7 @@ class DockerEngine(DockerSession):
         def ask(client: APIClient) -> Answer:
             response = client.head(_archive_url(client, container), params={"path": path}, timeout=client.timeout)
             _raise_for_status(response)
-            return mapping(json.loads(base64.b64decode(response.headers["X-Docker-Container-Path-Stat"])))
+            return _stat(response)
 
         return self.call(ask, deadline_s=deadline_s, what=f"look at {path} in {container}")
 
@@ -147,24 +147,31 @@ class DockerEngine(DockerSession):
 
         Raises CannotTell if the path is not a regular file (a link is not followed) or exceeds `limit`.
         """
-        return self._fetch(container, path, sink, limit, deadline_s).size
+        return self.copy_with_stat(container, path, sink, limit=limit, deadline_s=deadline_s)[0]
+
+    def copy_with_stat(
+        self, container: str, path: str, sink: Callable[[bytes], object], *, limit: int, deadline_s: float | None = None
+    ) -> tuple[int, Answer]:
+        """The same; also returns what `stat_path` says, at about the moment of the copy: compare the sizes."""
+        member, stat = self._fetch(container, path, sink, limit, deadline_s)
+        return member.size, stat
 
     def fetch_file(self, container: str, path: str, limit: int) -> FileCopy:
         """The file with its mode and owner; like `copy_file`, with the deadline of an action."""
         content = bytearray()
-        member = self._fetch(container, path, content.extend, limit, self.timeout_s + ACT_MARGIN_S)
+        member, _ = self._fetch(container, path, content.extend, limit, self.timeout_s + ACT_MARGIN_S)
         return FileCopy(bytes(content), member.mode & 0o7777, member.uid, member.gid)
 
     def _fetch(
         self, container: str, path: str, sink: Callable[[bytes], object], limit: int, deadline_s: float | None
-    ) -> tarfile.TarInfo:
-        def ask(client: APIClient) -> tarfile.TarInfo:
+    ) -> tuple[tarfile.TarInfo, Answer]:
+        def ask(client: APIClient) -> tuple[tarfile.TarInfo, Answer]:
             response = client.get(
                 _archive_url(client, container), params={"path": path}, stream=True, timeout=client.timeout
             )
             try:
                 _raise_for_status(response)
-                return unpack(response, sink, f"{path} in {container}", limit)
+                return unpack(response, sink, f"{path} in {container}", limit), _stat(response)
             finally:
                 response.close()
 
@@ -334,6 +341,11 @@ class DockerEngine(DockerSession):
 
 def _whole(seconds: float) -> int:
     return max(0, -int(-seconds // 1))
+
+
+def _stat(response: Response) -> Answer:
+    """What the engine says of the path."""
+    return mapping(json.loads(base64.b64decode(response.headers["X-Docker-Container-Path-Stat"])))
 
 
 def _archive_url(client: APIClient, container: str) -> str:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import select
 import socket
+import subprocess
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -23,6 +25,7 @@ import urllib3.connectionpool
 from docker import APIClient
 from requests.models import PreparedRequest, Response
 
+from phm.core import threads
 from phm.transport.call_deadlines import PendingCall, shut_down
 from phm.transport.dns import Resolver
 from phm.transport.docker_errors import EngineBroken, EngineError
@@ -31,6 +34,9 @@ MAX_ANSWER_BYTES = 16 << 20
 """Maximum size of a response held in memory; a list of 1000 containers is about 2 MB."""
 MAX_LINE_BYTES = 1 << 20
 _CHUNK = 64 << 10
+SSH = ("ssh", "-T", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-o", "ServerAliveInterval=5")
+"""A password cannot be asked for; a connection that is silent for 15 s ends."""
+_SSH_NAME = re.compile(r"[A-Za-z0-9_.:][A-Za-z0-9_.:-]*")
 _current = threading.local()
 
 
@@ -44,9 +50,15 @@ def using(call: PendingCall) -> Iterator[None]:
         _current.call = None
 
 
+def current_call() -> PendingCall | None:
+    """The call to which connections of this thread belong."""
+    call: PendingCall | None = getattr(_current, "call", None)
+    return call
+
+
 def _open(sock: socket.socket, address: Any) -> socket.socket:
     """Connect `sock` as part of the current call, which also records why that failed."""
-    call: PendingCall | None = getattr(_current, "call", None)
+    call = current_call()
     if call is not None:
         call.attach(sock)
     try:
@@ -102,13 +114,53 @@ class _TcpConnection(urllib3.connection.HTTPConnection):
             self.resolver.ask().wait(limit_s)
             family, address = self.resolver.answer()
         except OSError as error:
-            call: PendingCall | None = getattr(_current, "call", None)
+            call = current_call()
             if call is not None:
                 call.failure = error
             raise
         sock = _Socket(family, socket.SOCK_STREAM)
         sock.settimeout(limit_s)
         self.sock = _open(sock, address)
+
+
+class SshConnection(urllib3.connection.HTTPConnection):
+    """The engine of another computer, through the system's `ssh` and `docker` there, as the Docker command does it."""
+
+    command: tuple[str, ...]
+
+    def connect(self) -> None:
+        ours, theirs = socket.socketpair()
+        sock, call = _Socket(fileno=ours.detach()), current_call()
+        sock.settimeout(_seconds(self.timeout))
+        if call is not None:
+            call.attach(sock)
+        with theirs:
+            try:
+                # Its messages, such as a refused key, go to the terminal.
+                program = subprocess.Popen(
+                    self.command, stdin=theirs.fileno(), stdout=theirs.fileno(), start_new_session=True
+                )
+            except OSError as error:
+                sock.close()
+                if call is not None:
+                    call.failure = OSError(f"{self.command[0]} cannot be started: {error.strerror}")
+                raise
+        # It ends by itself when our end is closed; this only takes note of it.
+        threads.start(threading.Thread(target=program.wait, name="phm-docker-ssh", daemon=True))
+        self.sock = sock
+
+
+def ssh_command(url: str) -> tuple[str, ...]:
+    """How the engine of ``ssh://[user@]host[:port]`` is reached. Raises ValueError for another form."""
+    parts = urlsplit(url)
+    for name, word in (("host", parts.hostname or ""), ("user", parts.username or "root")):
+        if not _SSH_NAME.fullmatch(word):
+            raise ValueError(f"{word!r} is not a {name}")
+    if parts.password or parts.path.strip("/") or parts.query or parts.fragment:
+        raise ValueError("there is more than ssh://[user@]host[:port]")
+    options = [("-l", parts.username), ("-p", parts.port and str(parts.port))]
+    given = [word for option, value in options if value for word in (option, str(value))]
+    return (*SSH, *given, "--", str(parts.hostname), "docker", "system", "dial-stdio")
 
 
 def _seconds(timeout: Any) -> float | None:
@@ -172,16 +224,18 @@ class _Adapter(_Bounded):
 
 
 def resolver_for(url: str) -> Resolver | None:
-    """The resolver for the engine's host, shared by all clients; None for a unix socket."""
+    """The resolver for the engine's host, shared by all clients; None for a unix socket, and for ssh, which resolves it."""
     parts = urlsplit(url)
     return Resolver(parts.hostname or "", parts.port or 2375, socket.SOCK_STREAM) if parts.scheme == "tcp" else None
 
 
 def client_for(url: str, version: str, resolver: Resolver | None) -> APIClient:
     """A docker-py client for the use of one thread; `version` is the API's, so nothing is requested here."""
-    client = APIClient(base_url=url, version=version)
+    client = APIClient(base_url="unix:///ssh" if url.startswith("ssh://") else url, version=version)
     client.trust_env = False  # no HTTP_PROXY and no .netrc between PHM and its own engine
-    if resolver is None:
+    if url.startswith("ssh://"):
+        client.mount("http+docker://", _Adapter(_Pool(SshConnection, command=ssh_command(url))))
+    elif resolver is None:
         client.mount("http+docker://", _Adapter(_Pool(_UnixConnection, socket_path=url.removeprefix("unix://"))))
     else:
         client.mount("http://", _Adapter(_Pool(_TcpConnection, resolver=resolver)))

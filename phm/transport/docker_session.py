@@ -51,7 +51,7 @@ FAILURES = (
 class DockerSession:
     """The connection to one engine; `phm.transport.docker.DockerEngine` has the calls. Thread-safe; opens nothing.
 
-    url: ``unix:///path`` or ``tcp://host:port``. timeout_s: the default deadline of a call.
+    url: ``unix:///path``, ``tcp://host:port`` or ``ssh://[user@]host[:port]``. timeout_s: the default deadline of a call.
     """
 
     def __init__(self, url: str, timeout_s: float = 5.0, clock: Clock | None = None) -> None:

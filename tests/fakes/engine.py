@@ -36,10 +36,13 @@ def container(
     labels: Mapping[str, str] | None = None,
     mounts: Sequence[Mapping[str, Any]] = (),
     files: Mapping[str, bytes] | None = None,
+    folders: Mapping[str, Path] | None = None,
+    tars: Mapping[str, bytes] | None = None,
     **state: Any,
 ) -> dict[str, Any]:
     """A container as GET /containers/x/json returns it. `networks` maps names to ids (default ``id-of-NAME``);
-    `files` maps paths to content, for the archive route; further keywords go into State.
+    `files` maps paths to content, for the archive route; `folders` maps folders to real ones with real files, and `tars` paths
+    in them to what is sent instead of their tar. Further keywords go into State.
     """
     given = networks if isinstance(networks, Mapping) else {network: f"id-of-{network}" for network in networks}
     inspect: dict[str, Any] = {
@@ -67,6 +70,8 @@ def container(
         "Image": f"image-of-{name}",
         "_files": dict(files or {}),
         "_modes": {},
+        "_folders": dict(folders or {}),
+        "_tars": dict(tars or {}),
     }
     if health:
         inspect["State"]["Health"] = {"Status": health, "FailingStreak": 0, "Log": []}
@@ -101,6 +106,8 @@ class FakeEngine:
         self.calls: collections.deque[str] = collections.deque(maxlen=1000)
         self.events: collections.deque[dict[str, Any]] = collections.deque(maxlen=256)
         self.errors: collections.deque[BaseException] = collections.deque(maxlen=100)
+        self.archived: Callable[[str, str], None] = lambda method, name: None
+        """Called with each request for a file of `folders`."""
         self.changed = threading.Condition()
         self.stopping = False
         self.clock_ahead_s = 0.0

@@ -6,7 +6,9 @@ import base64
 import contextlib
 import io
 import json
+import os
 import re
+import stat
 import tarfile
 import time
 from collections.abc import Callable, Mapping
@@ -86,7 +88,8 @@ class Handler(BaseHTTPRequestHandler):
         """Whether the current fault handled the request; Trickle only changes how bytes are sent."""
         fault = self.fake.fault
         self.trickle = None
-        if fault is None or fault.route not in self.route:
+        said = f"{unquote(self.path)} {self.command}"
+        if fault is None or not (fault.route in self.route or fault.route in said):
             return False
         self.close_connection = True
         if isinstance(fault, Hang):
@@ -199,6 +202,9 @@ class Handler(BaseHTTPRequestHandler):
         if self.command == "PUT":
             self._put(entry, path)
             return
+        if str(Path(path).parent) in entry["_folders"]:
+            self._from_folder(entry, path)
+            return
         if self.command == "HEAD" and any(known.startswith(f"{path}/") for known in files):
             self._send(200, b"", {"X-Docker-Container-Path-Stat": _stat(Path(path).name, 0, 1 << 31 | 0o755)})
             return
@@ -212,6 +218,25 @@ class Handler(BaseHTTPRequestHandler):
             archive.addfile(member, io.BytesIO(content))
         header = _stat(name, len(content), mode)
         self._send(200, tar.getvalue(), {"X-Docker-Container-Path-Stat": header, "Content-Type": "application/x-tar"})
+
+    def _from_folder(self, entry: dict[str, Any], path: str) -> None:
+        """A file of a folder of the test; `fake.archived` is called before it is packed."""
+        file = Path(entry["_folders"][str(Path(path).parent)], Path(path).name)
+        self.fake.archived(self.command, file.name)
+        try:
+            about = os.lstat(file)
+        except FileNotFoundError:
+            raise _Refusal(404, f"Could not find the file {path}") from None
+        special = 1 << 27 if stat.S_ISLNK(about.st_mode) else 1 << 31 if stat.S_ISDIR(about.st_mode) else 0
+        changed = f"{time.strftime('%Y-%m-%dT%H:%M:%S', time.gmtime(about.st_mtime))}.{about.st_mtime_ns % 10**9:09d}Z"
+        head = {
+            "X-Docker-Container-Path-Stat": _stat(file.name, about.st_size, about.st_mode & 0o777 | special, changed)
+        }
+        packed = io.BytesIO()
+        if self.command == "GET":
+            with tarfile.open(fileobj=packed, mode="w") as archive:
+                archive.add(file, file.name, recursive=False)
+        self._send(200, entry["_tars"].get(path) or packed.getvalue(), {**head, "Content-Type": "application/x-tar"})
 
     def _put(self, entry: dict[str, Any], folder: str) -> None:
         with tarfile.open(fileobj=io.BytesIO(self.raw)) as archive:
@@ -303,10 +328,10 @@ class Handler(BaseHTTPRequestHandler):
         self._send(200, b"")
 
 
-def _stat(name: str, size: int, mode: int) -> str:
+def _stat(name: str, size: int, mode: int, changed: str = "2026-01-01T00:00:00Z") -> str:
     """The header that describes a path."""
-    stat = {"name": name, "size": size, "mode": mode, "mtime": "2026-01-01T00:00:00Z", "linkTarget": ""}
-    return base64.b64encode(json.dumps(stat).encode()).decode()
+    about = {"name": name, "size": size, "mode": mode, "mtime": changed, "linkTarget": ""}
+    return base64.b64encode(json.dumps(about).encode()).decode()
 
 
 _REF = r"([^/]+)"

@@ -1,0 +1,67 @@
+"""What was collected from where, kept in the folder of the logs. Without it everything is fetched again."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from phm.logs.bundle import file_name
+from phm.wire import json_log
+
+MOST_BYTES = 20_000_000
+Agent = tuple[str, int | None]
+"""Name and id."""
+
+
+@dataclass
+class Index:
+    """sources: the folder of each source. agents: whose each folder is. marks: the keys of the complete files of each
+    ``FOLDER/LOG``, by their marks."""
+
+    sources: dict[str, str] = field(default_factory=dict)
+    agents: dict[str, Agent] = field(default_factory=dict)
+    marks: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, path: Path) -> Index:
+        """What of it can be used: it may be damaged, or come with the folder from someone else."""
+        try:
+            with path.open("rb") as stream:
+                found = json.loads(stream.read(MOST_BYTES))
+        except (OSError, ValueError, RecursionError):
+            found = {}
+        sources, agents, marks = (_object(_object(found).get(name)) for name in ("sources", "agents", "marks"))
+        return cls(
+            {name: value for name, value in _texts(sources).items() if file_name(value) == value},
+            {name: agent for name, value in agents.items() if (agent := _agent(value)) is not None},
+            {name: _texts(_object(value)) for name, value in marks.items()},
+        )
+
+    def write(self, path: Path) -> None:
+        made = path.with_suffix(".tmp")
+        made.write_text(json.dumps(asdict(self), separators=(",", ":")), "utf-8")
+        os.replace(made, path)
+
+
+def agent_of(path: Path) -> Agent | None:
+    """The agent whose log it is, by its first event."""
+    event = next(json_log.read(path), {})
+    return _agent([event.get("agent"), event.get("agent_id")])
+
+
+def _agent(value: object) -> Agent | None:
+    if not isinstance(value, list) or len(value) != 2 or not isinstance(value[0], str) or not value[0]:
+        return None
+    return value[0][:100], value[1] if isinstance(value[1], int) else None
+
+
+def _object(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _texts(found: Mapping[str, Any]) -> dict[str, str]:
+    return {name: value for name, value in found.items() if isinstance(value, str)}
