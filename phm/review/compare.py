@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from phm.review.check_rates import opened
+from phm.review.sentences import vehicles
 from phm.review.statistics import same_rate
 
 Json = dict[str, Any]
@@ -46,7 +47,7 @@ def _about(document: Json) -> Json:
     versions = sorted({version for agent in document["agents"] for version in agent["versions"]})
     return {
         "window": document["window"],
-        "agents": len(document["agents"]),
+        "agents": len(vehicles(document)),
         "versions": versions,
         "faults": len(opened(document["faults"], document["window"]["begin"])),
         "ran_s": round(_ran_s(document), 3),

@@ -133,12 +133,12 @@ def _clocks(record: Record) -> Json:
 
 
 def _others(record: Record, begin: float, end: float) -> Json:
-    names = {agent.id: agent.name for agent in record.agents}
+    names = {agent.id: agent.name for agent in record.agents if agent.id}
     inside = [other for other in record.others if begin <= other.t <= end]
     rows = [
         {
             "t": round(other.t, 3),
-            "agent": names[other.system],
+            "agent": names[other.system] if other.system else record.recordings[other.file],
             "system": other.system,
             "what": other.what,
             "text": other.text,

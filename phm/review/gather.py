@@ -69,7 +69,8 @@ def find(paths: Sequence[str]) -> Found:
                 raise NoRecord(f"more than {MOST_FILES} files: name fewer folders")
     if not found.files:
         raise NoRecord(
-            f"no record in {', '.join(paths)}: expected phm.jsonl of an agent (its rotated files too), a file of `phm gcs --record`, or an autopilot's log"
+            f"no record in {', '.join(paths)}: expected phm.jsonl of an agent (its rotated files too), a file of "
+            "`phm gcs --record`, an autopilot's log, or a recording of ROS 2"
         )
     return found
 

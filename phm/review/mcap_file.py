@@ -55,11 +55,12 @@ def write(record: Record, document: Json, path: str) -> int:
 
 def messages(record: Record, faults: list[Json], begin: float, end: float) -> Iterator[tuple[float, str, list[Status]]]:
     """Time, topic and statuses, in the order of time."""
-    shown = [_Shown(agent) for agent in record.agents]
+    agents = [agent for agent in record.agents if agent.id]
+    shown = [_Shown(agent) for agent in agents]
     events: list[tuple[float, int, str, Any]] = []
-    for place, agent in enumerate(record.agents):
+    for place, agent in enumerate(agents):
         events += [(t, place, what, body) for t, what, body in _events(record, agent)]
-    places = {agent.name: place for place, agent in enumerate(record.agents)}
+    places = {agent.name: place for place, agent in enumerate(agents)}
     events += [event for fault in faults for event in _fault_events(fault, places[fault["agent"]])]
     events.sort(key=lambda event: event[:2])
     step = max(WHOLE_S, (end - begin) / MOST_WHOLE)

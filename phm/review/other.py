@@ -12,8 +12,10 @@ from phm.review.events import LATEST_S, WORDS, Event
 from phm.review.lines import BLOCK, Problems
 from phm.wire.text import one_line
 
-KINDS = frozenset(("mode", "arming", "error", "failsafe", "statustext"))
-"""`event` of such an event."""
+RECORDED = frozenset(("diagnostic", "rosout", "topic", "gap"))
+KINDS = frozenset(("mode", "arming", "error", "failsafe", "statustext")) | RECORDED
+"""`event` of such an event; those of recordings of ROS 2 may have the system 0, not known."""
+LEVELS = frozenset((*WORDS.values(), "STALE"))
 MOST = 50_000
 """Of all files; more are counted and left out."""
 MOST_SYSTEMS = 256
@@ -41,11 +43,12 @@ class Other(NamedTuple):
     @classmethod
     def of(cls, event: Event, file: str) -> Other | None:
         """None: it has no possible time or system."""
-        if not EARLIEST_S < event.utc_s < LATEST_S or event.system is None or not 0 < event.system < MOST_SYSTEMS:
+        least = 0 if event.event in RECORDED else 1
+        if not EARLIEST_S < event.utc_s < LATEST_S or event.system is None or not least <= event.system < MOST_SYSTEMS:
             return None
         text = one_line(event.text[:MOST_TEXT])
         # A hostile line of JSON comes here too: none of its texts is kept as it is.
-        level = event.level if event.level in WORDS.values() else ""
+        level = event.level if event.level in LEVELS else ""
         by = one_line(str(event.by)[:MOST_BY])
         return cls(event.utc_s, event.system, event.event, text, level, by, file, event.began)
 

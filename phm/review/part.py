@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -105,6 +106,7 @@ class Part:
                 self.problems.add("more runs of PHM than a report takes", path)
                 return
             run = self.runs[key] = Run(str(event.agent)[:80], event.agent_id, event.boot_id[:40])
+            run.folders.add(os.path.dirname(os.path.abspath(path)))
         run.lines += 1
         run.cover.add(event.mono)
         run.numbers.add(float(event.seq))

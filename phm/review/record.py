@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from phm.review import recordings
 from phm.review.clocks import RunClock, align, align_together, continue_by_autopilot, ground_clock
 from phm.review.ground_part import GroundRun
 from phm.review.other import Other
@@ -21,7 +22,8 @@ QUIET_S = 30.0
 
 @dataclass
 class AgentRecord:
-    """One agent. cover: when its PHM wrote; armed: when its autopilot was, as far as known; flying: it was at the end."""
+    """One agent; the id 0: a recording of which the agent is not known. cover: when its PHM wrote;
+    armed: when its autopilot was, as far as known; flying: it was at the end."""
 
     name: str
     id: int
@@ -49,6 +51,8 @@ class Record:
     part: Part
     others: list[Other] = field(default_factory=list)
     other_clocks: list[OtherClock] = field(default_factory=list)
+    recordings: dict[str, str] = field(default_factory=dict)
+    """Name of the row, by path, of recordings of which the agent is not known."""
 
     @property
     def begin(self) -> float:
@@ -87,16 +91,17 @@ def build(part: Part) -> Record:
         agents["", number] = AgentRecord(
             next((g.names[number] for g, _ in grounds if number in g.names), f"A{number:02d}"), number
         )
-    others, other_clocks = align_others(part.others, [one for agent in agents.values() for one in agent.runs])
-    for number in sorted({other.system for other in others} - {agent.id for agent in agents.values()}):
+    given, names_of = recordings.owned(part.others, list(agents.values()))
+    others, other_clocks = align_others(given, [one for agent in agents.values() for one in agent.runs])
+    for number in sorted({other.system for other in others if other.system} - {agent.id for agent in agents.values()}):
         agents["", number] = AgentRecord(f"vehicle {number}", number)
     for agent in agents.values():
         _armed(agent, grounds)
         if not agent.armed:
             _armed_by_others(agent, [other for other in others if other.system == agent.id])
-    return Record(
-        sorted(agents.values(), key=lambda agent: (agent.id, agent.name)), grounds, part, others, other_clocks
-    )
+    every = sorted(agents.values(), key=lambda agent: (agent.id, agent.name))
+    every += [AgentRecord(name, 0) for name in sorted(set(names_of.values()))]
+    return Record(every, grounds, part, others, other_clocks, names_of)
 
 
 def _heard(ground: GroundRun) -> set[int]:

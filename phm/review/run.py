@@ -51,6 +51,8 @@ class Run:
     agent: str
     agent_id: int
     boot_id: str
+    folders: set[str] = field(default_factory=set)
+    """Of its files."""
     version: str = ""
     interval_s: float = 0.0
     started: float | None = None
@@ -81,6 +83,7 @@ class Run:
     series: dict[str, Series] = field(default_factory=dict)
 
     def merge(self, other: Run) -> None:
+        self.folders |= other.folders
         self.version, self.interval_s = self.version or other.version, self.interval_s or other.interval_s
         self.started = self.started if other.started is None else other.started
         self.lines, self.left_out = self.lines + other.lines, self.left_out + other.left_out

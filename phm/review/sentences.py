@@ -24,9 +24,14 @@ NO_AGENT = (
 
 def build(document: Json) -> list[str]:
     """Duration and agents; faults; what is open; the worst agent and PHM itself; what to do before the next flight."""
-    if not document["agents"]:
+    if not vehicles(document):
         return [_what(document), *NO_AGENT]
     return [_what(document), _faults(document), _open(document), _worst(document), _next(document)]
+
+
+def vehicles(document: Json) -> list[Json]:
+    """The rows of agents; a recording of which the agent is not known has a row, too."""
+    return [row for row in document["agents"] if row["agent_id"]]
 
 
 def length(seconds: float | None) -> str:
@@ -42,7 +47,7 @@ def length(seconds: float | None) -> str:
 
 
 def _what(document: Json) -> str:
-    window, agents = document["window"], document["agents"]
+    window, agents = document["window"], vehicles(document)
     which = f"Flight {window['flight']}" if window["flight"] else "The record"
     flown = "" if window["flight"] else f" and {_count(len(document['flights']), 'flight')}"
     when = f"from {clock_text(window['begin'])[:19]} to {clock_text(window['end'])[11:19]} UTC"

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from phm.review import source_dataflash, source_tlog, source_ulog
+from phm.review import source_dataflash, source_mcap, source_rosbag2, source_tlog, source_ulog
 from phm.review.events import Event, parse
 from phm.review.lines import Piece, Problems, lines
 
@@ -46,6 +46,8 @@ SOURCES: tuple[Source, ...] = (
     Source("JSON lines", _is_json_lines, _json_lines, divisible=True),
     Source("DataFlash", source_dataflash.fits, source_dataflash.read),
     Source("ULog", source_ulog.fits, source_ulog.read),
+    Source("MCAP", source_mcap.fits, source_mcap.read),
+    Source("rosbag2", source_rosbag2.fits, source_rosbag2.read),
     Source("tlog", source_tlog.fits, source_tlog.read),
 )
 

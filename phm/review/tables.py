@@ -170,13 +170,13 @@ def _other_clock(row: Json) -> tuple[str, ...]:
 
 
 def _others(other: Json, most: int) -> Table:
-    """What others recorded; texts without a level only where there is room for all."""
+    """What others recorded; texts and topics without a level only where there is room for all."""
     rows = other["rows"]
     if len(rows) > most:
-        rows = [row for row in rows if row["level"] or row["what"] != "statustext"]
+        rows = [row for row in rows if row["level"] or row["what"] not in ("statustext", "topic")]
     outside = f"; {other['outside']} more are not in the time of this report" if other["outside"] else ""
     hidden = len(other["rows"]) - len(rows)
-    texts = f", without {hidden} texts" if hidden else ""
+    texts = f", without {hidden} texts and topics" if hidden else ""
     head: tuple[str, ...] = ("agent", "at (UTC)", "what", "level", "text", "file")
     shown: list[tuple[str, ...]] = [
         (row["agent"], clock_text(row["t"]), row["what"], row["level"], _said(row), row["file"]) for row in rows

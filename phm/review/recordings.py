@@ -1,0 +1,63 @@
+"""Whose a recording of ROS 2 is: it has no MAVLink system of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+from phm.review.clocks import RunClock
+from phm.review.other import Other
+from phm.review.run import Run
+
+OURS = "phm/"
+"""Names of PHM's own diagnostics begin with this."""
+
+
+class Agent(Protocol):
+    """`record.AgentRecord`, which needs this module."""
+
+    id: int
+    runs: list[tuple[Run, RunClock]]
+
+
+def owned(others: Iterable[Other], agents: Sequence[Agent]) -> tuple[list[Other], dict[str, str]]:
+    """The entries with the agent that is known, and names for the recordings without one, by path.
+
+    A recording without PHM's own diagnostics belongs to the agent whose logs are in the same folder or in the nearest one above
+    it, if these are logs of one agent. PHM's own diagnostics of an agent with a log are left out: its log says the same.
+    """
+    folders = [(agent.id, folder) for agent in agents for run, _ in agent.runs for folder in run.folders]
+    logged = {number for number, _ in folders}
+    near: dict[str, int] = {}
+    kept: list[Other] = []
+    for other in others:
+        if other.system:
+            if not (other.what == "diagnostic" and other.system in logged and other.text.startswith(OURS)):
+                kept.append(other)
+            continue
+        if other.file not in near:
+            near[other.file] = _nearest(os.path.dirname(os.path.abspath(other.file)), folders)
+        kept.append(other._replace(system=near[other.file]))
+    return kept, _names({other.file for other in kept if not other.system})
+
+
+def _nearest(folder: str, logs: Sequence[tuple[int, str]]) -> int:
+    """The agent of the logs in the nearest folder at or above this one that has some; 0: of several, or there are none."""
+    while True:
+        found = {
+            number for number, place in logs if place == folder or place.startswith(folder.rstrip(os.sep) + os.sep)
+        }
+        if found or folder == os.path.dirname(folder):
+            return found.pop() if len(found) == 1 else 0
+        folder = os.path.dirname(folder)
+
+
+def _names(files: set[str]) -> dict[str, str]:
+    """The file's name, with the folder where that is needed to distinguish two."""
+    names = [os.path.basename(file) for file in files]
+    return {
+        file: f"recording {name if names.count(name) == 1 else os.path.join(os.path.basename(os.path.dirname(file)), name)}"
+        for file in files
+        for name in [os.path.basename(file)]
+    }

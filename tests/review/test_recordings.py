@@ -1,0 +1,163 @@
+"""Recordings of ROS 2 in the report: diagnostics, errors of nodes, and gaps of topics, from rosbag2 and MCAP."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from mcap.writer import CompressionType
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+
+from phm.cli import group
+from phm.review import page
+from tests.review import bags
+from tests.review.records import T0, Flown, report
+from tests.review.test_document import one_flight
+
+RECORDED = ("diagnostic", "rosout", "gap")
+
+
+def said(made: dict[str, Any], *kinds: str) -> list[tuple[float, str, str, str]]:
+    rows = [row for row in made["other"]["rows"] if row["what"] in (kinds or RECORDED)]
+    return [(round(row["t"] - T0, 3), row["what"], row["text"], row["level"]) for row in rows]
+
+
+def problems(made: dict[str, Any]) -> dict[str, int]:
+    return {row["what"]: row["count"] for row in made["files"]["problems"]}
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize(
+    "compression", [None, (CompressionMode.MESSAGE, CompressionFormat.ZSTD)], ids=["plain", "messages packed"]
+)
+def test_a_bag_says_what_was_recorded(tmp_path: Path, storage: StoragePlugin, compression: Any) -> None:
+    """Changes of diagnostics, errors and fatals once, and the gap of a regular topic; under any name, without metadata.yaml."""
+    file = bags.rosbag2(tmp_path / "bag", bags.flight(), storage, compression)
+    moved = tmp_path / "of the camera"
+    file.rename(moved)
+    made = report(moved)
+    assert said(made) == bags.SAID
+    assert list(problems(made)) == ["errors in /rosout that the same node repeated within 10 s, shown once"]
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunks", [True, False])
+def test_mcap_of_any_recorder_says_the_same(tmp_path: Path, compression: CompressionType, chunks: bool) -> None:
+    """Each compression of chunks, and messages without a chunk."""
+    file = bags.mcap(tmp_path / "x.mcap", bags.flight(), compression, chunks=chunks)
+    made = report(file)
+    assert said(made) == bags.SAID
+    assert len(problems(made)) == 1
+
+
+def test_topics_have_their_first_and_last_message(tmp_path: Path) -> None:
+    """And one that ends before the recording does is a warning; one that is sent when there is something is not."""
+    messages = [bags.scan(number / 10) for number in range(300)]
+    messages += [bags.scan(at, topic="/seldom") for at in (2.0, 3.0, 60.0)]
+    messages += [bags.scan(number / 2, topic="/odom") for number in range(201)]
+    made = report(bags.mcap(tmp_path / "x.mcap", sorted(messages, key=lambda message: message[0])))
+    assert said(made, "topic", "gap") == [
+        (0.0, "topic", "/odom: first message (std_msgs/msg/String)", ""),
+        (0.0, "topic", "/scan: first message (std_msgs/msg/String)", ""),
+        (2.0, "topic", "/seldom: first message (std_msgs/msg/String)", ""),
+        (29.9, "topic", "/scan: last of 300 messages, median period 0.100 s, 70.1 s before the recording ends", "WARN"),
+        (60.0, "topic", "/seldom: last of 3 messages", ""),
+        (100.0, "topic", "/odom: last of 201 messages, median period 0.500 s", ""),
+    ]
+
+
+def test_a_file_that_is_compressed_as_a_whole_is_read_or_named(tmp_path: Path) -> None:
+    """MCAP by gzip and zstd; a database must be unpacked first, which is said."""
+    file = bags.mcap(tmp_path / "x.mcap", bags.flight())
+    shutil.copy(file, tmp_path / "y.mcap")
+    subprocess.run(["gzip", str(tmp_path / "y.mcap")], check=True)
+    assert said(report(tmp_path / "y.mcap.gz")) == bags.SAID
+    options = (CompressionMode.FILE, CompressionFormat.ZSTD)
+    packed = bags.rosbag2(tmp_path / "a", bags.flight(), StoragePlugin.MCAP, options)
+    assert packed.suffix == ".zstd" and said(report(packed)) == bags.SAID
+    database = bags.rosbag2(tmp_path / "b", bags.flight(), StoragePlugin.SQLITE3, options)
+    assert list(problems(report(database))) == [
+        "a database that is compressed as a whole: unpack it first, e.g. with `zstd -d`"
+    ]
+
+
+@pytest.mark.parametrize("schemas", [True, False])
+def test_foreign_encodings_and_missing_types_are_named_and_their_times_read(tmp_path: Path, schemas: bool) -> None:
+    """JSON and messages without a schema; never an exception."""
+    messages = [(at, topic, kind, b'{"x": 1}') for at, topic, kind, _ in bags.flight()]
+    made = report(bags.mcap(tmp_path / "x.mcap", messages, encoding="json", schemas=schemas))
+    assert [what for _, what, _, _ in said(made)] == ["gap"]
+    assert problems(made)["topics in the encoding 'json': only the times of their messages are read"] == 3
+    made = report(bags.mcap(tmp_path / "y.mcap", bags.flight(), schemas=False))
+    assert [what for _, what, _, _ in said(made)] == ["gap"]
+    assert problems(made)["topics without a type: only the times of their messages are read"] == 3
+
+
+def test_our_own_export_can_be_read_again(tmp_path: Path) -> None:
+    """Faults and levels of the MCAP file are those of the report that wrote it, of the same agents."""
+    (tmp_path / "log").mkdir()
+    one_flight(tmp_path / "log").close()
+    made, file = report(tmp_path / "log"), tmp_path / "export.mcap"
+    assert CliRunner().invoke(group, ["report", str(tmp_path / "log"), "--mcap", str(file)]).exit_code == 0
+    again = report(file)
+    rows = [row for row in again["other"]["rows"] if row["what"] == "diagnostic"]
+    opened = [
+        (round(row["t"], 3), row["agent"]) for row in rows if "/fault: " in row["text"] and row["level"] == "ERROR"
+    ]
+    assert opened == [(fault["opened"], "vehicle 1") for fault in made["faults"]]
+    unit = "phm/agent_1/ros: nodes/node_1: "
+    levels = [(round(row["t"] - T0), row["level"]) for row in rows if row["text"].startswith(unit)]
+    assert levels[:2] == [(150, "ERROR"), (154, "")]
+    assert not again["files"]["problems"]
+
+
+def test_the_export_beside_the_logs_says_nothing_twice(tmp_path: Path) -> None:
+    """PHM's own diagnostics of an agent with a log are left out: its log says the same."""
+    one_flight(tmp_path).close()
+    before = report(tmp_path)
+    assert CliRunner().invoke(group, ["report", str(tmp_path), "--mcap", str(tmp_path / "x.mcap")]).exit_code == 0
+    made = report(tmp_path)
+    assert {row["what"] for row in made["other"]["rows"]} == {"topic"} and made["faults"] == before["faults"]
+
+
+def test_a_recording_belongs_to_the_agent_of_its_folder(tmp_path: Path) -> None:
+    """To the agent with logs in the nearest folder; where that is not one agent it has a row of its own, and does not count as an agent."""
+    for number in (1, 2):
+        made = Flown(tmp_path / f"agent_{number}", number)
+        made.until(100)
+        made.close()
+    bags.rosbag2(tmp_path / "agent_2" / "bags" / "bag", bags.flight())
+    bags.mcap(tmp_path / "ground.mcap", bags.flight())
+    found = report(tmp_path)
+    owners = {(row["file"], row["agent"]) for row in found["other"]["rows"]}
+    assert owners == {("bag.db3", "agent_2"), ("ground.mcap", "recording ground.mcap")}
+    assert [(row["agent"], row["agent_id"]) for row in found["agents"]] == [
+        ("agent_1", 1),
+        ("agent_2", 2),
+        ("recording ground.mcap", 0),
+    ]
+    assert "with 2 agents" in found["sentences"][0]
+    assert "recording ground.mcap" in page.render(found)
+
+
+def test_phms_own_diagnostics_in_a_recording_say_whose_it_is(tmp_path: Path) -> None:
+    """The summary has the id of the agent; with two of them other entries have no owner."""
+    summary = bags.diagnostics(0.5, "phm/agent_7: summary", 0, "fine", agent_id="7")
+    made = report(bags.mcap(tmp_path / "x.mcap", [summary, *bags.flight()]))
+    assert {row["system"] for row in made["other"]["rows"]} == {7}
+    other = bags.diagnostics(0.6, "phm/agent_8: summary", 1, "1 of 2 units is OK", agent_id="8")
+    made = report(bags.mcap(tmp_path / "y.mcap", [summary, other, *bags.flight()]))
+    assert {(row["system"], row["text"].startswith("phm/")) for row in made["other"]["rows"]} == {(8, True), (0, False)}
+
+
+def test_a_recording_alone_makes_no_claim_about_faults(tmp_path: Path) -> None:
+    """No agent is in the record, and the sentences say so; the table has the entries."""
+    file = bags.rosbag2(tmp_path / "bag", bags.flight())
+    result = CliRunner().invoke(group, ["report", str(file)], env={"COLUMNS": "200"})
+    assert result.exit_code == 0, result.output
+    assert "Faults are unknown: no agent is in the record." in result.output
+    assert "camera: Status: no frames" in result.output and "no message for 4.00 s" in result.output
