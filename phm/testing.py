@@ -46,6 +46,7 @@ from phm.facts import (
     LinkFact,
     LinkProbe,
     LogFact,
+    LogMemory,
     LogProbe,
     MessageProbe,
     MessageValue,
@@ -552,6 +553,10 @@ class FakeLogs(_Fake):
     def __init__(self) -> None:
         super().__init__()
         self.lines: dict[str, list[str]] = {}
+        self.memories: dict[str, LogMemory] = {}
+
+    def memory(self, reader: str) -> LogMemory:
+        return self.memories.setdefault(reader, LogMemory())
 
     def follow(
         self, reader: str, *, patterns: Sequence[str], timeout_s: float, path: str = "", container: str = ""

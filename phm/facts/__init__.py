@@ -41,7 +41,7 @@ from phm.facts.links import (
     RadioFact as RadioFact,
     SenderFact as SenderFact,
 )
-from phm.facts.logs import LogFact as LogFact, LogProbe as LogProbe
+from phm.facts.logs import LogFact as LogFact, LogMemory as LogMemory, LogProbe as LogProbe
 from phm.facts.mavlink_messages import MessageProbe as MessageProbe, MessageValue as MessageValue
 from phm.facts.pressure import (
     ConsumerFact as ConsumerFact,

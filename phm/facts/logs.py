@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 
@@ -21,6 +21,18 @@ class LogFact:
     skipped: int = 0
 
 
+@dataclass
+class LogMemory:
+    """What a check of a log keeps over a reload of the configuration.
+
+    found: by pattern, when it was last found (monotonic seconds), how often since it was quiet, and the newest line.
+    generation: of the container that recovery acts on, see `ContainerFact.generation`.
+    """
+
+    found: dict[str, tuple[float, int, str]] = field(default_factory=dict)
+    generation: str = ""
+
+
 class LogProbe(Protocol):
     def follow(
         self, reader: str, *, patterns: Sequence[str], timeout_s: float, path: str = "", container: str = ""
@@ -29,3 +41,6 @@ class LogProbe(Protocol):
 
         reader: a name for the position in the log. Raises CannotTell if the log cannot be read, or the patterns take too long.
         """
+
+    def memory(self, reader: str) -> LogMemory:
+        """That of the reader, which the check changes. It is kept with the position in the log, as long as the log is the same."""

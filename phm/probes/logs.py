@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from phm.core.clock import Clock
-from phm.facts import CannotTell, ContainerFact, LogFact
+from phm.facts import CannotTell, ContainerFact, LogFact, LogMemory
 from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.log_file import READ_BYTES, LogFile
 from phm.probes.pattern_matcher import PatternMatcher
@@ -32,6 +32,7 @@ class _Reader:
 
     worker: BlockingCallWorker
     file: LogFile
+    container: str = ""
     since: tuple[int, int] | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -48,12 +49,36 @@ class Logs:
     ) -> None:
         self._engine, self._container, self._clock, self._matcher = engine, container, clock, matcher
         self._readers: dict[str, _Reader] = {}
+        self._earlier: dict[str, _Reader] = {}
+        """Those of the probe before, until they follow again."""
+        self._memories: dict[str, LogMemory] = {}
         self._lock = threading.Lock()
+
+    def hand_over(self) -> Logs:
+        """Give up the positions, for `resume` of the probe that replaces this one. A reader that hangs in a dead mount stays here."""
+        given = Logs(self._engine, self._container, self._clock, self._matcher)
+        with self._lock:
+            given._memories = self._memories
+            for name, place in list(self._readers.items()):
+                if place.lock.acquire(timeout=0.1):
+                    given._readers[name] = self._readers.pop(name)
+                    place.lock.release()
+            given._readers.update(self._earlier)  # reloaded again before they followed
+            self._earlier = {}
+        return given
+
+    def resume(self, before: Logs) -> None:
+        """Continue where readers of these names were; one that follows another log now begins at its end. To be called before `follow`."""
+        self._earlier, self._memories = before._readers, before._memories
+
+    def memory(self, reader: str) -> LogMemory:
+        with self._lock:
+            return self._memories.setdefault(reader, LogMemory())
 
     def close(self) -> None:
         """Close all files; no reader follows any more."""
         with self._lock:
-            readers = list(self._readers.values())
+            readers = [*self._readers.values(), *self._earlier.values()]
         for place in readers:
             # A reader that hangs in a dead mount keeps its file.
             if place.lock.acquire(timeout=0.1):
@@ -64,7 +89,7 @@ class Logs:
         self, reader: str, *, patterns: Sequence[str], timeout_s: float, path: str = "", container: str = ""
     ) -> LogFact:
         with self._lock:
-            place = self._readers.setdefault(reader, _Reader(BlockingCallWorker(f"log-{reader}"), LogFile(path)))
+            place = self._readers.get(reader) or self._reader(reader, path, container)
         with place.lock:
             if container:
                 data, skipped = self._docker_log(place, container, timeout_s), 0
@@ -74,6 +99,17 @@ class Logs:
         found = self._matcher.search(patterns, lines)
         last = tuple(lines[index] if index >= 0 else "" for _, index in found)
         return LogFact(len(lines), tuple(count for count, _ in found), last, skipped)
+
+    def _reader(self, name: str, path: str, container: str) -> _Reader:
+        place = self._earlier.pop(name, None)
+        if place is not None and (place.file.path, place.container) != (path, container):
+            place.file.close()
+            place = None
+            self._memories.setdefault(name, LogMemory()).found.clear()
+        if place is None:
+            place = _Reader(BlockingCallWorker(f"log-{name}"), LogFile(path), container)
+        self._readers[name] = place
+        return place
 
     def _docker_log(self, place: _Reader, container: str, timeout_s: float) -> bytes:
         """New lines without their timestamps."""

@@ -16,6 +16,7 @@ from phm.core.clock import Clock, SystemClock
 from phm.core.closing import ShutdownSequence
 from phm.core.settings import Settings
 from phm.core.watchdog import DaemonWatchdog
+from phm.probes.logs import Logs
 from phm.recovery.base import Action
 from phm.recovery.executor import Executor
 from phm.recovery.persistence.state import PersistedState
@@ -57,6 +58,8 @@ class Daemon:
         self._watchdog, self._problems, self._reload, self._previous = watchdog, problems, reload, previous
         self._marker = ShutdownMarker(settings.state_dir)
         self._subscribers: tuple[object, ...] = ()
+        self._logs: Logs | None = None
+        """Where the checks of logs were, for the successor."""
         before: Components | None = previous.components if previous is not None else None
         if previous is not None:
             previous._note_subscribers()
@@ -93,6 +96,8 @@ class Daemon:
         if previous is None:
             parts.health.crashed_before = self._marker.begin()
         parts.memory.restore(previous._hand_over() if previous is not None else None)
+        if previous is not None and previous._logs is not None:
+            parts.probes.logs.resume(previous._logs)
         restored = parts.pipeline.open_faults()
         parts.reporters.start(dataclasses.replace(parts.reporter_context, restored=restored))
         self._start_recovery()
@@ -200,6 +205,7 @@ class Daemon:
         parts, closing = self.components, ShutdownSequence(self.clock, STOP_S)
         self._stop_recovery(closing)
         self._stop_checks(closing)
+        self._logs = parts.probes.logs.hand_over()
         for name, close in parts.probes.closers(links=False):
             closing.step(name, close, 1.5)
         state = parts.memory.state()

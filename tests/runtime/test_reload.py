@@ -8,7 +8,9 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -201,3 +203,49 @@ def test_reload_without_a_daemon_is_an_error(tmp_path: Path) -> None:
     )
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "PHM is not running" in done.stderr
+
+
+def _more(found: Callable[[], tuple[str, Any]], than: int) -> bool:
+    return (found()[1] or 0) > than
+
+
+def test_a_log_is_followed_over_a_reload(agent: Agent) -> None:
+    """Of lines that are written meanwhile none is lost, none counts twice, and what was found stays a failure. Another log begins at its end."""
+    log, written, stop = agent.folder / "app.log", [0], threading.Event()
+    log.write_text("old FATAL\n")
+
+    def checks(path: Path) -> list[dict[str, Any]]:
+        pattern = {"patterns": [{"pattern": "FATAL"}], "quiet": "1h", "period": "500ms"}
+        return [{"name": "app", "type": "log", "path": str(path), **pattern}]
+
+    def write() -> None:
+        with log.open("a", buffering=1) as stream:
+            while not stop.wait(0.01):
+                stream.write("FATAL\n")
+                written[0] += 1
+
+    def found() -> tuple[str, Any]:
+        unit = next((unit for unit in agent.status().get("checks", ()) if unit["id"] == "custom/app"), {})
+        return unit.get("level", ""), unit.get("values", {}).get("matches")
+
+    agent.write(custom=checks(log))
+    assert agent.reload().returncode == 0
+    until(lambda: found() == ("OK", None), "the log to be followed", found)
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        for interval_s in (3.0, 4.0):
+            until(partial(_more, found, written[0]), "lines to be found", found)
+            agent.write(custom=checks(log), interval=f"{interval_s:g}s")
+            assert agent.reload().returncode == 0
+    finally:
+        stop.set()
+        writer.join()
+    until(lambda: found() == ("ERROR", written[0]), f"all {written[0]} lines to be found", found, limit_s=20.0)
+    events = [each for each in json_log.read(agent.folder / "log") if each.get("unit") == "custom/app"]
+    assert not [each for each in events if each["event"] == "fault_closed"]
+    other = agent.folder / "other.log"
+    other.write_text("FATAL of another file\n")
+    agent.write(custom=checks(other))
+    assert agent.reload().returncode == 0
+    until(lambda: found() == ("OK", None), "another log to begin at its end", found)

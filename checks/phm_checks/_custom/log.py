@@ -17,12 +17,9 @@ class Log(CustomCheck):
         super().__init__(entry, settings)
         if "failures" not in entry.model_fields_set:
             self.failures = 1  # the line is there; a second look finds nothing new
-        self._found: dict[int, tuple[float, int, str]] = {}
-        """By number of the pattern: when it was last found (monotonic seconds), how often since it was quiet, the newest line."""
-        self._generation = ""
 
     def look(self, world: api.World) -> Finding:
-        entry = self.entry
+        entry, memory = self.entry, world.logs.memory(self.entry.name)
         fact = world.logs.follow(
             entry.name,
             patterns=[one.pattern for one in entry.patterns],
@@ -31,25 +28,27 @@ class Log(CustomCheck):
             container=entry.container or "",
         )
         now = world.clock.mono()
-        self._found = {number: seen for number, seen in self._found.items() if now - seen[0] < entry.quiet}
-        for number, (count, line) in enumerate(zip(fact.counts, fact.last, strict=True)):
+        numbers = {one.pattern: number for number, one in enumerate(entry.patterns)}
+        for pattern, seen in list(memory.found.items()):
+            if pattern not in numbers or now - seen[0] >= entry.quiet:
+                del memory.found[pattern]
+        for one, count, line in zip(entry.patterns, fact.counts, fact.last, strict=True):
             if count:
-                self._found[number] = (now, count + self._found.get(number, (0.0, 0, ""))[1], line)
-        if self._restarted(world):
-            self._found.clear()
+                memory.found[one.pattern] = (now, count + memory.found.get(one.pattern, (0.0, 0, ""))[1], line)
+        if self._restarted(world, memory):
+            memory.found.clear()
         values: dict[str, api.Value] = {"lines": fact.lines}
         if fact.skipped:
             values["skipped_bytes"] = fact.skipped
-        if not self._found:
+        if not memory.found:
             return Finding(Level.OK, f"no pattern found in {fact.lines} new lines", values=values)
-        number = min(self._found, key=lambda one: (entry.patterns[one].level == "warn", one))
-        _, count, line = self._found[number]
-        level = Level.WARN if entry.patterns[number].level == "warn" else Level.ERROR
-        pattern = entry.patterns[number].pattern
+        first = min(map(numbers.__getitem__, memory.found), key=lambda one: (entry.patterns[one].level == "warn", one))
+        pattern, level = entry.patterns[first].pattern, entry.patterns[first].level
+        _, count, line = memory.found[pattern]
         text = f"{pattern[:80]!r} found, expected not within {span(entry.quiet)}; newest line: {line[:200]}"
-        return Finding(level, text, "log match", {**values, "matches": count})
+        return Finding(Level.WARN if level == "warn" else Level.ERROR, text, "log match", {**values, "matches": count})
 
-    def _restarted(self, world: api.World) -> bool:
+    def _restarted(self, world: api.World, memory: api.LogMemory) -> bool:
         """Whether the container that recovery acts on was started since the last run. What was found until now is of its former
         run: it must not let the restart fail, or cause another one."""
         if not self._acts_on:
@@ -60,5 +59,5 @@ class Log(CustomCheck):
             return False
         if fact is None or not fact.running:
             return False
-        before, self._generation = self._generation, fact.generation
+        before, memory.generation = memory.generation, fact.generation
         return before not in ("", fact.generation)
