@@ -101,6 +101,13 @@ class WithRequests(click.Command):
     help="Configuration of an agent on this computer that the page may write; may be repeated.",
 )
 @click.option(
+    "--deliver",
+    metavar="FILE HOST:PORT KEY",
+    nargs=3,
+    multiple=True,
+    help="Let the page send a file of --edit to its agent: its delivery.listen, and the file with its key; may be repeated.",
+)
+@click.option(
     "--json",
     "as_json",
     is_flag=True,
@@ -136,6 +143,7 @@ def command(
     replay: str | None,
     speed: float | None,
     edit: tuple[str, ...],
+    deliver: tuple[tuple[str, str, str], ...],
     as_json: bool,
     once: bool,
     seconds: float | None,
@@ -155,7 +163,7 @@ def command(
     from phm.gcs.live import LiveView
     from phm.gcs.recorder import Recorder
 
-    choice = WebChoice(web, serve, token_file, tls_cert, tls_key, behind_proxy, history, edit)
+    choice = WebChoice(web, serve, token_file, tls_cert, tls_key, behind_proxy, history, edit, deliver)
     clock = SystemClock()
     if replay is not None:
         if urls or record or once or as_json:

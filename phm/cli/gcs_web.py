@@ -14,6 +14,7 @@ from phm.cli.web_options import listen_options, listening, require_aiohttp
 if TYPE_CHECKING:
     from phm.core.clock import Clock
     from phm.gcs.station import GroundStation
+    from phm.gcs.web.config_delivery import Target
 
 
 class GroundPart(Protocol):
@@ -26,7 +27,7 @@ class GroundPart(Protocol):
 
 @dataclass(frozen=True)
 class WebChoice:
-    """The options as given. history: a path, `none`, or None for the default. edit: files that the page may write."""
+    """The options as given. history: a path, `none`, or None for the default. edit: files that the page may write. deliver: file, address and key."""
 
     web: tuple[str, int] | None
     serve: tuple[str, int] | None
@@ -36,6 +37,7 @@ class WebChoice:
     behind_proxy: bool
     history: str | None
     edit: tuple[str, ...] = ()
+    deliver: tuple[tuple[str, str, str], ...] = ()
 
     def history_path(self) -> Path | None:
         """None: the history ends with the program."""
@@ -58,6 +60,9 @@ class WebChoice:
             raise click.UsageError(f"{given[0]} is for --web and --serve.")
         if self.edit and self.web is None:
             raise click.UsageError("--edit is for --web.")
+        for file, _, _ in self.deliver:
+            if file not in self.edit:
+                raise click.UsageError(f"--deliver is for a file of --edit: add --edit {file}.")
         if self.history is not None and self.web is None:
             raise click.UsageError("--history is for --web.")
         for option, wanted in (("--web", self.web), ("--serve", self.serve)):
@@ -114,6 +119,7 @@ def _stream(choice: WebChoice, where: tuple[str, int], station: GroundStation, c
 
 
 def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clock: Clock) -> GroundPart:
+    from phm.gcs.web.config_delivery import ConfigDelivery
     from phm.gcs.web.config_editor import ConfigEditor
     from phm.gcs.web.page import GroundPage
     from phm.gcs.web.routes import checks
@@ -122,7 +128,24 @@ def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clo
     options = listen_options(
         where, choice.token_file, choice.tls_cert, choice.tls_key, behind_proxy=choice.behind_proxy
     )
-    extra = {checks.EXTRA: ConfigEditor(plan_of, choice.edit)}
+    extra = {
+        checks.EXTRA: ConfigEditor(plan_of, choice.edit),
+        checks.DELIVERY: ConfigDelivery({file: _target(place, key) for file, place, key in choice.deliver}),
+    }
     page = listening("--web", where, lambda: GroundPage(station, options, clock, choice.history_path(), extra))
     click.echo(f"page at {page.url}", err=True)
     return page
+
+
+def _target(place: str, key: str) -> Target:
+    """Raises ClickException."""
+    from phm.gcs.web.config_delivery import Target
+    from phm.transport.mavlink_signing import InvalidKey, read_key
+
+    host, _, port = place.rpartition(":")
+    if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
+        raise click.UsageError(f"--deliver {place}: write the agent's delivery.listen as HOST:PORT, e.g. 10.0.0.7:9465")
+    try:
+        return Target(host.strip("[]"), int(port), read_key(key, "--deliver"))
+    except InvalidKey as error:
+        raise click.ClickException(str(error)) from None

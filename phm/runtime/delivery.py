@@ -76,11 +76,9 @@ class Delivery:
         return Answer(done, words, self._version(), tuple(_problem(each) for each in problems))
 
     def _take(self, text: str, base: str, who: str) -> tuple[bool, str]:
-        self._check_armed()
         path = Path(os.path.realpath(self._file))
-        present = self._check_base(path, base)
-        if version_of(text) == base:
-            raise _Refused("the agent has this configuration already")
+        present = self._check_base(path, base, version_of(text))
+        self._check_armed()
         self._check_content(text)
         before = path.read_bytes()
         if version_of(before.decode("utf-8-sig", "replace")) != present:
@@ -118,11 +116,13 @@ class Delivery:
         if status.restricts:
             raise _Refused(f"the configuration is changed only while the vehicle is known to be disarmed: {status.why}")
 
-    def _check_base(self, path: Path, base: str) -> str:
+    def _check_base(self, path: Path, base: str, wanted: str) -> str:
         try:
             present = version_of(read_file(path))
         except ConfigError as error:
             raise _Refused(f"the present configuration cannot be read: {error}") from None
+        if present == wanted:
+            raise _Refused("the agent has this configuration already")
         if present != base:
             raise _Refused(
                 f"the agent has another configuration ({present[:12]}) than the one that was changed ({base[:12]}): somebody else "

@@ -58,6 +58,13 @@ class ConfigEditor:
         text = read_file(self._path(name))
         return {"name": name, "text": text, "version": _version(text)}
 
+    def saved(self, name: str, version: str) -> str:
+        """The text of a file whose content is still that of `version`. Raises NotSaved, and as `open`."""
+        found = self.open(name)
+        if found["version"] != version:
+            raise NotSaved(f"{name} was changed by another program meanwhile: load it again")
+        return str(found["text"])
+
     def check(self, body: Mapping[str, Any]) -> Json:
         """Apply `edits` to `text`, and say what it is then; `base` is the text to compare with.
 

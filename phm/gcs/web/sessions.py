@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hmac
+import ipaddress
 import secrets
 from collections import OrderedDict, deque
 from dataclasses import dataclass
@@ -12,17 +13,21 @@ from phm.gcs.web.options import OPERATE, VIEW, Tokens
 IDLE_S = 12 * 3600.0
 MAX_SESSIONS = 256
 FAILURES, FAILURES_ALL, WINDOW_S = 5, 50, 60.0
-"""Wrong tokens of one address, and of all, within the window."""
+"""Wrong tokens of one address within the window, and of all. Beyond the second, an address has one try; without a wrong one, or
+with a session, it is never kept out."""
+NETWORK_V6 = 64
+"""Bits: one machine has all addresses of such a network."""
 MAX_ADDRESSES = 1000
 
 
 @dataclass(slots=True)
 class Session:
-    """csrf: to be sent with each change."""
+    """csrf: to be sent with each change. address: where it began, as `network` gives it."""
 
     role: str
     csrf: str
     used: float
+    address: str
 
 
 class Sessions:
@@ -34,9 +39,10 @@ class Sessions:
         self._failed: OrderedDict[str, deque[float]] = OrderedDict()
         self._failed_all: deque[float] = deque(maxlen=FAILURES_ALL)
 
-    def begin(self, role: str, now: float) -> tuple[str, Session]:
+    def begin(self, role: str, now: float, address: str) -> tuple[str, Session]:
         """A new session with its secret."""
-        key, session = secrets.token_urlsafe(32), Session(role, secrets.token_urlsafe(32), now)
+        key = secrets.token_urlsafe(32)
+        session = Session(role, secrets.token_urlsafe(32), now, network(address))
         self._sessions[key] = session
         while len(self._sessions) > MAX_SESSIONS:
             self._sessions.popitem(last=False)
@@ -66,18 +72,38 @@ class Sessions:
         return OPERATE if operate else VIEW if view else ""
 
     def blocked(self, address: str, now: float) -> bool:
-        """Whether there were too many wrong tokens from this address, or from all together."""
-        failed = self._failed.get(address, ())
-        recent = sum(now - at <= WINDOW_S for at in failed)
+        """Whether there were too many wrong tokens from this address, or one and too many from all together."""
+        address = network(address)
+        recent = sum(now - at <= WINDOW_S for at in self._failed.get(address, ()))
+        if recent == 0 or recent >= FAILURES:
+            return recent > 0
         recent_all = sum(now - at <= WINDOW_S for at in self._failed_all)
-        return recent >= FAILURES or recent_all >= FAILURES_ALL
+        return recent_all >= FAILURES_ALL and not self._known(address, now)
+
+    def _known(self, address: str, now: float) -> bool:
+        """Whether somebody is logged in from there."""
+        return any(each.address == address and now - each.used <= IDLE_S for each in self._sessions.values())
 
     def failed(self, address: str, now: float) -> None:
+        address = network(address)
         self._failed.setdefault(address, deque(maxlen=FAILURES)).append(now)
         self._failed.move_to_end(address)
         self._failed_all.append(now)
         while len(self._failed) > MAX_ADDRESSES:
             self._failed.popitem(last=False)
+
+
+def network(address: str) -> str:
+    """An address as its wrong tokens are counted."""
+    try:
+        found = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if found.version == 4:
+        return str(found)
+    if found.ipv4_mapped is not None:
+        return str(found.ipv4_mapped)
+    return str(ipaddress.ip_network((found.packed, NETWORK_V6), strict=False))
 
 
 def _equal(said: bytes, token: str) -> bool:

@@ -19,7 +19,7 @@ from phm.cli import group
 from phm.cli.web_options import listen_options
 from phm.gcs.web.clients import MAX_CLIENTS
 from phm.gcs.web.options import ListenOptions, OptionError, Tokens, is_loopback, read_tokens
-from phm.gcs.web.sessions import FAILURES
+from phm.gcs.web.sessions import FAILURES, FAILURES_ALL, network
 from tests.fakes.until import until
 from tests.gcs.web.swarm import Client, Ground, ground
 
@@ -190,6 +190,44 @@ def test_tokens_cannot_be_guessed_quickly(locked: Ground) -> None:
     assert client.ask("GET", "/api/state")[0] == 403
     client.token = ""
     assert client.login(OPERATE)[0] == 429
+
+
+def _login(page: Ground, address: str, token: str) -> int:
+    """The status of a log-in from one of this machine's addresses."""
+    connection = http.client.HTTPConnection(*page.page.address, timeout=30, source_address=(address, 0))
+    try:
+        connection.request("POST", "/api/login", json.dumps({"token": token}), {"Content-Type": "application/json"})
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+def test_wrong_tokens_of_others_keep_no_one_out(locked: Ground) -> None:
+    """Fifty of many addresses limit these to one try each; an address without a wrong token, or with a session, logs in."""
+    assert _login(locked, "127.0.0.2", OPERATE) == 200
+    assert _login(locked, "127.0.0.2", "wrong" * 5) == 403
+    for number in range(FAILURES_ALL):
+        assert _login(locked, f"127.0.1.{number + 1}", "wrong" * 5) == 403
+    assert _login(locked, "127.0.1.1", OPERATE) == 429, "it has failed before"
+    assert _login(locked, "127.0.2.1", "wrong" * 5) == 403
+    assert _login(locked, "127.0.2.1", OPERATE) == 429, "one try"
+    assert _login(locked, "127.0.0.3", OPERATE) == 200, "it has never failed"
+    assert _login(locked, "127.0.0.2", OPERATE) == 200, "it has a session"
+
+
+@pytest.mark.parametrize(
+    ("address", "counted"),
+    [
+        ("10.0.0.7", "10.0.0.7"),
+        ("::ffff:10.0.0.7", "10.0.0.7"),
+        ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
+        ("fe80::1%eth0", "fe80::/64"),
+        ("?", "?"),
+    ],
+)
+def test_the_addresses_of_one_machine_are_one(address: str, counted: str) -> None:
+    """With IPv6 each machine has as many as it likes."""
+    assert network(address) == counted
 
 
 @pytest.mark.parametrize("token", [None, 5, "", "x" * 2000, "ünïcode-token-0123456", VIEW[:-1], VIEW + "x"])

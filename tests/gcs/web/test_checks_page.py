@@ -13,12 +13,15 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Dialog, Page, expect
 
+from phm.gcs.web.config_delivery import ConfigDelivery, Target
 from phm.gcs.web.config_editor import ConfigEditor
 from phm.gcs.web.options import ListenOptions, Tokens
-from phm.gcs.web.routes.checks import EXTRA
+from phm.gcs.web.routes.checks import DELIVERY, EXTRA
 from phm.runtime.configuration import plan_of
+from phm.wire.delivery import Answer, version_of
+from tests.commands.test_delivery_server import KEY, Bench
 from tests.gcs.web.browser.scene import LIMIT_MS, chromium, tab
 from tests.gcs.web.swarm import ground
 
@@ -286,3 +289,72 @@ def test_a_viewer_sees_no_configuration(browser: Browser, file: Path) -> None:
         opened.goto(here.page.url)
         expect(opened.locator("#tab-swarm")).to_be_visible()
         expect(opened.locator("#tab-checks")).to_be_hidden()
+
+
+class Refusing(Bench):
+    """An agent that has another configuration at first, and then finds a problem."""
+
+    def _execute(self, text: str, base: str, who: str) -> Answer:
+        self.executed.append((text, base, who))
+        if not text:
+            return Answer(True, "nothing was delivered", version_of("theirs"))
+        if base != version_of("theirs"):
+            return Answer(False, "the agent has another configuration <b>here</b>", version_of("theirs"))
+        problem = {"line": 4, "key": "containers[0].name", "message": "is not known here", "text": "a7.yaml:4: ..."}
+        return Answer(False, "the configuration is invalid on the agent: 1 problem", version_of("theirs"), (problem,))
+
+
+def test_a_saved_file_is_delivered_and_the_agents_problems_are_at_the_fields(browser: Browser, file: Path) -> None:
+    """After a question each for the delivery and for replacing what somebody else has changed."""
+    agent, asked = Refusing(), list[str]()
+
+    def accept(dialog: Dialog) -> None:
+        asked.append(dialog.message)
+        dialog.accept()
+
+    extra = {
+        EXTRA: ConfigEditor(plan_of, [str(file)]),
+        DELIVERY: ConfigDelivery({str(file): Target(*agent.where, KEY)}),
+    }
+    with (
+        ground(ListenOptions(port=0), extra=extra) as here,
+        tab(browser, f"{here.page.url}checks", viewport={"width": 1400, "height": 1000}) as page,
+    ):
+        page.on("dialog", accept)
+        expect(page.locator("#state")).to_contain_text("not changed, valid")
+        page.locator("#box-deliver summary").click()
+        page.locator("#deliver").click()
+        expect(page.locator("#delivered")).to_have_text("A07: the configuration is invalid on the agent: 1 problem")
+        page.locator("#problems button").click()
+        expect(section(page, "containers[0].name").locator(".problem")).to_contain_text("is not known here")
+        assert [text for text, _, _ in agent.executed] == [TEXT, "", TEXT]
+        assert len(asked) == 2 and "Deliver" in asked[0] and "<b>here</b>. Replace" in asked[1]
+        interval = section(page, "interval").locator("input")
+        interval.fill("30s")
+        interval.press("Tab")
+        expect(page.locator("#deliver")).to_be_disabled()
+        assert axe(page) == []
+    agent.server.close()
+
+
+def test_without_an_agent_nothing_is_offered(page: Page) -> None:
+    """Then the commands to copy remain."""
+    page.locator("#box-deliver summary").click()
+    expect(page.locator("#deliver")).to_be_hidden()
+    expect(page.locator("#commands")).to_be_visible()
+
+
+def test_the_tab_is_there_with_a_file_to_edit_alone(browser: Browser, file: Path) -> None:
+    """Without --edit, the page of the swarm does not offer what it cannot save."""
+    for files, shown in (([], False), ([str(file)], True)):
+        with (
+            ground(ListenOptions(port=0), extra={EXTRA: ConfigEditor(plan_of, files)}) as here,
+            tab(browser, here.page.url) as page,
+        ):
+            with page.expect_response("**/api/config", timeout=LIMIT_MS) as asked:
+                page.reload()
+            asked.value.finished()
+            expect(page.locator("#tab-checks")).to_be_visible(visible=shown)
+            if not shown:
+                page.goto(f"{here.page.url}checks")
+                expect(page.locator("#upload")).to_be_visible()

@@ -111,6 +111,40 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
     assert [one.read_bytes()[:5] for one in tmp_path.glob("history.db.damaged-*")] == [b"not a"]
 
 
+@pytest.mark.parametrize("numbers", [(0, 0), (0, 7), (0x47504B47, 0)])
+def test_a_database_of_another_program_is_left_alone(tmp_path: Path, numbers: tuple[int, int]) -> None:
+    """Not one byte of it is changed, it is not renamed, and the page works without a history and says why."""
+    path = tmp_path / "photos.db"
+    other = sqlite3.connect(path)
+    other.executescript(
+        f"PRAGMA application_id = {numbers[0]}; PRAGMA user_version = {numbers[1]}; "
+        "CREATE TABLE event (id INTEGER PRIMARY KEY, body TEXT); INSERT INTO event (body) VALUES ('mine')"
+    )
+    other.close()
+    before = path.read_bytes()
+    with ground(history=path) as here:
+        here.vehicle().beat()
+        client = here.client()
+        problem = until(lambda: client.get("/api/state")["ground"]["history"]["problem"], "the note")
+        assert "another program" in problem and str(path) in problem
+        assert client.ask("GET", "/api/history/events")[0] != 200
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == ["photos.db"]
+
+
+def test_an_empty_file_becomes_a_history(tmp_path: Path) -> None:
+    """As `mktemp` makes it; it says whose it is before anything else is in it."""
+    path = tmp_path / "history.db"
+    path.touch()
+    for _ in range(2):
+        store = HistoryStore(path, SystemClock())
+        store.start()
+        until(lambda: HistoryReader(path).faults("", only_open=True) == {"faults": []}, "the tables")
+        assert store.problem() == ""
+        store.close()
+    assert [each.name for each in tmp_path.iterdir()] == ["history.db"]
+
+
 def events_or_none(client: Client) -> Any:
     status, body, _ = client.ask("GET", "/api/history/events")
     return body["events"] if status == 200 else None

@@ -12,6 +12,7 @@ from typing import Any
 
 from phm.gcs.web.events import GRADES
 from phm.gcs.web.history.faults import FaultEntry, from_json
+from phm.gcs.web.history.store import APPLICATION
 
 Json = dict[str, Any]
 QUERY_S = 5.0
@@ -121,6 +122,8 @@ class HistoryReader:
             with contextlib.closing(sqlite3.connect(self._path, timeout=2.0)) as connection:
                 connection.execute("PRAGMA query_only = 1")
                 connection.set_progress_handler(lambda: int(time.monotonic() > end), 10_000)
+                if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
+                    raise HistoryError("there is no history yet")
                 yield connection
         except (sqlite3.Error, ValueError) as error:
             raise HistoryError(f"the history cannot be read: {error}") from None

@@ -30,7 +30,11 @@ MAX_SERIES = 20_000
 COMMIT_S, PRUNE_S, RETRY_S, OPEN_S = 1.0, 60.0, 10.0, 2.0
 CLOSE_LIMIT_S = 5.0
 APPLICATION, VERSION = 0x50484D47, 1
-_SCHEMA = """
+# In one transaction: a file that has the tables also says whose it is.
+_SCHEMA = f"""
+BEGIN;
+PRAGMA application_id = {APPLICATION};
+PRAGMA user_version = {VERSION};
 CREATE TABLE IF NOT EXISTS series (id INTEGER PRIMARY KEY, who TEXT NOT NULL, kind TEXT NOT NULL, UNIQUE (who, kind));
 CREATE TABLE IF NOT EXISTS sample (series INTEGER NOT NULL, at REAL NOT NULL, value REAL, PRIMARY KEY (series, at)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS event (
@@ -40,6 +44,7 @@ CREATE INDEX IF NOT EXISTS event_who ON event (who, id);
 CREATE TABLE IF NOT EXISTS fault (
   key TEXT PRIMARY KEY, who TEXT NOT NULL, at REAL NOT NULL, changed REAL NOT NULL, open INTEGER NOT NULL, body TEXT NOT NULL);
 CREATE INDEX IF NOT EXISTS fault_at ON fault (at);
+COMMIT;
 """
 SAMPLE = "INSERT OR REPLACE INTO sample (series, at, value) VALUES (?, ?, ?)"
 EVENT = "INSERT INTO event (at, who, grade, event, words, body) VALUES (?, ?, ?, ?, ?, ?)"
@@ -52,6 +57,10 @@ _UNUSABLE = (
 """What writing a row raises that is not fit for the file, such as half a character. The file itself is well."""
 MAX_ASIDES = 3
 """So many damaged files of one run are kept: on a broken disk, each new file would be damaged again."""
+
+
+class _NotOurs(Exception):
+    """The file is a database of another program."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +151,8 @@ class HistoryStore:
                     self._write(self._connection, left)
                     left, self._problem = [], ""
                     self._prune(self._connection)
+            except _NotOurs:
+                self._fail(f"{self.path} is a database of another program and was not changed: name another file")
             except sqlite3.OperationalError as error:  # a full disk, a folder that cannot be written
                 self._fail(f"the history cannot be written: {error} ({self.path})")
             except sqlite3.DatabaseError as error:
@@ -158,17 +169,11 @@ class HistoryStore:
         os.close(os.open(self.path, os.O_CREAT | os.O_RDWR, 0o600))
         connection = sqlite3.connect(self.path, timeout=2.0)
         try:
+            _check_owner(connection)
             connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = NORMAL")
-            found = connection.execute("PRAGMA application_id").fetchone()[0]
-            version = connection.execute("PRAGMA user_version").fetchone()[0]
-            if (found, version) not in ((0, 0), (APPLICATION, VERSION)):
-                raise sqlite3.DatabaseError("it is of another program or version")
             connection.executescript(_SCHEMA)
-            connection.execute(f"PRAGMA application_id = {APPLICATION}")
-            connection.execute(f"PRAGMA user_version = {VERSION}")
-            connection.commit()
         except BaseException:
             connection.close()
             raise
@@ -259,6 +264,19 @@ class HistoryStore:
                 self._connection.close()
         self._connection = None
         self._series = {}
+
+
+def _check_owner(connection: sqlite3.Connection) -> None:
+    """Only reads. Raises _NotOurs, and DatabaseError for a file of another version of PHM."""
+    found, version, tables = (
+        connection.execute(query).fetchone()[0]
+        for query in ("PRAGMA application_id", "PRAGMA user_version", "SELECT count(*) FROM sqlite_master")
+    )
+    if found == APPLICATION:
+        if version != VERSION:
+            raise sqlite3.DatabaseError("it is of another version of PHM")
+    elif (found, version, tables) != (0, 0, 0):
+        raise _NotOurs
 
 
 def default_path() -> Path:

@@ -10,16 +10,21 @@ from aiohttp import web
 
 from phm.config import ConfigError
 from phm.gcs.web.access import MOST_BODY, HttpProblem, answer, operate, read_json, view
+from phm.gcs.web.config_delivery import ConfigDelivery, NotDelivered
 from phm.gcs.web.config_editor import ConfigEditor, NotSaved
 from phm.gcs.web.site import Site
 
 EXTRA = "checks"
 """Key of the `ConfigEditor` in `Site.extra`."""
+DELIVERY = "delivery"
+"""Key of the `ConfigDelivery` in `Site.extra`, if there is one."""
 
 
 def routes(site: Site) -> Sequence[web.RouteDef]:
     given = site.extra.get(EXTRA)
     editor = given if isinstance(given, ConfigEditor) else None
+    sender = site.extra.get(DELIVERY)
+    delivery = sender if isinstance(sender, ConfigDelivery) else ConfigDelivery({})
 
     def here() -> ConfigEditor:
         if editor is None:
@@ -27,7 +32,8 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
         return editor
 
     async def about(request: web.Request) -> web.Response:
-        return answer({"edit": editor is not None, "files": editor.files() if editor else []})
+        files = editor.files() if editor else []
+        return answer({"edit": editor is not None, "files": files, "agents": delivery.targets()})
 
     async def schema(request: web.Request) -> web.Response:
         return answer(await _run(here().schema))
@@ -51,12 +57,21 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
             )
         )
 
+    async def deliver(request: web.Request) -> web.Response:
+        """base: version of the configuration that the file was made from; null: replace whatever the agent has."""
+        body = await read_json(request)
+        name, version, base = (body.get(key) for key in ("name", "version", "base"))
+        if not (isinstance(name, str) and isinstance(version, str) and isinstance(base, str | None)):
+            raise HttpProblem(400, "send name, version and base")
+        return answer(await _run(lambda: delivery.deliver(name, here().saved(name, version), base)))
+
     return [
         web.get("/api/config", operate(about)),
         web.get("/api/config/schema", view(schema)),
         web.post("/api/config/open", operate(open_file)),
         web.post("/api/config/check", operate(check)),
         web.post("/api/config/save", operate(save)),
+        web.post("/api/config/deliver", operate(deliver)),
     ]
 
 
@@ -66,7 +81,7 @@ async def _run(ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         return await asyncio.to_thread(ask)
     except KeyError:
         raise HttpProblem(404, "there is no such file: `phm gcs --web --edit FILE` allows one") from None
-    except NotSaved as refused:
+    except (NotSaved, NotDelivered) as refused:
         raise HttpProblem(409, str(refused)) from None
     except (ConfigError, ValueError) as error:
         raise HttpProblem(400, str(error)) from None

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from aiohttp import hdrs, web
 
 from phm.gcs.web.access import HttpProblem, answer, public, read_json, view
+from phm.gcs.web.config_editor import ConfigEditor
 from phm.gcs.web.options import OPERATE
 from phm.gcs.web.routes.checks import EXTRA as CHECKS
 from phm.gcs.web.server_keys import CLIENTS, GATE
@@ -82,7 +83,7 @@ def _response(request: web.Request, file: StaticFile) -> web.Response:
 def _begin(request: web.Request, site: Site, role: str) -> web.Response:
     gate = request.app[GATE]
     gate.sessions.end(request.cookies.get(gate.cookie, ""))
-    key, session = gate.sessions.begin(role, site.clock.mono())
+    key, session = gate.sessions.begin(role, site.clock.mono(), request.remote or "?")
     response = answer(_about(request, site, session.role, session.csrf))
     secure = gate.options.tls is not None or gate.options.behind_proxy
     response.set_cookie(gate.cookie, key, path="/", httponly=True, samesite="Strict", secure=secure)
@@ -90,13 +91,13 @@ def _begin(request: web.Request, site: Site, role: str) -> web.Response:
 
 
 def _about(request: web.Request, site: Site, role: str, csrf: str | None) -> dict[str, object]:
-    """role: empty, when the sender has to log in. tokens: whether one can log in, and out."""
-    checks, tokens = role == OPERATE and CHECKS in site.extra, request.app[GATE].sessions.tokens is not None
+    """role: empty, when the sender has to log in. tokens: whether one can log in, and out. checks: whether there are files to edit."""
+    editor, tokens = site.extra.get(CHECKS), request.app[GATE].sessions.tokens is not None
     return {
         "role": role or None,
         "csrf": csrf,
         "login": not role,
         "tokens": tokens,
         "page": site.page,
-        "checks": checks,
+        "checks": role == OPERATE and isinstance(editor, ConfigEditor) and bool(editor.files()),
     }

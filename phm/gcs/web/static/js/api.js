@@ -18,10 +18,11 @@ export async function getJson(path, parameters = {}) {
   return send(query ? `${path}?${query}` : path, {});
 }
 
-export async function postJson(path, body) {
+/** limit: milliseconds until the server must have answered. */
+export async function postJson(path, body, limit = LIMIT_MS) {
   const headers = { "Content-Type": "application/json" };
   if (session.csrf) headers["X-PHM-CSRF"] = session.csrf;
-  return send(path, { method: "POST", headers, body: JSON.stringify(body) });
+  return send(path, { method: "POST", headers, body: JSON.stringify(body) }, limit);
 }
 
 /** Who this page is to the server; opens a session where no token is needed. */
@@ -42,10 +43,10 @@ export function mayOperate() {
   return session.role === "operate";
 }
 
-async function send(path, options) {
+async function send(path, options, limit = LIMIT_MS) {
   let answer;
   try {
-    answer = await fetch(path, { ...options, signal: AbortSignal.timeout(LIMIT_MS), cache: "no-store" });
+    answer = await fetch(path, { ...options, signal: AbortSignal.timeout(limit), cache: "no-store" });
   } catch {
     throw new Refused("the server does not answer", 0);
   }

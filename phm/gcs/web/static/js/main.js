@@ -58,7 +58,7 @@ function showLink() {
 async function showChecks() {
   let edit = false;
   try {
-    edit = mayOperate() && (await getJson("api/config")).edit;
+    edit = mayOperate() && (await getJson("api/config")).files.length > 0;
   } catch {
     edit = false;
   }

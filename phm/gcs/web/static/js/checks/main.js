@@ -2,12 +2,13 @@
 
 import { Refused, getJson, login, mayOperate, openSession, postJson, session } from "../api.js";
 import { byId, el } from "../dom.js";
+import { deliver } from "./deliver.js";
 import { Form } from "./form.js";
 import { commands, showContainers, showDiff, showProblems, showUnits } from "./panels.js";
 
 const MAX_BYTES = 262144;
 const MAX_UNDO = 100;
-const state = { name: "agent.yaml", version: null, base: "", text: "", problems: [], undo: [], yamlChanged: false };
+const state = { name: "agent.yaml", version: null, base: "", text: "", problems: [], undo: [], yamlChanged: false, agents: {}, agentBase: null, delivering: false };
 let form = null;
 let queue = Promise.resolve();
 
@@ -41,23 +42,31 @@ async function apply(text, edits, rebuild, keep = true) {
 }
 
 function show(got, rebuild) {
-  state.problems = got.problems;
   if (!state.yamlChanged) byId("yaml").value = got.text;
   byId("form").inert = !got.usable;
   if (got.usable && rebuild) form.show(got.values);
   else if (got.usable) form.update(got.values);
-  form.mark(got.problems);
-  showProblems(got.problems, (key) => form.reveal(key));
+  showFound(got.problems);
   showUnits(got.units);
   showContainers(got.values);
   showDiff(got.diff);
   showState();
 }
 
+function showFound(problems) {
+  state.problems = problems;
+  form.mark(problems);
+  showProblems(problems, (key) => form.reveal(key));
+}
+
 function showState() {
   const changed = state.text !== state.base;
   byId("undo").disabled = state.undo.length === 0;
   byId("save").disabled = state.version === null || !changed;
+  const agent = state.agents[state.name];
+  byId("deliver-ip").hidden = state.version === null || !agent;
+  byId("deliver").disabled = changed || state.delivering;
+  byId("deliver").textContent = changed ? "Save it first, then deliver" : `Deliver to ${agent}`;
   const count = state.problems.length;
   const quality = count === 0 ? "valid" : `${count} problem${count === 1 ? "" : "s"}`;
   byId("state").textContent = `${state.name}: ${changed ? "changed, not saved" : "not changed"}, ${quality}`;
@@ -72,6 +81,8 @@ function load(name, text, version) {
 
 async function openFile(name) {
   const got = await postJson("api/config/open", { name });
+  state.agentBase = got.version;
+  byId("delivered").textContent = "";
   await load(got.name, got.text, got.version);
 }
 
@@ -86,6 +97,21 @@ async function save() {
   Object.assign(state, { version: got.version, base: state.text });
   await apply(state.text, [], false, false);
   byId("state").textContent = `${state.name}: saved`;
+}
+
+/** Problems that only the agent finds are shown at the fields, like all others. */
+async function deliverNow() {
+  await settled();
+  state.delivering = true;
+  showState();
+  try {
+    const got = await deliver(state, byId("delivered"));
+    if (got.ok) state.agentBase = state.version;
+    else if (got.problems.length) showFound(got.problems);
+  } finally {
+    state.delivering = false;
+    showState();
+  }
 }
 
 function variables() {
@@ -130,6 +156,7 @@ function listen() {
   byId("upload").addEventListener("change", trying(() => upload(byId("upload").files[0])));
   byId("save").addEventListener("click", trying(save));
   byId("download").addEventListener("click", trying(download));
+  byId("deliver").addEventListener("click", trying(deliverNow));
   byId("undo").addEventListener("click", trying(async () => {
     await settled();
     if (state.undo.length) await apply(state.undo.pop(), [], true, false);
@@ -166,6 +193,7 @@ async function begin() {
     return say("Configurations cannot be edited here.");
   }
   if (form) return say("");
+  state.agents = about.agents;
   form = new Form(byId("form"), await getJson("api/config/schema"), change);
   byId("file").append(...about.files.map((name) => el("option", { value: name, text: name })), el("option", { value: "", text: "a new configuration" }));
   return about.files.length ? openFile(about.files[0]) : load("agent.yaml", "", null);
