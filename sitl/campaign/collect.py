@@ -117,9 +117,11 @@ class Levels:
         self.reported = False
         self.since = 0.0
         """When this life of PHM began, in seconds of the monotonic clock."""
+        self.newest = 0.0
+        """When its newest event happened (monotonic seconds)."""
 
     def take(self, event: Event) -> None:
-        kind = event["event"]
+        kind, self.newest = event["event"], event["mono"]
         if kind == "start":
             self.units.clear()
             self.reported, self.since = False, event["mono"]

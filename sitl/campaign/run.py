@@ -37,6 +37,8 @@ STILL_S = 10.0
 """How long nothing may change with recovery off."""
 WELL_LIMIT_S = 120.0
 STEADY_S = 3.0
+RECORD_LIMIT_S = 60.0
+"""PHM tries a file that it could not write again after at most 30 s, and writes something every 20 s."""
 """All must have been well for so long before the next injection."""
 OWN = ("join_network", "reopen")
 """What PHM does to its own container and its own end of a link, in every mode: nothing of the vehicle is touched."""
@@ -205,6 +207,7 @@ class Runner:
             self._wait(lambda: False, AFTER_S)
         finally:
             self._clear(trial)
+        self._await_records([draw.agent for draw in plan.draws if self.faults[draw.fault].delays_record])
         well = self._recover([draw.agent for draw in plan.draws])
         trial = self._end(trial, well=well)
         for fault, agent in special:
@@ -252,6 +255,11 @@ class Runner:
         self.injector.clear(trial.injections)
         for each in trial.injections:
             self._pacing.ended(each.agent, each.unit, time.monotonic())
+
+    def _await_records(self, agents: Sequence[int]) -> None:
+        """Wait until the records of these agents have something newer than now, thus all before it."""
+        now = time.monotonic()
+        self._wait(lambda: all(self.watch.levels[agent].newest > now for agent in agents), RECORD_LIMIT_S)
 
     def _healed_limit_s(self, trial: Trial) -> float:
         """How long the recovery of its faults may take: some can only be detected late."""

@@ -183,6 +183,7 @@ class Fault(ABC):
     needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
     shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it; ``starvation``, somebody who
     judges its symptoms as those of one cause, which `sitl.bench.starvation` does.
+    delays_record: PHM can write its record of it only once it is cleared.
     least: how many agents its swarm must have for it to be what it says.
     evidence: the earliest event on board that reveals it (a missed heartbeat, a missed period, a kernel event), and
     evidence_s: how many seconds after the injection that event happens, at the latest; None: not stated yet.
@@ -204,6 +205,7 @@ class Fault(ABC):
     passes: ClassVar[bool] = False
     prepared: ClassVar[str] = ""
     needs: ClassVar[frozenset[str]] = frozenset()
+    delays_record: ClassVar[bool] = False
     least: ClassVar[int] = 1
     evidence: ClassVar[str] = ""
     evidence_s: ClassVar[float | None] = None

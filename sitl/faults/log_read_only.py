@@ -22,6 +22,7 @@ class Injection(Fault):
     level = "WARN"
     layer = "companion"
     healable = False
+    delays_record = True
     cause = "an SD card at its end of life, or a damaged file system, takes no more writes"
     evidence, evidence_s = "the first line that PHM cannot write, at the latest that of its next report", 3.0
     evidence_period_s = 3.0

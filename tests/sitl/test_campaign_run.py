@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -102,6 +103,26 @@ def test_an_aborted_run_has_what_was_observed(runner: Runner, monkeypatch: pytes
     early = runner.aborted("trial", 5, NotOk("not well"))
     assert (early.number, early.aborted, early.injections) == (5, "trial: NotOk: not well", [])
     assert early.setting == {"seed": 7}
+
+
+def test_a_trial_has_what_was_recorded_only_after_the_fault(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While PHM's log is read-only, its record is kept in memory: the trial ends when it is written."""
+    levels, late = runner.watch.levels[1], []
+
+    def wait(wanted: Callable[[], bool], limit_s: float) -> bool:
+        if limit_s == run.RECORD_LIMIT_S:
+            late.append(wanted())
+            levels.take({"event": "heard", "mono": time.monotonic()})
+            late.append(wanted())
+        return True
+
+    monkeypatch.setattr(runner, "_wait", wait)
+    runner.trial(PLAN)
+    assert late == [True, True], "nothing is awaited of other faults"
+    late.clear()
+    monkeypatch.setattr(Planned, "delays_record", True)
+    runner.trial(PLAN)
+    assert late == [False, True]
 
 
 def test_the_load_is_renewed_after_the_pause(runner: Runner, steps: Steps) -> None:
