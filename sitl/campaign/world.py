@@ -14,6 +14,8 @@ from sitl.campaign.trial import Injection
 from sitl.faults.base import Agent, Fault
 
 POLL_S = 0.2
+FIRST_POLL_S, FIRST_S = 0.03, 3.0
+"""How often at first: PHM reconnects a network 0.1 s after its loss, and a world that was never seen broken confirms nothing."""
 JOIN_S = 30.0
 """Longer than one observation may take on a busy machine."""
 Connect = Callable[[], DockerClient]
@@ -30,7 +32,7 @@ class WorldObserver:
         self._threads: list[threading.Thread] = []
 
     def start(self, injections: Sequence[Injection]) -> None:
-        """Watch these; one that is not injected yet is watched as soon as it is."""
+        """Watch these; one that is not injected yet is watched as soon as its injection begins."""
         self.stop()
         self._ending = threading.Event()
         self._threads = [
@@ -49,18 +51,19 @@ class WorldObserver:
         self._threads = []
 
     def _watch(self, injection: Injection, ending: threading.Event) -> None:
-        while injection.moment is None:
-            if ending.wait(POLL_S / 4) or injection.error:
-                return
         client = self._connect()  # one for each thread: they are not safe to share
         try:
             agent = replace(self._agents[injection.agent], docker=client)
-            while not ending.is_set():
+            while injection.asked is None:
+                if ending.wait(FIRST_POLL_S) or injection.error:
+                    return
+            while not ending.is_set() and not (injection.moment is None and injection.error):
                 began = time.monotonic()
                 seen = self._ask(injection, agent)
-                if not ending.is_set():
+                # Before the injection has ended, only a broken world says something: PHM may be faster than the injection's end.
+                if not ending.is_set() and (injection.moment is not None or seen is False):
                     observe(injection, seen, began)
-                ending.wait(POLL_S)
+                ending.wait(FIRST_POLL_S if began - injection.asked < FIRST_S else POLL_S)
         finally:
             client.close()
 

@@ -71,14 +71,14 @@ def test_restored_counts_from_the_last_unbroken_series() -> None:
 
 
 def test_the_world_is_observed_from_the_injection_on() -> None:
-    """Not before it; with a Docker client of its own; until the observer is stopped. An error of Docker is not an answer."""
+    """Not before it begins; with a Docker client of its own; until the observer is stopped. An error of Docker is not an answer."""
     fault, clients = Observed(False, APIError("busy"), True), [Mock(), Mock()]
     agent = Agent("p", "agent_3", docker=Mock(), number=3)
     observer = WorldObserver({"observed": fault}, {3: agent}, iter(clients).__next__)
-    made = unseen(fault="observed", moment=None)
+    made = unseen(fault="observed", asked=None, moment=None)
     observer.start([made])
     assert fault.asked == 0
-    made.moment = time.monotonic()
+    made.asked = made.moment = time.monotonic()
     until(lambda: made.world is not None)
     observer.stop()
     asked = fault.asked
@@ -90,10 +90,28 @@ def test_the_world_is_observed_from_the_injection_on() -> None:
     assert fault.asked == asked
 
 
+def test_a_world_that_is_restored_before_the_injection_returns_was_broken() -> None:
+    """PHM may reconnect a network while the injector still waits for the engine's answer; that nothing is broken yet, or cannot be
+    observed, says nothing meanwhile.
+    """
+    fault = Observed(True, APIError("busy"), False, True)
+    observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
+    made = unseen(fault="observed", asked=time.monotonic(), moment=None)
+    observer.start([made])
+    until(lambda: fault.asked > 5)
+    assert made.world is None
+    made.moment = time.monotonic()
+    until(lambda: made.world is not None)
+    observer.stop()
+    assert made.world_broken is not None
+    assert made.world is not None
+    assert made.world_broken < made.moment <= made.world
+
+
 def test_a_fault_that_was_not_injected_is_not_observed() -> None:
     """Its observer ends by itself."""
     fault = Observed(True)
-    made = unseen(fault="observed", moment=None, error="RuntimeError: refused")
+    made = unseen(fault="observed", asked=None, moment=None, error="RuntimeError: refused")
     observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
     observer.start([made])
     until(lambda: not any(thread.name == "world observed" for thread in threading.enumerate()))
@@ -103,7 +121,7 @@ def test_a_fault_that_was_not_injected_is_not_observed() -> None:
 def test_an_unexpected_error_ends_no_observation() -> None:
     """A look that fails says nothing, and interrupts a series of looks at a restored world."""
     fault = Observed(False, True, subprocess.TimeoutExpired("top", 2.0), True)
-    made = unseen(fault="observed", moment=time.monotonic())
+    made = unseen(fault="observed", asked=time.monotonic(), moment=time.monotonic())
     observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
     assert [observer._ask(made, Mock()) for _ in range(2)] == [False, True]
     made.world = 5.0
