@@ -161,7 +161,7 @@ class Pipeline:
             return self._tracker.failing_dependents(unit, mono)
 
     def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
-        """Dependents of `unit` that were OK before and of which no run since `mono` could tell: see `Tracker.unknown_dependents`."""
+        """Dependents of `unit` that were OK before and are unknown by their runs since `mono`: see `Tracker.unknown_dependents`."""
         with self._lock:
             return self._tracker.unknown_dependents(unit, mono)
 

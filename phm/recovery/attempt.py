@@ -167,7 +167,7 @@ class Attempt:
             )
         report(Phase.DONE, result.detail)
         hooks = VerificationHooks(stopping, self._end_hold, wanted)
-        verified = self._verifier.verify(self._fault, target, self._type, hooks)
+        verified = self._verifier.verify(self._fault, target, self._action, hooks)
         return self._outcome(verified, not_needed=result.not_needed)
 
     def release(self, *, worked: bool) -> None:

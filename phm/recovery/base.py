@@ -16,6 +16,7 @@ from phm.core.model import Fault
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
 from phm.recovery.containers.cpu_weights import CpuWeights
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.safety.flight_critical import Impact
 from phm.recovery.target import Target
 from phm.transport.docker import DockerEngine
@@ -61,6 +62,10 @@ def _no_autopilot() -> AutopilotFact | None:
     return None
 
 
+def _not_known_armed() -> ArmedStatus:
+    return ArmedStatus(ArmedState.UNKNOWN, "no autopilot is watched")
+
+
 def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractContextManager[None]:
     return nullcontext()
 
@@ -77,6 +82,7 @@ class ActionContext:
     link:       the MAVLink endpoint of this name now, or None when there is none.
     autopilot:  the vehicle's autopilot now, or None when it was never received.
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
+    armed:      the armed state of the vehicle now.
     relief:     lowers CPU weights and restores them later.
     on_hold:    why a container must not be restarted as a dependent: it is on hold, or an operator stopped it; empty: it may.
     lock_dependent: locks a dependent; while it is entered, what fails there follows from the recovery of this fault.
@@ -94,6 +100,7 @@ class ActionContext:
     reopen: Callable[[str, float], bool] = _no_link
     lock_dependent: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
     on_hold: Callable[[str], str] = lambda key: ""
+    armed: Callable[[], ArmedStatus] = _not_known_armed
     relief: CpuWeights | None = None
 
 
@@ -111,10 +118,10 @@ class Action(ABC):
     """The unit and everything that needs it must be found OK by runs that began this long after the action: for actions after
     which all looks OK for a moment (a container that starts and exits again, a node that is listed but cut off)."""
 
-    still_bad_after_s: ClassVar[float | None] = None
+    still_bad_after_s: float | None = None
     """A run of the unit's check that began this long after the action and is still ERROR says that it has not helped: for
     actions that work immediately or never. None: the unit's grace and two seconds."""
-    dependents_within_s: ClassVar[float | None] = None
+    dependents_within_s: float | None = None
     """What needs the unit must have recovered this long after the action: for actions after which nothing has to start. None: its grace
     and two seconds, and `verify_after_s`."""
 

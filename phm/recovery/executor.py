@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 
 from phm.checking.pipeline import Pipeline
@@ -71,7 +72,7 @@ class Executor:
         self._generations = GenerationTracker(context.container, clock, verify_s)
         self._new_attempt = partial(
             Attempt,
-            context=context,
+            context=replace(context, armed=armed),
             pipeline=pipeline,
             clock=clock,
             locks=self.locks,

@@ -111,7 +111,7 @@ class Verification:
         counts_from = self.done + self.verify_after_s
         failing = checks.failing_dependents(self.unit, counts_from)
         if not failing and checks.ok_since(self.unit, counts_from):
-            # Not known is not back. It is not missing either: what nobody can tell in `verify_s` restarts nothing.
+            # Not known is not back. It is not missing either: what stays unknown for `verify_s` restarts nothing.
             self.waiting = checks.unknown_dependents(self.unit, counts_from)
             return None if self.waiting and now - self.done <= self.verify_s else VerificationResult()
         self.waiting = failing or self.waiting
@@ -162,7 +162,7 @@ class Verifier:
         self._pipeline, self._clock, self._generations = pipeline, clock, generations
         self._grace_s, self._verify_s = grace_s, verify_s
 
-    def verify(self, fault: Fault, target: str, action: type[Action], hooks: VerificationHooks) -> VerificationResult:
+    def verify(self, fault: Fault, target: str, action: Action, hooks: VerificationHooks) -> VerificationResult:
         """Verify an action that has just ended. A start of the container that the action did not cause ends the wait."""
         verification = Verification(
             fault.unit,

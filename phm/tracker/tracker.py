@@ -102,9 +102,9 @@ class Tracker:
 
     def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         """Dependents of `unit` in the same target that were OK since its container started, and whose newest run since `mono`
-        could not tell.
+        found them unknown.
 
-        Example: PHM was taken off the network, too, and its ROS child has just been restarted. That is no evidence that nodes
+        Example: PHM was taken off the network, too, and its ROS child has just been restarted. That does not show that the nodes
         are back.
         """
         below = (self._units[name] for name in self._below(self._units[unit]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sitl.faults._world import answers, app_runs, attached
+from sitl.faults._world import answers, app_runs, attached, found_by_others, runs
 from sitl.faults.base import STOP_S, Agent
 
 
@@ -20,13 +20,18 @@ def connect_both(agent: Agent, name: str) -> None:
         if name in container.attrs["NetworkSettings"]["Networks"]:
             network.disconnect(container, force=True)
         network.connect(container, aliases=aliases)
-        if aliases:
-            # Nodes that were cut off for longer than their lease do not find each other again.
-            container.restart(timeout=STOP_S)
+    restart_if_lost(agent)
+
+
+def restart_if_lost(agent: Agent) -> None:
+    """Restart an application that was connected again and has not been restarted since: nodes that start later would not find it."""
+    app = agent.app
+    if runs(app) and not found_by_others(app):
+        app.restart(timeout=STOP_S)
 
 
 def both_connected(agent: Agent, name: str) -> bool:
-    """Whether PHM and the running application are on the network, and the application's address answers."""
+    """Whether PHM and the running application are on the network, and the application answers and can be found there."""
     app = agent.app
     connected = attached(agent, app, name) and attached(agent, agent.sidecar, name)
-    return connected and app_runs(agent) and answers(app)
+    return connected and found_by_others(app) and app_runs(agent) and answers(app)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+from pathlib import Path
 from typing import Any
 
 from docker.errors import NotFound
@@ -15,6 +16,8 @@ from sitl.faults.base import Agent
 CONNECT_S = 0.5
 UNUSED_PORT = 9
 """No process listens there, so a kernel that the connection reaches refuses it immediately."""
+DISCOVERY_GROUP = "0100FFEF"
+"""239.255.0.1 as the kernel prints it on a little-endian machine."""
 
 
 def runs(container: Container) -> bool:
@@ -33,6 +36,25 @@ def answers(container: Container) -> bool:
     """Whether the container has an address on each of its networks, and its kernel answers a TCP connection to it."""
     networks = container.attrs["NetworkSettings"]["Networks"]
     return bool(networks) and all(_responds(network["IPAddress"]) for network in networks.values())
+
+
+def found_by_others(container: Container) -> bool:
+    """Whether nodes that start later find those of this container: a socket there has joined the group of DDS discovery on an
+    interface that others can reach. A new interface has the address of the old one, but not its groups.
+    """
+    return joined(Path(f"/proc/{container.attrs['State']['Pid']}/net/igmp").read_text("ascii"))
+
+
+def joined(igmp: str) -> bool:
+    """Whether this content of a /proc/net/igmp has the group of DDS discovery on an interface other than the loopback."""
+    device = ""
+    for line in igmp.splitlines()[1:]:
+        words = line.split()
+        if not line.startswith("\t"):
+            device = words[1]
+        elif words[0] == DISCOVERY_GROUP and device != "lo":
+            return True
+    return False
 
 
 def _responds(address: str) -> bool:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 
-from sitl.faults._world import answers, app_runs, attached
-from sitl.faults.base import STOP_S, Agent, Fault
+from sitl.faults._networks import restart_if_lost
+from sitl.faults._world import answers, app_runs, attached, found_by_others
+from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
@@ -30,10 +31,11 @@ class Injection(Fault):
         app = agent.app
         if self._network and self._network not in app.attrs["NetworkSettings"]["Networks"]:
             agent.docker.networks.get(self._network).connect(app, aliases=["ros_app"])
-            # Nodes that were cut off for longer than their lease do not find each other again (seen: not in 90 s).
-            app.restart(timeout=STOP_S)
+        restart_if_lost(agent)
 
     def restored(self, agent: Agent) -> bool | None:
         if not self._network:
             return None
-        return app_runs(agent) and attached(agent, agent.app, self._network) and answers(agent.app)
+        app = agent.app
+        # The quick looks first: PHM may have connected it again a tenth of a second later.
+        return attached(agent, app, self._network) and found_by_others(app) and app_runs(agent) and answers(app)

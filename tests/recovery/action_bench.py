@@ -61,6 +61,7 @@ class Bench:
             lambda key, network: None,
             listed_nodes=lambda: self.nodes,
             lock_dependent=self._holding,
+            armed=self._armed,
         )
 
     def run(self, action: type[Action], key: str, of: Fault) -> str:

@@ -96,7 +96,7 @@ class Unseen(Silent):
 @pytest.mark.parametrize(
     ("back", "expected"), [(True, VerificationResult()), (False, VerificationResult(missing="nodes/one", partly=True))]
 )
-def test_dependents_that_nobody_sees_are_not_back(back: bool, expected: VerificationResult) -> None:
+def test_dependents_that_are_unknown_are_not_back(back: bool, expected: VerificationResult) -> None:
     """PHM's ROS child has just been restarted: its ignorance does not verify that a reconnection has brought back the nodes."""
     verification = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=6.0)
     unseen = Unseen(13.0, back=back)

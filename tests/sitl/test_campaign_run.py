@@ -64,6 +64,7 @@ def runner(tmp_path: Path, steps: Steps, monkeypatch: pytest.MonkeyPatch) -> Run
     swarm = Mock(agents=[agent], ground_url="udpin:127.0.0.1:0")
     made = Runner(swarm, {"planned": Planned()}, ALL["shipped"], lambda words: None, steps)  # type: ignore[arg-type]
     made.meter = Mock(costs=list)
+    made.injector._world = Mock()  # there is nothing to observe
     monkeypatch.setattr(made, "_wait", lambda wanted, limit_s: wanted() or True)
     monkeypatch.setattr(made, "_well", lambda limit_s: None)
     monkeypatch.setattr(made, "_rest", lambda draws: steps.done.append("rest"))

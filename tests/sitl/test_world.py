@@ -76,6 +76,21 @@ def test_a_container_is_attached_to_the_network_of_now(mine: str, members: list[
     assert _world.attached(agent, container(NetworkSettings=networks(mine)), "net") is expected
 
 
+IGMP = """Idx\tDevice    : Count Querier\tGroup    Users Timer\tReporter
+1\tlo        :     2      V3
+\t\t\t\t0100FFEF     3 0:00000000\t\t0
+\t\t\t\t010000E0     1 0:00000000\t\t0
+3722\teth1      :     2      V3
+\t\t\t\t%s010000E0     1 0:00000000\t\t0
+"""
+
+
+def test_a_container_connected_again_is_not_found_by_others() -> None:
+    """As recorded before and after `docker network disconnect` and `connect`: the new interface has none of the groups."""
+    assert not _world.joined(IGMP % "")
+    assert _world.joined(IGMP % "0100FFEF     3 0:00000000\t\t0\n\t\t\t\t")
+
+
 def test_an_address_answers_by_refusing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A kernel that refuses the connection has been reached; silence and no address are no answer."""
     with socket.create_server(("127.0.0.1", 0)) as server:

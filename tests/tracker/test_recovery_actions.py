@@ -129,7 +129,7 @@ def test_a_repair_counts_only_after_verification() -> None:
     assert bench.opened == ["network"]
 
 
-def test_a_dependent_that_nobody_sees_is_unknown_if_it_was_ok_before() -> None:
+def test_a_dependent_counts_as_unknown_if_it_was_ok_before() -> None:
     """A unit that was never OK since its container started proves nothing by staying unknown."""
     bench = Bench(
         [unit("network", target="app"), *(unit(name, "network", target="app") for name in ("nodes", "topic"))]

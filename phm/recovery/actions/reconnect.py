@@ -10,28 +10,34 @@ from phm.facts import CannotTell, ContainerFact
 from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
 from phm.recovery.actions.join_network import join_networks
+from phm.recovery.actions.restart import Restart, restart_dependents, restart_gracefully
 from phm.recovery.base import Action, ActionContext, NotNeeded, NotYet, container_settings
-from phm.recovery.safety.flight_critical import Impact
+from phm.recovery.safety.flight_critical import FlightCriticalError, Impact
 from phm.recovery.target import Target
 
 
 class Reconnect(Action):
-    """Disconnect a container from its expected networks by force and connect it as it was.
+    """Disconnect a container from its expected networks by force and connect it as it was; restart its ROS nodes if the vehicle is
+    disarmed.
 
     The old attachment may be half there, or belong to a network that was recreated under the same name,
     so ids decide and not names; aliases and a fixed address are given back.
+
+    The container gets a new network interface, on which the sockets of its programs have not joined their multicast groups.
+    Nodes keep the connections that they had if the outage was shorter than their DDS lease, but nodes and tools that start
+    later never find them. Only a restart of the program changes that.
     """
 
     name = "reconnect"
-    starts = False
     impact = Impact.NETWORK
+    deadline_s = Restart.deadline_s
     # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
     verify_after_s = 2.0
     # The kernel of an attached interface answers at once; one whose address is silent now stays so.
-    still_bad_after_s = 1.0
+    still_bad_after_s: float | None = 1.0
     # Its processes go on and find each other by the next announcement, 3 s apart by Fast DDS's default, or not at all: a socket
     # keeps its multicast membership on the interface that is gone.
-    dependents_within_s = 6.0
+    dependents_within_s: float | None = 6.0
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         container = container_settings(target)
@@ -50,7 +56,31 @@ class Reconnect(Action):
         if not done:
             return NotNeeded(f"{target.key} is already connected")
         waits = f"; {not_there(gone)}" if gone else ""
-        return f"reconnected {target.key} to {', '.join(done)}{waits}{_join(container, context)}"
+        joined = _join(container, context)
+        return (
+            f"reconnected {target.key} to {', '.join(done)}{waits}{joined}{self._renew_sockets(target, fault, context)}"
+        )
+
+    def _renew_sockets(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        """Restart the container if ROS nodes run in it, and only while the vehicle is disarmed: in the air the connections that are
+        left are worth more than those that could be made. A ladder of the user without `restart` forbids it.
+        """
+        settings = context.settings
+        has_nodes = any(settings.container_of_node(node.name) == target.key for node in settings.ros.nodes)
+        ladder = settings.recovery.ladders.get(fault.result.condition, [Restart.name])
+        fact = context.container(target.key)
+        if not has_nodes or Restart.name not in ladder or fact is None or not fact.running:
+            return ""
+        later = f"; nodes that start later find those of {target.key} only after its restart, which is not done now"
+        armed = context.armed()
+        if armed.restricts:
+            return f"{later}: {armed.why}"
+        try:
+            restart_gracefully(fact, context)
+        except FlightCriticalError as error:
+            return f"{later}: {error}"
+        self.still_bad_after_s = self.dependents_within_s = None  # now something has to start
+        return f" and restarted it: its sockets had left their multicast groups{restart_dependents(target, fault, context)}"
 
 
 def _join(container: ContainerSettings, context: ActionContext) -> str:

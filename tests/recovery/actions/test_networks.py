@@ -134,6 +134,42 @@ def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: Do
     assert made.run(Reconnect, "app", OFF) == "app is already connected"
 
 
+NODES = {"nodes": [{"name": "/agent_1/node_1", "container": "app"}]}
+
+
+@pytest.mark.parametrize(
+    ("armed", "more", "done"),
+    [
+        (False, {"ros": NODES}, ["connect", "restart"]),
+        (True, {"ros": NODES}, ["connect"]),
+        (False, {}, ["connect"]),
+        (False, {"ros": NODES, "recovery": {"ladders": {"disconnected": ["reconnect"]}}}, ["connect"]),
+        (
+            False,
+            {"ros": NODES, "recovery": {"ladders": {"disconnected": ["reconnect", "restart"]}}},
+            ["connect", "restart"],
+        ),
+    ],
+)
+def test_nodes_are_restarted_on_a_new_interface_unless_the_vehicle_may_be_armed(
+    fake: FakeEngine, ask: DockerEngine, armed: bool, more: dict[str, Any], done: list[str]
+) -> None:
+    """Their sockets have not joined its multicast groups, so nothing that starts later would find them. Other containers, and a
+    ladder that has no restart, get none.
+    """
+    fake.containers["app"] = container("app", networks={})
+    fake.networks["swarm"] = {"Id": "new"}
+    made = bench(ask, containers=[APP], **more)
+    made.armed = armed
+    action = Reconnect()
+    words = action.run(made.target("app"), OFF, made.context())
+    assert changes(fake) == done
+    restarted = "restart" in done
+    assert ("and restarted it: its sockets had left their multicast groups" in words) is restarted
+    assert ("only after its restart, which is not done now" in words) is armed
+    assert action.dependents_within_s == (None if restarted else Reconnect.dependents_within_s)
+
+
 def test_phm_joins_the_existing_networks(fake: FakeEngine, ask: DockerEngine) -> None:
     """A missing network does not prevent it from joining the others."""
     made = agent(fake, ask, exists=True)
