@@ -4,44 +4,83 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from phm.cli.hold import Duration
 from phm.cli.options import config_option, run_dir_option
 
 if TYPE_CHECKING:
     from phm.doctor.context import Surroundings
     from phm.logs.bundle import Bundle
+    from phm.logs.deadline import Deadline
     from phm.logs.secrets import Secrets
 
 MOST_CONFIGURATION = 1_000_000
 SHOWN = 40
+SHARES = {
+    "settings": 0.1,
+    "key": 0.15,
+    "phm.yaml": 0.2,
+    "containers": 0.4,
+    "versions.json": 0.45,
+    "status.json": 0.5,
+    "doctor.txt": 0.65,
+}
+"""The part of the time after which each is not waited for, in this order: one that hangs must not cost what comes after it."""
+UNKNOWN_SECRETS = "not known, so it is not removed where it is elsewhere in the bundle"
+T = TypeVar("T")
 
 
 @click.command(epilog="Example: phm logs bundle problem.tar.gz")
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @config_option
 @run_dir_option
-def bundle(file: Path, config: str | None, run_dir: str) -> None:
+@click.option(
+    "--timeout",
+    "timeout_s",
+    metavar="TIME",
+    type=Duration(),
+    default="3min",
+    show_default=True,
+    help="For everything; what was not collected by then is listed.",
+)
+def bundle(file: Path, config: str | None, run_dir: str, timeout_s: float) -> None:
     """Write one file for a report of a problem, without secrets.
 
     FILE, a .tar.gz, must not exist. In it: logs, configuration, versions, status, the output of `phm doctor`, and logs and
     inspect output of the configured containers. What was removed is listed, and in REMOVED.txt. Exit code 0; 1: not written.
     """
-    from phm.cli.doctor import surroundings
     from phm.logs import bundle as made
+    from phm.logs.deadline import Deadline
     from phm.logs.secrets import Secrets
 
-    known = _Known(surroundings(config), run_dir, Secrets())
+    deadline = Deadline(timeout_s)
+    known = _Known(_surroundings(config, deadline), run_dir, Secrets(), deadline)
     known.look(config)
     try:
-        done = made.write(file, known.fill, known.secrets)
+        done = made.write(file, known.fill, known.secrets, deadline)
     except OSError as error:
         raise click.ClickException(f"cannot write {file}: {error.strerror}") from None
     _show(file, done)
+
+
+def _surroundings(config: str | None, deadline: Deadline) -> Surroundings:
+    """With the defaults where the configuration cannot be read in time."""
+    from phm.cli.doctor import surroundings
+    from phm.core.settings import Settings
+    from phm.doctor.context import Surroundings
+    from phm.logs.deadline import Late
+
+    try:
+        return deadline.within(SHARES["settings"], lambda: surroundings(config))
+    except Late as error:
+        return Surroundings(Settings(), problem=f"the configuration: {error}")
 
 
 @dataclass
@@ -51,6 +90,7 @@ class _Known:
     surroundings: Surroundings
     run_dir: str
     secrets: Secrets
+    deadline: Deadline
     configuration: str | None = None
     containers: dict[str, tuple[str, Any]] = field(default_factory=dict)
     missing: list[tuple[str, str]] = field(default_factory=list)
@@ -66,9 +106,14 @@ class _Known:
 
     def _key(self, path: str | None) -> None:
         """The signing key, as it is in its file, in hexadecimal digits, and as text."""
+        from phm.logs.deadline import Late
+
         try:
-            data = Path(path).read_bytes()[:4096] if path else b""
+            data = self.deadline.within(SHARES["key"], lambda: _read(Path(path), 4096)) if path else b""
         except OSError:
+            return
+        except Late as error:
+            self.missing.append(("MAVLink signing key", f"{error}; it is {UNKNOWN_SECRETS}"))
             return
         what = "MAVLink signing key"
         for text in (data.hex(), data.hex().upper(), data.decode("latin-1").strip()):
@@ -78,14 +123,17 @@ class _Known:
         import yaml
 
         from phm.config import find
+        from phm.logs.deadline import Late
 
         path = find(config)
         try:
-            with open(path, encoding="utf-8") as stream:
-                text = stream.read(MOST_CONFIGURATION + 1)
+            text = self.deadline.within(SHARES["phm.yaml"], lambda: _read(path, MOST_CONFIGURATION + 1)).decode("utf-8")
             if len(text) > MOST_CONFIGURATION:
                 raise ValueError(f"larger than {MOST_CONFIGURATION} bytes")
             tree = yaml.safe_load(text)
+        except Late as error:
+            self.missing.append(("phm.yaml", f"{path}: {error}; what is secret in it is {UNKNOWN_SECRETS}"))
+            return
         except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             # Without its structure, values of several lines cannot be found.
             self.missing.append(
@@ -102,12 +150,18 @@ class _Known:
     def _containers(self) -> None:
         from phm.facts import CannotTell
         from phm.logs import containers
+        from phm.logs.deadline import Late
 
         engine = self.surroundings.engine
         for container in self.surroundings.settings.containers:
             try:
-                ref = containers.reference(engine, container)
-                inspected = engine.inspect(ref, deadline_s=containers.DEADLINE_S)
+                ref, inspected = self.deadline.within(
+                    SHARES["containers"], partial(containers.inspected, engine, container)
+                )
+            except Late as error:
+                why = f"the engine did not answer: {error}; what is secret in it is {UNKNOWN_SECRETS}"
+                self.missing.append((f"container {container.key}", why))
+                continue
             except CannotTell as error:
                 self.missing.append((f"container {container.key}", str(error)))
                 continue
@@ -118,33 +172,64 @@ class _Known:
     # ------------------------------------------------------------ writing
 
     def fill(self, target: Bundle) -> None:
-        from phm.facts import CannotTell
-        from phm.logs import bundle as made, containers
+        from phm.logs import bundle as made
 
         target.missing += self.missing
         if self.configuration is not None:
             target.text("phm.yaml", self.configuration, urls=True)
-        target.tree("versions.json", _versions())
+        self._part("versions.json", _versions, lambda found: target.tree("versions.json", found), target)
         environ = made.chosen(os.environ)
         target.tree("environment.json", [f"{name}={value}" for name, value in environ.items()])
         self._status(target)
-        target.text("doctor.txt", _doctor(self.surroundings), urls=True)
-        for key, (ref, inspected) in self.containers.items():
-            folder = f"containers/{made.file_name(key)}"
-            target.tree(f"{folder}/inspect.json", inspected)
-            try:
-                target.text(f"{folder}/log.txt", containers.log(self.surroundings.engine, ref))
-            except CannotTell as error:
-                target.missing.append((f"log of container {key}", str(error)))
+        self._part(
+            "doctor.txt",
+            lambda: _doctor(self.surroundings, self.deadline.left(SHARES["doctor.txt"])),
+            lambda text: target.text("doctor.txt", text, urls=True),
+            target,
+        )
+        for key, (_, inspected) in self.containers.items():
+            target.tree(f"containers/{made.file_name(key)}/inspect.json", inspected)
         target.logs(Path(self.surroundings.settings.log.directory))
+        for key, (ref, _) in self.containers.items():
+            self._container_log(key, ref, target)
 
     def _status(self, target: Bundle) -> None:
         from phm.wire import status_file
 
+        self._part(
+            "status.json",
+            lambda: status_file.read(self.run_dir),
+            lambda found: target.tree("status.json", found),
+            target,
+        )
+
+    def _container_log(self, key: str, ref: str, target: Bundle) -> None:
+        from phm.logs import bundle as made, containers
+
+        self._part(
+            f"log of container {key}",
+            lambda: containers.log(self.surroundings.engine, ref),
+            lambda text: target.text(f"containers/{made.file_name(key)}/log.txt", text),
+            target,
+        )
+
+    def _part(self, what: str, get: Callable[[], T], add: Callable[[T], None], target: Bundle) -> None:
+        """Get it in its share of the time, and add it; or list why it is not there."""
+        from phm.facts import CannotTell
+        from phm.logs.deadline import Late
+        from phm.wire.status_file import NoStatus
+
         try:
-            target.tree("status.json", status_file.read(self.run_dir))
-        except status_file.NoStatus as error:
-            target.missing.append(("status.json", str(error)))
+            found = self.deadline.within(SHARES.get(what, 1.0), get)
+        except (CannotTell, Late, NoStatus, OSError) as error:
+            target.missing.append((what, str(error)))
+            return
+        add(found)
+
+
+def _read(path: Path, most: int) -> bytes:
+    with open(path, "rb") as stream:
+        return stream.read(most)
 
 
 def _versions() -> dict[str, Any]:
@@ -157,11 +242,12 @@ def _versions() -> dict[str, Any]:
     return {"phm": __version__, **system, "packages": packages[:1000]}
 
 
-def _doctor(surroundings: Surroundings) -> str:
-    from phm.doctor.examination import examine
+def _doctor(surroundings: Surroundings, limit_s: float) -> str:
+    from phm.doctor.examination import LIMIT_S, examine
 
     lines = []
-    for group, rows in examine(surroundings).items():
+    # A second less: what the other groups found is there although one hangs.
+    for group, rows in examine(surroundings, limit_s=min(LIMIT_S, max(0.1, limit_s - 1.0, limit_s / 2))).items():
         for row in map(asdict, rows):
             remedy = f" -> {row['remedy']}" if row["remedy"] else ""
             lines.append(f"{group}: {row['name']}: {row['state']}: {row['text']}{remedy}")

@@ -16,14 +16,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, cast
 
+from phm.logs.deadline import Deadline, Late
 from phm.logs.secrets import MOST_LINE, Secrets, listed
 from phm.wire import json_log
 
 MOST_LOG_BYTES = 40_000_000
 """Of all logs of PHM together, not compressed; the newest files first."""
 MOST_REMOVED = 1000
-LIMIT_S = 120.0
-"""After this, further logs are left out."""
+LIMIT_S = 180.0
+"""For everything, unless the caller says another."""
+LOGS_SHARE = 0.9
+"""Of the time; then further logs are left out."""
 _BROKEN = (OSError, EOFError, zlib.error)
 _ROOT = "phm-bundle"
 
@@ -40,7 +43,7 @@ class Bundle:
     """Name and bytes."""
     missing: list[tuple[str, str]] = field(default_factory=list)
     """What, and why it is not in it."""
-    end: float = field(default_factory=lambda: time.monotonic() + LIMIT_S)
+    deadline: Deadline = field(default_factory=lambda: Deadline(LIMIT_S))
 
     def tree(self, name: str, tree: Any) -> None:
         """As JSON."""
@@ -55,12 +58,20 @@ class Bundle:
     def logs(self, directory: Path) -> None:
         """`phm.jsonl` and `phm.log` with what rotation made of them, the newest first, not compressed inside."""
         left = MOST_LOG_BYTES
-        found = [(file, base) for base in ("phm.jsonl", "phm.log") for file in json_log.files(directory / base)[::-1]]
+        try:
+            found = self.deadline.within(LOGS_SHARE, lambda: _found(directory))
+        except (OSError, Late) as error:
+            self.missing.append(("logs", f"{directory}: {error}"))
+            return
         if not found:
             self.missing.append(("logs", f"no phm.jsonl and no phm.log in {directory}"))
         for file, _base in sorted(found, key=lambda pair: _age(*pair)):
-            if left <= 0 or time.monotonic() > self.end:
-                why = "takes too long" if left > 0 else f"more than {MOST_LOG_BYTES // 1_000_000} MB of logs"
+            if left <= 0 or not self.deadline.left(LOGS_SHARE):
+                why = (
+                    f"no time was left for it in {self.deadline.seconds:g} s"
+                    if left > 0
+                    else f"more than {MOST_LOG_BYTES // 1_000_000} MB of logs"
+                )
                 self.missing.append((f"logs/{file.name}", why))
                 continue
             left -= self._log(file, left)
@@ -83,15 +94,21 @@ class Bundle:
     def _log(self, file: Path, limit: int) -> int:
         """Returns the bytes that were added."""
         name = f"logs/{file.name.removesuffix(json_log.COMPRESSED)}"
-        with tempfile.TemporaryFile() as spool:
+        with tempfile.TemporaryFile() as raw, tempfile.TemporaryFile() as spool:
             try:
-                for line in self._cleaned(_lines(file, limit), name):
-                    spool.write(line.encode("utf-8", "surrogateescape") + b"\n")
-                    if time.monotonic() > self.end:
-                        self.missing.append((name, "its rest: takes too long"))
-                        break
-            except _BROKEN as error:
-                self.missing.append((name, f"its rest: {getattr(error, 'strerror', None) or error}"))
+                broken = self.deadline.within(LOGS_SHARE, lambda: _copy(file, limit, raw, self.deadline))
+            except (OSError, Late) as error:
+                self.missing.append((name, getattr(error, "strerror", None) or str(error)))
+                return 0
+            if broken:
+                self.missing.append((name, f"its rest: {broken}"))
+            raw.seek(0)
+            lines = (line.rstrip(b"\n").decode("utf-8", "surrogateescape") for line in raw)
+            for line in self._cleaned(lines, name):
+                spool.write(line.encode("utf-8", "surrogateescape") + b"\n")
+                if not self.deadline.left(LOGS_SHARE):
+                    self.missing.append((name, f"its rest: no time was left for it in {self.deadline.seconds:g} s"))
+                    break
             if spool.tell() >= limit:
                 self.missing.append((name, "its rest: too long"))
             size = spool.tell()
@@ -114,17 +131,17 @@ class Bundle:
         self.written.append((name, size))
 
 
-def write(path: Path, fill: Callable[[Bundle], None], secrets: Secrets) -> Bundle:
+def write(path: Path, fill: Callable[[Bundle], None], secrets: Secrets, deadline: Deadline | None = None) -> Bundle:
     """Write the file; it appears complete or not at all, and only its owner can read it. Raises OSError.
 
-    fill: adds everything. An existing file is an error.
+    fill: adds everything. deadline: of all parts. An existing file is an error.
     """
     if path.exists():
         raise FileExistsError(17, "exists already: name another file", str(path))
     number, temporary = tempfile.mkstemp(prefix=".phm-bundle-", dir=path.parent)
     try:
         with os.fdopen(number, "wb") as target, tarfile.open(fileobj=target, mode="w:gz") as archive:
-            made = Bundle(archive, secrets)
+            made = Bundle(archive, secrets, deadline=deadline or Deadline(LIMIT_S))
             fill(made)
             made.finish()
         os.replace(temporary, path)
@@ -159,6 +176,23 @@ def chosen(environ: Mapping[str, str]) -> dict[str, str]:
 
 def _age(file: Path, base: str) -> tuple[int, str]:
     return json_log.rotated_number(base, file.name) or 0, base
+
+
+def _found(directory: Path) -> list[tuple[Path, str]]:
+    """The files of both logs, each with the name of its log."""
+    return [(file, base) for base in ("phm.jsonl", "phm.log") for file in json_log.files(directory / base)[::-1]]
+
+
+def _copy(file: Path, limit: int, raw: IO[bytes], deadline: Deadline) -> str:
+    """Its lines, not cleaned, and why they are not all. Runs in a thread that may hang, and then ends as `raw` is closed."""
+    try:
+        for line in _lines(file, limit):
+            raw.write(line.encode("utf-8", "surrogateescape") + b"\n")
+            if not deadline.left(LOGS_SHARE):
+                return f"no time was left for it in {deadline.seconds:g} s"
+    except _BROKEN as error:
+        return str(getattr(error, "strerror", None) or error)
+    return ""
 
 
 def _lines(file: Path, limit: int) -> Iterable[str]:

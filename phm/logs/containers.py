@@ -24,6 +24,12 @@ def reference(engine: DockerEngine, container: ContainerSettings) -> str:
     return str(found[0]["Id"])
 
 
+def inspected(engine: DockerEngine, container: ContainerSettings) -> tuple[str, Mapping[str, Any]]:
+    """Its reference, and what the engine says of it. Raises CannotTell."""
+    ref = reference(engine, container)
+    return ref, engine.inspect(ref, deadline_s=DEADLINE_S)
+
+
 def environment(inspected: Mapping[str, Any]) -> Iterator[str]:
     """The variables of a container, as ``NAME=value``."""
     config = inspected.get("Config")

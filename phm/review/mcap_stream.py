@@ -98,8 +98,8 @@ def rows(stream: IO[bytes], problem: Problem) -> Iterator[ChannelRow | MessageRo
 
 
 def described(stream: IO[bytes]) -> Iterator[ChannelRow]:
-    """The channels as the summary at the end repeats them, because the chunk that describes them may be damaged. None where there
-    a whole summary is missing, or nothing can be sought in the stream."""
+    """The channels as the summary at the end repeats them, because the chunk that describes them may be damaged. Nothing where the
+    summary is not whole."""
     state = _State(lambda what: None)
     try:
         end = stream.seek(-_FOOTER_BYTES, io.SEEK_END)
