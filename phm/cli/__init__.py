@@ -37,7 +37,7 @@ VERBS = {
     "release": "End a hold, so that recovery resumes.",
     "note": "Write a line into the running daemon's log.",
     "proxy-rules": "Print Docker proxy rules that allow only the calls PHM makes.",
-    "logs": "Show, follow or bundle logs, with explanations.",
+    "logs": "Show, follow, collect or bundle logs, with explanations.",
     "report": "Report what failed, when and why, from logs after the flight.",
     "gcs": "Show the status of all agents, as received by a ground station.",
     "demo": "Show three simulated agents and two faults on this machine.",
