@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
 from phm import __version__
 from phm.core.clock import Clock
 from phm.core.model import Level, Slot
 from phm.gcs import metrics_catalog as metrics
-from phm.gcs.events import GcsEvent, severity_name
+from phm.gcs.events import SEVERITIES, GcsEvent, severity_name
 from phm.gcs.fleet import MAX_AGENTS
 from phm.gcs.presence import PresenceState
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
+from phm.wire.command import CommandResult
 from phm.wire.metrics_page import Labels, MetricsPage, ratio
 
 MAX_SERIES = MAX_AGENTS * len(Slot)
@@ -80,6 +81,7 @@ class GroundMetrics:
             page.add_counts(metrics.TEXTS, self._counts.texts)
             page.add_counts(metrics.GAPS, self._counts.gaps)
             page.add_counts(metrics.ANSWERS, self._counts.answers)
+        _not_yet(page, body["agents"])
         for link in body["links"]:
             page.add(metrics.LINK_OPEN, link["open"], link["link"])
         for radio in body["radios"]:
@@ -87,6 +89,17 @@ class GroundMetrics:
         for agent in body["agents"]:
             _agent(page, agent)
         return page
+
+
+def _not_yet(page: MetricsPage, agents: Iterable[Mapping[str, Any]]) -> None:
+    """0 for what has not happened yet: the first one would otherwise be no increase."""
+    for severity in SEVERITIES:
+        page.add(metrics.TEXTS, 0, severity.lower())
+    for result in CommandResult:
+        page.add(metrics.ANSWERS, 0, result.name.lower())
+    for agent in agents:
+        for presence in (PresenceState.LATE, PresenceState.LOST):
+            page.add(metrics.GAPS, 0, agent["name"], presence.value)
 
 
 def _agent(page: MetricsPage, agent: Mapping[str, Any]) -> None:
@@ -103,7 +116,8 @@ def _agent(page: MetricsPage, agent: Mapping[str, Any]) -> None:
     pilot = agent["pilot"]
     if pilot is not None:
         page.add(metrics.AUTOPILOT_AGE, pilot["age_s"], name)
-        page.add(metrics.ARMED, pilot["armed"], name)
+        if pilot["presence"] in _THERE:
+            page.add(metrics.ARMED, pilot["armed"], name)
 
 
 def _radio(page: MetricsPage, radio: Mapping[str, Any]) -> None:

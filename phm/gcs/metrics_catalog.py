@@ -31,7 +31,9 @@ GAPS = _counter(
 )
 RESTARTS = _counter("phm_gcs_agent_restarts_total", "Restarts of an agent's PHM that the ground saw", "agent")
 AUTOPILOT_AGE = _gauge("phm_gcs_autopilot_age_seconds", "Since the last heartbeat of an agent's autopilot", "agent")
-ARMED = _gauge("phm_gcs_autopilot_armed", "1 if an agent's autopilot last reported armed", "agent")
+ARMED = _gauge(
+    "phm_gcs_autopilot_armed", "1 if an agent's autopilot reports armed; missing while it is silent", "agent"
+)
 EVENTS = _counter("phm_gcs_events_total", "Events of the ground, by kind", "event")
 TEXTS = _counter("phm_gcs_texts_total", "Lines of text that were received, without repetitions", "severity")
 COMMANDS = _counter("phm_gcs_commands_sent_total", "Commands sent to agents, with their repetitions")

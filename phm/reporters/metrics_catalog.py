@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from phm.core.model import Outcome
 from phm.wire.metrics_page import MetricCatalog
 
 SECONDS = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0, 120.0, 300.0)
 """Limits of the histograms."""
+OUTCOMES = (Outcome.RESOLVED, Outcome.ESCALATED, Outcome.REATTRIBUTED)
 _AGENT = MetricCatalog()
 ALL = _AGENT.metrics
 _gauge, _counter, _histogram = _AGENT.gauge, _AGENT.counter, _AGENT.histogram
@@ -42,7 +44,7 @@ CONFIRMATION = _histogram(
 HEARTBEAT_AGE = _gauge(
     "phm_heartbeat_age_seconds", "Since the last heartbeat; source: ground or autopilot", "source", "link"
 )
-AUTOPILOT_ARMED = _gauge("phm_autopilot_armed", "1 if the autopilot last reported armed")
+AUTOPILOT_ARMED = _gauge("phm_autopilot_armed", "1 if the autopilot reports armed; missing while it is silent")
 LINK_OPEN = _gauge("phm_link_open", "1 while a MAVLink endpoint is open", "link")
 LINK_AGE = _gauge("phm_link_receive_age_seconds", "Since the last bytes arrived", "link")
 LINK_SENT = _counter("phm_link_sent_bytes_total", "Bytes sent", "link")

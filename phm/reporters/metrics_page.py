@@ -59,6 +59,7 @@ def build_page(context: ReporterContext, counts: EventCounts) -> MetricsPage:
     _faults(page, metrics.FAULTS_OPEN, context.open_faults(), states)
     _faults(page, metrics.FAULTS_GIVEN_UP, context.given_up(), states)
     counts.add_to(page, context.clock.mono())
+    _not_yet(page, states)
     for state in states:
         result = context.newest(state.unit) or state.result
         _measurements(page, state, result.values)
@@ -85,6 +86,14 @@ def _faults(page: MetricsPage, metric: Metric, faults: Iterable[Fault], states: 
         found[slot_name(fault.slot)] = found.get(slot_name(fault.slot), 0) + 1
     for name, count in found.items():
         page.add(metric, count, name)
+
+
+def _not_yet(page: MetricsPage, states: tuple[UnitState, ...]) -> None:
+    """0 for what has not happened yet: the first one would otherwise be no increase."""
+    for slot in sorted({state.slot for state in states}):
+        page.add(metrics.ALARMS, 0, slot_name(slot))
+        for outcome in metrics.OUTCOMES:
+            page.add(metrics.FAULTS, 0, slot_name(slot), outcome.value)
 
 
 # ------------------------------------------------------------ measurements of checks
@@ -142,7 +151,8 @@ def _heartbeats(page: MetricsPage, context: ReporterContext) -> None:
         page.add(metrics.HEARTBEAT_AGE, ground.age_s, "ground", ground.link)
     if pilot is not None:
         page.add(metrics.HEARTBEAT_AGE, pilot.age_s, "autopilot", pilot.link)
-        page.add(metrics.AUTOPILOT_ARMED, pilot.armed)
+        if context.pilot is None or context.pilot():
+            page.add(metrics.AUTOPILOT_ARMED, pilot.armed)
     for link in probe.links():
         page.add(metrics.LINK_OPEN, link.open, link.name)
         page.add(metrics.LINK_AGE, link.rx_age_s, link.name)

@@ -51,7 +51,8 @@ class ScrapeServer:
         self._listener = socket.create_server((host, port), family=family, backlog=MAX_CLIENTS)
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._render, self._accepts, self._clock, self._local = render, accepts, clock, local
-        self._pages: dict[bool, tuple[float, bytes, str]] = {}
+        self._pages: dict[bool, tuple[float, bytes, str] | tuple[float, None, None]] = {}
+        """When each was made; None: it could not be."""
         self._clients: dict[asyncio.Task[None], None] = {}
         """Oldest first."""
         self.served = self.dropped = 0
@@ -97,30 +98,28 @@ class ScrapeServer:
             self._clients.pop(task, None)
 
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        status, body, kind = HTTPStatus.OK, b"", "text/plain; charset=utf-8"
+        status, kind, head = HTTPStatus.OK, "text/plain; charset=utf-8", b""
         try:
-            method, accept = self._request(await _head(reader))
-            page, kind = self._page(accept)
-            body = page if method == "GET" else b""
-            length = len(page)
+            head = await _head(reader)
+            body, kind = self._page(self._request(head))
         except _Refused as refusal:
             status, body = refusal.status, f"{refusal}\n".encode()
-            length = len(body)
         lines = (
             f"HTTP/1.1 {status.value} {status.phrase}",
             f"Content-Type: {kind}",
-            f"Content-Length: {length}",
+            f"Content-Length: {len(body)}",
+            *(("Allow: GET, HEAD",) if status is HTTPStatus.METHOD_NOT_ALLOWED else ()),
             "Cache-Control: no-store",
             "X-Content-Type-Options: nosniff",
             "Connection: close",
         )
-        writer.write("\r\n".join((*lines, "", "")).encode("ascii") + body)
+        writer.write("\r\n".join((*lines, "", "")).encode("ascii") + (b"" if head.startswith(b"HEAD ") else body))
         writer.close()
         await writer.wait_closed()
         self.served += status is HTTPStatus.OK
 
-    def _request(self, head: bytes) -> tuple[str, str]:
-        """Method and header Accept of a request that may be answered."""
+    def _request(self, head: bytes) -> str:
+        """The header Accept of a request that may be answered."""
         first, *lines = head.decode("latin-1").splitlines()
         words = first.split(" ")
         if len(words) != 3 or not words[2].startswith("HTTP/1."):
@@ -133,21 +132,25 @@ class ScrapeServer:
             raise _Refused(HTTPStatus.METHOD_NOT_ALLOWED, "only GET is served")
         if words[1].partition("?")[0] != "/metrics":
             raise _Refused(HTTPStatus.NOT_FOUND, "there is /metrics")
-        return words[0], ",".join(value for name, value in headers if name == "accept")
+        return ",".join(value for name, value in headers if name == "accept")
 
     def _page(self, accept: str) -> tuple[bytes, str]:
-        first, now = self._accepts(accept), self._clock.mono()
+        first = self._accepts(accept)
         kept = self._pages.get(first)
-        if kept is None or now - kept[0] >= AGAIN_S:
-            try:
-                kept = (now, *self._render(accept))
-            except Exception:  # a failure must not end the server, and its text is not for clients
-                logger.exception("the metrics could not be rendered")
-                raise _Refused(
-                    HTTPStatus.INTERNAL_SERVER_ERROR, "the metrics cannot be shown: PHM's log has the reason"
-                ) from None
-            self._pages[first] = kept
+        if kept is None or self._clock.mono() - kept[0] >= AGAIN_S:
+            kept = self._pages[first] = self._made(accept)
+        if kept[1] is None:
+            raise _Refused(HTTPStatus.INTERNAL_SERVER_ERROR, "the metrics cannot be shown: PHM's log has the reason")
         return kept[1], kept[2]
+
+    def _made(self, accept: str) -> tuple[float, bytes, str] | tuple[float, None, None]:
+        """The time is that of the end: what takes long is not done all the time."""
+        try:
+            page, kind = self._render(accept)
+        except Exception:  # a failure must not end the server, and its text is not for clients
+            logger.exception("the metrics could not be rendered")
+            return self._clock.mono(), None, None
+        return self._clock.mono(), page, kind
 
 
 async def _head(reader: asyncio.StreamReader) -> bytes:

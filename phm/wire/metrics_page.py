@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 import math
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeVar
@@ -92,9 +93,9 @@ class MetricsPage:
 
     def add(self, metric: Metric, value: float | int | bool | None, *labels: object) -> None:
         """Add a sample. None, NaN and infinity are no measurement: nothing is added. Of two equal sets of labels the first stays."""
-        if value is None or not math.isfinite(value):
-            return
-        self._put(self._samples[metric], metric, float(value), labels)
+        found = number(value)
+        if found is not None and math.isfinite(found):
+            self._put(self._samples[metric], metric, found, labels)
 
     def add_counts(self, metric: Metric, counts: Mapping[Labels, int]) -> None:
         for labels, count in counts.items():
@@ -124,9 +125,14 @@ class MetricsPage:
 
 
 def clean_label(value: object) -> str:
-    """Printable, on one line, at most MAX_LABEL characters."""
-    text = one_line(str(value)[: MAX_LABEL + 1])
-    return text if len(text) <= MAX_LABEL else f"{text[: MAX_LABEL - 3]}..."
+    """Printable, on one line, at most MAX_LABEL characters. One that is cut ends with a checksum, so that two that begin alike do
+    not become one series."""
+    whole = str(value)
+    text = one_line(whole[: MAX_LABEL + 1])
+    if len(text) <= MAX_LABEL:
+        return text
+    checksum = zlib.crc32(whole.encode("utf-8", "surrogatepass"))
+    return f"{text[: MAX_LABEL - 11]}...{checksum:08x}"
 
 
 def ratio(percent: object) -> float | None:
@@ -137,4 +143,7 @@ def ratio(percent: object) -> float | None:
 
 def number(value: object) -> float | None:
     """A number or a truth value as a float; None for anything else."""
-    return float(value) if isinstance(value, (int, float)) else None
+    try:
+        return float(value) if isinstance(value, (int, float)) else None
+    except OverflowError:  # an integer of any length
+        return None

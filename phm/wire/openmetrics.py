@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
@@ -12,7 +13,9 @@ from prometheus_client.registry import Collector
 from phm.wire.metrics_page import HistogramCounts, Labels, Metric, MetricsPage
 
 _OPENMETRICS = "application/openmetrics-text"
-_ACCEPT = {True: f"{_OPENMETRICS}; version=1.0.0", False: "text/plain; version=0.0.4"}
+_PLAIN = "text/plain"
+_WEIGHT = re.compile(r"0(\.[0-9]{0,3})?|1(\.0{0,3})?")
+_ACCEPT = {True: f"{_OPENMETRICS}; version=1.0.0", False: f"{_PLAIN}; version=0.0.4"}
 
 MakePage = Callable[[], MetricsPage]
 Family = CounterMetricFamily | GaugeMetricFamily | HistogramMetricFamily
@@ -34,7 +37,21 @@ class MetricsText:
 
 
 def wants_openmetrics(accept: str) -> bool:
-    return any(part.partition(";")[0].strip().lower() == _OPENMETRICS for part in accept.split(","))
+    """Whether a header Accept prefers OpenMetrics to the older format, or names it alone."""
+    weights = {_OPENMETRICS: 0.0, _PLAIN: 0.0}
+    for part in accept.lower().split(","):
+        kind, *parameters = (word.strip() for word in part.split(";"))
+        if kind in weights:
+            weights[kind] = max(weights[kind], _weight(parameters))
+    return weights[_OPENMETRICS] > 0 and weights[_OPENMETRICS] >= weights[_PLAIN]
+
+
+def _weight(parameters: Iterable[str]) -> float:
+    """From 0 to 1; 0 for one that is not a number."""
+    for name, _, value in (parameter.partition("=") for parameter in parameters):
+        if name.strip() == "q":
+            return float(value) if _WEIGHT.fullmatch(value.strip()) else 0.0
+    return 1.0
 
 
 class _Current(Collector):

@@ -10,7 +10,10 @@ from prometheus_client.parser import text_string_to_metric_families as parse_pla
 
 from phm.core.model import Layer, Level, Slot
 from phm.reporters import metrics_catalog
+from phm.reporters.metrics_counts import EventCounts
+from phm.reporters.metrics_page import build_page
 from phm.wire.metrics_page import LEFT_OUT, MAX_LABEL, MAX_SERIES, HistogramCounts, clean_label
+from phm.wire.openmetrics import MetricsText, wants_openmetrics
 from tests.metrics.agent import context, state, text_of
 from tests.metrics.prometheus import promtool
 
@@ -102,7 +105,7 @@ def test_names_from_outside_do_not_break_the_page(accept: str) -> None:
     units = tuple(state(f"pressure/{name}", "pressure", Slot.CONTAINER, Layer.DOCKER, pids=1) for name in names)
     found = samples(accept, units)
     labels = [dict(pairs)["container"] for name, pairs in found if name == "phm_container_pids"]
-    assert len(labels) == len(names) - 1, "equal after the cut"
+    assert len(labels) == len(names), "also those that begin alike"
     assert all(label.isprintable() and len(label) <= MAX_LABEL for label in labels)
     assert found["phm_alive", ()] == 1.0
 
@@ -136,8 +139,59 @@ def test_a_duration_counts_in_each_limit_that_it_does_not_exceed() -> None:
 
 def test_a_cut_label_shows_that_it_is_cut() -> None:
     """And stays within the limit when escapes make it longer."""
-    assert clean_label("a" * (MAX_LABEL + 1)).endswith("...")
+    assert "..." in clean_label("a" * (MAX_LABEL + 1))
+    assert clean_label("a" * 101 + "b") != clean_label("a" * 101 + "c"), "two names stay two"
+    assert clean_label("a" * 101 + "b") == clean_label("a" * 101 + "b")
     assert len(clean_label("\x00" * 5000)) == MAX_LABEL
+
+
+def test_a_number_that_no_measurement_has_does_not_take_the_page_down() -> None:
+    """A plug-in may print an integer of any length."""
+    found = samples(
+        PLAIN, (state("custom/x", "custom", Slot.USER_1, Layer.CUSTOM, huge=10**400, load=2, low=-(10**400)),)
+    )
+    assert found["phm_custom_value", (("name", "load"), ("unit", "custom/x"))] == 2.0
+    assert sum(name == "phm_custom_value" for name, _ in found) == 1
+
+
+def test_what_has_not_happened_yet_is_counted_as_0() -> None:
+    """`increase()` is blind for a series that begins at 1: the first alarm of a slot would be missed."""
+    about = context()
+    nothing = EventCounts(lambda unit: None)
+    text, _ = MetricsText(lambda: build_page(about, nothing)).render(PLAIN)
+    lines = text.decode().splitlines()
+    assert 'phm_alarms_total{slot="host"} 0.0' in lines
+    for outcome in ("resolved", "escalated", "reattributed"):
+        assert f'phm_faults_total{{outcome="{outcome}",slot="host"}} 0.0' in lines
+
+
+@pytest.mark.parametrize("received", [True, False])
+def test_a_silent_autopilot_is_neither_armed_nor_disarmed(received: bool) -> None:
+    """Its last word may be hours old."""
+    about = replace(context(), pilot=lambda: received)
+    text, _ = text_of(about).render(PLAIN)
+    assert (b"phm_autopilot_armed 1.0" in text) is received
+    assert b'phm_heartbeat_age_seconds{link="radio",source="autopilot"}' in text
+
+
+@pytest.mark.parametrize(
+    ("accept", "first"),
+    [
+        ("application/openmetrics-text", True),
+        (OPENMETRICS, True),
+        ("Application/OpenMetrics-Text; Version=1.0.0; Q=0.5, text/plain; q=0.3", True),
+        ("text/plain, application/openmetrics-text;q=0.5", False),
+        ("application/openmetrics-text;q=0, text/plain", False),
+        ("application/openmetrics-text;q=0", False),
+        ("application/openmetrics-text;q=x", False),
+        ("application/openmetrics-text;q=nan,text/plain;q=0", False),
+        ("text/html, */*", False),
+        ("", False),
+    ],
+)
+def test_a_client_gets_the_format_that_it_prefers(accept: str, first: bool) -> None:
+    """By the weights of its header."""
+    assert wants_openmetrics(accept) is first
 
 
 def test_promtool_accepts_the_page() -> None:

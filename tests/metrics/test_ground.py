@@ -13,7 +13,9 @@ from phm.gcs import metrics_catalog
 from phm.gcs.events import GcsEvent
 from phm.gcs.metrics import MAX_SERIES, GroundMetrics
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
+from phm.gcs.web.routes import metrics as routes
 from phm.testing import FakeClock
+from phm.wire.metrics_page import MetricsPage
 from phm.wire.openmetrics import MetricsText
 from tests.fakes.until import until
 from tests.gcs.bench import HEALTHY, Ground as Fleet, phm_heartbeat, pilot, text_frame
@@ -54,7 +56,7 @@ def page_text() -> bytes:
     station = Station(fleet)
     metrics = GroundMetrics(station, FakeClock())
     fleet.hear(phm_heartbeat(5, {Slot.CONTAINER: Level.ERROR}), pilot(5, armed=True), text_frame(5, "A05 FAIL 2 x"))
-    fleet.wait(60.0, phm_heartbeat(6))
+    fleet.wait(60.0, phm_heartbeat(6), pilot(6, armed=False))
     ack = GcsEvent(fleet.clock.stamp(), "ack", {"result": "DENIED"})
     station.publish(*fleet.news, ack)
     return MetricsText(metrics.page).render("application/openmetrics-text")[0]
@@ -81,6 +83,27 @@ def test_every_metric_of_the_ground() -> None:
     assert values["phm_gcs_texts_total", (("severity", "critical"),)] == 1
     assert values["phm_gcs_answers_total", (("result", "denied"),)] == 1
     assert values["phm_gcs_commands_sent_total", ()] == 3
+
+
+def test_what_has_not_happened_yet_is_counted_as_0() -> None:
+    """`increase()` is blind for a series that begins at 1; and a silent autopilot is neither armed nor disarmed."""
+    fleet = Fleet()
+    metrics = GroundMetrics(Station(fleet), FakeClock())
+    fleet.hear(phm_heartbeat(5), pilot(5, armed=True))
+
+    def lines() -> list[str]:
+        return MetricsText(metrics.page).render("text/plain")[0].decode().splitlines()
+
+    found = lines()
+    assert 'phm_gcs_agent_gaps_total{agent="A05",presence="lost"} 0.0' in found
+    assert 'phm_gcs_agent_gaps_total{agent="A05",presence="late"} 0.0' in found
+    assert 'phm_gcs_texts_total{severity="critical"} 0.0' in found
+    assert 'phm_gcs_answers_total{result="denied"} 0.0' in found
+    assert 'phm_gcs_autopilot_armed{agent="A05"} 1.0' in found
+    fleet.wait(60.0)
+    found = lines()
+    assert not [line for line in found if line.startswith("phm_gcs_autopilot_armed{")]
+    assert [line for line in found if line.startswith('phm_gcs_autopilot_age_seconds{agent="A05"}')]
 
 
 def test_invented_agents_cost_no_more_than_the_limit() -> None:
@@ -127,6 +150,25 @@ def test_prometheus_scrapes_a_ground_with_100_agents(here: Ground, tmp_path: Pat
         until(lambda: not server.errors(), "a scrape without an error", server.errors)
     finally:
         server.close()
+
+
+def test_a_failing_page_is_not_made_for_each_request(
+    here: Ground, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its reason is in the log once, and not in the answer; then it is made again."""
+
+    def broken(metrics: GroundMetrics) -> MetricsPage:
+        raise ValueError("secret")
+
+    client = here.client()
+    with monkeypatch.context() as patched:
+        patched.setattr(GroundMetrics, "page", broken)
+        patched.setattr(routes, "AGAIN_S", 3600.0)
+        for _ in range(5):
+            status, body, _ = client.ask("GET", "/metrics")
+            assert status == 500 and "secret" not in str(body)
+        assert caplog.text.count("Traceback") == 1
+    until(lambda: client.ask("GET", "/metrics")[0] == 200, "the page")
 
 
 def test_the_page_needs_the_role_view(here: Ground) -> None:

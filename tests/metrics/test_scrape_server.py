@@ -25,13 +25,14 @@ class Bench:
 
     def __init__(self, *, local: bool = True) -> None:
         self.rendered: list[str] = []
-        self.broken = False
+        self.broken, self.takes_s = False, 0.0
         self.clock = FakeClock()
         self.server = ScrapeServer("127.0.0.1", 0, self._render, wants_openmetrics, self.clock, local=local)
         self.server.start()
 
     def _render(self, accept: str) -> tuple[bytes, str]:
         self.rendered.append(accept)
+        self.clock.advance(self.takes_s)
         if self.broken:
             raise ValueError("secret")
         return PAGE, "text/plain; version=0.0.4"
@@ -176,7 +177,33 @@ def test_a_failure_is_an_answer_without_its_reason_and_the_next_request_is_serve
     assert (status, b"secret" in body) == (500, False)
     assert "secret" in caplog.text
     bench.broken = False
+    bench.clock.advance(scrape_server.AGAIN_S)
     assert bench.get()[0] == 200
+
+
+def test_a_failing_page_is_not_made_for_each_request(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    """Else a client fills the log with the reason, and keeps a core busy."""
+    bench.broken = True
+    assert [bench.get()[0] for _ in range(5)] == [500] * 5
+    assert len(bench.rendered) == 1 and caplog.text.count("Traceback") == 1
+    bench.clock.advance(scrape_server.AGAIN_S)
+    bench.broken = False
+    assert bench.get()[0] == 200
+
+
+def test_a_page_that_takes_long_is_not_made_all_the_time(bench: Bench) -> None:
+    """The pause begins when it is done, so a busy daemon is not kept busy by it."""
+    bench.takes_s = 10 * scrape_server.AGAIN_S
+    for _ in range(3):
+        assert bench.get()[0] == 200
+    assert len(bench.rendered) == 1
+
+
+def test_a_refusal_has_what_http_asks_for(bench: Bench) -> None:
+    """HEAD never gets a body, whatever the status; 405 names the methods."""
+    assert bench.get("/other", method="HEAD") == (404, b"")
+    assert bench.raw(b"HEAD /other HTTP/1.1\r\nHost: localhost\r\n\r\n").endswith(b"\r\n\r\n")
+    assert b"\r\nAllow: GET, HEAD\r\n" in bench.raw(b"POST /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")
 
 
 def test_the_port_is_free_after_close() -> None:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from aiohttp import hdrs, web
 
 from phm.gcs.metrics import GroundMetrics, MeasuredStation
 from phm.gcs.web.access import HttpProblem, view
 from phm.gcs.web.site import Site
+
+if TYPE_CHECKING:
+    from phm.wire.openmetrics import MetricsText
+
+logger = logging.getLogger(__name__)
 
 AGAIN_S = 0.5
 """The page is rendered at most once in this time for each format."""
@@ -21,7 +28,7 @@ class _Page:
 
     def __init__(self, site: Site, station: MeasuredStation) -> None:
         self._clock, self._ground = site.clock, GroundMetrics(station, site.clock)
-        self._kept: dict[bool, tuple[float, bytes, str]] = {}
+        self._kept: dict[bool, tuple[float, bytes, str] | tuple[float, None, None]] = {}
         self._lock = asyncio.Lock()
 
     async def handle(self, request: web.Request) -> web.StreamResponse:
@@ -34,10 +41,19 @@ class _Page:
         async with self._lock:
             kept = self._kept.get(first)
             if kept is None or self._clock.mono() - kept[0] >= AGAIN_S:
-                render = MetricsText(self._ground.page).render
-                kept = (self._clock.mono(), *await asyncio.to_thread(render, accept))
-                self._kept[first] = kept
+                kept = self._kept[first] = await asyncio.to_thread(self._made, MetricsText(self._ground.page), accept)
+        if kept[1] is None:
+            raise HttpProblem(500, "the metrics cannot be shown: the server's log has the reason")
         return web.Response(body=kept[1], headers={hdrs.CONTENT_TYPE: kept[2]})
+
+    def _made(self, text: MetricsText, accept: str) -> tuple[float, bytes, str] | tuple[float, None, None]:
+        """The time is that of the end, also of a failure: neither is repeated all the time."""
+        try:
+            page, kind = text.render(accept)
+        except Exception:
+            logger.exception("the metrics could not be rendered")
+            return self._clock.mono(), None, None
+        return self._clock.mono(), page, kind
 
 
 def routes(site: Site) -> Sequence[web.RouteDef]:
