@@ -69,7 +69,7 @@ def build(record: Record, flight: int | None = None) -> Json:
         "clocks": _clocks(record),
         "plots": plots.rows(record, begin, end),
         "other": _others(record, begin, end),
-        "table2": table2.build(record.agents, faults, uptimes, begin, end),
+        "table2": table2.build([agent for agent in record.agents if agent.vehicle], faults, uptimes, begin, end),
         "files": _files(record),
     }
     document["sentences"] = sentences.build(document)

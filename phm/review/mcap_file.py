@@ -55,7 +55,7 @@ def write(record: Record, document: Json, path: str) -> int:
 
 def messages(record: Record, faults: list[Json], begin: float, end: float) -> Iterator[tuple[float, str, list[Status]]]:
     """Time, topic and statuses, in the order of time."""
-    agents = [agent for agent in record.agents if agent.id]
+    agents = [agent for agent in record.agents if agent.vehicle]
     shown = [_Shown(agent) for agent in agents]
     events: list[tuple[float, int, str, Any]] = []
     for place, agent in enumerate(agents):

@@ -1,4 +1,5 @@
-"""The clocks of other people's records, by the lines of PHM in them: an autopilot logs the lines that it receives from PHM.
+"""The clocks of other people's records, by the lines of PHM in them: an autopilot logs the lines that it receives from PHM, and a
+recording of ROS 2 has PHM's diagnostics.
 
 PHM's own log says when it had each of these lines to say. Lines about changes that both have are votes for an offset, as for the
 clocks of agents; then all lines are paired in order, and the offset is the median of those about changes. The regular status lines count and widen
@@ -16,16 +17,17 @@ from dataclasses import dataclass
 
 from phm.core.model import Level, Slot
 from phm.review.clocks import MOST_EACH, OWN_ERROR_S, WINDOW_S, RunClock, vote
-from phm.review.other import Other
+from phm.review.other import LEVELS, Other
 from phm.review.run import Run
 from phm.wire import status_line
 
 LEAST_LINES, LEAST_CHANGES = 3, 2
 """So many lines must agree, and so many of them must be about changes: regular lines come at even intervals and fit many offsets."""
 MOST_VOTES = 200_000
-BY = "lines of PHM that its own log has, too"
-NO_LINES = "its own clock: there is no line about a change in it that PHM's log has, too"
+BY = "lines or diagnostics of PHM that its own log has, too"
+NO_LINES = "its own clock: no line and no diagnostic of PHM about a change is in it that PHM's log has, too"
 _LINE = re.compile(r"A(\d{1,3}) ([A-Z]+) (?:([01-]{8})(?: |$)|(\d{1,2}) )")
+_STATUS = re.compile(r"phm/[^/:]+/\w+: (.+?): ")
 Key = tuple[object, ...]
 Times = Mapping[Key, Sequence[float]]
 REFRESH = "regular"
@@ -100,8 +102,12 @@ def _said(runs: Sequence[tuple[Run, RunClock]]) -> Iterator[tuple[Key, float]]:
     """When PHM had which lines to say, by its log."""
     for run, clock in runs:
         for change in run.changes:
+            if change.text_only:
+                continue
+            shown = change.level if change.level in LEVELS else ""
+            yield (run.agent_id, "unit", change.unit, shown), clock.t(change.mono)
             slot = run.units.get(change.unit, {}).get("slot")
-            if change.text_only or slot not in SLOTS:
+            if slot not in SLOTS:
                 continue
             if change.level in ("ERROR", "WARN"):
                 text = status_line.failing(run.agent_id, Level[change.level], Slot(slot), change.brief or change.unit)
@@ -114,6 +120,8 @@ def _said(runs: Sequence[tuple[Run, RunClock]]) -> Iterator[tuple[Key, float]]:
 
 def _received(entries: Iterable[Other]) -> Iterator[tuple[Key, float]]:
     for other in entries:
+        if other.what == "diagnostic" and (status := _STATUS.match(other.text)):
+            yield (other.system, "unit", status[1], other.level), other.t
         line = _LINE.match(other.text) if other.what == "statustext" else None
         if line is None:
             continue

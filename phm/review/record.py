@@ -40,6 +40,11 @@ class AgentRecord:
     def end(self) -> float:
         return self.cover[-1][1] if self.cover else 0.0
 
+    @property
+    def vehicle(self) -> bool:
+        """False: a recording alone."""
+        return bool(self.id or self.runs)
+
 
 @dataclass
 class Record:
@@ -91,8 +96,9 @@ def build(part: Part) -> Record:
         agents["", number] = AgentRecord(
             next((g.names[number] for g, _ in grounds if number in g.names), f"A{number:02d}"), number
         )
-    given, names_of = recordings.owned(part.others, list(agents.values()))
-    others, other_clocks = align_others(given, [one for agent in agents.values() for one in agent.runs])
+    owned, names_of = recordings.owned(part.others, list(agents.values()))
+    moved, other_clocks = align_others(owned, [one for agent in agents.values() for one in agent.runs])
+    others = recordings.without_ours(moved, {agent.id for agent in agents.values() if agent.runs})
     for number in sorted({other.system for other in others if other.system} - {agent.id for agent in agents.values()}):
         agents["", number] = AgentRecord(f"vehicle {number}", number)
     for agent in agents.values():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Protocol
 
 from phm.review.clocks import RunClock
@@ -25,21 +25,28 @@ def owned(others: Iterable[Other], agents: Sequence[Agent]) -> tuple[list[Other]
     """The entries with the agent that is known, and names for the recordings without one, by path.
 
     A recording without PHM's own diagnostics belongs to the agent whose logs are in the same folder or in the nearest one above
-    it, if these are logs of one agent. PHM's own diagnostics of an agent with a log are left out: its log says the same.
+    it, if these are logs of one agent.
     """
     folders = [(agent.id, folder) for agent in agents for run, _ in agent.runs for folder in run.folders]
-    logged = {number for number, _ in folders}
     near: dict[str, int] = {}
-    kept: list[Other] = []
+    found: list[Other] = []
     for other in others:
         if other.system:
-            if not (other.what == "diagnostic" and other.system in logged and other.text.startswith(OURS)):
-                kept.append(other)
+            found.append(other)
             continue
         if other.file not in near:
             near[other.file] = _nearest(os.path.dirname(os.path.abspath(other.file)), folders)
-        kept.append(other._replace(system=near[other.file]))
-    return kept, _names({other.file for other in kept if not other.system})
+        found.append(other._replace(system=near[other.file]))
+    return found, _names({other.file for other in found if not other.system})
+
+
+def without_ours(others: Iterable[Other], logged: Collection[int]) -> list[Other]:
+    """Without PHM's own diagnostics of agents with a log: it says the same."""
+    return [
+        other
+        for other in others
+        if not (other.what == "diagnostic" and other.system in logged and other.text.startswith(OURS))
+    ]
 
 
 def _nearest(folder: str, logs: Sequence[tuple[int, str]]) -> int:

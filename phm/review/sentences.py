@@ -31,7 +31,7 @@ def build(document: Json) -> list[str]:
 
 def vehicles(document: Json) -> list[Json]:
     """The rows of agents; a recording of which the agent is not known has a row, too."""
-    return [row for row in document["agents"] if row["agent_id"]]
+    return [row for row in document["agents"] if row["agent_id"] or row["logged"]]
 
 
 def length(seconds: float | None) -> str:

@@ -61,7 +61,7 @@ def test_a_recorded_dataflash_log_gets_the_time_of_the_phm_beside_it(tmp_path: P
     # PHM's own log has this line at 1795306586.266.
     assert change["t"] == pytest.approx(1_795_306_586.266, abs=0.1)
     shown = CliRunner().invoke(group, ["report", str(tmp_path)], env={"COLUMNS": "200"}).output
-    assert "+2.16 s" in shown and "13 lines of PHM that its own log has, too" in shown
+    assert "+2.16 s" in shown and "13 lines or diagnostics of PHM that its own log has, too" in shown
 
 
 @pytest.mark.parametrize("wrong_s", [-86_400.0, -7.5, 0.0, 3600.0])

@@ -9,14 +9,16 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from phm.cli import group
 from phm.review import page
 from tests.review import bags
-from tests.review.records import T0, Flown, report
+from tests.review.records import T0, Flown, Ground, report
 from tests.review.test_document import one_flight
+from tests.review.test_other_clocks import THREE, clock_of, flown
 
 RECORDED = ("diagnostic", "rosout", "gap")
 
@@ -161,3 +163,43 @@ def test_a_recording_alone_makes_no_claim_about_faults(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "Faults are unknown: no agent is in the record." in result.output
     assert "camera: Status: no frames" in result.output and "no message for 4.00 s" in result.output
+
+
+def test_a_recording_gets_its_time_by_phms_diagnostics_in_it(tmp_path: Path) -> None:
+    """Our own export, moved by a minute, is moved back; what else is in a recording of that computer goes with it."""
+    folder = tmp_path / "log"
+    lines = flown(folder, times=THREE)
+    (tmp_path / "bag").mkdir()
+    file = tmp_path / "bag" / "x.mcap"
+    assert CliRunner().invoke(group, ["report", str(folder), "--mcap", str(file)]).exit_code == 0
+    moved = bags.mcap(tmp_path / "y.mcap", [*moved_by(file, 60.0), bags.log(170.0, "planner", 40, "no scan")])
+    file.unlink()
+    made = report(folder, moved)
+    clock = clock_of(made, moved)
+    assert (clock["applied"], clock["offset_s"]) == (True, pytest.approx(-60.0)) and clock["lines"] >= len(lines)
+    (entry,) = [row for row in made["other"]["rows"] if row["what"] == "rosout"]
+    assert (entry["t"], entry["agent"]) == (pytest.approx(T0 + 110.0), "agent_1")
+
+
+def moved_by(file: Path, seconds: float) -> list[bags.Message]:
+    with file.open("rb") as stream:
+        return [
+            (message.log_time / 1e9 - T0 + seconds, channel.topic, bags.ARRAY, message.data)
+            for _, channel, message in make_reader(stream).iter_messages()
+        ]
+
+
+def test_an_agent_that_only_the_ground_received_keeps_its_diagnostics(tmp_path: Path) -> None:
+    """They are all that is there of it: only a log says the same."""
+    ground = Ground(tmp_path / "ground.jsonl")
+    ground.event(0, "presence", agent=7, name="agent_7", presence="alive", was="never heard", silent_s=None)
+    ground.event(100, "presence", agent=7, name="agent_7", presence="lost", was="alive", silent_s=1.0)
+    ground.close()
+    messages = [
+        bags.diagnostics(0.5, "phm/agent_7: summary", 0, "fine", agent_id="7"),
+        bags.diagnostics(20.0, "phm/agent_7/ros: nodes/node_1", 2, "is gone"),
+    ]
+    bags.mcap(tmp_path / "x.mcap", messages)
+    made = report(tmp_path)
+    assert said(made) == [(20.0, "diagnostic", "phm/agent_7/ros: nodes/node_1: is gone", "ERROR")]
+    assert {row["agent"] for row in made["other"]["rows"]} == {"agent_7"}
