@@ -7,13 +7,16 @@ meanwhile.
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
 from phm.core.model import Event, Slot
 from phm.core.settings.metrics import is_loopback
 from phm.reporters.base import Reporter, ReporterContext
 from phm.reporters.metrics_counts import KINDS, EventCounts
 from phm.reporters.metrics_page import build_page
-from phm.transport.scrape_server import ScrapeServer
+
+if TYPE_CHECKING:
+    from phm.transport.scrape_server import ScrapeServer
 
 MISSING = "metrics.listen needs prometheus-client: pip install 'phm-sidecar[metrics]'"
 
@@ -67,6 +70,7 @@ class MetricsReporter(Reporter):
 
     def _open(self) -> None:
         try:
+            from phm.transport.scrape_server import ScrapeServer
             from phm.wire.openmetrics import MetricsText, wants_openmetrics
         except ImportError:
             self._problem = MISSING

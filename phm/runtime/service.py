@@ -7,7 +7,7 @@ import os
 import signal
 from dataclasses import dataclass
 
-from phm.core import threads
+from phm.core import memory, threads
 from phm.core.clock import SystemClock
 from phm.core.instance_lock import InstanceLock
 from phm.core.process_priority import apply
@@ -62,6 +62,7 @@ def run(configuration: Configuration, read: ReadAgain) -> int:
         if server is not None:
             server.start()
         systemd.ready()
+        memory.give_back()
         _serve(running, signals, reloader, systemd)
         systemd.stopping()
         if server is not None:

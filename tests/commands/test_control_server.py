@@ -15,7 +15,8 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.commands.control_server import MAX_CONNECTIONS, ControlServer
+from phm.commands.control_clients import MAX_CONNECTIONS
+from phm.commands.control_server import ControlServer
 from phm.commands.services import NO_HOLDS, HoldController
 from phm.wire import control as wire
 from tests.fakes.commands import execute
@@ -188,7 +189,7 @@ def test_a_client_that_has_just_connected_sees_the_end(daemon: Daemon) -> None:
 
 def test_only_root_and_the_own_user_are_accepted(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel identifies the user of the peer."""
-    monkeypatch.setattr("phm.commands.control_server._user", lambda peer: os.geteuid() + 12345)
+    monkeypatch.setattr("phm.commands.control_clients._user", lambda peer: os.geteuid() + 12345)
     with pytest.raises(wire.Refused, match="only root"):
         daemon.ping()
 

@@ -13,6 +13,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from phm.core import memory
 from phm.probes.ros import fastdds_profile, sandbox
 from phm.probes.ros.line_splitter import LineSplitter
 from phm.probes.ros.protocol import (
@@ -72,6 +73,7 @@ def _look(wanted: Wanted, out: int) -> int:
     except ImportError as error:
         _send(out, Missing(error.name or "", str(error)))
         return EXIT_MISSING
+    memory.give_back()
     try:
         watch = _report(watch, out, wanted.tick_s)
     except BrokenPipeError:
