@@ -77,8 +77,11 @@ class ControlServer:
             if not self._closing.is_set():
                 from phm.commands.control_clients import ControlClients
 
-                self._clients = ControlClients(lambda request, by: self.execute(request, by))
+                self._clients = ControlClients(self._execute)
                 self._clients.serve(listener, self._closing)
+
+    def _execute(self, request: OperatorRequest, by: str) -> Reply:
+        return self.execute(request, by)
 
     def _listen(self) -> socket.socket | None:
         """Bind under another name, restrict its mode, and only then rename it: it is never open to other users."""

@@ -1,0 +1,104 @@
+"""What the daemon's memory consists of: what it does not load, what it frees, and how its parts are named to the kernel."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from phm.config import ConfigError, loads
+from phm.core import memory, threads
+from phm.core.settings import Settings, validators
+from phm.core.settings.recovery import RecoverySettings
+from sitl.bench import footprint, footprint_imports, footprint_proc
+
+ROOT = Path(__file__).parents[2]
+HEAVY = ("asyncio", "docker", "requests", "urllib3", "ruamel", "rich", "numpy", "rclpy", "aiohttp", "jinja2")
+TEXT = "agent: {name: scout, id: 7}\ninterval: 12s\ncontainers: [{name: app}]\n"
+
+
+@pytest.fixture
+def forgotten() -> Iterator[Settings]:
+    """Settings whose validators were freed."""
+    settings = loads(TEXT, environ={})
+    validators.forget()
+    yield settings
+    validators.restore()
+
+
+def test_the_daemon_loads_no_package_that_it_can_do_without() -> None:
+    """Each of these takes megabytes: they are imported where they are used, or not at all."""
+    code = "import sys, phm.cli.run, phm.runtime.configuration, phm.runtime.service; print(*sys.modules)"
+    environ = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks")))}
+    done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()).isdisjoint(HEAVY)
+
+
+def test_settings_are_used_as_before_without_their_validators(forgotten: Settings) -> None:
+    """Reading, comparing and copying settings validates nothing."""
+    changed = forgotten.model_copy(update={"interval": 3.0})
+    assert (forgotten.interval, changed.interval, forgotten.containers[0].name) == (12.0, 3.0, "app")
+    assert changed != forgotten
+    assert "scout" in repr(forgotten)
+
+
+def test_a_configuration_is_validated_again_after_its_validators_were_freed(forgotten: Settings) -> None:
+    """A reload finds the same settings and the same problems, also in sections that are made one by one."""
+    assert loads(TEXT, environ={}) == forgotten
+    with pytest.raises(ConfigError, match="intervall"):
+        loads(TEXT.replace("interval", "intervall"), environ={})
+    assert RecoverySettings().verify == forgotten.recovery.verify
+
+
+def test_the_kernel_knows_the_name_of_each_thread() -> None:
+    """`top -H` shows which part uses the processor: up to 15 characters, without the prefix that all have."""
+    done = threading.Event()
+    thread = threading.Thread(target=done.wait, name="phm-check-container/ros_app", daemon=True)
+    assert threads.start(thread)
+    assert Path(f"/proc/self/task/{thread.native_id}/comm").read_text() == "check-container\n"
+    done.set()
+
+
+def test_memory_is_given_back_without_an_error() -> None:
+    """Another C library than glibc has no such function."""
+    memory.give_back()
+
+
+def test_threads_and_memory_of_a_process_are_measured() -> None:
+    """The figures are those of the kernel: a thread that sleeps often wakes often, and a page is counted once."""
+    done = threading.Event()
+
+    def sleep_often() -> None:
+        while not done.wait(0.01):
+            pass
+
+    thread = threading.Thread(target=sleep_often, name="phm-often", daemon=True)
+    threads.start(thread)
+    me = os.getpid()
+    costs = {cost.name: cost for cost in footprint_proc.threads([me], 0.5)[me]}
+    done.set()
+    assert costs["often"].wakeups > 1
+    found = footprint_proc.memory(me)
+    assert 0 < found.anonymous < found.rss
+    together = footprint_proc.together([me, me])
+    assert together is None or found.anonymous / 2 < together < 1.1 * found.rss
+
+
+def test_an_import_is_charged_to_its_package() -> None:
+    """A package does not pay for the modules of another one that it imports."""
+    command = [sys.executable, "-m", "sitl.bench.footprint_imports", "csv"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert '"csv": {' in done.stdout
+    assert '"_csv": {' in done.stdout
+    assert footprint_imports.anonymous_kb() > 1000
+
+
+def test_a_process_that_is_not_phm_is_not_measured() -> None:
+    """Only daemons named by their process id, or found by their command line, are agents."""
+    assert all(roles["daemon"] != os.getpid() for roles in footprint.agents())
+    assert footprint.agents([os.getpid()])[0]["daemon"] == os.getpid()
