@@ -13,9 +13,8 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from phm.commands.delivery_server import DeliveryServer
 from phm.config import ConfigError, Problem
 from phm.config.load import read_file
 from phm.config.save import replace
@@ -26,6 +25,9 @@ from phm.runtime.daemon import Daemon
 from phm.runtime.reload import FIXED
 from phm.transport.mavlink_signing import InvalidKey, read_key
 from phm.wire.delivery import Answer, version_of
+
+if TYPE_CHECKING:
+    from phm.commands.delivery_server import DeliveryServer
 
 logger = logging.getLogger(__name__)
 
@@ -168,6 +170,8 @@ def open_server(delivery: Delivery, settings: Settings, clock: Clock) -> tuple[D
             )
     except InvalidKey as error:
         return None, f"{error}; `phm deliver` does not work"
+    from phm.commands.delivery_server import DeliveryServer  # with an event loop, 2 MB: only where it is configured
+
     return DeliveryServer(wanted.address, key, settings.agent.name, clock, delivery.execute, delivery.note), ""
 
 
