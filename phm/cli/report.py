@@ -51,8 +51,8 @@ def command(
 ) -> None:
     """Report what failed, when and why, from logs after the flight.
 
-    PATH is a log of an agent, a record of `phm gcs --record`, or a folder with any number of them; rotated and compressed
-    files are included. Exit code 0; 1: there is no record, or not that flight.
+    PATH is a log of an agent, a record of `phm gcs --record`, a log of an autopilot, a recording of ROS 2, or a folder with any
+    number of them; rotated and compressed files are included. Exit code 0; 1: there is no record, or not that flight.
     """
     if as_json + as_csv + as_markdown > 1:
         raise click.UsageError("choose one of --json, --csv and --markdown")

@@ -26,8 +26,6 @@ MOST_CHUNK = 64 << 20
 MOST_RECORD = 1 << 20
 """Bytes of a description."""
 MOST_SCHEMAS = 10_000
-MOST_GROWTH, FREE_BYTES = 100, 256 << 20
-"""All chunks together may unpack to FREE_BYTES and MOST_GROWTH times what was read; recordings shrink to a half or a tenth."""
 BLOCK = 1 << 20
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -91,8 +89,8 @@ def rows(stream: IO[bytes], problem: Problem) -> Iterator[ChannelRow | MessageRo
         if len(body) < length:
             problem("ends within a record")
             return
-        if state.unpacked > FREE_BYTES + MOST_GROWTH * state.packed:
-            problem(f"chunks that unpack to more than {MOST_GROWTH} times their size: the rest is left out")
+        if state.unpacked > unpack.FREE_BYTES + unpack.MOST_GROWTH * state.packed:
+            problem(f"chunks that unpack to more than {unpack.MOST_GROWTH} times their size: the rest is left out")
             return
     problem("ends without its last record: the recorder was not stopped")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import itertools
+import os
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from phm.review.events import Event
 from phm.review.lines import Piece, Problems
 from phm.review.other import GZIP, unpacked
 from phm.review.recording import MOST_MESSAGE, MOST_TOPICS, Recording
-from phm.review.unpack import WINDOW_BYTES, ZSTD
+from phm.review.unpack import FREE_BYTES, MOST_GROWTH, WINDOW_BYTES, ZSTD
 
 MAGIC = b"\x89MCAP0\r\n"
 MISSING = "needs mcap: install with `pip install 'phm-sidecar[report]'`"
@@ -66,14 +67,27 @@ def _opened(path: str) -> Iterator[IO[bytes]]:
     with open(path, "rb") as plain:
         head = plain.read(4)
         plain.seek(0)
-        if head.startswith(GZIP):
-            with gzip.GzipFile(fileobj=plain) as packed:
-                yield cast(IO[bytes], packed)
-        elif head == ZSTD:
-            with _zstd(plain) as packed_zstd:
-                yield packed_zstd
-        else:
+        if not head.startswith(GZIP) and head != ZSTD:
             yield plain
+            return
+        packed: Any = gzip.GzipFile(fileobj=plain) if head.startswith(GZIP) else _zstd(plain)
+        with packed:
+            yield cast(IO[bytes], _Limited(packed, FREE_BYTES + MOST_GROWTH * os.path.getsize(path)))
+
+
+class _Limited:
+    """A stream that unpacks, up to so many bytes."""
+
+    def __init__(self, stream: Any, most: int) -> None:
+        self._stream, self._left = stream, most
+
+    def read(self, count: int) -> bytes:
+        """Raises ValueError: more would come."""
+        data = bytes(self._stream.read(count))
+        self._left -= len(data)
+        if self._left < 0:
+            raise ValueError(f"it unpacks to more than {MOST_GROWTH} times its size")
+        return data
 
 
 def _zstd(stream: IO[bytes]) -> Any:

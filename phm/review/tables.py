@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from phm.review.sentences import length
+from phm.review.sentences import length, vehicles
 from phm.review.table2 import PAPER
 from phm.wire.report import clock_text
 from phm.wire.text import one_line
@@ -35,7 +35,7 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
         (
             "Agents",
             ("agent", "faults", "ERROR", "WARN", "unknown", "PHM ran", "armed"),
-            [_agent(row) for row in document["agents"]],
+            [_agent(row) for row in vehicles(document)],
         )
     )
     if document["faults"]:

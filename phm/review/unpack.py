@@ -10,6 +10,10 @@ ZSTD = b"\x28\xb5\x2f\xfd"
 WINDOW_BYTES = 1 << 27
 """The most that a stream may ask zstandard to keep in memory; its own default."""
 
+MOST_GROWTH, FREE_BYTES = 100, 256 << 20
+"""A file, and all chunks of one together, may unpack to FREE_BYTES and MOST_GROWTH times their size; recordings shrink to a half or a
+tenth."""
+
 
 class TooLarge(ValueError):
     """More than allowed would come out."""

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from phm.cli import group
@@ -162,6 +163,7 @@ def test_a_recording_alone_makes_no_claim_about_faults(tmp_path: Path) -> None:
     result = CliRunner().invoke(group, ["report", str(file)], env={"COLUMNS": "200"})
     assert result.exit_code == 0, result.output
     assert "Faults are unknown: no agent is in the record." in result.output
+    assert "(no log)" not in result.output, "no row that says 0 faults"
     assert "camera: Status: no frames" in result.output and "no message for 4.00 s" in result.output
 
 
@@ -203,3 +205,18 @@ def test_an_agent_that_only_the_ground_received_keeps_its_diagnostics(tmp_path: 
     made = report(tmp_path)
     assert said(made) == [(20.0, "diagnostic", "phm/agent_7/ros: nodes/node_1: is gone", "ERROR")]
     assert {row["agent"] for row in made["other"]["rows"]} == {"agent_7"}
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_an_independent_reader_counts_the_same(tmp_path: Path, storage: StoragePlugin) -> None:
+    """Messages of each topic with the times of the first and the last one, as rosbags reads them."""
+    file = bags.rosbag2(tmp_path / "bag", bags.flight(), storage)
+    theirs: dict[str, list[float]] = {}
+    with AnyReader([tmp_path / "bag"]) as reader:
+        for connection, at, _ in reader.messages():
+            theirs.setdefault(connection.topic, []).append(at / 1e9 - T0)
+    expected = {(topic, len(times), round(times[0], 3), round(times[-1], 3)) for topic, times in theirs.items()}
+    rows = said(report(file), "topic")
+    last = {text.partition(":")[0]: (t, int(text.split()[3])) for t, _, text, _ in rows if ": last of " in text}
+    first = {text.partition(":")[0]: t for t, _, text, _ in rows if ": first message " in text}
+    assert {(topic, count, first[topic], t) for topic, (t, count) in last.items()} == expected
