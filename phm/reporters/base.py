@@ -67,6 +67,7 @@ class ReporterContext:
     holds: what is on hold, as in `phm status --json`.
     restored: faults that were open, and were reported, before PHM restarted.
     links: what is received on the MAVLink endpoints. queues: how many events wait for each subscriber of the bus, and were dropped.
+    machine_boot: id of this start of the machine, in which the monotonic clock goes on; empty: unknown.
     open_faults, given_up: faults as they are now, also of units that recovery has given up on and that have not been OK since.
     """
 
@@ -89,6 +90,7 @@ class ReporterContext:
     newest: Callable[[str], Result | None] = lambda unit: None
     links: LinkProbe | None = None
     queues: Callable[[], dict[str, tuple[int, int]]] = dict
+    machine_boot: str = ""
 
 
 class Reporter(ABC):

@@ -76,6 +76,7 @@ class LogReporter(Reporter):
         )
         self._heard = HeardHeartbeats(context.mavlink, clock)
         start = {"version": __version__, "pid": os.getpid(), "interval_s": settings.interval}
+        start["machine_boot"] = context.machine_boot
         self._put(clock.stamp(), "start", "PHM", start)
 
     @classmethod

@@ -74,9 +74,47 @@ def ground_clock(grounds: Iterable[GroundRun]) -> dict[str, RunClock]:
     return {ground.run: own_clock(ground.clock, _end(ground.cover.spans)) for ground in grounds}
 
 
-def align(run: Run, grounds: Sequence[tuple[GroundRun, RunClock]]) -> RunClock:
-    """The clock of a run, by the ground where that is possible."""
-    clock = own_clock(run.clock, _end(run.cover.spans))
+def ordered_clock(clock: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Without the first lines of pieces, which repeat the difference before."""
+    kept: list[tuple[float, float]] = []
+    for mono, difference in sorted(clock):
+        if not kept or abs(difference - kept[-1][1]) > STEP_S:
+            kept.append((mono, difference))
+    return kept
+
+
+def own_clocks(runs: Sequence[Run]) -> list[RunClock]:
+    """The clock of each run by its own UTC. Runs of one start of the machine have one monotonic clock, so the same shift: the
+    machine's clock may have been set while PHM restarted, or between two reloads of its configuration."""
+    together: dict[object, list[Run]] = {}
+    for run in runs:
+        together.setdefault(_machine(run) or id(run), []).append(run)
+    found: dict[int, RunClock] = {}
+    for group in together.values():
+        merged = ordered_clock(each for run in group for each in run.clock)
+        whole = own_clock(merged, max(_end(run.cover.spans) for run in group))
+        for run in group:
+            begin, end = _begin(run.cover.spans), _end(run.cover.spans)
+            found[id(run)] = RunClock(whole.shift, steps=tuple(one for one in whole.steps if begin <= one[0] <= end))
+    return [found[id(run)] for run in runs]
+
+
+def _machine(run: Run) -> tuple[str, int, str] | None:
+    return (run.agent, run.agent_id, run.machine_boot) if run.machine_boot else None
+
+
+def follow_machine(runs: Sequence[tuple[Run, RunClock]]) -> None:
+    """Runs of an agent that nothing places follow one of the same start of the machine that is placed, with most votes."""
+    for run, clock in runs:
+        placed = [its for other, its in runs if _machine(other) == _machine(run) and its.votes]
+        if clock.offset_s is None and _machine(run) and placed:
+            best = max(placed, key=lambda one: one.votes)
+            clock.shift, clock.offset_s, clock.error_s = best.shift, best.offset_s, best.error_s
+            clock.applied, clock.by = best.applied, "another run of the same start of the machine"
+
+
+def align(run: Run, clock: RunClock, grounds: Sequence[tuple[GroundRun, RunClock]]) -> None:
+    """Correct the clock of a run by the ground where that is possible."""
     mine = _of_agent(run, clock)
     heard: Observed = {}
     for ground, its in grounds:
@@ -92,13 +130,12 @@ def align(run: Run, grounds: Sequence[tuple[GroundRun, RunClock]]) -> RunClock:
     if agreed is None:
         if grounds:
             clock.by = "the ground received nothing that the log has, too: no line about a change and no arming"
-        return clock
+        return
     clock.offset_s, clock.error_s, clock.votes = agreed
     clock.by = "lines and armings that the ground received, too"
     clock.applied = abs(agreed[0]) > agreed[1]
     if clock.applied:
         clock.shift += agreed[0]
-    return clock
 
 
 def align_together(runs: Sequence[tuple[Run, RunClock]]) -> None:

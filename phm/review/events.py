@@ -60,6 +60,7 @@ class Event(msgspec.Struct, gc=False):
     continued: bool = False
     reason: str = ""
     version: str = ""
+    machine_boot: str = ""
     interval_s: float = 0.0
     took_s: float = 0.0
     lines: int = 0

@@ -208,6 +208,7 @@ class Part:
 
     def _start(self, run: Run, event: Event) -> None:
         run.version, run.interval_s, run.started = event.version[:40], event.interval_s, event.mono
+        run.machine_boot = event.machine_boot[:40]
 
     def _heard(self, run: Run, event: Event) -> None:
         for system, component, number, mono in event.frames[:MOST_FRAMES]:

@@ -8,7 +8,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phm.review import recordings
-from phm.review.clocks import RunClock, align, align_together, continue_by_autopilot, ground_clock
+from phm.review.clocks import (
+    RunClock,
+    align,
+    align_together,
+    continue_by_autopilot,
+    follow_machine,
+    ground_clock,
+    ordered_clock,
+    own_clocks,
+)
 from phm.review.ground_part import GroundRun
 from phm.review.other import Other
 from phm.review.other_clocks import OtherClock, align_others
@@ -78,12 +87,15 @@ def build(part: Part) -> Record:
     clocks = ground_clock(part.grounds.values())
     grounds = [(ground, clocks[ground.run]) for ground in part.grounds.values()]
     agents: dict[tuple[str, int], AgentRecord] = {}
-    for run in part.runs.values():
+    runs = list(part.runs.values())
+    for run in runs:
         _once(run)
-        agents.setdefault((run.agent, run.agent_id), AgentRecord(run.agent, run.agent_id)).runs.append(
-            (run, align(run, grounds))
-        )
+    for run, clock in zip(runs, own_clocks(runs), strict=True):
+        align(run, clock, grounds)
+        agents.setdefault((run.agent, run.agent_id), AgentRecord(run.agent, run.agent_id)).runs.append((run, clock))
     align_together([one for agent in agents.values() for one in agent.runs])
+    for agent in agents.values():
+        follow_machine(agent.runs)
     names = [name for name, _ in agents]
     for (name, number), agent in agents.items():
         agent.name = name or f"agent {number}"
@@ -116,7 +128,7 @@ def _heard(ground: GroundRun) -> set[int]:
 
 def _once(run: Run) -> None:
     """In the order of the monotonic clock, each number once."""
-    run.clock = _ordered_clock(run.clock)
+    run.clock = ordered_clock(run.clock)
     changes = {(change.seq, change.mono, change.unit): change for change in run.changes}
     run.changes = sorted(changes.values(), key=lambda change: (change.mono, change.seq))
     marks = {(mark.seq, mark.mono): mark for mark in run.marks}
@@ -125,15 +137,6 @@ def _once(run: Run) -> None:
     run.cover.tolerance = max(QUIET_S, 2.5 * run.interval_s)
     run.cover.merge(Cover(0.0))
     run.numbers.merge(Cover(0.0))
-
-
-def _ordered_clock(clock: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Without the first lines of pieces, which repeat the difference before."""
-    kept: list[tuple[float, float]] = []
-    for mono, difference in sorted(clock):
-        if not kept or abs(difference - kept[-1][1]) > 0.2:
-            kept.append((mono, difference))
-    return kept
 
 
 def _join(agent: AgentRecord) -> None:

@@ -56,6 +56,8 @@ class Run:
     version: str = ""
     interval_s: float = 0.0
     started: float | None = None
+    machine_boot: str = ""
+    """Runs of one start of the machine share its monotonic clock; empty: unknown."""
     lines: int = 0
     left_out: int = 0
     cover: Cover = field(default_factory=lambda: Cover(COVER_S))
@@ -85,6 +87,7 @@ class Run:
     def merge(self, other: Run) -> None:
         self.folders |= other.folders
         self.version, self.interval_s = self.version or other.version, self.interval_s or other.interval_s
+        self.machine_boot = self.machine_boot or other.machine_boot
         self.started = self.started if other.started is None else other.started
         self.lines, self.left_out = self.lines + other.lines, self.left_out + other.left_out
         self.cover.merge(other.cover)

@@ -42,6 +42,7 @@ from phm.runtime.main_loop import MainLoop
 from phm.runtime.probe_set import build_probes
 from phm.tracker import Tracker
 from phm.transport.mavlink import MavlinkHub
+from phm.wire.status_file import place
 
 
 class Components:
@@ -213,6 +214,7 @@ class Components:
             newest=pipeline.newest,
             links=links,
             queues=self.bus.queues,
+            machine_boot=place()["machine_boot"],
             holds=self.holds.snapshot,
         )
 

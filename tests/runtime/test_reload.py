@@ -127,6 +127,8 @@ def test_a_valid_configuration_applies_and_faults_stay_open(agent: Agent) -> Non
         if each["event"] == "fault_opened" and each["unit"] == "host/disk"
     ]
     assert len(opened) == 1
+    started = [each["machine_boot"] for each in json_log.read(agent.folder / "log") if each["event"] == "start"]
+    assert len(started) == 2 and started[0] and started[0] == started[1]
     notes = [each["text"] for each in json_log.read(agent.folder / "log") if each["event"] == "note"]
     assert any(text.startswith("configuration reloaded: interval") for text in notes)
 
