@@ -158,12 +158,9 @@ class _Known:
                 ref, inspected = self.deadline.within(
                     SHARES["containers"], partial(containers.inspected, engine, container)
                 )
-            except Late as error:
-                why = f"the engine did not answer: {error}; what is secret in it is {UNKNOWN_SECRETS}"
+            except (CannotTell, Late) as error:
+                why = f"{error}; what is secret in it is {UNKNOWN_SECRETS}"
                 self.missing.append((f"container {container.key}", why))
-                continue
-            except CannotTell as error:
-                self.missing.append((f"container {container.key}", str(error)))
                 continue
             self.secrets.learn_environment(containers.environment(inspected), f"container {container.key}")
             self.secrets.learn_tree(inspected, f"container {container.key}")

@@ -51,6 +51,8 @@ def align_others(others: Iterable[Other], runs: Sequence[tuple[Run, RunClock]]) 
     by_file: dict[str, list[Other]] = {}
     for other in others:
         by_file.setdefault(other.file, []).append(other)
+    if not by_file:
+        return [], []
     said = _sorted(_said(runs))
     moved: list[Other] = []
     clocks: list[OtherClock] = []

@@ -93,6 +93,8 @@ class Recording:
         try:
             data = zstd(data, MOST_MESSAGE) if data.startswith(ZSTD) else data
             self._diagnostics(t, statuses(data)) if topic.reads == "diagnostics" else self._log(t, data)
+        except ImportError as error:
+            self.problem(f"packed messages, for which {error.name} is missing (pip install 'phm-sidecar[report]')")
         except ValueError:
             self.problem(f"damaged messages of {topic.kind}, of which only the time is read")
 
