@@ -13,10 +13,10 @@ import logging
 import socket
 import threading
 from collections.abc import Callable
-from functools import partial
 
 from phm.core import threads
 from phm.core.clock import Clock
+from phm.core.own_thread import NoThread, in_own_thread
 from phm.core.rate_limiter import RateLimiter
 from phm.core.stream_server import run, serving
 from phm.wire import delivery as wire
@@ -173,29 +173,13 @@ class DeliveryServer:
             text = body.decode("utf-8")
         except UnicodeDecodeError:
             return Answer(False, "the configuration is not UTF-8: save it as UTF-8")
-        return await self._in_thread(partial(self._execute, text, request.base, who))
-
-    async def _in_thread(self, execute: Callable[[], Answer]) -> Answer:
-        """Not the loop's own threads: the process would wait for them at its end."""
-        loop = asyncio.get_running_loop()
-        done: asyncio.Future[Answer] = loop.create_future()
-
-        def finish(answer: Answer) -> None:
-            if not done.done():
-                done.set_result(answer)
-
-        def work() -> None:
-            try:
-                answer = execute()
-            except Exception:  # a defect; its text is not for the network
-                logger.exception("a configuration could not be delivered")
-                answer = Answer(False, "PHM failed: its log has the reason")
-            with contextlib.suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(finish, answer)
-
-        if not threads.start_now(threading.Thread(target=work, name="phm-delivery-apply", daemon=True)):
+        try:
+            return await in_own_thread("phm-delivery-apply", lambda: self._execute(text, request.base, who))
+        except NoThread:
             return Answer(False, "PHM cannot start a thread: try again")
-        return await asyncio.shield(done)
+        except Exception:  # a defect; its text is not for the network
+            logger.exception("a configuration could not be delivered")
+            return Answer(False, "PHM failed: its log has the reason")
 
 
 async def _send(writer: asyncio.StreamWriter, line: bytes) -> None:

@@ -184,7 +184,7 @@ def _not_written(path: Path, error: OSError) -> str:
     if error.errno in (errno.EROFS, errno.EBUSY, errno.EXDEV):
         return (
             f"{path} cannot be replaced: {why}. In a container, mount the folder of the configuration writable, not the file alone and "
-            "not with :ro; or copy the file to the agent and run `phm reload`"
+            "not with :ro; under systemd, add it to ReadWritePaths; or copy the file to the agent and run `phm reload`"
         )
     if error.errno in (errno.EACCES, errno.EPERM):
         return (

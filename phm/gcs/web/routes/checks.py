@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 from aiohttp import web
 
 from phm.config import ConfigError
+from phm.core.own_thread import NoThread, in_own_thread
 from phm.gcs.web.access import MOST_BODY, HttpProblem, answer, operate, read_json, view
 from phm.gcs.web.config_delivery import ConfigDelivery, NotDelivered
 from phm.gcs.web.config_editor import ConfigEditor, NotSaved
@@ -63,7 +64,8 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
         name, version, base = (body.get(key) for key in ("name", "version", "base"))
         if not (isinstance(name, str) and isinstance(version, str) and isinstance(base, str | None)):
             raise HttpProblem(400, "send name, version and base")
-        return answer(await _run(lambda: delivery.deliver(name, here().saved(name, version), base)))
+        # An agent may take a minute to answer, and the end of the program does not wait for it.
+        return answer(await _run(lambda: delivery.deliver(name, here().saved(name, version), base), in_delivery_thread))
 
     return [
         web.get("/api/config", operate(about)),
@@ -75,10 +77,20 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     ]
 
 
-async def _run(ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+Answer = dict[str, Any]
+Thread = Callable[[Callable[[], Answer]], Awaitable[Answer]]
+
+
+async def in_delivery_thread(ask: Callable[[], Answer]) -> Answer:
+    return await in_own_thread("phm-web-delivery", ask)
+
+
+async def _run(ask: Callable[[], Answer], thread: Thread = asyncio.to_thread) -> Answer:
     """In a thread: a configuration is read, parsed and validated. Raises HttpProblem."""
     try:
-        return await asyncio.to_thread(ask)
+        return await thread(ask)
+    except NoThread:
+        raise HttpProblem(503, "no thread can be started: try again") from None
     except KeyError:
         raise HttpProblem(404, "there is no such file: `phm gcs --web --edit FILE` allows one") from None
     except (NotSaved, NotDelivered) as refused:
