@@ -63,6 +63,10 @@ class WebChoice:
         for file, _, _ in self.deliver:
             if file not in self.edit:
                 raise click.UsageError(f"--deliver is for a file of --edit: add --edit {file}.")
+        if self.deliver and self.token_file is None:
+            raise click.UsageError(
+                "--deliver needs --token-file FILE: without it, every user of this computer could run programs on the agents."
+            )
         if self.history is not None and self.web is None:
             raise click.UsageError("--history is for --web.")
         for option, wanted in (("--web", self.web), ("--serve", self.serve)):

@@ -262,6 +262,41 @@ def test_a_writer_that_is_killed_leaves_a_complete_file(tmp_path: Path, after: i
     assert file.read_bytes() in (b"a" * 200_000, b"b" * 200_000)
 
 
+DELIVERING = """
+import sys
+from pathlib import Path
+from tests.runtime.test_delivery import NEW, OLD, Agent
+agent = Agent(Path(sys.argv[1]))
+while True:
+    for text, base in ((NEW, OLD), (OLD, NEW)):
+        answer = agent.deliver(text, base)
+        assert answer.ok, answer
+        print(flush=True)
+"""
+
+
+@pytest.mark.parametrize("after", [1, 4])
+def test_an_agent_that_is_killed_during_a_delivery_starts_with_a_valid_file(tmp_path: Path, after: int) -> None:
+    """Also its backup is complete, and the next delivery works."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", DELIVERING, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks")))},
+    )
+    assert process.stdout is not None
+    for _ in range(after):
+        assert process.stdout.readline() == b"\n"
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    file = tmp_path / "phm.yaml"
+    present = file.read_text()
+    assert present in (OLD, NEW) and file.with_name("phm.yaml.bak").read_text() in (OLD, NEW)
+    read(str(file), ON_BOARD)
+    other = OLD if present == NEW else NEW
+    assert Agent(tmp_path, present).deliver(other, present).ok
+    assert file.read_text() == other
+
+
 def test_a_file_is_replaced_in_one_step(tmp_path: Path) -> None:
     """A reader that opens it at any moment sees one of the two, never a part."""
     file, texts = tmp_path / "phm.yaml", {b"a" * 200_000, b"b" * 200_000}

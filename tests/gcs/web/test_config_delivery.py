@@ -130,12 +130,16 @@ def test_only_an_operator_delivers(agent: Bench, file: Path) -> None:
     ("options", "said"),
     [
         (["--deliver", "a.yaml", "10.0.0.7:9465", "k"], "add --edit a.yaml"),
-        (["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7", "k"], "HOST:PORT"),
+        (["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7:9465", "k"], "needs --token-file"),
+        (["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7", "k", "--token-file", "tokens"], "HOST:PORT"),
         (
-            ["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7:9465", "missing.key"],
+            ["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7:9465", "missing.key", "--token-file", "tokens"],
             "--deliver: missing.key cannot be read",
         ),
-        (["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7:9465", "open.key"], "chmod 600"),
+        (
+            ["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7:9465", "open.key", "--token-file", "tokens"],
+            "chmod 600",
+        ),
     ],
 )
 def test_mistakes_on_the_command_line_are_named(
@@ -144,6 +148,8 @@ def test_mistakes_on_the_command_line_are_named(
     """Before anything listens."""
     monkeypatch.chdir(tmp_path)
     Path("a.yaml").write_text(TEXT)
+    Path("tokens").write_text("operate: 0123456789abcdef0123")
+    Path("tokens").chmod(0o600)
     Path("open.key").write_text("ab" * 32)
     Path("open.key").chmod(0o644)
     done = CliRunner().invoke(group, ["gcs", "--once", "--for", "0.1", "--web", "0", "--history", "none", *options])
