@@ -86,6 +86,8 @@ def collect(
 
     if not place.startswith("/"):
         raise click.UsageError(f"--path {place} is not an absolute path, such as /var/log/phm")
+    if inside := [path for path in paths if folder.resolve() in (path.resolve(), *path.resolve().parents)]:
+        raise click.UsageError(f"{inside[0]} is in {folder}, into which the logs are collected: name another folder")
     if not engines and not paths:
         engines = (_Engine().convert(os.environ.get("DOCKER_HOST") or ENGINE, None, None),)
     collection = Collection(folder)
@@ -136,7 +138,7 @@ def _run(
         try:
             done = [one for some in pool.map(of_engine, engines) for one in some]
             for path in paths:
-                done += copied(log_sources.of_path(path))
+                done += copied(log_sources.of_path(path, collection.folder))
         except BaseException:  # Ctrl-C, a full disk: the other calls end now
             for engine in opened:
                 engine.close()

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from phm.logs.bundle import file_name
+from phm.logs.copies import BROKEN, text_of
 from phm.wire import json_log
 
-MOST_BYTES = 20_000_000
+MOST_BYTES = MOST_LOOKED = 20_000_000
 Agent = tuple[str, int | None]
 """Name and id."""
 
@@ -49,8 +50,18 @@ class Index:
 
 def agent_of(path: Path) -> Agent | None:
     """The agent whose log it is, by its first event."""
-    event = next(json_log.read(path), {})
-    return _agent([event.get("agent"), event.get("agent_id")])
+    left = MOST_LOOKED
+    try:
+        with path.open("rb") as plain:
+            stream = text_of(plain, path)
+            while left > 0 and (line := stream.readline(left)):
+                left -= len(line)
+                event = json_log.parse(line) or {}
+                if (agent := _agent([event.get("agent"), event.get("agent_id")])) is not None:
+                    return agent
+    except BROKEN:
+        pass
+    return None
 
 
 def _agent(value: object) -> Agent | None:

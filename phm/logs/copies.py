@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, cast
@@ -24,7 +24,7 @@ OLDER = "older"
 MOST_TEXT_BYTES = 4_000_000_000
 """Of a file, not compressed, that is compared with another one: a hostile file may have any size."""
 _CHUNK = 1 << 20
-_BROKEN = (OSError, EOFError, zlib.error)
+BROKEN = (OSError, EOFError, zlib.error)
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ def key_of(path: Path, *, whole: bool = True) -> str:
     """
     with path.open("rb") as plain:
         try:
-            first = _text(plain, path).readline(MAX_LINE)
+            first = text_of(plain, path).readline(MAX_LINE)
             if not whole and not first.endswith(b"\n"):
                 return ""
-        except _BROKEN:  # damaged within its first line
+        except BROKEN:  # damaged within its first line
             if not whole:
                 return ""
             plain.seek(0)
@@ -60,14 +60,14 @@ def covers(new: Path, old: Path) -> bool:
     left = MOST_TEXT_BYTES
     try:
         with new.open("rb") as plain, old.open("rb") as plain_old:
-            fresh, had = _text(plain, new), _text(plain_old, old)
+            fresh, had = text_of(plain, new), text_of(plain_old, old)
             while left > 0 and (piece := _readable(had)):
                 left -= len(piece)
                 if fresh.read(len(piece)) != piece:
                     return False
             while left > 0 and (piece := fresh.read(_CHUNK)):
                 left -= len(piece)
-    except _BROKEN:
+    except BROKEN:
         return False
     return left > 0
 
@@ -101,16 +101,27 @@ class Copies:
         """Put what was fetched (the order of the source, newest first) into place; staged files are moved. Raises OSError."""
         self.folder.mkdir(parents=True, exist_ok=True)
         present, dropped = self._present()
-        order, before = [each.key for each in fetched], list(present)
+        aside = {key_of(path): path for folder in self._older() for path in self._files(folder)}
+        before, order, current = list(present), list[str](), ""
         for each in fetched:
+            key = each.key
+            if each.staged is not None and key in aside and covers(aside[key], each.staged):
+                dropped.append(each.staged)
+                continue
             if each.staged is not None:
-                self._choose(each.key, each.staged, present, dropped, order)
-        order = merged([key for key in dict.fromkeys(order) if key in present], before)
-        current = self._current(fetched, order, present)
-        if current:
+                key = _choose(key, each.staged, present, dropped)
+            if key in present:
+                order.append(key)
+                current = key if each.current else current
+        keep = set(order)
+        order = merged(list(dict.fromkeys(order)), before)
+        if not current and order and order[0] not in keep and present[order[0]].name == self.base:
+            current = order[0]  # the source has none, or it could not be copied
+        if current and not present[current].name.endswith(COMPRESSED):
             order.remove(current)
             order.insert(0, current)
-        keep = {each.key for each in fetched}
+        else:
+            current = ""
         if len(order) - bool(current) > MOST_FILES:
             self._put_aside([present[key] for key in order if key not in keep and key != current])
             order = [key for key in order if key in keep or key == current]
@@ -121,31 +132,8 @@ class Copies:
         present: dict[str, Path] = {}
         dropped: list[Path] = []
         for path in self._files(self.folder):
-            self._choose(key_of(path) or path.name, path, present, dropped, [])
+            _choose(key_of(path) or path.name, path, present, dropped)
         return present, dropped
-
-    def _choose(self, key: str, new: Path, present: dict[str, Path], dropped: list[Path], order: list[str]) -> None:
-        """Keep the one of two versions of a file that has all; both, if neither does."""
-        had = present.get(key)
-        if had is None:
-            present[key] = new
-        elif covers(new, had):
-            present[key] = new
-            dropped.append(had)
-        elif covers(had, new):
-            dropped.append(new)
-        else:
-            other = f"{key} {hashlib.blake2b(os.fsencode(new)).hexdigest()}"
-            present[other] = new
-            if key in order:
-                order.insert(order.index(key) + 1, other)
-
-    def _current(self, fetched: Sequence[Fetched], order: Sequence[str], present: Mapping[str, Path]) -> str:
-        """The key of the file without a number; empty: there is none."""
-        key = next((each.key for each in fetched if each.current), "")
-        if not key and order and present[order[0]].name == self.base:
-            key = "" if any(each.key == order[0] for each in fetched) else order[0]
-        return key if key in present and not present[key].name.endswith(COMPRESSED) else ""
 
     def _put_aside(self, files: Sequence[Path]) -> None:
         """Into the newest folder of older files, or the next one when that is full."""
@@ -176,6 +164,22 @@ class Copies:
         return [path for _, _, path in sorted(numbered)]
 
 
+def _choose(key: str, new: Path, present: dict[str, Path], dropped: list[Path]) -> str:
+    """Add `new`; of two versions of a file keep the one that has all, or both, if neither has. Returns the key in `present`."""
+    versions = [each for each in present if each.partition(" ")[0] == key]
+    for each in versions:
+        if covers(new, present[each]):
+            dropped.append(present[each])
+            present[each] = new
+            return each
+        if covers(present[each], new):
+            dropped.append(new)
+            return each
+    made = f"{key} {len(versions)}" if versions else key
+    present[made] = new
+    return made
+
+
 def _number(base: str, name: str) -> int | None:
     digits = name.removesuffix(COMPRESSED).removeprefix(f"{base}.")
     found = json_log.rotated_number(base, name)
@@ -199,7 +203,8 @@ def _arrange(folder: Path, base: str, files: Sequence[Path], dropped: Sequence[P
         os.replace(moving, target)
 
 
-def _text(plain: IO[bytes], path: Path) -> IO[bytes]:
+def text_of(plain: IO[bytes], path: Path) -> IO[bytes]:
+    """The content of the opened file at `path`, not compressed. Reading raises BROKEN."""
     return cast(IO[bytes], gzip.GzipFile(fileobj=plain)) if path.name.endswith(COMPRESSED) else plain
 
 
@@ -207,5 +212,5 @@ def _readable(stream: IO[bytes]) -> bytes:
     """The next piece; empty at the end, and where the file is damaged."""
     try:
         return stream.read(_CHUNK)
-    except _BROKEN:
+    except BROKEN:
         return b""

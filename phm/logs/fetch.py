@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -107,6 +106,7 @@ class _Fetch:
         self._failed: dict[str, str] = {}
         self._order: list[str] = []
         self._current = ""
+        self._copies = 0
         self._made = Copied()
 
     def run(self) -> Copied:
@@ -176,9 +176,9 @@ class _Fetch:
     def _copy(self, one: Seen) -> str:
         """The key of the file; empty if nothing of use came. Raises Gone, _GivenUp, OSError."""
         suffix = COMPRESSED if one.name.endswith(COMPRESSED) else ""
-        number, name = tempfile.mkstemp(suffix=suffix, dir=self._staging)
-        path, seen, why = Path(name), Seen(one.name, 0, ""), ""
-        with os.fdopen(number, "wb") as target:
+        self._copies += 1
+        path, seen, why = self._staging / f"{self._base}-{self._copies}{suffix}", Seen(one.name, 0, ""), ""
+        with path.open("xb") as target:
 
             def put(piece: bytes) -> None:
                 try:

@@ -163,12 +163,15 @@ def _containers(
             yield name, container, place if isinstance(place, str) and place.startswith("/") else folder
 
 
-def of_path(path: Path) -> Looked:
-    """The folders with logs in `path`: itself, and those below it."""
+def of_path(path: Path, without: Path) -> Looked:
+    """The folders with logs in `path`: itself, and those below it. without: the folder into which logs are collected."""
     if not path.is_dir():
         return Looked((), ((str(path), "is not a folder" if path.exists() else "does not exist"),))
     found: list[ContainerLogs | FolderLogs] = []
     for place, folders, names in os.walk(path):
+        if Path(place).resolve() == without.resolve():
+            folders.clear()
+            continue
         folders.sort()
         if len(Path(place).relative_to(path).parts) >= MOST_DEPTH or len(found) >= MOST_FOLDERS:
             folders.clear()

@@ -342,6 +342,16 @@ while True:
     assert words.endswith("-l pi -p 2222 -- drone5 docker system dial-stdio")
 
 
+def test_ssh_that_hangs_ends_at_the_deadline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The program is left to end, since its connection is closed."""
+    (tmp_path / "ssh").write_text("#!/bin/sh\ncat >/dev/null\n")
+    (tmp_path / "ssh").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    monkeypatch.setattr(log_sources, "LOOK_S", 0.5)
+    result = collect(tmp_path / "out", "--docker", "ssh://drone5")
+    assert result.exit_code == 1 and "did not answer within" in result.output
+
+
 @pytest.mark.parametrize(
     "url",
     [
@@ -396,7 +406,25 @@ def test_no_log_can_replace_what_was_collected(tmp_path: Path, engine: FakeEngin
     first = before.splitlines(keepends=True)[0]
     (agent.folder / "phm.jsonl").write_bytes(first + b'{"forged": true}\n' * 1000)
     assert collect(out, engine=engine).exit_code == 0
-    assert before in [path.read_bytes() for path in (out / "agent_1").glob("phm.jsonl*")]
+    for _ in range(3):
+        files = [path.read_bytes() for path in (out / "agent_1").glob("phm.jsonl*")]
+        assert before in files and len(files) == 2
+        with (agent.folder / "phm.jsonl").open("ab") as log:
+            log.write(b'{"forged": true}\n')
+        assert collect(out, engine=engine).exit_code == 0
+
+
+def test_a_compressed_file_without_end_costs_little(tmp_path: Path, engine: FakeEngine) -> None:
+    """It names no agent: PHM does not look for one in all of it."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    with gzip.open(folder / "phm.jsonl.1.gz", "wb", 1) as log:
+        for _ in range(100):
+            log.write(b"{}\n" * 500_000)
+    (folder / "phm.log").write_text("text\n")
+    engine.containers["bomb"] = container("bomb", folders={PLACE: folder})
+    result = collect(tmp_path / "out", engine=engine)
+    assert result.exit_code == 0 and (tmp_path / "out" / "bomb" / "phm.jsonl.1.gz").is_file(), result.output
 
 
 def test_options_choose_containers_and_their_folder(tmp_path: Path, engine: FakeEngine, agent: Agent) -> None:
@@ -427,6 +455,15 @@ def test_a_mounted_card_is_collected(tmp_path: Path, agent: Agent) -> None:
         assert texts(tmp_path / "out" / "agent_1") == list(range(1, agent.count + 1))
     missing = collect(tmp_path / "out", tmp_path / "nothing")
     assert missing.exit_code == 1 and "does not exist" in missing.output
+
+
+def test_the_folder_itself_is_not_collected(tmp_path: Path, agent: Agent) -> None:
+    """Not as a path, and not below one."""
+    for _ in range(2):
+        assert collect(tmp_path / "in" / "out", tmp_path / "in", "--json").exit_code == 0
+    assert [path.name for path in (tmp_path / "in" / "out").iterdir() if path.is_dir()] == ["agent_1"]
+    result = collect(tmp_path / "in", tmp_path / "in" / "1")
+    assert result.exit_code == 2 and "into which the logs are collected" in result.output
 
 
 def test_a_card_and_a_container_with_the_same_log_give_one_record(
