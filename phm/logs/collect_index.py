@@ -13,7 +13,9 @@ from phm.logs.bundle import file_name
 from phm.logs.copies import BROKEN, text_of
 from phm.wire import json_log
 
-MOST_BYTES = MOST_LOOKED = 20_000_000
+MOST_BYTES = 20_000_000
+MOST_LINES = 100
+"""Of a log, in which an agent is looked for: each line names it."""
 Agent = tuple[str, int | None]
 """Name and id."""
 
@@ -50,11 +52,12 @@ class Index:
 
 def agent_of(path: Path) -> Agent | None:
     """The agent whose log it is, by its first event."""
-    left = MOST_LOOKED
+    left = MOST_BYTES
     try:
         with path.open("rb") as plain:
             stream = text_of(plain, path)
-            while left > 0 and (line := stream.readline(left)):
+            for _ in range(MOST_LINES):
+                line = stream.readline(max(0, left))
                 left -= len(line)
                 event = json_log.parse(line) or {}
                 if (agent := _agent([event.get("agent"), event.get("agent_id")])) is not None:
