@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -15,11 +16,6 @@ from phm.logs.bundle import file_name
 from phm.logs.collect_index import Agent, Index, agent_of
 from phm.logs.copies import Copies
 from phm.logs.fetch import BASES, RECORD, Copied, Progress, Source, fetch
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 INDEX = ".phm-collect.json"
 """What was collected from where. Without it everything is fetched again, and nothing is there twice."""
@@ -124,12 +120,20 @@ class Collection:
         return bool(keys & Copies(self.folder / folder, RECORD).keys())  # the same log, from two places
 
 
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    with path.open("ab") as lock:
-        if fcntl is not None:
+if sys.platform == "win32":
+
+    @contextlib.contextmanager
+    def _locked(path: Path) -> Iterator[None]:
+        yield
+
+else:
+    import fcntl
+
+    @contextlib.contextmanager
+    def _locked(path: Path) -> Iterator[None]:
+        with path.open("ab") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise InUse(f"another `phm logs collect` writes into {path.parent}") from None
-        yield
+            yield
