@@ -143,8 +143,10 @@ class _Fetch:
 
     def _numbered(self, number: int) -> Seen | None:
         name = f"{self._base}.{number}"
-        packed = self._source.look(name + COMPRESSED) if self._base == RECORD else None
-        return packed or self._source.look(name)
+        if self._base != RECORD:
+            return self._source.look(name)
+        # It may be compressed between the first look and the second: then the third finds it.
+        return next(filter(None, map(self._source.look, (name + COMPRESSED, name, name + COMPRESSED))), None)
 
     def _newest(self) -> str:
         found = self._numbered(1) or self._numbered(2)
@@ -161,7 +163,9 @@ class _Fetch:
         try:
             for one in listed:
                 key = have.get(one.mark, "")
-                if one in wanted:
+                if one in wanted and one.mark in self._made.marks:  # listed twice: renamed in between
+                    key = self._made.marks[one.mark]
+                elif one in wanted:
                     try:
                         key = self._copy(one)
                     except Gone:

@@ -167,6 +167,28 @@ def test_a_file_that_rotates_during_the_copy_is_not_lost(tmp_path: Path, engine:
     assert texts(out / "agent_1") == list(range(1, agent.count + 1))
 
 
+def test_a_file_that_is_compressed_while_it_is_looked_for_is_not_lost(
+    tmp_path: Path, engine: FakeEngine, agent: Agent
+) -> None:
+    """Between the look at its compressed copy, which is not there yet, and the look at the file itself."""
+    agent.rotate()
+    agent.rotate()
+    agent.log.close()
+    plain, packed = agent.folder / "phm.jsonl.2", agent.folder / "phm.jsonl.2.gz"
+    content = packed.read_bytes()
+    packed.unlink()
+    plain.write_bytes(gzip.decompress(content))
+
+    def compress(method: str, name: str) -> None:
+        if name == plain.name and plain.exists():
+            packed.write_bytes(content)
+            plain.unlink()
+
+    engine.archived = compress
+    assert collect(tmp_path / "out", engine=engine).exit_code == 0
+    assert packed.exists() and texts(tmp_path / "out" / "agent_1") == list(range(1, agent.count + 1))
+
+
 def test_a_log_that_rotates_at_each_copy_says_so(tmp_path: Path, engine: FakeEngine, agent: Agent) -> None:
     """It does not go on forever, and does not claim to be complete."""
     engine.archived = lambda method, name: agent.rotate() if method == "GET" and ".jsonl" in name else None

@@ -227,7 +227,9 @@ def test_a_log_is_followed_over_a_reload(agent: Agent) -> None:
                 written[0] += 1
 
     def found() -> tuple[str, Any]:
-        unit = next((unit for unit in agent.status().get("checks", ()) if unit["id"] == "custom/app"), {})
+        unit: dict[str, Any] = next(
+            (unit for unit in agent.status().get("checks", ()) if unit["id"] == "custom/app"), {}
+        )
         return unit.get("level", ""), unit.get("values", {}).get("matches")
 
     agent.write(custom=checks(log))
