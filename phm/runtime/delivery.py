@@ -96,20 +96,30 @@ class Delivery:
 
     def _apply(self, path: Path, before: bytes) -> tuple[bool, str]:
         """Reload. If that fails, the previous file is there again."""
-        outcome = json.loads(self._reload())
-        if outcome["ok"]:
-            return True, str(outcome["text"])
-        why = outcome["why"] or "; ".join(each["text"] for each in outcome["problems"][:3])
+        ok, why = self._reloaded()
+        if ok:
+            return True, why
         try:
             replace(path, before)
         except OSError as error:
             words = f"not applied: {why}. The previous file could not be written again ({error.strerror or error}): it is {path.name}{BACKUP}"
             self.note(words)
             return False, words
-        self._reload()  # the one before may have been late instead of refused
+        self._reloaded()  # the one before may have been late instead of refused
         words = f"not applied, the previous configuration is back: {why}"
         self.note(words)
         return False, words
+
+    def _reloaded(self) -> tuple[bool, str]:
+        """Whether it succeeded, and its outcome or the reason. Never raises: the previous file must return whatever happens."""
+        try:
+            outcome = json.loads(self._reload())
+            if outcome["ok"]:
+                return True, str(outcome["text"])
+            return False, str(outcome["why"] or "; ".join(each["text"] for each in outcome["problems"][:3]))
+        except Exception as error:
+            logger.exception("the delivered configuration could not be reloaded")
+            return False, f"PHM failed ({type(error).__name__})"
 
     # ------------------------------------------------------------ what is refused
 

@@ -81,7 +81,10 @@ def _line(stream: socket.socket) -> bytes:
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    for name in ("REQUEST_S", "BODY_S", "ANSWER_S"):
+        monkeypatch.setattr(delivery_server, name, LIMIT_S)
     monkeypatch.setattr(delivery_server, "BURST", 1000.0)
+    monkeypatch.setattr(delivery_server, "NOTE_RATE", 1e-9)
     made = Bench()
     yield made
     made.go.set()
@@ -148,6 +151,13 @@ def test_another_agents_request_is_refused(bench: Bench) -> None:
         _, data = wire.request(wire.Hello("A08", said.nonce), BASE, TEXT, KEY)
         assert "key" in bench.say(data, stream)
     assert bench.executed == []
+
+
+def test_the_largest_configuration_arrives_complete(bench: Bench) -> None:
+    """The server reads more than it holds at a time."""
+    text = "é" * (wire.MAX_SIZE // 2)
+    assert bench.deliver(text=text).ok
+    assert bench.executed[0][0] == text
 
 
 def test_a_configuration_that_is_too_large_is_refused(bench: Bench) -> None:

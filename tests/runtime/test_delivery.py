@@ -181,6 +181,18 @@ def test_the_previous_file_returns_if_the_reload_fails(agent: Agent) -> None:
     assert any("is back" in note for note in agent.notes)
 
 
+def test_the_previous_file_returns_if_phm_fails(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a reload raises, the file is the one that PHM runs with."""
+
+    def fail() -> str:
+        raise OSError("a defect")
+
+    monkeypatch.setattr(agent.delivery, "_reload", fail)
+    answer = agent.deliver()
+    assert not answer.ok and "previous configuration is back" in answer.text
+    assert agent.file.read_text() == OLD
+
+
 def test_a_link_stays_a_link(agent: Agent, tmp_path: Path) -> None:
     """The file that it leads to is replaced."""
     real = tmp_path / "real.yaml"
