@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from phm.facts import CannotTell
-from phm.logs.fetch import BASES, Gone, Seen
+from phm.logs.fetch import BASES, MOST_FAILURES, Gone, Seen
 from phm.transport.docker import DockerEngine, EngineMissing
 
 LABEL = "phm.logs"
@@ -131,13 +131,19 @@ def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> Loo
     """
     found: list[ContainerLogs | FolderLogs] = []
     missing: list[tuple[str, str]] = []
-    used = set[str]()
+    used, failures = set[str](), 0
     for name, container, place in _containers(engine, folder, patterns, used):
         logs = ContainerLogs(engine, container, name, place)
         try:
             has = any(logs.look(base) is not None for base in BASES)
         except CannotTell as error:
             missing.append((logs.name, str(error)))
+            failures += 1
+            if failures == MOST_FAILURES:
+                missing.append(
+                    (f"the other containers at {engine.url}", "not asked, since others could not be looked at")
+                )
+                break
             continue
         if has:
             found.append(logs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tests.cli.test_logs_collect import collect, texts
+from tests.fakes.log_agents import collect, texts
 from tests.fakes.until import until
 from tests.probes.docker.conftest import SOCKET, real as real
 
