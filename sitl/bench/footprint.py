@@ -12,6 +12,7 @@ import os
 import statistics
 import subprocess
 import sys
+import tempfile
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -50,37 +51,52 @@ def agents(pids: Sequence[int] = ()) -> list[dict[str, int]]:
 
 
 def measure(running: Sequence[Mapping[str, int]], seconds: float) -> dict[str, Any]:
-    """Means over the agents: memory and CPU by process and in all, and each thread by process and name."""
-    pids = [pid for roles in running for pid in roles.values()]
-    costs = footprint_proc.threads(pids, seconds)
+    """Means over the agents: memory and CPU by process and in all, and each thread by process and name. An agent of which a process
+    ends meanwhile is left out. Raises ValueError if none is left."""
+    costs = footprint_proc.threads([pid for roles in running for pid in roles.values()], seconds)
     by_role: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     by_thread: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
-    alone = []
+    alone, count = [], 0
     for roles in running:
+        try:
+            memory = {role: footprint_proc.memory(pid) for role, pid in roles.items()}
+            size = footprint_proc.together(roles.values())
+        except OSError:
+            continue
+        count += 1
+        alone += [size / 1e6] if size is not None else []
         for role, pid in roles.items():
-            memory = footprint_proc.memory(pid)
-            row = {"pss_mb": memory.pss / 1e6, "rss_mb": memory.rss / 1e6, "private_mb": memory.anonymous / 1e6}
-            row |= {"wakeups": sum(cost.wakeups for cost in costs[pid]), "cpu": sum(cost.cpu for cost in costs[pid])}
-            row["threads"] = len(costs[pid])
-            for name, value in row.items():
+            for name, value in _row(memory[role], costs[pid]).items():
                 by_role[role][name].append(value)
             for cost in costs[pid]:
                 entry = by_thread[role, cost.name]
                 for at, value in enumerate((cost.wakeups, cost.cpu, 1)):
-                    entry[at] += value / len(running)
-        if (size := footprint_proc.together(roles.values())) is not None:
-            alone.append(size / 1e6)
-    processes = {role: {name: statistics.mean(values) for name, values in row.items()} for role, row in by_role.items()}
+                    entry[at] += value
+    if not count:
+        raise ValueError("no PHM ran for the entire time")
     return {
         "machine": machine(),
-        "agents": len(running),
+        "agents": count,
         "seconds": seconds,
-        "processes": processes,
+        "processes": {
+            role: {name: statistics.mean(values) for name, values in row.items()} for role, row in by_role.items()
+        },
         "alone_mb": statistics.mean(alone) if alone else None,
         "threads": [
-            {"process": role, "thread": name, "wakeups": entry[0], "cpu": entry[1], "count": entry[2]}
-            for (role, name), entry in sorted(by_thread.items(), key=lambda item: -item[1][0])
+            {"process": role, "thread": name, "wakeups": a / count, "cpu": b / count, "count": c / count}
+            for (role, name), (a, b, c) in sorted(by_thread.items(), key=lambda item: -item[1][0])
         ],
+    }
+
+
+def _row(memory: footprint_proc.Memory, costs: Sequence[footprint_proc.ThreadCost]) -> dict[str, float]:
+    return {
+        "pss_mb": memory.pss / 1e6,
+        "rss_mb": memory.rss / 1e6,
+        "private_mb": memory.anonymous / 1e6,
+        "threads": len(costs),
+        "wakeups": sum(cost.wakeups for cost in costs),
+        "cpu": sum(cost.cpu for cost in costs),
     }
 
 
@@ -105,10 +121,13 @@ def show(found: Mapping[str, Any], console: Console) -> None:
 def imports() -> dict[str, Any]:
     """What the packages cost that each process imports, in new processes."""
     found = {}
-    for role, modules in IMPORTED.items():
-        command = [sys.executable, "-m", "sitl.bench.footprint_imports", *modules]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)  # so that the modules are compiled
-        found[role] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+    with tempfile.TemporaryDirectory() as cache:
+        environ = {**os.environ, "PYTHONPYCACHEPREFIX": cache, "PYTHONDONTWRITEBYTECODE": ""}
+        for role, modules in IMPORTED.items():
+            command = [sys.executable, "-m", "sitl.bench.footprint_imports", *modules]
+            for _ in range(2):  # the first run compiles the modules
+                done = subprocess.run(command, env=environ, check=True, stdout=subprocess.PIPE)
+            found[role] = json.loads(done.stdout)
     return found
 
 
@@ -136,7 +155,11 @@ def main(arguments: list[str] | None = None) -> int:
         if not running:
             print("no PHM runs here: start one, e.g. with scripts/demo", file=sys.stderr)
             return 1
-        found = measure(running, chosen.seconds)
+        try:
+            found = measure(running, chosen.seconds)
+        except ValueError as error:
+            print(error, file=sys.stderr)
+            return 1
     if chosen.json:
         print(json.dumps(found, indent=2))
     else:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 PAGE = os.sysconf("SC_PAGE_SIZE")
 _VMA = re.compile(rb"^([0-9a-f]+)-([0-9a-f]+) ")
+_DDS = re.compile(r"dds\.(udp|shm)\.(\d+)")
 _PRESENT, _FRAME = 1 << 63, (1 << 55) - 1
 _GONE = (FileNotFoundError, ProcessLookupError)
 
@@ -96,5 +97,13 @@ def _counters(pid: int, proc: Path) -> dict[int, tuple[str, int, int]]:
         except _GONE:
             continue
         values = dict(line.partition(":")[::2] for line in status.splitlines())
-        found[int(task.name)] = (values["Name"].strip(), int(values["voluntary_ctxt_switches"]), ran)
+        found[int(task.name)] = (_named(values["Name"].strip()), int(values["voluntary_ctxt_switches"]), ran)
     return found
+
+
+def _named(name: str) -> str:
+    """Threads of Fast DDS are named by their port, which depends on the domain: by what comes there instead."""
+    if not (match := _DDS.fullmatch(name)):
+        return name
+    offset = (int(match[2]) - 7400) % 250
+    return f"dds.{match[1]} {'multicast' if offset < 10 else 'data' if offset % 2 else 'discovery'}"
