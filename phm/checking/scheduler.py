@@ -54,8 +54,11 @@ Sink = Callable[[CheckRun], None]
 class CheckThread:
     """The thread of one check. `running_since` is None between runs."""
 
-    def __init__(self, scheduled: ScheduledCheck, world: World, clock: Clock, sink: Sink) -> None:
+    def __init__(self, scheduled: ScheduledCheck, world: World, clock: Clock, sink: Sink, offset: float = 0.0) -> None:
+        """offset: share of its period by which its turns are later than those of others. Threads that wake together wait for each
+        other, which costs each a second wake-up."""
         self.scheduled = scheduled
+        self._first = clock.mono() + offset * scheduled.period_s
         self.units = scheduled.units
         self._world, self._clock, self._sink = world, clock, sink
         self._wake = threading.Event()
@@ -95,12 +98,18 @@ class CheckThread:
         while not self._stopping:
             reason, self._reason = self._reason, "period"
             self._wake.clear()
+            started = self._clock.mono()
             self._run(reason)
             ended = self._clock.mono()
-            self._clock.wait(self._wake, max(MIN_GAP_S, self.scheduled.period_s))
+            self._clock.wait(self._wake, self._pause_s(started, ended))
             # Only after an early wake-up, so that an idle check costs one wait per run.
             if (left_s := ended + MIN_GAP_S - self._clock.mono()) > 0:
                 self._clock.wait(threading.Event(), left_s)
+
+    def _pause_s(self, started: float, ended: float) -> float:
+        """Until its next turn, at most a period; as long as the run took, so that a slow check does not run all the time."""
+        period_s = max(MIN_GAP_S, self.scheduled.period_s)
+        return max(MIN_GAP_S, min(period_s, ended - started), period_s - (ended - self._first) % period_s)
 
     def _run(self, reason: str) -> None:
         started = self._clock.mono()
@@ -141,7 +150,9 @@ class CheckScheduler:
 
     def __init__(self, scheduled: Sequence[ScheduledCheck], world: World, clock: Clock, sink: Sink) -> None:
         self._clock, self._sink = clock, sink
-        self.threads = [CheckThread(entry, world, clock, sink) for entry in scheduled]
+        self.threads = [
+            CheckThread(entry, world, clock, sink, number / len(scheduled)) for number, entry in enumerate(scheduled)
+        ]
         self._by_unit = {unit: thread for thread in self.threads for unit in thread.units}
         self._by_subject: dict[str, list[CheckThread]] = {}
         for thread in self.threads:

@@ -72,6 +72,17 @@ def test_a_check_runs_at_start_and_then_every_period(rig: Rig) -> None:
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
 
 
+def test_checks_of_one_period_run_at_different_moments(rig: Rig) -> None:
+    """Both run at the start, and then each period, but not together: threads that wake together wait for each other."""
+    rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"), period_s=20.0)
+    until(lambda: len(rig.batches) == 2, "the first results")
+    for count, unit in enumerate(("b", "a", "b", "a"), 3):
+        rig.clock.wait_for_sleepers(2)
+        rig.clock.advance(10.0)
+        until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
+        assert unit in rig.batches[-1].units
+
+
 def test_a_wake_runs_only_the_checks_of_its_subject(rig: Rig) -> None:
     """An event runs only the affected checks, not an entire pass."""
     engine = rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"))
