@@ -54,7 +54,8 @@ class Injection(Fault):
             ],
             name=self._dependant(agent),
             detach=True,
-            environment=app.attrs["Config"]["Env"],
+            # Fast DDS takes containers with one address for one machine and sends through shared memory, which they do not share.
+            environment=[*app.attrs["Config"]["Env"], "FASTDDS_BUILTIN_TRANSPORTS=UDPv4"],
             # A container of the project, as far as its end goes: `docker compose down --remove-orphans` takes it, too.
             labels={**app.labels, "com.docker.compose.service": "dependant"},
             network_mode=f"container:{app.id}",

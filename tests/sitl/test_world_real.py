@@ -20,7 +20,21 @@ from sitl.faults.base import Agent, Fault
 from sitl.faults.file_deleted import CRITICAL
 from tests.fakes.until import until
 
+JOIN = """
+import socket, time
+group = socket.inet_aton("239.255.0.1") + socket.inet_aton("0.0.0.0")
+member = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+while True:
+    try:
+        member.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        break
+    except OSError:
+        time.sleep(0.1)
+time.sleep(3600)
+"""
+"""A member of the group of DDS discovery, as nodes are."""
 APP = (
+    f"python3 -c '{JOIN}' & "
     "mkdir -p /ws/src; printf '#!/bin/sh\\nexit 0\\n' >/ws/src/critical_file; chmod 755 /ws/src/critical_file; "
     "rm -f /tmp/unhealthy; [ ! -s /tmp/broken_start ] || exit 1; "
     "while :; do sleep 1; done"
