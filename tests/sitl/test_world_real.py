@@ -114,6 +114,17 @@ def test_the_world_is_observed_to_be_broken_and_restored(agent: Agent, name: str
     until(lambda: observed(fault, agent) is True, "the restored world")
 
 
+def test_a_container_that_is_only_connected_again_is_not_restored(agent: Agent) -> None:
+    """Its programs are not members of their multicast groups on the new interface until they are restarted."""
+    fault = all_faults()["network_disconnected"]
+    fault.inject(agent)
+    agent.docker.networks.get(f"{agent.project}_net").connect(agent.app)
+    assert _world.attached(agent, agent.app, f"{agent.project}_net")
+    assert fault.restored(agent) is False
+    fault.clear(agent)
+    until(lambda: observed(fault, agent) is True, "the restarted container")
+
+
 def test_a_killed_phm_is_back_once_another_process_runs(agent: Agent) -> None:
     """The restart policy starts it; the killed process does not count."""
     fault = all_faults()["phm_killed"]
