@@ -17,7 +17,6 @@ from phm.core.dependency_graph import DependencyGraph
 from phm.core.signals import Signals
 from phm.core.systemd import SystemdNotifier
 from phm.runtime import service
-from phm.runtime.daemon import Daemon
 from phm.runtime.reload import Reloader
 
 ONCE = Counter({"file": 1, "graph": 1, "checks": len(registry.checks())})
@@ -85,15 +84,14 @@ def test_run_and_reload_read_and_build_once(
     """A reload in which the agent's id changed builds twice: the file's checks, and those that apply until the restart."""
     seen: list[Counter[str]] = []
 
-    def serve(daemon: Daemon, signals: Signals, reloader: Reloader, systemd: SystemdNotifier) -> Daemon:
+    def serve(running: Any, signals: Signals, reloader: Reloader, systemd: SystemdNotifier) -> None:
         seen.append(counts.copy())
         counts.clear()
         write(file, agent, interval="30s")
-        new = reloader.run(daemon)
+        before, running.daemon = running.daemon, reloader.run(running.daemon)
         seen.append(counts.copy())
-        assert new is not daemon
-        assert new.settings.agent.id == 3
-        return new
+        assert running.daemon is not before
+        assert running.daemon.settings.agent.id == 3
 
     monkeypatch.setattr(service, "_serve", serve)
     result = CliRunner().invoke(group, ["run", "-c", str(file)])

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from phm.config import ConfigError, loads
 from phm.core import memory, threads
@@ -53,6 +54,16 @@ def test_a_configuration_is_validated_again_after_its_validators_were_freed(forg
     with pytest.raises(ConfigError, match="intervall"):
         loads(TEXT.replace("interval", "intervall"), environ={})
     assert RecoverySettings().verify == forgotten.recovery.verify
+
+
+def test_a_section_can_be_made_after_its_validators_were_freed(forgotten: Settings) -> None:
+    """A check of another package may do that at any time: values are validated as before."""
+    assert RecoverySettings(mode="off").mode == "off"
+    validators.forget()
+    with pytest.raises(ValidationError, match="mode"):
+        RecoverySettings.model_validate({"mode": "sometimes"})
+    validators.forget()
+    assert forgotten.recovery.model_dump()["mode"] == forgotten.recovery.mode
 
 
 def test_the_kernel_knows_the_name_of_each_thread() -> None:

@@ -4,23 +4,41 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 from phm.core.settings.base import Section
 
-_PARTS = ("__pydantic_core_schema__", "__pydantic_validator__", "__pydantic_serializer__")
-_lock = threading.Lock()
+_SCHEMA, *_PARTS = "__pydantic_core_schema__", "__pydantic_validator__", "__pydantic_serializer__"
+_lock = threading.RLock()
 _forgotten: list[type[Section]] = []
 
 
+class _Absent:
+    """In place of a validator or serializer: makes all of them again when it is used."""
+
+    def __init__(self, section: type[Section], part: str) -> None:
+        self._section, self._part = section, part
+
+    def __getattr__(self, name: str) -> Any:
+        restore()
+        found = getattr(self._section, self._part)
+        if isinstance(found, _Absent):
+            raise AttributeError(name)
+        return getattr(found, name)
+
+
 def forget() -> None:
-    """Free the validators of all sections. Settings that exist can be used as before; `restore` goes before new ones are made."""
+    """Free the validators of all sections. Settings that exist can be used as before; new ones can be made, after a moment."""
     with _lock:
         for section in _sections(Section):
-            if _PARTS[1] in vars(section):
-                _forgotten.append(section)
-                for part in _PARTS:
-                    if part in vars(section):
-                        delattr(section, part)
+            if section in _forgotten or not section.__pydantic_complete__:
+                continue
+            _forgotten.append(section)
+            section.__pydantic_complete__ = False
+            if _SCHEMA in vars(section):
+                delattr(section, _SCHEMA)
+            for part in _PARTS:
+                setattr(section, part, _Absent(section, part))
 
 
 def restore() -> None:
