@@ -38,16 +38,22 @@ def agents(pids: Sequence[int] = ()) -> list[dict[str, int]]:
     found = []
     for process in psutil.process_iter(["cmdline"]):
         words = process.info["cmdline"] or []
-        if not (process.pid in pids if pids else words[-1:] == ["run"] and "phm" in " ".join(words[:3])):
+        if not (process.pid in pids if pids else _is_daemon(words)):
             continue
-        if not pids and "python" not in os.path.basename(words[0]):
-            continue  # an init that started it
         roles = {"daemon": process.pid}
         for child in process.children():
             line = " ".join(child.cmdline())
             roles |= {role: child.pid for role, word in ROLES.items() if role != "daemon" and word in line}
         found.append(roles)
     return found
+
+
+def _is_daemon(words: Sequence[str]) -> bool:
+    """`python .../phm run ...` or `python -m phm.cli run ...`; an init that started it is not meant."""
+    if not words or "python" not in os.path.basename(words[0]):
+        return False
+    pairs = zip(map(os.path.basename, words), words[1:], strict=False)
+    return any(name in ("phm", "phm.cli") and verb == "run" for name, verb in pairs)
 
 
 def measure(running: Sequence[Mapping[str, int]], seconds: float) -> dict[str, Any]:

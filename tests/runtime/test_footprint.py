@@ -109,6 +109,21 @@ def test_an_import_is_charged_to_its_package() -> None:
     assert footprint_imports.anonymous_kb() > 1000
 
 
+@pytest.mark.parametrize(
+    ("line", "daemon"),
+    [
+        ("/opt/phm/bin/python /opt/phm/code/bin/phm run", True),
+        (".venv/bin/python -m phm.cli run -c phm.yaml", True),
+        ("/sbin/docker-init -- ros-entrypoint phm run", False),
+        ("/usr/bin/python3 /usr/bin/phm status --watch", False),
+        ("", False),
+    ],
+)
+def test_a_daemon_is_found_by_its_command_line(line: str, daemon: bool) -> None:
+    """With and without options; the init that started it is another process."""
+    assert footprint._is_daemon(line.split()) is daemon
+
+
 def test_a_process_that_is_not_phm_is_not_measured() -> None:
     """Only daemons named by their process id, or found by their command line, are agents."""
     assert all(roles["daemon"] != os.getpid() for roles in footprint.agents())
