@@ -13,6 +13,8 @@ INTERVAL_S = 20.0
 """Between two periodic reports, where the trial does not say it."""
 STEPS = ("advised", "refused", "done", "failed", "verified", "escalated")
 """Phases with which a step of PHM's response to a fault is complete."""
+SUSPENDED = "phm_suspended"
+"""A suspension of PHM is reported when it is over."""
 
 
 def measure(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned]) -> None:
@@ -74,7 +76,7 @@ def _claim(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
     if fault.phm and back:
         _complete_again(verdict, back[0], begun, until)
         return
-    if fault.phm and verdict.detected_s is not None:
+    if fault.phm and fault.condition == SUSPENDED and verdict.detected_s is not None:
         verdict.claimed_s, verdict.by = verdict.detected_s, OWN_GUARD
         return
     if verdict.missed:

@@ -230,6 +230,16 @@ def test_a_stopped_phm_is_recovered_when_it_reports_the_suspension() -> None:
     assert verdict.ended_by == PHM
 
 
+def test_a_problem_of_phm_that_lasts_is_not_over_with_its_report() -> None:
+    """A log that cannot be written is reported while it lasts."""
+    broken = injection(
+        unit="companion", condition="phm_problem", layer="companion", group="companion", phm=True, level="WARN"
+    )
+    warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_problem"], "cannot write")]
+    verdict = only(trial(injections=[broken], warned=warned, alarms=[], acts=[]))
+    assert (verdict.detected_s, verdict.claimed_s) == (3.0, None)
+
+
 def test_a_killed_phm_is_recovered_when_it_reports_again() -> None:
     """Its next run warns of the crash of the previous one; the first complete report counts as recovery, not the end of
     the warning.
