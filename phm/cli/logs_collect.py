@@ -36,7 +36,7 @@ class _Engine(click.ParamType):  # type: ignore[type-arg]
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         from urllib.parse import urlsplit
 
-        from phm.transport.docker_connect import ssh_command
+        from phm.transport.docker_http import ssh_command
 
         url = str(value).strip()
         try:

@@ -1,7 +1,7 @@
-"""Calls to the Docker Engine, with a wall-clock deadline for each.
+"""Calls to the Docker Engine through docker-py, with a wall-clock deadline for each.
 
-The probes and the recovery actions use one `DockerEngine`. The calls are here; deadlines and errors are in
-`phm.transport.docker_session`, HTTP is in `phm.transport.docker_http`.
+The probes and the recovery actions use one `DockerEngine`. The calls are here; deadlines, clients and errors are in
+`phm.transport.docker_session`.
 """
 
 from __future__ import annotations
@@ -11,11 +11,14 @@ import json
 import posixpath
 import tarfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import replace
 from functools import partial
 from typing import Any
 from urllib.parse import quote
+
+import requests
+from docker import APIClient
+from docker.errors import create_api_error_from_http_exception
+from requests.models import Response
 
 from phm.transport import docker_bodies, docker_frames
 from phm.transport.docker_errors import (
@@ -29,7 +32,7 @@ from phm.transport.docker_errors import (
     EngineUnreachable,
     translate,
 )
-from phm.transport.docker_http import NOT_MODIFIED, EngineClient, EventStream, Response
+from phm.transport.docker_http import EventStream
 from phm.transport.docker_session import FAILURES, Answer, DockerSession, mapping
 from phm.transport.docker_tar import FileCopy, pack, unpack
 
@@ -49,6 +52,8 @@ __all__ = [
 
 ACT_MARGIN_S = 10.0
 """Additional seconds for changing calls: the engine waits this long for a kill to take effect."""
+NOT_MODIFIED = 304
+"""The engine's status code if a container is already in the requested state."""
 EVENT_SILENCE_S = 60.0
 """An event stream silent for longer is closed, so that a half-open TCP connection ends."""
 
@@ -65,55 +70,53 @@ class DockerEngine(DockerSession):
 
     def ping(self) -> None:
         """Return when the engine responds."""
-        self.call(lambda client: client.request("GET", "/_ping").content(), what="ping")
+        self.call(lambda client: client.ping(), what="ping")
 
     def version(self) -> Answer:
         """GET /version: Version, ApiVersion, MinAPIVersion, ..."""
-        return self._ask(lambda client: replace(client, api_version="").get("/version"), None, "read its version")
+        return self._ask(lambda client: client.version(api_version=False), None, "read its version")
 
     def list(self, *, label: str = "", deadline_s: float | None = None) -> Sequence[Answer]:
         """Summaries of all containers, including stopped ones; with `label` only those that have it."""
-        params = {"limit": "-1", "all": "1", "size": "0", "trunc_cmd": "0"}
-        if label:
-            params["filters"] = docker_bodies.filters({"label": [label]})
+        filters = {"label": [label]} if label else None
 
-        def ask(client: EngineClient) -> Sequence[Answer]:
-            return [mapping(entry) for entry in client.get("/containers/json", params)]
+        def ask(client: APIClient) -> Sequence[Answer]:
+            return [mapping(entry) for entry in client.containers(all=True, filters=filters)]
 
         return self.call(ask, deadline_s=deadline_s, what="list containers")
 
     def running(self) -> Sequence[Answer]:
         """Summaries of the running containers."""
 
-        def ask(client: EngineClient) -> Sequence[Answer]:
-            return [mapping(entry) for entry in client.get("/containers/json")]
+        def ask(client: APIClient) -> Sequence[Answer]:
+            response = client.get(f"{client.base_url}/v{client.api_version}/containers/json", timeout=client.timeout)
+            _raise_for_status(response)
+            return [mapping(entry) for entry in response.json()]
 
         return self.call(ask, what="list running containers")
 
     def inspect(self, ref: str, *, deadline_s: float | None = None) -> Answer:
         """All data of one container."""
-        return self._ask(lambda client: client.get(f"{_container(ref)}/json"), deadline_s, f"inspect {ref}")
+        return self._ask(lambda client: client.inspect_container(ref), deadline_s, f"inspect {ref}")
 
     def inspect_network(self, ref: str, *, deadline_s: float | None = None) -> Answer:
         """All data of one network."""
-        return self._ask(
-            lambda client: client.get(f"/networks/{quote(ref, safe='')}"), deadline_s, f"inspect network {ref}"
-        )
+        return self._ask(lambda client: client.inspect_network(ref), deadline_s, f"inspect network {ref}")
 
     def top(self, container: str, ps_args: str = "-ef", *, deadline_s: float | None = None) -> Answer:
         """The processes of a running container: Titles and Processes, in the format of the host's `ps`."""
-        path, what = f"{_container(container)}/top", f"list processes of {container}"
-        return self._ask(lambda client: client.get(path, {"ps_args": ps_args}), deadline_s, what)
+        what = f"list processes of {container}"
+        return self._ask(lambda client: client.top(container, ps_args=ps_args), deadline_s, what)
 
     def stats(self, container: str, *, deadline_s: float | None = None) -> Answer:
         """A single reading of a container's use of CPU, memory and processes since its start.
 
         Current engines respond immediately; 20.10 only at the next tick of its collector, after up to 1 s.
         """
-        path, what = f"{_container(container)}/stats", f"read the statistics of {container}"
-        return self._ask(lambda client: client.get(path, {"stream": "False", "one-shot": "True"}), deadline_s, what)
+        what = f"read the statistics of {container}"
+        return self._ask(lambda client: client.stats(container, stream=False, one_shot=True), deadline_s, what)
 
-    def _ask(self, fn: Callable[[EngineClient], Any], deadline_s: float | None, what: str) -> Answer:
+    def _ask(self, fn: Callable[[APIClient], Any], deadline_s: float | None, what: str) -> Answer:
         """One JSON object; anything else is invalid, EngineBroken."""
         return self.call(lambda client: mapping(fn(client)), deadline_s=deadline_s, what=what)
 
@@ -124,9 +127,9 @@ class DockerEngine(DockerSession):
         does not exist.
         """
 
-        def ask(client: EngineClient) -> Answer:
-            response = client.request("HEAD", f"{_container(container)}/archive", {"path": path})
-            response.close()
+        def ask(client: APIClient) -> Answer:
+            response = client.head(_archive_url(client, container), params={"path": path}, timeout=client.timeout)
+            _raise_for_status(response)
             return _stat(response)
 
         return self.call(ask, deadline_s=deadline_s, what=f"look at {path} in {container}")
@@ -162,9 +165,15 @@ class DockerEngine(DockerSession):
     def _fetch(
         self, container: str, path: str, sink: Callable[[bytes], object], limit: int, deadline_s: float | None
     ) -> tuple[tarfile.TarInfo, Answer]:
-        def ask(client: EngineClient) -> tuple[tarfile.TarInfo, Answer]:
-            with closing(client.request("GET", f"{_container(container)}/archive", {"path": path})) as response:
+        def ask(client: APIClient) -> tuple[tarfile.TarInfo, Answer]:
+            response = client.get(
+                _archive_url(client, container), params={"path": path}, stream=True, timeout=client.timeout
+            )
+            try:
+                _raise_for_status(response)
                 return unpack(response, sink, f"{path} in {container}", limit), _stat(response)
+            finally:
+                response.close()
 
         return self.call(ask, deadline_s=deadline_s, what=f"read {path} in {container}")
 
@@ -179,8 +188,9 @@ class DockerEngine(DockerSession):
         if since:
             params["since"] = since
         with self.calling("follow events", None) as (client, call):
-            response = client.request("GET", "/events", params)
-            response.sock.settimeout(EVENT_SILENCE_S)
+            url = f"{client.base_url}/v{client.api_version}/events"
+            response = client.get(url, params=params, stream=True, timeout=(client.timeout, EVENT_SILENCE_S))
+            _raise_for_status(response)
             sockets = call.finish()
         explain = partial(translate, call=call, url=self.url, limit_s=EVENT_SILENCE_S, what="follow events")
         return EventStream(response, sockets, FAILURES, explain)
@@ -190,46 +200,46 @@ class DockerEngine(DockerSession):
     def start(self, ref: str) -> bool:
         """Start a container; a running one is left unchanged. Returns whether this call has started it."""
 
-        def ask(client: EngineClient) -> bool:
-            return client.post(f"{_container(ref)}/start").status != NOT_MODIFIED
+        def ask(client: APIClient) -> bool:
+            url = f"{client.base_url}/v{client.api_version}/containers/{quote(ref, safe='')}/start"
+            response = client.post(url, timeout=client.timeout)
+            _raise_for_status(response)
+            return bool(response.status_code != NOT_MODIFIED)
 
         return bool(self._act(ask, f"start {ref}"))
 
     def restart(self, ref: str, stop_timeout_s: float = 5.0) -> None:
         """SIGTERM, SIGKILL after `stop_timeout_s` (rounded up to whole seconds), then start."""
-        self._end(ref, "restart", stop_timeout_s)
+        grace = _whole(stop_timeout_s)
+        self._act(lambda client: client.restart(ref, timeout=grace), f"restart {ref}", grace)
 
     def stop(self, ref: str, stop_timeout_s: float = 5.0) -> None:
-        self._end(ref, "stop", stop_timeout_s)
-
-    def _end(self, ref: str, verb: str, stop_timeout_s: float) -> None:
         grace = _whole(stop_timeout_s)
-        path, params = f"{_container(ref)}/{verb}", {"t": str(grace)}
-        self._act(lambda client: client.post(path, params), f"{verb} {ref}", grace)
+        self._act(lambda client: client.stop(ref, timeout=grace), f"stop {ref}", grace)
 
     def pause(self, ref: str) -> None:
-        self._act(lambda client: client.post(f"{_container(ref)}/pause"), f"pause {ref}")
+        self._act(lambda client: client.pause(ref), f"pause {ref}")
 
     def unpause(self, ref: str) -> None:
-        self._act(lambda client: client.post(f"{_container(ref)}/unpause"), f"unpause {ref}")
+        self._act(lambda client: client.unpause(ref), f"unpause {ref}")
 
     def kill(self, ref: str, signal: str = "SIGKILL") -> None:
-        self._act(lambda client: client.post(f"{_container(ref)}/kill", {"signal": signal}), f"kill {ref}")
+        self._act(lambda client: client.kill(ref, signal=signal), f"kill {ref}")
 
     def set_cpu_shares(self, container: str, shares: int) -> None:
         """Set the CPU weight of a container while it runs; 1024 is the engine's default."""
-        path, body = f"{_container(container)}/update", docker_bodies.cpu_shares(shares)
-        self._act(lambda client: client.post(path, body=body), f"set the CPU weight of {container}")
+        path, body = f"/containers/{quote(container, safe='')}/update", docker_bodies.cpu_shares(shares)
+        self._act(lambda client: _post(client, path, body), f"set the CPU weight of {container}")
 
     def disconnect(self, network: str, container: str, force: bool = False) -> None:
         """Disconnect a container from a network; `force` also if the container is gone or half connected."""
         path, body = f"/networks/{quote(network, safe='')}/disconnect", docker_bodies.disconnect(container, force=force)
-        self._act(lambda client: client.post(path, body=body), f"disconnect {container} from {network}")
+        self._act(lambda client: _post(client, path, body), f"disconnect {container} from {network}")
 
     def connect(self, network: str, container: str, aliases: Sequence[str] = (), address: str = "") -> None:
         """Connect a container to a network, with `aliases` and, if given, a fixed `address` (IPv4 or IPv6)."""
         path, body = f"/networks/{quote(network, safe='')}/connect", docker_bodies.connect(container, aliases, address)
-        self._act(lambda client: client.post(path, body=body), f"connect {container} to {network}")
+        self._act(lambda client: _post(client, path, body), f"connect {container} to {network}")
 
     def exec_detached(self, container: str, argv: Sequence[str], user: str = "") -> None:
         """Start a program in a running container, with its environment and as its user unless another is given.
@@ -237,17 +247,16 @@ class DockerEngine(DockerSession):
         No shell is involved. Returns when the program has been started; its outcome is unknown here.
         """
 
-        def ask(client: EngineClient) -> None:
-            made = client.request("POST", f"{_container(container)}/exec", body=docker_bodies.exec_(argv, user)).json()
-            client.post(f"/exec/{quote(made['Id'], safe='')}/start", body=docker_bodies.START_EXEC)
+        def ask(client: APIClient) -> None:
+            made = _post(client, f"/containers/{quote(container, safe='')}/exec", docker_bodies.exec_(argv, user))
+            _post(client, f"/exec/{quote(made.json()['Id'], safe='')}/start", docker_bodies.START_EXEC)
 
         self._act(ask, f"run {argv[0] if argv else 'nothing'} in {container}")
 
     def exec_create(self, container: str, argv: Sequence[str]) -> str:
         """Prepare a program to run in a container, with its environment and as its user. Returns its id. No shell is involved."""
-        path, body = f"{_container(container)}/exec", docker_bodies.exec_attached(argv)
-        what = f"prepare {argv[0]}"
-        return self.call(lambda client: str(client.request("POST", path, body=body).json()["Id"]), what=what)
+        path, body = f"/containers/{quote(container, safe='')}/exec", docker_bodies.exec_attached(argv)
+        return self.call(lambda client: str(_post(client, path, body).json()["Id"]), what=f"prepare {argv[0]}")
 
     def exec_read(self, program: str, limit: int, *, deadline_s: float) -> tuple[bytes, bytes]:
         """Start the program and wait for its end. Returns the beginning of its output and errors, together at most `limit` bytes.
@@ -255,21 +264,22 @@ class DockerEngine(DockerSession):
         EngineTimeout if it does not end in time; it goes on running, because the engine cannot end it.
         """
 
-        def ask(client: EngineClient) -> tuple[bytes, bytes]:
-            path, body = f"/exec/{quote(program, safe='')}/start", docker_bodies.START_ATTACHED
-            with closing(client.request("POST", path, body=body)) as response:
-                data = docker_frames.beginning(response, limit)
-                while response.read(65536):
+        def ask(client: APIClient) -> tuple[bytes, bytes]:
+            path = f"/exec/{quote(program, safe='')}/start"
+            response = _post(client, path, docker_bodies.START_ATTACHED, stream=True)
+            try:
+                data = docker_frames.beginning(response.raw, limit)
+                while response.raw.read(65536):
                     pass  # until it ends
                 return docker_frames.split(data)
+            finally:
+                response.close()
 
         return self.call(ask, deadline_s=deadline_s, what="run a program")
 
     def exec_exit_code(self, program: str) -> int | None:
         """The exit code of a program; None: it still runs."""
-        answer = self._ask(
-            lambda client: client.get(f"/exec/{quote(program, safe='')}/json"), None, "look at a program"
-        )
+        answer = self._ask(lambda client: client.exec_inspect(program), None, "look at a program")
         return None if answer.get("Running") else int(answer["ExitCode"])
 
     def logs(self, container: str, since: str, *, tail: int, limit: int, deadline_s: float | None = None) -> bytes:
@@ -278,10 +288,15 @@ class DockerEngine(DockerSession):
         since: see `docker_bodies.logs`. What programs wrote to both streams is in the order in which it came.
         """
 
-        def ask(client: EngineClient) -> bytes:
-            path, params = f"{_container(container)}/logs", docker_bodies.logs(since, tail)
-            with closing(client.request("GET", path, params)) as response:
-                return docker_frames.merged(docker_frames.beginning(response, limit))
+        def ask(client: APIClient) -> bytes:
+            url = f"{client.base_url}/v{client.api_version}/containers/{quote(container, safe='')}/logs"
+            params = docker_bodies.logs(since, tail)
+            response = client.get(url, params=params, stream=True, timeout=client.timeout)
+            try:
+                _raise_for_status(response)
+                return docker_frames.merged(docker_frames.beginning(response.raw, limit))
+            finally:
+                response.close()
 
         return self.call(ask, deadline_s=deadline_s, what=f"read the log of {container}")
 
@@ -295,27 +310,29 @@ class DockerEngine(DockerSession):
         folder = base or posixpath.dirname(path)
         made = pack(posixpath.relpath(path, folder), FileCopy(data, mode, uid, gid), self._clock.utc())
 
-        def ask(client: EngineClient) -> None:
-            client.request("PUT", f"{_container(container)}/archive", docker_bodies.upload(folder), made).content()
+        def ask(client: APIClient) -> None:
+            url, params = _archive_url(client, container), docker_bodies.upload(folder)
+            _raise_for_status(client.put(url, params=params, data=made, timeout=client.timeout))
 
         self._act(ask, f"put {path} into {container}")
 
     def create_from_image(self, image: str, labels: Mapping[str, str], name: str = "") -> str:
         """Create a container without network that is never started, to read files of an image. Returns its id."""
 
-        def ask(client: EngineClient) -> str:
-            params = {"name": name} if name else None
-            body = docker_bodies.never_started(image, labels)
-            return str(client.request("POST", "/containers/create", params, body).json()["Id"])
+        def ask(client: APIClient) -> str:
+            alone = client.create_host_config(network_mode="none")
+            made = client.create_container(
+                image, command=["never-started"], name=name or None, labels=dict(labels), host_config=alone
+            )
+            return str(made["Id"])
 
         return self.call(ask, deadline_s=self.timeout_s + ACT_MARGIN_S, what=f"make a container of {image}")
 
     def remove(self, ref: str) -> None:
         """Remove a stopped container, with its anonymous volumes."""
-        params = {"v": "True", "link": "False", "force": "False"}
-        self._act(lambda client: client.request("DELETE", _container(ref), params).content(), f"remove {ref}")
+        self._act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
 
-    def _act(self, fn: Callable[[EngineClient], Any], what: str, grace_s: float = 0.0) -> Any:
+    def _act(self, fn: Callable[[APIClient], Any], what: str, grace_s: float = 0.0) -> Any:
         try:
             return self.call(fn, deadline_s=self.timeout_s + grace_s + ACT_MARGIN_S, what=what)
         finally:
@@ -331,6 +348,24 @@ def _stat(response: Response) -> Answer:
     return mapping(json.loads(base64.b64decode(response.headers["X-Docker-Container-Path-Stat"])))
 
 
-def _container(ref: str) -> str:
-    """The path of a container."""
-    return f"/containers/{quote(ref, safe='')}"
+def _archive_url(client: APIClient, container: str) -> str:
+    return f"{client.base_url}/v{client.api_version}/containers/{quote(container, safe='')}/archive"
+
+
+def _post(client: APIClient, path: str, body: str, *, stream: bool = False) -> Response:
+    response = client.post(
+        f"{client.base_url}/v{client.api_version}{path}",
+        data=body,
+        headers={"Content-Type": "application/json"},
+        timeout=client.timeout,
+        stream=stream,
+    )
+    _raise_for_status(response)
+    return response
+
+
+def _raise_for_status(response: Response) -> None:
+    try:
+        response.raise_for_status()
+    except requests.HTTPError as error:
+        create_api_error_from_http_exception(error)

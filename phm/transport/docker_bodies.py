@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
-from urllib.parse import urlencode
+
+from requests.models import PreparedRequest
 
 START_EXEC = json.dumps({"Detach": True, "Tty": False})
 """Start a program created by `exec`, without a connection to its streams."""
@@ -51,12 +52,6 @@ def connect(container: str, aliases: Sequence[str] = (), address: str = "") -> s
     return json.dumps({"Container": container, "EndpointConfig": endpoint})
 
 
-def never_started(image: str, labels: Mapping[str, str]) -> str:
-    """Create a container without network that is only looked into."""
-    alone = {"NetworkMode": "none"}
-    return json.dumps({"Image": image, "Cmd": ["never-started"], "Labels": dict(labels), "HostConfig": alone})
-
-
 def filters(wanted: Mapping[str, Sequence[str]]) -> str:
     """The value of the parameter `filters`."""
     return json.dumps({key: list(values) for key, values in wanted.items()})
@@ -68,5 +63,7 @@ def upload(folder: str) -> dict[str, str]:
 
 
 def query(params: Mapping[str, str]) -> str:
-    """`?name=value&...` as the client encodes it; empty without parameters."""
-    return f"?{urlencode(params)}" if params else ""
+    """`?name=value&...` as the client encodes it."""
+    request = PreparedRequest()
+    request.prepare_url("http://engine/", dict(params))
+    return request.path_url.removeprefix("/")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
-from http.client import BadStatusLine, IncompleteRead, LineTooLong
+
+import requests
+from docker.errors import APIError
+from urllib3.exceptions import ProtocolError
 
 from phm.facts import CannotTell, NotPermitted
 from phm.transport.call_deadlines import PendingCall
@@ -11,15 +14,7 @@ from phm.transport.call_deadlines import PendingCall
 _MAX_TEXT = 300
 
 
-_BROKE = (ConnectionError, EOFError, IncompleteRead)
-
-
-class StatusError(Exception):
-    """The engine answered with the HTTP status of a failure. said: its explanation."""
-
-    def __init__(self, status: int, said: str) -> None:
-        super().__init__(said)
-        self.status, self.said = status, said
+_BROKE = (requests.ConnectionError, requests.exceptions.ChunkedEncodingError, ProtocolError, ConnectionError, EOFError)
 
 
 class EngineError(CannotTell):
@@ -70,14 +65,14 @@ def translate(error: BaseException, call: PendingCall, url: str, limit_s: float,
         return _late(url, limit_s, what)
     if call.failure is not None:
         return _no_connection(call.failure, url, limit_s, what)
-    if isinstance(error, StatusError):
+    if isinstance(error, APIError):
         return _by_status(error, what)
     # A socket's own timeout can occur just before the watchdog's.
-    if isinstance(error, TimeoutError):
+    if isinstance(error, (requests.Timeout, TimeoutError)) or "timed out" in str(error).lower():
         return _late(url, limit_s, what)
-    if isinstance(error, (BadStatusLine, LineTooLong)) and not isinstance(error, ConnectionError):
-        return EngineBroken(f"{url} does not answer like a Docker Engine ({what}): {_short(error)}")
     if isinstance(error, _BROKE):
+        if "BadStatusLine" in repr(error) or "LineTooLong" in repr(error):
+            return EngineBroken(f"{url} does not answer like a Docker Engine ({what}): {_short(error)}")
         return EngineUnreachable(f"the connection to the Docker Engine at {url} was lost ({what}): {_short(error)}")
     return EngineBroken(f"the Docker Engine at {url} sent an invalid answer ({what}): {_short(error)}")
 
@@ -89,8 +84,9 @@ def _late(url: str, limit_s: float, what: str) -> EngineTimeout:
     )
 
 
-def _by_status(error: StatusError, what: str) -> EngineError:
-    status, said = error.status, " ".join(error.said.split())[:_MAX_TEXT] or "without a reason"
+def _by_status(error: APIError, what: str) -> EngineError:
+    status = int(error.status_code or 0)
+    said = " ".join(str(error.explanation or error).split())[:_MAX_TEXT]
     kind = _BY_STATUS.get(status, EngineBroken)
     if kind is EngineRefused:
         return kind(

@@ -10,7 +10,7 @@ _ERRORS = 2
 
 
 def beginning(raw: Any, limit: int) -> bytes:
-    """The first `limit` bytes of a response's body."""
+    """The first `limit` bytes of a response's body, `requests.Response.raw`."""
     data = b""
     while len(data) < limit and (more := raw.read(min(65536, limit - len(data)))):
         data += more

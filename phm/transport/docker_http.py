@@ -1,124 +1,245 @@
-"""HTTP requests to the Docker Engine, on connections that belong to a call with a deadline, with responses of limited size.
+"""docker-py's client on connections that belong to a call with a deadline, with responses of limited size.
 
-The standard library's `http.client`: docker-py with requests and urllib3 takes 6 MB of memory in the daemon, for a dozen
-routes (docs/reference/performance.md).
-
-Each request opens and closes its own connection: a kept one may have died meanwhile, and opening a unix socket costs 0.1 ms.
+Each call opens and closes its own connection: a kept one may have died meanwhile, and opening a unix socket costs 0.1
+ms.
 """
 
 from __future__ import annotations
 
 import contextlib
-import http.client
 import json
+import re
+import select
 import socket
+import subprocess
+import threading
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
+from urllib.parse import urlsplit
 
-from phm.transport.call_deadlines import shut_down
+import requests
+import requests.adapters
+import urllib3
+import urllib3.connection
+import urllib3.connectionpool
+from docker import APIClient
+from requests.models import PreparedRequest, Response
+
+from phm.core import threads
+from phm.transport.call_deadlines import PendingCall, shut_down
 from phm.transport.dns import Resolver
-from phm.transport.docker_bodies import query
-from phm.transport.docker_connect import EngineSocket, connect
-from phm.transport.docker_errors import EngineBroken, EngineError, StatusError
+from phm.transport.docker_errors import EngineBroken, EngineError
 
 MAX_ANSWER_BYTES = 16 << 20
 """Maximum size of a response held in memory; a list of 1000 containers is about 2 MB."""
 MAX_LINE_BYTES = 1 << 20
-NOT_MODIFIED = 304
-"""The engine's status code if a container is already in the requested state."""
 _CHUNK = 64 << 10
+SSH = ("ssh", "-T", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-o", "ServerAliveInterval=5")
+"""A password cannot be asked for; a connection that is silent for 15 s ends."""
+_SSH_NAME = re.compile(r"[A-Za-z0-9_.:][A-Za-z0-9_.:-]*")
+_current = threading.local()
 
 
-class Response:
-    """The engine's answer. Close it; what is read in one piece is closed already."""
+@contextlib.contextmanager
+def using(call: PendingCall) -> Iterator[None]:
+    """Connections opened by this thread meanwhile belong to `call`."""
+    _current.call = call
+    try:
+        yield
+    finally:
+        _current.call = None
 
-    def __init__(self, raw: http.client.HTTPResponse, sock: socket.socket) -> None:
-        self.raw, self.status, self.headers = raw, raw.status, raw.headers
+
+def current_call() -> PendingCall | None:
+    """The call to which connections of this thread belong."""
+    call: PendingCall | None = getattr(_current, "call", None)
+    return call
+
+
+def _open(sock: socket.socket, address: Any) -> socket.socket:
+    """Connect `sock` as part of the current call, which also records why that failed."""
+    call = current_call()
+    if call is not None:
+        call.attach(sock)
+    try:
+        sock.connect(address)
+    except OSError as error:
+        sock.close()
+        if call is not None:
+            call.failure = error
+        raise
+    return sock
+
+
+class _Socket(socket.socket):
+    """A socket that shows whether its reader waits for more data."""
+
+    waiting = False
+    """Whether all data received before has been processed: it was read, and its reader waits for more."""
+
+    def recv_into(self, buffer: Any, nbytes: int = 0, flags: int = 0) -> int:
+        """Look before reading: received data stay unread on the socket until `waiting` is False."""
+        self.waiting = True
+        try:
+            self.recv(1, socket.MSG_PEEK)
+        finally:
+            self.waiting = False
+        return super().recv_into(buffer, nbytes, flags)
+
+    def unread(self) -> bool:
+        """Whether received data have not been read yet, or the other end has closed."""
+        poll = select.poll()
+        try:
+            poll.register(self, select.POLLIN)
+        except ValueError:
+            return False  # closed here
+        return bool(poll.poll(0))
+
+
+class _UnixConnection(urllib3.connection.HTTPConnection):
+    socket_path = ""
+
+    def connect(self) -> None:
+        sock = _Socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        sock.settimeout(_seconds(self.timeout))
+        self.sock = _open(sock, self.socket_path)
+
+
+class _TcpConnection(urllib3.connection.HTTPConnection):
+    resolver: Resolver
+
+    def connect(self) -> None:
+        limit_s = _seconds(self.timeout)
+        try:
+            self.resolver.ask().wait(limit_s)
+            family, address = self.resolver.answer()
+        except OSError as error:
+            call = current_call()
+            if call is not None:
+                call.failure = error
+            raise
+        sock = _Socket(family, socket.SOCK_STREAM)
+        sock.settimeout(limit_s)
+        self.sock = _open(sock, address)
+
+
+class SshConnection(urllib3.connection.HTTPConnection):
+    """The engine of another computer, through the system's `ssh` and `docker` there, as the Docker command does it."""
+
+    command: tuple[str, ...]
+
+    def connect(self) -> None:
+        ours, theirs = socket.socketpair()
+        sock, call = _Socket(fileno=ours.detach()), current_call()
+        sock.settimeout(_seconds(self.timeout))
+        if call is not None:
+            call.attach(sock)
+        with theirs:
+            try:
+                # Its messages, such as a refused key, go to the terminal.
+                program = subprocess.Popen(
+                    self.command, stdin=theirs.fileno(), stdout=theirs.fileno(), start_new_session=True
+                )
+            except OSError as error:
+                sock.close()
+                if call is not None:
+                    call.failure = OSError(f"{self.command[0]} cannot be started: {error.strerror}")
+                raise
+        # It ends by itself when our end is closed; this only takes note of it.
+        threads.start(threading.Thread(target=program.wait, name="phm-docker-ssh", daemon=True))
         self.sock = sock
 
+
+def ssh_command(url: str) -> tuple[str, ...]:
+    """How the engine of ``ssh://[user@]host[:port]`` is reached. Raises ValueError for another form."""
+    parts = urlsplit(url)
+    for name, word in (("host", parts.hostname or ""), ("user", parts.username or "root")):
+        if not _SSH_NAME.fullmatch(word):
+            raise ValueError(f"{word!r} is not a {name}")
+    if parts.password or parts.path.strip("/") or parts.query or parts.fragment:
+        raise ValueError("there is more than ssh://[user@]host[:port]")
+    options = [("-l", parts.username), ("-p", parts.port and str(parts.port))]
+    given = [word for option, value in options if value for word in (option, str(value))]
+    return (*SSH, *given, "--", str(parts.hostname), "docker", "system", "dial-stdio")
+
+
+def _seconds(timeout: Any) -> float | None:
+    return float(timeout) if isinstance(timeout, (int, float)) else None
+
+
+class _Pool(urllib3.connectionpool.HTTPConnectionPool):
+    """Creates connections of one kind; `more` are attributes that all of them get."""
+
+    def __init__(self, kind: type[urllib3.connection.HTTPConnection], **more: Any) -> None:
+        super().__init__("localhost", maxsize=1)
+        self.ConnectionCls = type(kind.__name__, (kind,), more)
+
+    def _put_conn(self, conn: Any) -> None:
+        """Keep no connection: a response without `Connection: close` would leave it to the next call, closed or not."""
+        if conn is not None:
+            conn.close()
+        super()._put_conn(None)
+
+
+class _Bounded(requests.adapters.HTTPAdapter):
+    """Reads a response that is not streamed up to MAX_ANSWER_BYTES, and rejects a longer one."""
+
+    def send(self, request: PreparedRequest, stream: bool = False, *args: Any, **kwargs: Any) -> Response:
+        request.headers["Connection"] = "close"
+        response = super().send(request, True, *args, **kwargs)
+        if not stream:
+            body = bytearray()
+            try:
+                for chunk in response.iter_content(_CHUNK):
+                    body += chunk
+                    if len(body) > MAX_ANSWER_BYTES:
+                        raise EngineBroken(f"the Docker Engine's answer is longer than {MAX_ANSWER_BYTES >> 20} MiB")
+            finally:
+                response.close()
+            # requests has no public way to pass a body that was read already.
+            response._content = bytes(body)
+            response._content_consumed = True  # type: ignore[attr-defined]
+        return response
+
+
+class _Adapter(_Bounded):
+    """All requests use one pool, regardless of their URL."""
+
+    def __init__(self, pool: _Pool) -> None:
+        self._pool = pool
+        super().__init__(pool_connections=1, pool_maxsize=1)
+
+    def get_connection_with_tls_context(self, *args: Any, **kwargs: Any) -> Any:
+        return self._pool
+
+    def get_connection(self, *args: Any, **kwargs: Any) -> Any:
+        return self._pool  # what requests before 2.32 asks for
+
+    def request_url(self, request: PreparedRequest, proxies: Any) -> str:
+        return str(request.path_url)
+
     def close(self) -> None:
-        self.raw.close()
-        self.sock.close()
-
-    def read(self, size: int) -> bytes:
-        """The next `size` bytes of the body; fewer at its end. Raises EOFError if the connection ended before."""
-        data = self.raw.read(size)
-        if not data and self.raw.length:
-            raise EOFError(f"the connection broke: {self.raw.length} bytes of the answer are missing")
-        return data
-
-    def pieces(self) -> Iterator[bytes]:
-        """The body as it arrives."""
-        unknown = self.raw.chunked or self.raw.length is None
-        # Where the length is known, `read1` does not count what it read (Python before 3.12.2).
-        while piece := self.raw.read1(_CHUNK) if unknown else self.read(_CHUNK):
-            yield piece
-
-    def content(self) -> bytes:
-        """The entire body. Raises EngineBroken above MAX_ANSWER_BYTES."""
-        body = bytearray()
-        with contextlib.closing(self):
-            while piece := self.read(_CHUNK):
-                body += piece
-                if len(body) > MAX_ANSWER_BYTES:
-                    raise EngineBroken(f"the Docker Engine's answer is longer than {MAX_ANSWER_BYTES >> 20} MiB")
-        return bytes(body)
-
-    def json(self) -> Any:
-        return json.loads(self.content())
+        self._pool.close()
+        super().close()
 
 
-@dataclass(frozen=True, slots=True)
-class EngineClient:
-    """Sends the requests of one call. api_version: as in the path; empty: without. timeout_s: of connecting and of each read."""
-
-    url: str
-    resolver: Resolver | None
-    api_version: str
-    timeout_s: float
-
-    def get(self, path: str, params: Mapping[str, str] | None = None) -> Any:
-        """The JSON of a GET."""
-        return self.request("GET", path, params).json()
-
-    def post(self, path: str, params: Mapping[str, str] | None = None, body: str | None = None) -> Response:
-        """A POST whose answer has been read, and is not used."""
-        response = self.request("POST", path, params, body)
-        response.content()
-        return response
-
-    def request(
-        self,
-        method: str,
-        path: str,
-        params: Mapping[str, str] | None = None,
-        body: bytes | str | None = None,
-    ) -> Response:
-        """The response, whose body is not read yet. body: JSON, or bytes of another kind. Raises StatusError for a failure."""
-        prefix = f"/v{self.api_version}" if self.api_version else ""
-        headers = {"Connection": "close", "User-Agent": "phm"}
-        if isinstance(body, str):
-            headers["Content-Type"] = "application/json"
-        connection = http.client.HTTPConnection("localhost")
-        connection.sock = sock = connect(self.url, self.resolver, self.timeout_s)
-        try:
-            connection.request(method, f"{prefix}{path}{query(params or {})}", body=body, headers=headers)
-            response = Response(connection.getresponse(), sock)
-        except BaseException:
-            connection.close()
-            raise
-        if response.status >= 300 and response.status != NOT_MODIFIED:
-            raise StatusError(response.status, _explanation(response))
-        return response
+def resolver_for(url: str) -> Resolver | None:
+    """The resolver for the engine's host, shared by all clients; None for a unix socket, and for ssh, which resolves it."""
+    parts = urlsplit(url)
+    return Resolver(parts.hostname or "", parts.port or 2375, socket.SOCK_STREAM) if parts.scheme == "tcp" else None
 
 
-def _explanation(response: Response) -> str:
-    """What the engine says about a failure."""
-    text = response.content()
-    with contextlib.suppress(ValueError, TypeError, KeyError, RecursionError):
-        return str(json.loads(text)["message"])
-    return text.decode("utf-8", "replace")
+def client_for(url: str, version: str, resolver: Resolver | None) -> APIClient:
+    """A docker-py client for the use of one thread; `version` is the API's, so nothing is requested here."""
+    client = APIClient(base_url="unix:///ssh" if url.startswith("ssh://") else url, version=version)
+    client.trust_env = False  # no HTTP_PROXY and no .netrc between PHM and its own engine
+    if url.startswith("ssh://"):
+        client.mount("http+docker://", _Adapter(_Pool(SshConnection, command=ssh_command(url))))
+    elif resolver is None:
+        client.mount("http+docker://", _Adapter(_Pool(_UnixConnection, socket_path=url.removeprefix("unix://"))))
+    else:
+        client.mount("http://", _Adapter(_Pool(_TcpConnection, resolver=resolver)))
+    return client
 
 
 class EventStream:
@@ -149,7 +270,7 @@ class EventStream:
 
         The order of the two checks matters: an event received after the first may be processed at any time.
         """
-        sockets = [sock for sock in self._sockets if isinstance(sock, EngineSocket) and sock.fileno() >= 0]
+        sockets = [sock for sock in self._sockets if isinstance(sock, _Socket) and sock.fileno() >= 0]
         return self.closed or not any(sock.unread() or not sock.waiting for sock in sockets)
 
     def __enter__(self) -> EventStream:
@@ -166,12 +287,10 @@ class EventStream:
         except self._failures as error:
             if not self.closed:
                 raise self._translate(error) from error
-        finally:
-            self._response.close()
 
     def _events(self) -> Iterator[Mapping[str, Any]]:
         rest = b""
-        for chunk in self._response.pieces():
+        for chunk in self._response.iter_content(_CHUNK):
             *lines, rest = (rest + chunk).split(b"\n")
             if len(rest) > MAX_LINE_BYTES:
                 raise EngineBroken("the Docker Engine sent an event of more than 1 MiB")

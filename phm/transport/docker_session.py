@@ -1,23 +1,28 @@
-"""Calls to the Docker Engine: the API's version, deadlines and errors.
+"""Calls to the Docker Engine through docker-py: a client for each thread, the API's version, deadlines and errors.
 
 Calls run in the calling thread. An overdue call is interrupted (`phm.transport.call_deadlines`), even if the engine
-sends a byte from time to time, which a socket's own timeout does not detect.
+sends a byte from time to time, which docker-py's own timeout does not detect.
 """
 
 from __future__ import annotations
 
 import contextlib
 import tarfile
+import threading
 from collections.abc import Callable, Iterator
 from http.client import HTTPException
 from typing import Any, TypeVar
 
+import requests
+from docker import APIClient
+from docker.errors import DockerException
+from urllib3.exceptions import HTTPError
+
 from phm.core.clock import Clock, SystemClock
 from phm.facts import CannotTell
 from phm.transport.call_deadlines import CallDeadlines, PendingCall
-from phm.transport.docker_connect import resolver_for, using
-from phm.transport.docker_errors import EngineNotConnected, EngineUnreachable, StatusError, translate
-from phm.transport.docker_http import EngineClient
+from phm.transport.docker_errors import EngineNotConnected, EngineUnreachable, translate
+from phm.transport.docker_http import client_for, resolver_for, using
 
 T = TypeVar("T")
 Answer = dict[str, Any]
@@ -27,7 +32,9 @@ API_WANTED = (1, 44)
 API_FALLBACK = "1.41"
 """Used if a socket proxy hides /version: Docker 20.10 and later support it."""
 FAILURES = (
-    StatusError,
+    requests.RequestException,
+    HTTPError,
+    DockerException,
     HTTPException,
     OSError,
     tarfile.TarError,
@@ -51,14 +58,15 @@ class DockerSession:
         self.url, self.timeout_s = url, timeout_s
         self._clock = clock or SystemClock()
         self._deadlines = CallDeadlines(self._clock, "phm-docker-deadlines")
+        self._local = threading.local()  # docker-py's client is not thread-safe
         self._resolver = resolver_for(url)
         self._api = ""
         self.on_change: Callable[[], None] = lambda: None
         """Called after each call that may have changed something, also after a failed one: earlier readings are
         outdated."""
 
-    def call(self, fn: Callable[[EngineClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
-        """Run `fn` with a client and a deadline of `deadline_s` (default: the timeout)."""
+    def call(self, fn: Callable[[APIClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
+        """Run `fn` on this thread's docker-py client with a deadline of `deadline_s` (default: the timeout)."""
         with self.calling(what, deadline_s) as (client, _):
             return fn(client)
 
@@ -67,8 +75,8 @@ class DockerSession:
         self._deadlines.close()
 
     @contextlib.contextmanager
-    def calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[EngineClient, PendingCall]]:
-        """A client for one call, with a deadline in seconds. Any failure inside is raised as EngineError."""
+    def calling(self, what: str, deadline_s: float | None) -> Iterator[tuple[APIClient, PendingCall]]:
+        """This thread's client for one call, with a deadline in seconds. Any failure inside is raised as EngineError."""
         limit_s = self.timeout_s if deadline_s is None else deadline_s
         with self._deadlines.watch(limit_s) as call, using(call):
             try:
@@ -87,14 +95,21 @@ class DockerSession:
             if call.expired:
                 raise translate(TimeoutError(), call, self.url, limit_s, what)
 
-    def _client(self, limit_s: float) -> EngineClient:
-        return EngineClient(self.url, self._resolver, self._api or self._negotiate(limit_s), limit_s)
+    def _client(self, limit_s: float) -> APIClient:
+        api = self._api or self._negotiate(limit_s)
+        client: APIClient | None = getattr(self._local, "client", None)
+        if client is None or client.api_version != api:
+            client = self._local.client = client_for(self.url, api, self._resolver)
+        client.timeout = limit_s  # type: ignore[assignment]  # the stubs say int; requests takes any number
+        return client
 
     def _negotiate(self, limit_s: float) -> str:
+        client = client_for(self.url, API_FALLBACK, self._resolver)
+        client.timeout = limit_s  # type: ignore[assignment]
         try:
-            answer = mapping(EngineClient(self.url, self._resolver, "", limit_s).get("/version"))
-        except StatusError as error:
-            if error.status not in (401, 403, 404):
+            answer = mapping(client.version(api_version=False))
+        except DockerException as error:
+            if getattr(error, "status_code", None) not in (401, 403, 404):
                 raise
             self._api = API_FALLBACK
         else:

@@ -9,8 +9,9 @@ import tarfile
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from requests.models import Response
+
 from phm.facts import CannotTell
-from phm.transport.docker_http import Response
 
 _PIECE = 64 << 10
 
@@ -25,10 +26,28 @@ class FileCopy:
     gid: int
 
 
+class _Reader:
+    """`read(n)` over the pieces of a response, for tarfile's stream mode."""
+
+    def __init__(self, response: Response) -> None:
+        self._pieces = response.iter_content(_PIECE)
+        self._rest = b""
+
+    def read(self, size: int) -> bytes:
+        parts, missing = [], size
+        while missing > 0:
+            piece = self._rest or next(self._pieces, b"")
+            if not piece:
+                break
+            parts.append(piece[:missing])
+            self._rest, missing = piece[missing:], missing - len(parts[-1])
+        return b"".join(parts)
+
+
 def unpack(response: Response, sink: Callable[[bytes], object], what: str, limit: int) -> tarfile.TarInfo:
     """Pass the only file of the tar to `sink`. Returns its header. Raises CannotTell unless it is a file within
     `limit`."""
-    with tarfile.open(fileobj=response, mode="r|") as archive:  # type: ignore[call-overload]
+    with tarfile.open(fileobj=_Reader(response), mode="r|") as archive:  # type: ignore[call-overload]
         member: tarfile.TarInfo | None = archive.next()
         content = archive.extractfile(member) if member is not None and member.isreg() else None
         if member is None or content is None:

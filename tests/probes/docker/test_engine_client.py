@@ -60,7 +60,7 @@ def test_only_the_overdue_request_is_aborted(fake: FakeEngine) -> None:
     thread.start()
     assert fake.wait(lambda engine: "GET /containers/app/json" in engine.calls)
     with pytest.raises(EngineTimeout):
-        patient.inspect("app", deadline_s=0.2)
+        patient.call(lambda client: client.inspect_container("app"), deadline_s=0.2)
     thread.join(30)
     assert seen == ["/app"]
     patient.close()
@@ -76,7 +76,7 @@ def test_requests_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine,
         if number % 50 == 0:
             fake.fault = Hang()
             with pytest.raises(EngineTimeout):
-                ask.inspect("app", deadline_s=0.05)
+                ask.call(lambda client: client.inspect_container("app"), deadline_s=0.05)
             fake.fault = None
         ask.inspect("app")
     assert {thread for thread in threading.enumerate() if thread.name.startswith("phm-")} == threads
@@ -140,7 +140,7 @@ def test_a_forbidden_socket_names_the_required_group(monkeypatch: pytest.MonkeyP
         def connect(self, address: object) -> None:
             raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("phm.transport.docker_connect.EngineSocket", Forbidden)
+    monkeypatch.setattr("phm.transport.docker_http._Socket", Forbidden)
     with pytest.raises(EngineNotConnected, match="add the docker group with group_add"):
         DockerEngine(f"unix://{tmp_path}/engine.sock").ping()
 
