@@ -12,7 +12,7 @@ from phm.cli.options import EX_CONFIG, json_option
 from phm.cli.web_options import address
 
 if TYPE_CHECKING:
-    from phm.wire.delivery import Answer
+    from phm.wire.delivery import DeliveryAnswer
 
 
 @click.command(epilog="Example: phm deliver a07.yaml 10.0.0.7:9465 --key a07.key --base a07.yaml.orig")
@@ -58,13 +58,13 @@ def command(
         secret = read_key(key, "--key")
         version = version_of(read_file(Path(base))) if base is not None else delivery_client.present(agent, secret)
         name, answer = delivery_client.deliver(agent, secret, text, version)
-    except (ConfigError, InvalidKey, delivery_client.NoAnswer) as error:
+    except (ConfigError, InvalidKey, delivery_client.DeliveryFailed) as error:
         raise click.ClickException(str(error)) from None
     _print(name, answer, as_json=as_json)
     ctx.exit(0 if answer.ok else EX_CONFIG if answer.problems else 1)
 
 
-def _print(name: str, answer: Answer, *, as_json: bool) -> None:
+def _print(name: str, answer: DeliveryAnswer, *, as_json: bool) -> None:
     from phm.wire.text import one_line
 
     if as_json:

@@ -14,7 +14,7 @@ from phm.cli.web_options import listen_options, listening, require_aiohttp
 if TYPE_CHECKING:
     from phm.core.clock import Clock
     from phm.gcs.station import GroundStation
-    from phm.gcs.web.config_delivery import Target
+    from phm.gcs.web.config_delivery import DeliveryTarget
 
 
 class GroundPart(Protocol):
@@ -141,15 +141,15 @@ def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clo
     return page
 
 
-def _target(place: str, key: str) -> Target:
+def _target(place: str, key: str) -> DeliveryTarget:
     """Raises ClickException."""
-    from phm.gcs.web.config_delivery import Target
+    from phm.gcs.web.config_delivery import DeliveryTarget
     from phm.transport.mavlink_signing import InvalidKey, read_key
 
     host, _, port = place.rpartition(":")
     if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
         raise click.UsageError(f"--deliver {place}: write the agent's delivery.listen as HOST:PORT, e.g. 10.0.0.7:9465")
     try:
-        return Target(host.strip("[]"), int(port), read_key(key, "--deliver"))
+        return DeliveryTarget(host.strip("[]"), int(port), read_key(key, "--deliver"))
     except InvalidKey as error:
         raise click.ClickException(str(error)) from None

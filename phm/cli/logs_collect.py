@@ -18,7 +18,7 @@ from phm.cli.options import json_option
 from phm.wire.text import one_line
 
 if TYPE_CHECKING:
-    from phm.logs.collect import Collection, Outcome
+    from phm.logs.collect import CollectedLogs, Collection
     from phm.logs.fetch import Progress
     from phm.logs.log_sources import Looked
 
@@ -110,7 +110,7 @@ def collect(
 
 def _run(
     collection: Collection, engines: Sequence[str], paths: Sequence[Path], patterns: Sequence[str], place: str
-) -> tuple[list[Outcome], list[tuple[str, str]]]:
+) -> tuple[list[CollectedLogs], list[tuple[str, str]]]:
     """All outcomes, and what was looked for in vain: (what, why)."""
     from phm.facts import CannotTell
     from phm.logs import log_sources
@@ -119,11 +119,11 @@ def _run(
     missing: list[tuple[str, str]] = []
     opened: list[DockerEngine] = []
 
-    def copied(looked: Looked) -> list[Outcome]:
+    def copied(looked: Looked) -> list[CollectedLogs]:
         missing.extend(looked.missing)
         return [collection.take(source, bar) for source in looked.found]
 
-    def of_engine(url: str) -> list[Outcome]:
+    def of_engine(url: str) -> list[CollectedLogs]:
         engine = DockerEngine(url, log_sources.LOOK_S)
         opened.append(engine)
         try:
@@ -175,7 +175,7 @@ class _Bar:
         self._shown.advance(self._task, count)
 
 
-def _show(folder: Path, done: Sequence[Outcome], missing: Sequence[tuple[str, str]]) -> None:
+def _show(folder: Path, done: Sequence[CollectedLogs], missing: Sequence[tuple[str, str]]) -> None:
     for one in done:
         if one.folder:
             files = "1 file" if one.fetched == 1 else f"{one.fetched} files"

@@ -26,16 +26,6 @@ def uncollected() -> Iterator[None]:
         gc.enable()
 
 
-def make_room() -> None:
-    """Free what only reading the configuration needed, and what is not used of MAVLink: the modules that follow take the memory."""
-    from phm.core.settings import validators
-    from phm.transport.dialect import forget_unused
-
-    forget_unused()
-    validators.forget()
-    gc.collect()
-
-
 @click.command(epilog="Example: phm run -c /etc/phm/phm.yaml")
 @config_option
 def command(config: str | None) -> None:
@@ -46,7 +36,6 @@ def command(config: str | None) -> None:
     """
     with uncollected():
         configuration = load_configuration(config)
-        make_room()
         logging.basicConfig(level=logging.WARNING, format="phm: %(levelname)s: %(name)s: %(message)s")
         from phm.core.instance_lock import AlreadyRunning
         from phm.runtime import service

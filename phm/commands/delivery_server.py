@@ -20,7 +20,7 @@ from phm.core.own_thread import NoThread, in_own_thread
 from phm.core.rate_limiter import RateLimiter
 from phm.core.stream_server import run, serving
 from phm.wire import delivery as wire
-from phm.wire.delivery import Answer, Hello, NotADelivery, Request
+from phm.wire.delivery import DeliveryAnswer, Hello, NotADelivery, Request
 
 logger = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ NOTE_RATE, NOTE_BURST = 1 / 60, 3.0
 """Lines in the log about refused senders."""
 RETRY_S, CLOSING_S = 5.0, 1.0
 
-Execute = Callable[[str, str, str], Answer]
+Execute = Callable[[str, str, str], DeliveryAnswer]
 """Takes the text, the version that it replaces, and who sends it. Never raises."""
 
 
@@ -107,7 +107,7 @@ class DeliveryServer:
         task = asyncio.current_task()
         assert task is not None
         if list(self._waiting.values()).count(who) >= MAX_SAME or not self._rate.allow(self._clock.mono(), who):
-            await _send(writer, wire.answer_line(Answer(False, "too many connections: wait a minute")))
+            await _send(writer, wire.answer_line(DeliveryAnswer(False, "too many connections: wait a minute")))
             return
         while len(self._waiting) >= MAX_CLIENTS:
             oldest = next(iter(self._waiting))
@@ -136,7 +136,7 @@ class DeliveryServer:
             return request
         if self._notes.allow(self._clock.mono()):
             self._note(f"a configuration from {who} was refused: {why}")
-        await _send(writer, wire.answer_line(Answer(False, why)))
+        await _send(writer, wire.answer_line(DeliveryAnswer(False, why)))
         return None
 
     async def _request(self, reader: asyncio.StreamReader, said: Hello) -> Request:
@@ -149,37 +149,37 @@ class DeliveryServer:
             raise NotADelivery("the key is not this agent's, or the request is a recording")
         return request
 
-    async def _deliver(self, reader: asyncio.StreamReader, request: Request, who: str) -> Answer:
+    async def _deliver(self, reader: asyncio.StreamReader, request: Request, who: str) -> DeliveryAnswer:
         if not 0 <= request.size <= wire.MAX_SIZE:
-            return Answer(False, f"a configuration has at most {wire.MAX_SIZE} bytes, not {request.size}")
+            return DeliveryAnswer(False, f"a configuration has at most {wire.MAX_SIZE} bytes, not {request.size}")
         if self._under_way:
-            return Answer(False, "another configuration is being delivered: try again when that is done")
+            return DeliveryAnswer(False, "another configuration is being delivered: try again when that is done")
         self._under_way = True
         try:
             return await self._take(reader, request, who)
         finally:
             self._under_way = False
 
-    async def _take(self, reader: asyncio.StreamReader, request: Request, who: str) -> Answer:
+    async def _take(self, reader: asyncio.StreamReader, request: Request, who: str) -> DeliveryAnswer:
         try:
             body = await asyncio.wait_for(reader.readexactly(request.size), BODY_S)
         except asyncio.TimeoutError:
-            return Answer(False, f"the configuration did not arrive within {BODY_S:g} s")
+            return DeliveryAnswer(False, f"the configuration did not arrive within {BODY_S:g} s")
         except asyncio.IncompleteReadError:
-            return Answer(False, "the configuration is incomplete")
+            return DeliveryAnswer(False, "the configuration is incomplete")
         if hashlib.sha256(body).hexdigest() != request.version:
-            return Answer(False, "the configuration was changed on its way")
+            return DeliveryAnswer(False, "the configuration was changed on its way")
         try:
             text = body.decode("utf-8")
         except UnicodeDecodeError:
-            return Answer(False, "the configuration is not UTF-8: save it as UTF-8")
+            return DeliveryAnswer(False, "the configuration is not UTF-8: save it as UTF-8")
         try:
             return await in_own_thread("phm-delivery-apply", lambda: self._execute(text, request.base, who))
         except NoThread:
-            return Answer(False, "PHM cannot start a thread: try again")
+            return DeliveryAnswer(False, "PHM cannot start a thread: try again")
         except Exception:  # a defect; its text is not for the network
             logger.exception("a configuration could not be delivered")
-            return Answer(False, "PHM failed: its log has the reason")
+            return DeliveryAnswer(False, "PHM failed: its log has the reason")
 
 
 async def _send(writer: asyncio.StreamWriter, line: bytes) -> None:

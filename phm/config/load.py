@@ -21,7 +21,7 @@ from phm.config.node import ConfigNode
 from phm.config.problems import ConfigError, Problem, dotted
 from phm.config.schema_lookup import without_types
 from phm.config.yaml_tree import MAX_BYTES, Tree, parse
-from phm.core.settings import Settings, validators
+from phm.core.settings import Settings
 
 INSTALLED = FilePath("/etc/phm/phm.yaml")
 IN_REPOSITORY = FilePath("config/phm.yaml")
@@ -88,7 +88,6 @@ def loads(
     units_of: UnitsOf | None = None,
 ) -> Settings:
     """As `load`, from the text of a file called `file`."""
-    validators.restore()
     tree = parse(text, file, Expander(environ))
     problems = list(tree.problems)
     interval, bad_interval = _interval(environ)

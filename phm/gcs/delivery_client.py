@@ -7,33 +7,35 @@ import socket
 import time
 
 from phm.wire import delivery as wire
-from phm.wire.delivery import Answer, NotADelivery, version_of
+from phm.wire.delivery import DeliveryAnswer, NotADelivery, version_of
 
 CONNECT_S = 10.0
 ANSWER_S = 90.0
 """A reload may take 30 s, and one that failed is followed by another one."""
 
 
-class NoAnswer(Exception):
+class DeliveryFailed(Exception):
     """Whether the configuration was applied is unknown, or it was not sent; the message says which, and why."""
 
 
-def deliver(where: tuple[str, int], key: bytes, text: str, base: str, limit_s: float = ANSWER_S) -> tuple[str, Answer]:
-    """The agent's name, and its answer. base: version of the configuration that is replaced. Raises NoAnswer."""
+def deliver(
+    where: tuple[str, int], key: bytes, text: str, base: str, limit_s: float = ANSWER_S
+) -> tuple[str, DeliveryAnswer]:
+    """The agent's name, and its answer. base: version of the configuration that is replaced. Raises DeliveryFailed."""
     if not text.strip() or len(text.encode("utf-8", "surrogatepass")) > wire.MAX_SIZE:
-        raise NoAnswer(f"not sent: a configuration has 1 to {wire.MAX_SIZE} bytes")
+        raise DeliveryFailed(f"not sent: a configuration has 1 to {wire.MAX_SIZE} bytes")
     return _send(where, key, text, base, limit_s)
 
 
 def present(where: tuple[str, int], key: bytes) -> str:
-    """Version of the agent's configuration. Raises NoAnswer, also when the agent refuses."""
+    """Version of the agent's configuration. Raises DeliveryFailed, also when the agent refuses."""
     _, answer = _send(where, key, "", version_of(""), CONNECT_S)
     if not answer.ok or not answer.present:
-        raise NoAnswer(f"{where[0]}:{where[1]}: {answer.text}")
+        raise DeliveryFailed(f"{where[0]}:{where[1]}: {answer.text}")
     return answer.present
 
 
-def _send(where: tuple[str, int], key: bytes, text: str, base: str, limit_s: float) -> tuple[str, Answer]:
+def _send(where: tuple[str, int], key: bytes, text: str, base: str, limit_s: float) -> tuple[str, DeliveryAnswer]:
     place, sent = f"{where[0]}:{where[1]}", False
     try:
         with socket.create_connection(where, CONNECT_S) as stream:
@@ -47,14 +49,14 @@ def _send(where: tuple[str, int], key: bytes, text: str, base: str, limit_s: flo
                 stream.sendall(data)
             return said.agent, wire.read_answer(_line(stream, wire.MAX_ANSWER, limit_s), request, key)
     except NotADelivery as error:
-        raise NoAnswer(f"{place}: {_unknown(str(error), sent)}") from None
+        raise DeliveryFailed(f"{place}: {_unknown(str(error), sent)}") from None
     except (OSError, UnicodeError) as error:
         why = (
             "it does not answer in time"
             if isinstance(error, TimeoutError)
             else getattr(error, "strerror", "") or str(error)
         )
-        raise NoAnswer(f"{place}: {_unknown(why, sent)}") from None
+        raise DeliveryFailed(f"{place}: {_unknown(why, sent)}") from None
 
 
 def _unknown(why: str, sent: bool) -> str:

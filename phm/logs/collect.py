@@ -15,7 +15,7 @@ from phm.facts import CannotTell
 from phm.logs.bundle import file_name
 from phm.logs.collect_index import Agent, Index, agent_of
 from phm.logs.copies import Copies
-from phm.logs.fetch import BASES, RECORD, Copied, Progress, Source, fetch
+from phm.logs.fetch import BASES, RECORD, Copied, LogSource, Progress, fetch
 
 INDEX = ".phm-collect.json"
 """What was collected from where. Without it everything is fetched again, and nothing is there twice."""
@@ -23,7 +23,7 @@ _STAGING = ".phm-collect-"
 
 
 @dataclass
-class Outcome:
+class CollectedLogs:
     """What a source gave. folder: of its agent, relative; empty: nothing. missing: (file, why)."""
 
     source: str
@@ -59,9 +59,9 @@ class Collection:
             self._index = Index.read(self.folder / INDEX)
             yield
 
-    def take(self, source: Source, progress: Progress) -> Outcome:
+    def take(self, source: LogSource, progress: Progress) -> CollectedLogs:
         """Fetch what is new. Raises OSError if it cannot be written."""
-        made = Outcome(source.name)
+        made = CollectedLogs(source.name)
         with tempfile.TemporaryDirectory(prefix=_STAGING, dir=self.folder) as staging:
             folder = self._index.sources.get(source.name, "")
             try:
@@ -85,7 +85,7 @@ class Collection:
         there = Copies(self.folder / folder, base).keys() if marks else set()
         return {mark: key for mark, key in (marks or {}).items() if key in there}
 
-    def _place(self, source: Source, base: str, copied: Copied, folder: str) -> str:
+    def _place(self, source: LogSource, base: str, copied: Copied, folder: str) -> str:
         """Put the copies into the folder of their agent, which is returned. folder: as far as it is known."""
         with self._lock:
             if base == RECORD or not folder:

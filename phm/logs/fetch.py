@@ -50,7 +50,7 @@ class Seen:
         return f"{self.size} {self.changed}" if self.changed else ""
 
 
-class Source(Protocol):
+class LogSource(Protocol):
     """A folder with logs, somewhere."""
 
     @property
@@ -90,7 +90,7 @@ class Copied:
     any: bool = False
 
 
-def fetch(source: Source, base: str, known: Mapping[str, str], staging: Path, progress: Progress) -> Copied:
+def fetch(source: LogSource, base: str, known: Mapping[str, str], staging: Path, progress: Progress) -> Copied:
     """Copy all files of the log `base` that are not `known` (their keys by their marks) into the folder `staging`.
 
     Raises CannotTell if the source does not answer at all, OSError if the copies cannot be written.
@@ -99,7 +99,9 @@ def fetch(source: Source, base: str, known: Mapping[str, str], staging: Path, pr
 
 
 class _Fetch:
-    def __init__(self, source: Source, base: str, known: Mapping[str, str], staging: Path, progress: Progress) -> None:
+    def __init__(
+        self, source: LogSource, base: str, known: Mapping[str, str], staging: Path, progress: Progress
+    ) -> None:
         self._source, self._base, self._known, self._staging = source, base, known, staging
         self._progress = progress
         self._staged: dict[str, list[Path]] = {}

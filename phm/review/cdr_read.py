@@ -16,7 +16,7 @@ LEAST_STATUS = 21
 """Bytes of an empty status; a pair has at least 8. So no number of elements is larger than the message."""
 
 
-class Line(NamedTuple):
+class RosoutLine(NamedTuple):
     """One rcl_interfaces/Log. level: 40 ERROR, 50 FATAL."""
 
     level: int
@@ -38,12 +38,12 @@ def statuses(data: bytes) -> list[Status]:
     return found
 
 
-def line(data: bytes) -> Line:
+def line(data: bytes) -> RosoutLine:
     """Raises ValueError: it is not such a message."""
     reader = _Reader(data)
     reader.skip(8)
     level = reader.byte()
-    return Line(level, reader.text(), reader.text())
+    return RosoutLine(level, reader.text(), reader.text())
 
 
 class _Reader:

@@ -14,14 +14,14 @@ OURS = "phm/"
 """Names of PHM's own diagnostics begin with this."""
 
 
-class Agent(Protocol):
+class RecordedAgent(Protocol):
     """`record.AgentRecord`, which needs this module."""
 
     id: int
     runs: list[tuple[Run, RunClock]]
 
 
-def owned(others: Iterable[Other], agents: Sequence[Agent]) -> tuple[list[Other], dict[str, str]]:
+def owned(others: Iterable[Other], agents: Sequence[RecordedAgent]) -> tuple[list[Other], dict[str, str]]:
     """The entries with the agent that is known, and names for the recordings without one, by path.
 
     A recording without PHM's own diagnostics belongs to the agent whose logs are in the same folder or in the nearest one above

@@ -24,7 +24,7 @@ from phm.runtime.configuration import read_text
 from phm.runtime.daemon import Daemon
 from phm.runtime.reload import FIXED
 from phm.transport.mavlink_signing import InvalidKey, read_key
-from phm.wire.delivery import Answer, version_of
+from phm.wire.delivery import DeliveryAnswer, version_of
 
 if TYPE_CHECKING:
     from phm.commands.delivery_server import DeliveryServer
@@ -61,11 +61,11 @@ class Delivery:
         """Write a line into the log."""
         self._daemon().pipeline.note("PHM", text)
 
-    def execute(self, text: str, base: str, who: str) -> Answer:
+    def execute(self, text: str, base: str, who: str) -> DeliveryAnswer:
         """text: empty to ask for the present version alone. base: version of the file that it replaces. who: for the log. Never
         raises."""
         if not text:
-            return Answer(True, "nothing was delivered", self._version())
+            return DeliveryAnswer(True, "nothing was delivered", self._version())
         problems: tuple[Problem, ...] = ()
         try:
             done, words = self._take(text, base, who)
@@ -75,7 +75,7 @@ class Delivery:
         except Exception as error:  # a defect must not leave the sender without an answer
             logger.exception("a delivered configuration could not be applied")
             done, words = False, f"PHM failed ({type(error).__name__}): its log has the reason"
-        return Answer(done, words, self._version(), tuple(_problem(each) for each in problems))
+        return DeliveryAnswer(done, words, self._version(), tuple(_problem(each) for each in problems))
 
     def _take(self, text: str, base: str, who: str) -> tuple[bool, str]:
         path = Path(os.path.realpath(self._file))

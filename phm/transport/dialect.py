@@ -49,20 +49,9 @@ def message_class(name: str) -> Any | None:
     return found
 
 
-def forget_unused() -> None:
-    """Drop what PHM never uses of the dialect, in the process of the daemon: 1.4 MB of memory.
-
-    These are the names of enumerations' values, and for each message the methods `_encode` and `_send`: PHM makes the message and
-    packs it.
-    """
-    for name in [name for name in vars(mavlink.MAVLink) if name.endswith(("_encode", "_send"))]:
-        delattr(mavlink.MAVLink, name)
-    mavlink.enums.clear()
-
-
 def _by_name(dialect: Any, name: str) -> Any | None:
     found = getattr(dialect, f"MAVLink_{name.lower()}_message", None)
     return found if found is not None and getattr(found, "msgname", "") == name else None
 
 
-__all__ = ["SAME", "forget_unused", "mavlink", "message_class"]
+__all__ = ["SAME", "mavlink", "message_class"]

@@ -4,7 +4,7 @@ One connection is one delivery; each message but the configuration itself is a J
 
 1. agent:    ``{"phm": "delivery", "v": 1, "agent": NAME, "nonce": HEX}``
 2. operator: ``{"v": 1, "base": SHA256, "sha256": SHA256, "size": BYTES, "nonce": HEX, "mac": HEX}``, then the configuration
-3. agent:    ``{"answer": TEXT, "mac": HEX}``; TEXT is a JSON object, see `Answer`
+3. agent:    ``{"answer": TEXT, "mac": HEX}``; TEXT is a JSON object, see `DeliveryAnswer`
 
 `mac` of the request is an HMAC with SHA-256 over both nonces, the agent's name, and what is delivered, so it is of use on this one
 connection alone: a recording is worth nothing, and no clock is needed. `mac` of the answer covers that of the request. An answer
@@ -57,7 +57,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class DeliveryAnswer:
     """text: one sentence. present: version of the agent's file now, empty if the agent does not say. trusted: it has the key.
 
     problems: each with `line`, `key`, `message` and `text`, as of `phm validate --json`.
@@ -116,7 +116,7 @@ def authentic(request: Request, said: Hello, key: bytes) -> bool:
     return hmac.compare_digest(expected, request.mac)
 
 
-def answer_line(answer: Answer, key: bytes | None = None, request: Request | None = None) -> bytes:
+def answer_line(answer: DeliveryAnswer, key: bytes | None = None, request: Request | None = None) -> bytes:
     """Without key and request: for a sender that is not known."""
     text = answer.as_json()
     mac = _mac(key, ["phm delivery answer", request.mac, text]) if key is not None and request is not None else ""
@@ -147,7 +147,7 @@ def request(said: Hello, base: str, text: str, key: bytes) -> tuple[Request, byt
     return Request(base, version, len(body), nonce, mac), _line(line) + body
 
 
-def read_answer(line: bytes, sent: Request, key: bytes) -> Answer:
+def read_answer(line: bytes, sent: Request, key: bytes) -> DeliveryAnswer:
     """An answer of somebody without the key is never `ok`. Raises NotADelivery."""
     match document := _object(line):
         case {"answer": str(text), "mac": str(mac)}:
@@ -161,13 +161,13 @@ def read_answer(line: bytes, sent: Request, key: bytes) -> Answer:
 # ------------------------------------------------------------ inside
 
 
-def _answer(document: Mapping[str, Any], *, trusted: bool) -> Answer:
+def _answer(document: Mapping[str, Any], *, trusted: bool) -> DeliveryAnswer:
     match _object(document["answer"]):
         case {"ok": bool(ok), "text": str(text), "present": str(present), "problems": list(problems)}:
             kept = tuple(each for each in problems[:MAX_PROBLEMS] if _is_problem(each))
             if not trusted:
-                return Answer(False, text[:MAX_TEXT])
-            return Answer(ok, text[:MAX_TEXT], present if _HEX.fullmatch(present) else "", kept, True)
+                return DeliveryAnswer(False, text[:MAX_TEXT])
+            return DeliveryAnswer(ok, text[:MAX_TEXT], present if _HEX.fullmatch(present) else "", kept, True)
     raise NotADelivery("its answer is not PHM's")
 
 

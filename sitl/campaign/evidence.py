@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from sitl.campaign.metrics import Figures, OfClass
 
-FLOOR_S = 0.1
-"""A shorter limit, e.g. of an event of the kernel, counts as this: a ratio of milliseconds says nothing."""
 RATIO = 2.0
 """A class above this needs an explanation."""
 _DATA_PATH = (
@@ -22,6 +20,9 @@ _PROCESS = (
 )
 _HEARTBEATS = "two heartbeats more than were ever missed must be missing: one lost frame is not a fault"
 _ORDER = "measured from the order, and the engine needs most of this time to carry it out"
+_REMOVAL = (
+    "its end by a signal may be the beginning of `docker rm -f` or of a restart: PHM waits up to 0.5 s for what follows"
+)
 _PHM_DOWN = "nothing of PHM runs until Docker has restarted its container and Python has started"
 
 
@@ -38,6 +39,8 @@ EXPLANATIONS = {
     "autopilot_reboot": Explanation(_HEARTBEATS, 6),
     "autopilot_silent": Explanation(_HEARTBEATS, 6),
     "callback_blocked": Explanation(_EXECUTOR, 70),
+    "container_killed": Explanation(_REMOVAL, 8),
+    "container_stopped": Explanation(_REMOVAL, 8),
     "cpu_hog": Explanation("two seconds of full use: shorter peaks are normal", 3.5),
     "disk_full": Explanation("the free share is read once a second", 3),
     "executor_deadlocked": Explanation(_EXECUTOR, 70),
@@ -49,6 +52,7 @@ EXPLANATIONS = {
     ),
     "memory_full": Explanation("measured from the order to fill it, and filling 2 GB takes most of the time", 3),
     "memory_leak": Explanation(_PROCESS, 8),
+    "netns_owner_killed": Explanation(_REMOVAL, 8),
     "network_blocked": Explanation(_DATA_PATH, 10),
     "node_duplicate": Explanation(
         "a restarted node may overlap with the old one for 2 s, unless both send beacons", 25
@@ -62,6 +66,7 @@ EXPLANATIONS = {
     "phm_killed": Explanation(_PHM_DOWN, 30),
     "phm_killed_in_restart": Explanation(_PROCESS, 8),
     "power_loss": Explanation(_PHM_DOWN, 50),
+    "router_killed": Explanation(_REMOVAL, 8),
     "sigterm_ignored": Explanation(_PROCESS, 8),
     "topic_silent": Explanation(_FIVE_PERIODS, 20),
     "topic_slow": Explanation(
@@ -75,8 +80,8 @@ UNEXPLAINED = "unexplained"
 
 @dataclass(frozen=True)
 class Compared:
-    """One class. `latest_s`: the evidence, at the latest; `limit_s`: on average. `ratio`: mean detection by the limit;
-    None where one of them is not known.
+    """One class. `latest_s`: the evidence, at the latest; `limit_s`: on average. `ratio`: detection by the limit, mean of the
+    injections, behind an outage of the engine by its end; None where one of them is not known.
     """
 
     title: str
@@ -96,12 +101,9 @@ def compared(found: Figures) -> list[Compared]:
 
 
 def _of_class(each: OfClass) -> Compared:
-    ratio = limit_s = None
+    ratio, limit_s = each.evidence_ratio, None
     if each.evidence_s is not None:
-        # Faults begin at any moment of a period.
         limit_s = each.evidence_s - each.evidence_period_s / 2
-        if each.detection.mean is not None:
-            ratio = each.detection.mean / max(limit_s, FLOOR_S)
     words = "" if ratio is None or ratio <= RATIO else _explained(each.fault, ratio)
     return Compared(each.title, each.evidence, each.evidence_s, limit_s, each.detection.mean, ratio, words)
 

@@ -56,6 +56,8 @@ EXPLAINS: Mapping[str, frozenset[str]] = {
 """A fault of the kind on the left causes or blocks the symptoms of those on the right, and its recovery may restart them: its
 alarm may report both.
 """
+THROUGH_ENGINE = frozenset({"container", "files"})
+"""Kinds that PHM knows of through the Docker Engine alone."""
 _SOLE = frozenset({"clock_stepped", "memory_leak", "network_lost_together", "phm_killed_in_restart", "power_loss"})
 """Faults that affect PHM as well as what they are named for, or whose injection takes more than a minute."""
 _RANK = {
@@ -157,12 +159,15 @@ def injection(fault: Fault, agent: Agent, profile: Profile) -> Injection:
         evidence=fault.evidence,
         evidence_s=fault.evidence_s,
         evidence_period_s=fault.evidence_period_s,
+        outage_s=fault.outage_s,
     )
 
 
 def explained(injections: Collection[Injection]) -> None:
-    """Fill in `explained_by` of a trial's faults, from what is injected beside each on its agent."""
+    """Fill in `explained_by` and `hidden_s` of a trial's faults, from what is injected beside each on its agent."""
     for each in injections:
+        if each.group in THROUGH_ENGINE:
+            each.hidden_s = max((it.outage_s for it in injections if it.agent == each.agent), default=0.0)
         causes = [it for it in injections if it.agent == each.agent and each.group in EXPLAINS.get(it.group, ())]
         # The last one injected: a container's end explains more than the loss of its network.
         each.explained_by = max(causes, key=lambda it: _RANK.get(it.group, 0)).fault if causes else ""

@@ -6,11 +6,11 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 
-from sitl.campaign.evidence import FLOOR_S, RATIO, UNEXPLAINED, compared
+from sitl.campaign.evidence import RATIO, UNEXPLAINED, compared
 from sitl.campaign.groups import Group
 from sitl.campaign.metrics import Figures
 from sitl.campaign.table import Rows, number
-from sitl.campaign.verdict import Judged, Verdict
+from sitl.campaign.verdict import FLOOR_S, Judged, Verdict
 
 CLASSES = (
     "fault",

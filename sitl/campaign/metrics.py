@@ -39,6 +39,8 @@ class OfClass:
     evidence: str = ""
     evidence_s: float | None = None
     evidence_period_s: float = 0.0
+    evidence_ratio: float | None = None
+    """Mean of `Verdict.evidence_ratio`."""
 
 
 @dataclass(frozen=True)
@@ -210,6 +212,7 @@ def _of_class(first: Injection, verdicts: Sequence[Verdict]) -> OfClass:
         evidence=first.evidence,
         evidence_s=first.evidence_s,
         evidence_period_s=first.evidence_period_s,
+        evidence_ratio=stats(verdict.evidence_ratio for verdict in mine).mean,
     )
 
 

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from sitl.campaign import fault_rows, irregular, table
-from sitl.campaign.evidence import FLOOR_S, RATIO
+from sitl.campaign.evidence import RATIO
 from sitl.campaign.groups import Group
 from sitl.campaign.table import Rows
 from sitl.campaign.targets import short as missed_targets
+from sitl.campaign.verdict import FLOOR_S
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,8 @@ def sections(groups: Sequence[Group]) -> list[Section]:
             f"Evidence limit ({first.name})",
             "The earliest moment at which anything on board could know of the fault, and the mean detection divided by "
             "its average: where the evidence is periodic, a fault begins at any moment of the period. A limit below "
-            f"{FLOOR_S:g} s counts as {FLOOR_S:g} s. A ratio above {RATIO:g} needs an explanation, which holds up to the "
+            f"{FLOOR_S:g} s counts as {FLOOR_S:g} s. While the engine is away, the limit of a container and of its files is "
+            f"its return. A ratio above {RATIO:g} needs an explanation, which holds up to the "
             "stated ratio.",
             fault_rows.EVIDENCE,
             fault_rows.evidence(first.all),

@@ -61,6 +61,10 @@ class Injection:
     evidence_s: float | None = None
     """Seconds from `moment` until that event, at the latest; None: not stated."""
     evidence_period_s: float = 0.0
+    outage_s: float = 0.0
+    """How long it keeps the Docker Engine from PHM."""
+    hidden_s: float = 0.0
+    """How long an outage beside it on the agent hides its evidence."""
     """Period of an event that is periodic: on average it is half of it earlier."""
     world_seen: bool = False
     """The injector observed the world: False or True was returned by the fault's `restored` at least once."""

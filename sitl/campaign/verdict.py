@@ -25,6 +25,8 @@ ENDINGS = (ACTION, PHM, DOCKER, INJECTOR, ITSELF)
 """What can end a fault before the campaign clears it."""
 EARLY_S = 1.0
 """PHM's claim may be this much earlier than the observation from outside, which takes time, too."""
+FLOOR_S = 0.1
+"""A shorter evidence limit, e.g. of an event of the kernel, counts as this: a ratio of milliseconds says nothing."""
 
 
 @dataclass
@@ -114,6 +116,15 @@ class Verdict:
         return [unit for unit in units if unit not in own] + [
             unit for unit in (fault.others,) if unit and unit not in others
         ]
+
+    @property
+    def evidence_ratio(self) -> float | None:
+        """The detection divided by the moment, on average, at which anything on board could know of the fault."""
+        fault = self.injection
+        if fault.evidence_s is None or self.detected_s is None:
+            return None
+        # Faults begin at any moment of a period.
+        return self.detected_s / max(fault.evidence_s - fault.evidence_period_s / 2 + fault.hidden_s, FLOOR_S)
 
     @property
     def observed(self) -> bool:

@@ -187,6 +187,7 @@ class Fault(ABC):
     least: how many agents its swarm must have for it to be what it says.
     evidence: the earliest event on board that reveals it (a missed heartbeat, a missed period, a kernel event), and
     evidence_s: how many seconds after the injection that event happens, at the latest; None: not stated yet.
+    outage_s: how long it keeps the Docker Engine from PHM: what is known through the engine alone is hidden for so long.
     evidence_period_s: its period, where that event is periodic: on average it happens half a period earlier.
     """
 
@@ -210,6 +211,7 @@ class Fault(ABC):
     evidence: ClassVar[str] = ""
     evidence_s: ClassVar[float | None] = None
     evidence_period_s: ClassVar[float] = 0.0
+    outage_s: ClassVar[float] = 0.0
 
     def places(self, agent: Agent) -> tuple[str, ...]:
         """Units at which an alarm is due, exactly one at each; none where the condition is not reported as a fault."""

@@ -28,6 +28,7 @@ class Injection(Fault):
     passes = True
     needs = frozenset({"configuration"})
     prepared = "a relay between PHM and the engine's socket"
+    outage_s = AWAY_S
     evidence, evidence_s = "the engine closes the connection of PHM's event stream", 0.3
 
     def configuration(self, agent: Agent) -> Mapping[str, str]:

@@ -15,6 +15,7 @@ line() { echo "{\\"agent\\":\\"uav\\",\\"agent_id\\":7,\\"boot_id\\":\\"b\\",\\"
 line 1 | gzip > phm.jsonl.2.gz
 line 2 > phm.jsonl.1
 line 3 > phm.jsonl
+touch -d @1000 phm.jsonl.2.gz; touch -d @2000 phm.jsonl.1  # written one after another, as by PHM
 ln -s /etc/passwd phm.jsonl.3
 echo text > phm.log
 echo ready

@@ -16,9 +16,9 @@ from phm.commands.delivery_server import MAX_CLIENTS, MAX_SAME, DeliveryServer
 from phm.core.clock import SystemClock
 from phm.core.rate_limiter import RateLimiter
 from phm.gcs import delivery_client
-from phm.gcs.delivery_client import NoAnswer
+from phm.gcs.delivery_client import DeliveryFailed
 from phm.wire import delivery as wire
-from phm.wire.delivery import Answer
+from phm.wire.delivery import DeliveryAnswer
 from tests.fakes.until import until
 
 KEY, OTHER = bytes(range(32)), bytes(32)
@@ -38,19 +38,19 @@ class Bench:
         self.server.start()
         until(lambda: self.server.address is not None, "the port")
 
-    def _execute(self, text: str, base: str, who: str) -> Answer:
+    def _execute(self, text: str, base: str, who: str) -> DeliveryAnswer:
         self.executed.append((text, base, who))
         assert self.go.wait(LIMIT_S)
         if self.broken:
             raise ValueError("a secret")
-        return Answer(True, "configuration reloaded: interval", wire.version_of(text))
+        return DeliveryAnswer(True, "configuration reloaded: interval", wire.version_of(text))
 
     @property
     def where(self) -> tuple[str, int]:
         assert self.server.address is not None
         return self.server.address
 
-    def deliver(self, key: bytes = KEY, text: str = TEXT) -> Answer:
+    def deliver(self, key: bytes = KEY, text: str = TEXT) -> DeliveryAnswer:
         agent, answer = delivery_client.deliver(self.where, key, text, BASE)
         assert agent == "A07"
         return answer
@@ -168,7 +168,7 @@ def test_a_configuration_that_is_too_large_is_refused(bench: Bench) -> None:
         stream.sendall(head)
         answer = wire.read_answer(_line(stream), request, KEY)
     assert not answer.ok and answer.trusted and str(wire.MAX_SIZE) in answer.text
-    with pytest.raises(NoAnswer, match="not sent"):
+    with pytest.raises(DeliveryFailed, match="not sent"):
         bench.deliver(text="#" * (wire.MAX_SIZE + 1))
     assert bench.executed == []
 
@@ -198,7 +198,7 @@ def test_a_slow_sender_is_disconnected(bench: Bench, monkeypatch: pytest.MonkeyP
 def test_a_second_one_at_the_same_time_is_refused(bench: Bench) -> None:
     """Until the first one is done."""
     bench.go.clear()
-    first: list[Answer] = []
+    first: list[DeliveryAnswer] = []
     thread = threading.Thread(target=lambda: first.append(bench.deliver()), daemon=True)
     thread.start()
     until(lambda: bench.executed, "the first one")
@@ -226,7 +226,7 @@ def test_silent_connections_keep_no_one_out(bench: Bench) -> None:
         held = [stack.enter_context(bench.connect()) for _ in range(MAX_SAME)]
         for each in held:
             _line(each)
-        with pytest.raises(NoAnswer, match="too many connections"):
+        with pytest.raises(DeliveryFailed, match="too many connections"):
             bench.deliver()
         for number in range(2, 2 + MAX_CLIENTS):
             other = stack.enter_context(socket.socket())
@@ -243,7 +243,7 @@ def test_senders_and_lines_in_the_log_are_limited(bench: Bench) -> None:
     bench.server._rate = RateLimiter(1e-9, 10.0, 4)
     for _ in range(10):
         assert not bench.deliver(OTHER).ok
-    with pytest.raises(NoAnswer, match="too many connections"):
+    with pytest.raises(DeliveryFailed, match="too many connections"):
         bench.deliver(OTHER)
     assert len(bench.notes) == 3
 
@@ -252,7 +252,7 @@ def test_an_answer_of_somebody_without_the_key_is_never_a_success() -> None:
     """A program that took the agent's address cannot say that it is done."""
     said, _ = wire.hello("A07")
     request, _ = wire.request(said, BASE, TEXT, KEY)
-    good = Answer(True, "done", BASE)
+    good = DeliveryAnswer(True, "done", BASE)
     assert wire.read_answer(wire.answer_line(good, KEY, request), request, KEY).ok
     for line in (wire.answer_line(good), wire.answer_line(good, OTHER, request)):
         assert not wire.read_answer(line, request, KEY).ok
@@ -274,7 +274,7 @@ def test_a_port_in_use_is_a_problem_until_it_is_free(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(delivery_server, "RETRY_S", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         where = taken.getsockname()[:2]
-        server = DeliveryServer(where, KEY, "A07", SystemClock(), lambda *_: Answer(True, ""), lambda _: None)
+        server = DeliveryServer(where, KEY, "A07", SystemClock(), lambda *_: DeliveryAnswer(True, ""), lambda _: None)
         server.start()
         until(lambda: "phm deliver" in server.problem(), "the problem")
     until(lambda: server.problem() == "" and server.address == where, "the port")
@@ -293,8 +293,8 @@ def test_something_else_at_the_agents_port_is_named() -> None:
 
         thread = threading.Thread(target=answer, daemon=True)
         thread.start()
-        with pytest.raises(NoAnswer, match="not PHM's port"):
+        with pytest.raises(DeliveryFailed, match="not PHM's port"):
             delivery_client.deliver(where, KEY, TEXT, BASE)
         thread.join(LIMIT_S)
-    with pytest.raises(NoAnswer, match="refused"):
+    with pytest.raises(DeliveryFailed, match="refused"):
         delivery_client.deliver(where, KEY, TEXT, BASE)

@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 from phm.wire import delivery as wire
-from phm.wire.delivery import Answer, Hello, NotADelivery
+from phm.wire.delivery import DeliveryAnswer, Hello, NotADelivery
 from tests.fuzz.hostile import messages
 from tests.fuzz.targets import fuzzed
 
@@ -17,7 +17,7 @@ REQUEST, SENT = wire.request(SAID, "cd" * 32, "agent: {id: 7}\n", KEY)
 HEAD: dict[str, Any] = json.loads(SENT.partition(b"\n")[0])
 HELLO = {"phm": "delivery", "v": 1, "agent": "A07", "nonce": "ab" * 32}
 PROBLEM = {"line": 1, "key": "k", "message": "m", "text": "t"}
-GOOD: dict[str, Any] = json.loads(wire.answer_line(Answer(True, "done", "ab" * 32, (PROBLEM,)), KEY, REQUEST))
+GOOD: dict[str, Any] = json.loads(wire.answer_line(DeliveryAnswer(True, "done", "ab" * 32, (PROBLEM,)), KEY, REQUEST))
 INNER = messages({"ok": True, "text": "done", "present": "ab" * 32, "problems": [PROBLEM]})
 ANSWERS = messages(GOOD) | INNER.map(
     lambda data: json.dumps({"answer": data.decode("utf-8", "replace"), "mac": "00" * 32}).encode()
@@ -44,4 +44,4 @@ def test_no_changed_answer_is_a_success(line: bytes) -> None:
     """Only what the agent signed."""
     with contextlib.suppress(NotADelivery):
         answer = wire.read_answer(line, REQUEST, KEY)
-        assert not answer.ok or answer == Answer(True, "done", "ab" * 32, (PROBLEM,))
+        assert not answer.ok or answer == DeliveryAnswer(True, "done", "ab" * 32, (PROBLEM,))

@@ -22,7 +22,7 @@ from phm.runtime.daemon import Daemon
 from phm.runtime.delivery import Delivery, open_server
 from phm.runtime.reload import ReloadOutcome
 from phm.testing import settings
-from phm.wire.delivery import Answer, version_of
+from phm.wire.delivery import DeliveryAnswer, version_of
 from tests.fakes.until import until
 from tests.runtime.test_service import ROOT
 
@@ -65,10 +65,10 @@ class Agent:
     def backup(self) -> Path:
         return self.file.with_name("phm.yaml.bak")
 
-    def deliver(self, text: str = NEW, base: str = OLD) -> Answer:
+    def deliver(self, text: str = NEW, base: str = OLD) -> DeliveryAnswer:
         return self.delivery.execute(text, version_of(base), WHO)
 
-    def refused(self, text: str = NEW, base: str = OLD, kept: str = OLD) -> Answer:
+    def refused(self, text: str = NEW, base: str = OLD, kept: str = OLD) -> DeliveryAnswer:
         """The answer to what must change nothing."""
         answer = self.deliver(text, base)
         assert not answer.ok
@@ -360,5 +360,5 @@ def test_nothing_listens_by_default() -> None:
 def test_an_answer_is_never_larger_than_its_reader_takes() -> None:
     """Whatever the number and length of the problems."""
     problem = {"line": 1, "key": "k" * 9000, "message": "\u2028" * 9000, "text": "t" * 9000}
-    text = Answer(False, "x" * 9000, problems=(problem,) * 5000).as_json()
+    text = DeliveryAnswer(False, "x" * 9000, problems=(problem,) * 5000).as_json()
     assert len(text) <= 65_536 and json.loads(text)["problems"]

@@ -6,30 +6,15 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from pydantic import ValidationError
 
-from phm.config import ConfigError, loads
 from phm.core import memory, threads
-from phm.core.settings import Settings, validators
-from phm.core.settings.recovery import RecoverySettings
 from sitl.bench import footprint, footprint_imports, footprint_proc
 
 ROOT = Path(__file__).parents[2]
-HEAVY = ("asyncio", "docker", "requests", "urllib3", "ruamel", "rich", "numpy", "rclpy", "aiohttp", "jinja2")
-TEXT = "agent: {name: scout, id: 7}\ninterval: 12s\ncontainers: [{name: app}]\n"
-
-
-@pytest.fixture
-def forgotten() -> Iterator[Settings]:
-    """Settings whose validators were freed."""
-    settings = loads(TEXT, environ={})
-    validators.forget()
-    yield settings
-    validators.restore()
+HEAVY = ("asyncio", "ruamel", "rich", "numpy", "rclpy", "aiohttp", "jinja2")
 
 
 def test_the_daemon_loads_no_package_that_it_can_do_without() -> None:
@@ -38,32 +23,6 @@ def test_the_daemon_loads_no_package_that_it_can_do_without() -> None:
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks")))}
     done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True)
     assert set(done.stdout.split()).isdisjoint(HEAVY)
-
-
-def test_settings_are_used_as_before_without_their_validators(forgotten: Settings) -> None:
-    """Reading, comparing and copying settings validates nothing."""
-    changed = forgotten.model_copy(update={"interval": 3.0})
-    assert (forgotten.interval, changed.interval, forgotten.containers[0].name) == (12.0, 3.0, "app")
-    assert changed != forgotten
-    assert "scout" in repr(forgotten)
-
-
-def test_a_configuration_is_validated_again_after_its_validators_were_freed(forgotten: Settings) -> None:
-    """A reload finds the same settings and the same problems, also in sections that are made one by one."""
-    assert loads(TEXT, environ={}) == forgotten
-    with pytest.raises(ConfigError, match="intervall"):
-        loads(TEXT.replace("interval", "intervall"), environ={})
-    assert RecoverySettings().verify == forgotten.recovery.verify
-
-
-def test_a_section_can_be_made_after_its_validators_were_freed(forgotten: Settings) -> None:
-    """A check of another package may do that at any time: values are validated as before."""
-    assert RecoverySettings(mode="off").mode == "off"
-    validators.forget()
-    with pytest.raises(ValidationError, match="mode"):
-        RecoverySettings.model_validate({"mode": "sometimes"})
-    validators.forget()
-    assert forgotten.recovery.model_dump()["mode"] == forgotten.recovery.mode
 
 
 def test_the_kernel_knows_the_name_of_each_thread() -> None:

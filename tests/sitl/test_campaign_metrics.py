@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 from hypothesis import given, strategies as st
 
 from sitl.campaign import uptime
-from sitl.campaign.evidence import EXPLANATIONS, FLOOR_S, UNEXPLAINED, compared
+from sitl.campaign.evidence import EXPLANATIONS, UNEXPLAINED, compared
+from sitl.campaign.fault_catalog import explained
 from sitl.campaign.fault_rows import unexplained
 from sitl.campaign.groups import groups
 from sitl.campaign.metrics import figures
 from sitl.campaign.stats import estimate, rank, stats
 from sitl.campaign.targets import METRICS, Result, evaluated, short
 from sitl.campaign.trial import NOMINAL, OFF, Cost, Start, Trial
-from sitl.campaign.verdict import ACTION, ITSELF
+from sitl.campaign.verdict import ACTION, FLOOR_S, ITSELF
 from sitl.faults import all_faults
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
 
@@ -256,6 +258,25 @@ def test_periodic_evidence_counts_with_its_average() -> None:
     (group,) = groups([trial(injections=[found], alarms=[alarm(3.4)])])
     (row,) = compared(group.all)
     assert (row.latest_s, row.limit_s, row.ratio) == (3.2, pytest.approx(1.7), pytest.approx(2.0))
+
+
+def test_an_outage_of_the_engine_hides_the_evidence_of_a_container() -> None:
+    """Nothing on board can know that the container has ended before the engine is back."""
+    alone = injection(fault="container_killed", agent=1, unit="container/a", group="container", evidence_s=0.1)
+    beside = replace(alone, agent=3)
+    away = injection(
+        fault="engine_restarted", title="away", unit="engine", group="engine", evidence_s=0.3, outage_s=15.0
+    )
+    elsewhere = replace(away, agent=2)
+    explained([alone, elsewhere, beside, away])
+    assert [each.hidden_s for each in (alone, beside, away)] == [0.0, 15.0, 0.0]
+    made = [
+        trial(number=1, injections=[alone], alarms=[alarm(0.2, unit="container/a", agent=1)]),
+        trial(number=2, injections=[beside], alarms=[alarm(16.61, unit="container/a")]),
+    ]
+    (group,) = groups(made)
+    (row,) = compared(group.all)
+    assert row.ratio == pytest.approx((2.0 + 1.1) / 2)
 
 
 def test_an_explanation_holds_up_to_its_ratio() -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phm.gcs import delivery_client
-from phm.wire.delivery import Answer, version_of
+from phm.wire.delivery import DeliveryAnswer, version_of
 
 
 class NotDelivered(Exception):
@@ -16,7 +16,7 @@ class NotDelivered(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class DeliveryTarget:
     """Where an agent listens (`delivery.listen`), and its key."""
 
     host: str
@@ -30,7 +30,7 @@ class Target:
 class ConfigDelivery:
     """targets: by the name of the file. Thread-safe; one delivery at a time, because each one keeps a thread."""
 
-    def __init__(self, targets: Mapping[str, Target]) -> None:
+    def __init__(self, targets: Mapping[str, DeliveryTarget]) -> None:
         self._targets = dict(targets)
         self._lock = threading.Lock()
 
@@ -52,15 +52,15 @@ class ConfigDelivery:
             if base is None:
                 base = delivery_client.present(where, target.key)
                 if base == version_of(text):
-                    return _shown("", Answer(True, "the agent has this configuration already", base))
+                    return _shown("", DeliveryAnswer(True, "the agent has this configuration already", base))
             return _shown(*delivery_client.deliver(where, target.key, text, base))
-        except delivery_client.NoAnswer as error:
+        except delivery_client.DeliveryFailed as error:
             raise NotDelivered(str(error)) from None
         finally:
             self._lock.release()
 
 
-def _shown(agent: str, answer: Answer) -> dict[str, Any]:
+def _shown(agent: str, answer: DeliveryAnswer) -> dict[str, Any]:
     return {
         "ok": answer.ok,
         "agent": agent,

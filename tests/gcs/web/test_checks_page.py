@@ -15,12 +15,12 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Dialog, Page, expect
 
-from phm.gcs.web.config_delivery import ConfigDelivery, Target
+from phm.gcs.web.config_delivery import ConfigDelivery, DeliveryTarget
 from phm.gcs.web.config_editor import ConfigEditor
 from phm.gcs.web.options import ListenOptions, Tokens
 from phm.gcs.web.routes.checks import DELIVERY, EXTRA
 from phm.runtime.configuration import plan_of
-from phm.wire.delivery import Answer, version_of
+from phm.wire.delivery import DeliveryAnswer, version_of
 from tests.commands.test_delivery_server import KEY, Bench
 from tests.gcs.web.browser.scene import LIMIT_MS, chromium, tab
 from tests.gcs.web.swarm import ground
@@ -294,14 +294,16 @@ def test_a_viewer_sees_no_configuration(browser: Browser, file: Path) -> None:
 class Refusing(Bench):
     """An agent that has another configuration at first, and then finds a problem."""
 
-    def _execute(self, text: str, base: str, who: str) -> Answer:
+    def _execute(self, text: str, base: str, who: str) -> DeliveryAnswer:
         self.executed.append((text, base, who))
         if not text:
-            return Answer(True, "nothing was delivered", version_of("theirs"))
+            return DeliveryAnswer(True, "nothing was delivered", version_of("theirs"))
         if base != version_of("theirs"):
-            return Answer(False, "the agent has another configuration <b>here</b>", version_of("theirs"))
+            return DeliveryAnswer(False, "the agent has another configuration <b>here</b>", version_of("theirs"))
         problem = {"line": 4, "key": "containers[0].name", "message": "is not known here", "text": "a7.yaml:4: ..."}
-        return Answer(False, "the configuration is invalid on the agent: 1 problem", version_of("theirs"), (problem,))
+        return DeliveryAnswer(
+            False, "the configuration is invalid on the agent: 1 problem", version_of("theirs"), (problem,)
+        )
 
 
 def test_a_saved_file_is_delivered_and_the_agents_problems_are_at_the_fields(browser: Browser, file: Path) -> None:
@@ -314,7 +316,7 @@ def test_a_saved_file_is_delivered_and_the_agents_problems_are_at_the_fields(bro
 
     extra = {
         EXTRA: ConfigEditor(plan_of, [str(file)]),
-        DELIVERY: ConfigDelivery({str(file): Target(*agent.where, KEY)}),
+        DELIVERY: ConfigDelivery({str(file): DeliveryTarget(*agent.where, KEY)}),
     }
     with (
         ground(ListenOptions(port=0), extra=extra) as here,

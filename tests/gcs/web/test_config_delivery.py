@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.gcs.web.config_delivery import ConfigDelivery, Target
+from phm.gcs.web.config_delivery import ConfigDelivery, DeliveryTarget
 from phm.gcs.web.config_editor import ConfigEditor
 from phm.gcs.web.options import ListenOptions, Tokens
 from phm.gcs.web.routes.checks import DELIVERY, EXTRA
@@ -42,7 +42,7 @@ def file(tmp_path: Path) -> Path:
 @contextmanager
 def page(agent: Bench, *files: Path, key: bytes = KEY, tokens: Tokens | None = None) -> Iterator[Client]:
     """The agent is that of the first file."""
-    sender = ConfigDelivery({str(files[0]): Target(*agent.where, key)})
+    sender = ConfigDelivery({str(files[0]): DeliveryTarget(*agent.where, key)})
     extra = {EXTRA: ConfigEditor(plan_of, [str(each) for each in files]), DELIVERY: sender}
     with ground(ListenOptions(port=0, tokens=tokens), extra=extra) as made:
         client = made.client()

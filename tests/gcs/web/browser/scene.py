@@ -54,7 +54,7 @@ class GroundProcess:
         return self._process.pid
 
     def start(self) -> None:
-        """Returns when the page is served."""
+        """Returns when the page is served and MAVLink is received: a line that is sent once must arrive."""
         words = [sys.executable, "-m", "phm.cli", "gcs", "--web", f"127.0.0.1:{self.port}"]
         if "--replay" not in self._options:
             words += [f"udpin:127.0.0.1:{self.mavlink}", "--history", str(self._folder / "history.db")]
@@ -63,6 +63,9 @@ class GroundProcess:
             env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'checks'}", "HOME": str(self._folder)},
         )  # fmt: skip
         until(self._serves, "the page", lambda: (self._folder / "gcs.log").read_text()[-2000:])
+        if "--replay" not in self._options:
+            bound = f":{self.mavlink:04X} "
+            until(lambda: bound in Path("/proc/net/udp").read_text("ascii"), "the endpoint")
 
     def _serves(self) -> bool:
         assert self._process is not None
