@@ -10,6 +10,7 @@ import click
 
 from phm.cli.options import EX_CONFIG, json_option
 from phm.cli.web_options import address
+from phm.wire.text import one_line
 
 if TYPE_CHECKING:
     from phm.wire.delivery import DeliveryAnswer
@@ -58,15 +59,15 @@ def command(
         secret = read_key(key, "--key")
         version = version_of(read_file(Path(base))) if base is not None else delivery_client.present(agent, secret)
         name, answer = delivery_client.deliver(agent, secret, text, version)
-    except (ConfigError, InvalidKey, delivery_client.DeliveryFailed) as error:
+    except (ConfigError, InvalidKey) as error:
         raise click.ClickException(str(error)) from None
+    except delivery_client.DeliveryFailed as error:  # has words of whoever answers there
+        raise click.ClickException(one_line(str(error))) from None
     _print(name, answer, as_json=as_json)
     ctx.exit(0 if answer.ok else EX_CONFIG if answer.problems else 1)
 
 
 def _print(name: str, answer: DeliveryAnswer, *, as_json: bool) -> None:
-    from phm.wire.text import one_line
-
     if as_json:
         found = {
             "ok": answer.ok,

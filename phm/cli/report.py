@@ -103,7 +103,7 @@ def _nothing_read(paths: tuple[str, ...], merged: Record) -> str:
     """Why files with the right names are no record: a report of nothing would read as if nothing had failed."""
     problems = merged.part.problems.found.items()
     found = [f"{path}{f':{line}' if line else ''}: {what}" for (what, path), (_, line) in problems]
-    return f"no line of a record in {', '.join(paths)}: {'; '.join(found[:3]) or 'the files are empty'}"
+    return one_line(f"no line of a record in {', '.join(paths)}: {'; '.join(found[:3]) or 'the files are empty'}")
 
 
 def _add(merged: Record, dataset: str) -> dict[str, Any]:

@@ -109,8 +109,6 @@ class Bundle:
                 if not self.deadline.left(LOGS_SHARE):
                     self.missing.append((name, f"its rest: no time was left for it in {self.deadline.seconds:g} s"))
                     break
-            if spool.tell() >= limit:
-                self.missing.append((name, "its rest: too long"))
             size = spool.tell()
             spool.seek(0)
             self._member(name, size, spool)
@@ -152,8 +150,9 @@ def write(path: Path, fill: Callable[[Bundle], None], secrets: Secrets, deadline
 
 
 def file_name(text: str) -> str:
-    """`text` as the name of a folder inside."""
-    return re.sub(r"[^\w.\-]", "_", text)[:100].lstrip(".") or "_"
+    """`text` as the name of a folder, of at most 100 bytes: file systems allow 255."""
+    name = re.sub(r"[^\w.\-]", "_", text).encode()[:100].decode("utf-8", "ignore")
+    return name.lstrip(".") or "_"
 
 
 def chosen(environ: Mapping[str, str]) -> dict[str, str]:
@@ -196,7 +195,7 @@ def _copy(file: Path, limit: int, raw: IO[bytes], deadline: Deadline) -> str:
 
 
 def _lines(file: Path, limit: int) -> Iterable[str]:
-    """At most about `limit` bytes; long lines are cut."""
+    """At most about `limit` bytes; long lines are cut. Raises OSError if there is more."""
     if not file.is_file():
         raise OSError(22, "not a regular file")
     with file.open("rb") as plain:
@@ -206,7 +205,9 @@ def _lines(file: Path, limit: int) -> Iterable[str]:
 
 def _bounded(stream: IO[bytes], limit: int) -> Iterator[str]:
     begun = False
-    while limit > 0 and (part := stream.readline(MOST_LINE)):
+    while part := stream.readline(MOST_LINE):
+        if limit <= 0:
+            raise OSError("too long")
         limit -= len(part)
         if not begun:
             yield part.rstrip(b"\n").decode("utf-8", "surrogateescape")

@@ -38,9 +38,10 @@ class Index:
         except (OSError, ValueError, RecursionError):
             found = {}
         sources, agents, marks = (_object(_object(found).get(name)) for name in ("sources", "agents", "marks"))
+        known = {name: agent for name, value in agents.items() if (agent := _agent(value)) is not None}
         return cls(
-            {name: value for name, value in _texts(sources).items() if file_name(value) == value},
-            {name: agent for name, value in agents.items() if (agent := _agent(value)) is not None},
+            {name: value for name, value in _texts(sources).items() if file_name(value) == value and value in known},
+            known,
             {name: _texts(_object(value)) for name, value in marks.items()},
         )
 

@@ -22,6 +22,8 @@ SLOWEST_BYTES_S = 100_000.0
 MOST_CONTAINERS = 1000
 MOST_DEPTH = 6
 MOST_FOLDERS = 1000
+OF_ROOT = "lost+found"
+"""Each ext4 file system has such a folder, which only root can read."""
 _SPECIAL = 1 << 31 | 1 << 27 | 1 << 26 | 1 << 25 | 1 << 24 | 1 << 21 | 1 << 19
 """Bits of Go's FileMode for all that is not a regular file."""
 _PIECE = 1 << 18
@@ -174,13 +176,24 @@ def of_path(path: Path, without: Path) -> Looked:
     if not path.is_dir():
         return Looked((), ((str(path), "is not a folder" if path.exists() else "does not exist"),))
     found: list[ContainerLogs | FolderLogs] = []
-    for place, folders, names in os.walk(path):
+    missing: list[tuple[str, str]] = []
+
+    def unreadable(error: OSError) -> None:
+        if os.path.basename(error.filename) != OF_ROOT and len(missing) < MOST_FOLDERS:
+            missing.append((str(error.filename), error.strerror or str(error)))
+
+    for place, folders, names in os.walk(path, onerror=unreadable):
         if Path(place).resolve() == without.resolve():
             folders.clear()
             continue
         folders.sort()
-        if len(Path(place).relative_to(path).parts) >= MOST_DEPTH or len(found) >= MOST_FOLDERS:
+        if len(Path(place).relative_to(path).parts) >= MOST_DEPTH:
             folders.clear()
+        if len(found) >= MOST_FOLDERS:
+            missing.append((f"the other folders in {path}", f"not looked at, since {MOST_FOLDERS} have logs"))
+            break
         if any(base in names or f"{base}.1" in names or f"{base}.1.gz" in names for base in BASES):
             found.append(FolderLogs(Path(place)))
-    return Looked(tuple(found), () if found else ((str(path), "no phm.jsonl in it"),))
+    if not found and not missing:
+        missing.append((str(path), f"no phm.jsonl in it, or deeper than {MOST_DEPTH} folders"))
+    return Looked(tuple(found), tuple(missing))

@@ -46,7 +46,8 @@ class Cost:
         ordered = sorted(self.samples)
         inner = ordered[1:-1]
         # Totals lose nothing when every second one goes; of the memory the larger of both is kept.
-        kept = [(*two[:3], max(one[3], two[3])) for one, two in zip(inner[::2], inner[1::2], strict=False)]
+        pairs = [inner[place : place + 2] for place in range(0, len(inner), 2)]
+        kept = [(*pair[-1][:3], max(sample[3] for sample in pair)) for pair in pairs]
         self.samples = [ordered[0], *kept, ordered[-1]]
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import re
 import statistics
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -65,14 +66,7 @@ def align_others(others: Iterable[Other], runs: Sequence[tuple[Run, RunClock]]) 
 
 
 def _clock(file: str, received: Times, said: Times) -> OtherClock:
-    differences = (
-        ours - theirs
-        for key in received.keys() & said.keys()
-        if key[-1] != REFRESH
-        for ours in said[key][:MOST_EACH]
-        for theirs in received[key][:MOST_EACH]
-    )
-    agreed = vote(list(itertools.islice(differences, MOST_VOTES)))
+    agreed = vote(list(itertools.islice(_differences(received, said), MOST_VOTES)))
     if agreed is None:
         return OtherClock(file)
     pairs = {key: _paired(times, said.get(key, ()), agreed[0]) for key, times in received.items()}
@@ -86,6 +80,18 @@ def _clock(file: str, received: Times, said: Times) -> OtherClock:
     offset_s = statistics.median(changes)
     spread_s = max(max(every) - offset_s, offset_s - min(every))
     return OtherClock(file, offset_s, spread_s + OWN_ERROR_S, len(every), BY)
+
+
+def _differences(received: Times, said: Times) -> Iterator[float]:
+    """Of lines about changes that both have; the rarest first, which say most."""
+    both = [key for key in received.keys() & said.keys() if key[-1] != REFRESH]
+    for key in sorted(both, key=lambda key: (len(received[key]) * len(said[key]), repr(key))):
+        ours = said[key]
+        for theirs in received[key][:MOST_EACH]:
+            # The first ones, and those that are near if the clock is nearly right: a long log has more than can be compared.
+            first, near = min(MOST_EACH, len(ours)), bisect_left(ours, theirs)
+            places = (range(first), range(max(first, near - MOST_EACH // 2), min(len(ours), near + MOST_EACH // 2)))
+            yield from (ours[place] - theirs for place in itertools.chain(*places))
 
 
 def _paired(theirs: Sequence[float], ours: Sequence[float], offset_s: float) -> list[float]:

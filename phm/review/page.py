@@ -22,8 +22,15 @@ def render(document: Json) -> str:
         _data(document),
         report=document,
         title=_title(document),
+        undrawn=max(0, len(document["other"]["rows"]) - MOST_OTHER),
         tables=[table for table in tables.tables(document, most=500) if table[0] != "Faults"],
     )
+
+
+def _marks(rows: list[Json]) -> list[Json]:
+    """Those that are drawn: of too many those with a level, and as many others as there is room for."""
+    places = sorted(range(len(rows)), key=lambda place: (not rows[place]["level"], place))[:MOST_OTHER]
+    return [rows[place] for place in sorted(places)]
 
 
 def _title(document: Json) -> str:
@@ -44,7 +51,7 @@ def _data(document: Json) -> Json:
     ]
     others = [
         [round(row["t"] - begin, 2), row["agent"], row["what"], row["text"], row["level"]]
-        for row in document["other"]["rows"][:MOST_OTHER]
+        for row in _marks(document["other"]["rows"])
     ]
     return {
         "other": others,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from typing import Protocol
 
@@ -12,6 +13,8 @@ from phm.review.run import Run
 
 OURS = "phm/"
 """Names of PHM's own diagnostics begin with this."""
+MOST_FOLDERS = 8
+"""In the name of a recording."""
 
 
 class RecordedAgent(Protocol):
@@ -61,10 +64,11 @@ def _nearest(folder: str, logs: Sequence[tuple[int, str]]) -> int:
 
 
 def _names(files: set[str]) -> dict[str, str]:
-    """The file's name, with the folder where that is needed to distinguish two."""
-    names = [os.path.basename(file) for file in files]
-    return {
-        file: f"recording {name if names.count(name) == 1 else os.path.join(os.path.basename(os.path.dirname(file)), name)}"
-        for file in files
-        for name in [os.path.basename(file)]
-    }
+    """The file's name, with as many folders before it as distinguish it from the others, up to MOST_FOLDERS."""
+    words = {file: os.path.abspath(file).split(os.sep)[-1 - MOST_FOLDERS :] for file in files}
+    ends = Counter(tuple(one[place:]) for one in words.values() for place in range(len(one)))
+
+    def shortest(one: list[str]) -> list[str]:
+        return next((one[place:] for place in reversed(range(len(one))) if ends[tuple(one[place:])] == 1), one)
+
+    return {file: f"recording {os.sep.join(shortest(one))}" for file, one in words.items()}

@@ -175,6 +175,7 @@ def _others(other: Json, most: int) -> Table:
     if len(rows) > most:
         rows = [row for row in rows if row["level"] or row["what"] not in ("statustext", "topic")]
     outside = f"; {other['outside']} more are not in the time of this report" if other["outside"] else ""
+    outside += f"; the last {other['left_out']} are left out" if other["left_out"] else ""
     hidden = len(other["rows"]) - len(rows)
     texts = f", without {hidden} texts and topics" if hidden else ""
     head: tuple[str, ...] = ("agent", "at (UTC)", "what", "level", "text", "file")

@@ -37,9 +37,9 @@ STILL_S = 10.0
 """How long nothing may change with recovery off."""
 WELL_LIMIT_S = 120.0
 STEADY_S = 3.0
+"""All must have been well for so long before the next injection."""
 RECORD_LIMIT_S = 60.0
 """PHM tries a file that it could not write again after at most 30 s, and writes something every 20 s."""
-"""All must have been well for so long before the next injection."""
 OWN = ("join_network", "reopen")
 """What PHM does to its own container and its own end of a link, in every mode: nothing of the vehicle is touched."""
 

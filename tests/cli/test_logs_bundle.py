@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import json
 import stat
 import tarfile
@@ -126,6 +127,19 @@ def test_logs_are_capped_the_newest_first(agent: Path, tmp_path: Path, monkeypat
     bundle(agent, file)
     inside = members(file)
     assert "logs/phm.jsonl" in inside and "logs/phm.jsonl.1" not in inside and b"phm.jsonl.1" in inside["MISSING.txt"]
+
+
+def test_a_log_that_was_cut_says_so(agent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also if what was removed from it makes it shorter than the limit; one that fits does not say it."""
+    log = tmp_path / "cut" / "phm.jsonl"
+    log.parent.mkdir()
+    log.write_text(json.dumps({"event": "note", "token": "x" * 100}) + "\n" + '{"event": "note", "text": "last"}\n')
+    for limit, said in ((130, True), (log.stat().st_size, False)):
+        monkeypatch.setattr(bundles, "MOST_LOG_BYTES", limit)
+        with tarfile.open(fileobj=io.BytesIO(), mode="w") as archive:
+            made = bundles.Bundle(archive, Secrets())
+            made.logs(log.parent)
+        assert (("logs/phm.jsonl", "its rest: too long") in made.missing) is said, made.missing
 
 
 @pytest.mark.parametrize(

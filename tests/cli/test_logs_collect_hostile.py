@@ -257,3 +257,50 @@ def test_a_compressed_file_without_end_costs_little(tmp_path: Path, engine: Fake
     engine.containers["bomb"] = container("bomb", folders={PLACE: folder})
     result = collect(tmp_path / "out", engine=engine)
     assert result.exit_code == 0 and (tmp_path / "out" / "bomb" / "phm.jsonl.1.gz").is_file(), result.output
+
+
+def test_a_long_name_of_an_agent_costs_no_other_log(tmp_path: Path, engine: FakeEngine, agent: Agent) -> None:
+    """In characters of several bytes it is longer than a file system allows."""
+    folder = tmp_path / "in" / "long"
+    folder.mkdir(parents=True)
+    line = {"v": 2, "agent": "\u6a5f" * 100, "agent_id": 9, "boot_id": "b", "seq": 1, "event": "note", "text": "x 1"}
+    (folder / "phm.jsonl").write_text(json.dumps(line) + "\n")
+    engine.containers["long"] = container("long", folders={PLACE: folder})
+    for _ in range(2):
+        result = collect(tmp_path / "out", engine=engine)
+        assert result.exit_code == 0, result.output
+        assert sorted(len(texts(path)) for path in (tmp_path / "out").iterdir() if path.is_dir()) == [1, 3]
+
+
+def test_an_index_that_names_no_agent_costs_only_time(tmp_path: Path, engine: FakeEngine) -> None:
+    """It may come from someone else: a folder without an agent, of a source that has only a log of text."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "phm.log").write_text("text\n")
+    engine.containers["c"] = container("c", folders={PLACE: folder})
+    out = tmp_path / "out"
+    out.mkdir()
+    index = {"sources": {f"container c at {engine.url}": "uav"}, "agents": {"uav": ["", 1]}, "marks": {}}
+    (out / ".phm-collect.json").write_text(json.dumps(index))
+    result = collect(out, engine=engine)
+    assert result.exit_code == 1 and "phm.jsonl: there is none" in result.output, result.output
+    assert (out / "c" / "phm.log").read_text() == "text\n"
+
+
+def test_a_folder_that_cannot_be_read_is_said(
+    tmp_path: Path, agent: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is beside it is collected; the folder of a file system's own, which only root can read, is not meant."""
+    (tmp_path / "in" / "2").mkdir()
+    (tmp_path / "in" / "lost+found").mkdir()
+    real = os.scandir
+
+    def scandir(path: str) -> Any:
+        if os.path.basename(path) in ("2", "lost+found"):
+            raise PermissionError(13, "Permission denied", path)
+        return real(path)
+
+    monkeypatch.setattr("os.scandir", scandir)
+    result = collect(tmp_path / "out", tmp_path / "in")
+    assert result.exit_code == 1 and f"missing: {tmp_path}/in/2: Permission denied" in result.output, result.output
+    assert "lost+found" not in result.output and texts(tmp_path / "out" / "agent_1") == [1, 2, 3]

@@ -99,3 +99,12 @@ def test_samples_of_the_cost_are_limited_and_totals_stay_right() -> None:
     assert seconds == 400_000.0 and cpu_s == pytest.approx(20_000.0) and sent == pytest.approx(2_000_000)
     assert whole.memory(0.0, 1e9) == 999
     assert whole.between(1e6, 2e6) is None and Cost().between(0.0, 1.0) is None
+
+
+def test_the_most_memory_is_kept_whichever_sample_has_it() -> None:
+    """Samples are thinned as soon as there is one too many: none of them may lose its memory."""
+    for peak in (0, 1, MOST // 2, MOST - 2, MOST - 1, MOST):
+        cost = Cost()
+        for number in range(MOST + 1):
+            cost.add(number * 20.0, number * 1.0, number * 100, 999 if number == peak else 5)
+        assert len(cost.samples) <= MOST and cost.memory(0.0, 1e9) == 999, peak

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import shutil
 from pathlib import Path
 from typing import Any
@@ -142,3 +143,14 @@ def test_hostile_lines_neither_raise_nor_move_anything(tmp_path: Path) -> None:
     file = tmp_path / "ground.tlog"
     file.write_bytes(b"".join(heard(place * 1.5, texts[place % len(texts)]) for place in range(3000)))
     assert not clock_of(report(tmp_path), file)["applied"]
+
+
+def test_a_record_of_the_end_of_a_long_log_is_compared_with_that_end(tmp_path: Path) -> None:
+    """A unit that fails again and again says the same each time, more often than all can be compared."""
+    draw = random.Random(3)
+    lines = flown(tmp_path / "log", times={100.0 + 50.0 * at + draw.uniform(0, 30): "nodes/node_1" for at in range(100)})
+    file = tmp_path / "ground.tlog"
+    file.write_bytes(b"".join(heard(at + 20.0, text) for at, text in lines[-20:]))
+    clock = clock_of(report(tmp_path), file)
+    assert (clock["applied"], clock["lines"]) == (True, 20)
+    assert clock["offset_s"] == pytest.approx(-20.0, abs=0.01)

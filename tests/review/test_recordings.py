@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -15,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from phm.cli import group
-from phm.review import page
+from phm.review import page, tables
 from tests.review import bags
 from tests.review.records import T0, Flown, Ground, report
 from tests.review.test_document import one_flight
@@ -220,3 +222,42 @@ def test_an_independent_reader_counts_the_same(tmp_path: Path, storage: StorageP
     last = {text.partition(":")[0]: (t, int(text.split()[3])) for t, _, text, _ in rows if ": last of " in text}
     first = {text.partition(":")[0]: t for t, _, text, _ in rows if ": first message " in text}
     assert {(topic, count, first[topic], t) for topic, (t, count) in last.items()} == expected
+
+
+def test_recordings_with_the_same_name_have_rows_of_their_own(tmp_path: Path) -> None:
+    """Two vehicles with the same folders: the names are as long as it needs to distinguish them."""
+    for number in (1, 2):
+        folder = tmp_path / f"uav{number}" / "bags"
+        folder.mkdir(parents=True)
+        bags.mcap(folder / "x.mcap", bags.flight())
+    bags.mcap(tmp_path / "y.mcap", bags.flight())
+    made = report(tmp_path)
+    assert [row["agent"] for row in made["agents"]] == [
+        "recording uav1/bags/x.mcap",
+        "recording uav2/bags/x.mcap",
+        "recording y.mcap",
+    ]
+    rows = [sum(row["agent"] == agent["agent"] for row in made["other"]["rows"]) for agent in made["agents"]]
+    assert rows[0] == rows[1] == rows[2] > 0
+
+
+def test_entries_that_are_not_shown_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page draws those with a level first, however late they are; tables count what the document left out."""
+    bags.mcap(tmp_path / "x.mcap", bags.flight())
+    made = report(tmp_path)
+    count = len(made["other"]["rows"])
+    levels = [row["text"] for row in made["other"]["rows"] if row["level"]]
+    monkeypatch.setattr(page, "MOST_OTHER", len(levels))
+    drawn = page.render(made)
+    data = json.loads(re.findall(r'<script type="application/json" id="data">(.*?)</script>', drawn, re.DOTALL)[0])
+    assert [row[3] for row in data["other"]] == levels and f"({count - len(levels)} are not drawn)" in drawn
+    monkeypatch.setattr("phm.review.document.MOST_OTHER", count - 3)
+    assert "; the last 3 are left out" in tables.markdown(report(tmp_path))
+
+
+def test_the_name_of_a_file_that_is_no_record_steers_no_terminal(tmp_path: Path) -> None:
+    """It is shown where nothing else can be."""
+    (tmp_path / "a\x1b[2J\n.mcap").write_bytes(b"\x89MCAP0\r\n")
+    result = CliRunner().invoke(group, ["report", str(tmp_path)])
+    assert result.exit_code == 1 and "the recorder was not stopped" in result.output
+    assert "\x1b" not in result.output and result.output.count("\n") == 1
