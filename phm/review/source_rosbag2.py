@@ -5,6 +5,7 @@ Not by rosbags: it chooses by the file's name, sorts all messages first, and rea
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -78,7 +79,7 @@ def _read(database: sqlite3.Connection, found: Recording, size: int) -> None:
 
 def _opened(path: str) -> sqlite3.Connection:
     """Never writes, and runs nothing that the file defines."""
-    database = sqlite3.connect(f"file:{quote(path)}?mode=ro&immutable=1", uri=True)
+    database = sqlite3.connect(f"file:{quote(os.fsencode(path))}?mode=ro&immutable=1", uri=True)
     database.text_factory = lambda data: data.decode("utf-8", "replace")
     database.execute("PRAGMA trusted_schema = OFF")
     database.execute("PRAGMA mmap_size = 0")

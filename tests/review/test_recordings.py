@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -261,3 +262,16 @@ def test_the_name_of_a_file_that_is_no_record_steers_no_terminal(tmp_path: Path)
     result = CliRunner().invoke(group, ["report", str(tmp_path)])
     assert result.exit_code == 1 and "the recorder was not stopped" in result.output
     assert "\x1b" not in result.output and result.output.count("\n") == 1
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_name_that_is_not_text_is_read_and_shown(tmp_path: Path, storage: StoragePlugin) -> None:
+    """File systems allow any bytes in names."""
+    file = bags.rosbag2(tmp_path / "bag", bags.flight(), storage)
+    folder = tmp_path / "out"
+    folder.mkdir()
+    os.rename(file, os.fsencode(folder) + b"/\xff?#" + os.fsencode(file.suffix))
+    assert said(report(folder)) == bags.SAID
+    result = CliRunner().invoke(group, ["report", str(folder), "--html", str(tmp_path / "x.html")])
+    assert result.exit_code == 0, result.output
+    assert "udcff" in (tmp_path / "x.html").read_text("utf-8")
