@@ -1,7 +1,7 @@
 """The daemon's side of the control socket (`phm.wire.control`): approvals, notes, holds and reloads from this machine.
 
 One thread. It imports an event loop for the first client alone (`phm.commands.control_clients`): a flight without a request saves
-2 MB of memory. The socket belongs to PHM's user alone (mode 0600).
+1.3 MB of memory. The socket belongs to PHM's user alone (mode 0600).
 """
 
 from __future__ import annotations

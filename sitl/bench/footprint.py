@@ -58,7 +58,7 @@ def _is_daemon(words: Sequence[str]) -> bool:
 
 def measure(running: Sequence[Mapping[str, int]], seconds: float) -> dict[str, Any]:
     """Means over the agents: memory and CPU by process and in all, and each thread by process and name. An agent of which a process
-    ends meanwhile is left out. Raises ValueError if none is left."""
+    ends meanwhile is left out. Raises ValueError if none is left, or one cannot be measured by this user."""
     costs = footprint_proc.threads([pid for roles in running for pid in roles.values()], seconds)
     by_role: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     by_thread: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
@@ -67,6 +67,8 @@ def measure(running: Sequence[Mapping[str, int]], seconds: float) -> dict[str, A
         try:
             memory = {role: footprint_proc.memory(pid) for role, pid in roles.items()}
             size = footprint_proc.together(roles.values())
+        except PermissionError:
+            raise ValueError("a PHM here belongs to another user: run this as root") from None
         except OSError:
             continue
         count += 1

@@ -87,3 +87,14 @@ def test_a_process_that_is_not_phm_is_not_measured() -> None:
     """Only daemons named by their process id, or found by their command line, are agents."""
     assert all(roles["daemon"] != os.getpid() for roles in footprint.agents())
     assert footprint.agents([os.getpid()])[0]["daemon"] == os.getpid()
+
+
+def test_a_phm_of_another_user_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ran for the entire time, so that it did not would be the wrong reason; and the mean of the others would be of other agents."""
+
+    def refused(pid: int) -> footprint_proc.Memory:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(footprint_proc, "memory", refused)
+    with pytest.raises(ValueError, match="another user"):
+        footprint.measure([{"daemon": os.getpid()}], 0.01)
