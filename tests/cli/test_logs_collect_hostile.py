@@ -287,16 +287,14 @@ def test_an_index_that_names_no_agent_costs_only_time(tmp_path: Path, engine: Fa
     assert (out / "c" / "phm.log").read_text() == "text\n"
 
 
-def test_a_folder_that_cannot_be_read_is_said(
-    tmp_path: Path, agent: Agent, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_cannot_be_read_is_said(tmp_path: Path, agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is beside it is collected; the folder of a file system's own, which only root can read, is not meant."""
     (tmp_path / "in" / "2").mkdir()
     (tmp_path / "in" / "lost+found").mkdir()
     real = os.scandir
 
-    def scandir(path: str) -> Any:
-        if os.path.basename(path) in ("2", "lost+found"):
+    def scandir(path: str | int) -> Any:
+        if isinstance(path, str) and os.path.basename(path) in ("2", "lost+found"):
             raise PermissionError(13, "Permission denied", path)
         return real(path)
 

@@ -148,7 +148,9 @@ def test_hostile_lines_neither_raise_nor_move_anything(tmp_path: Path) -> None:
 def test_a_record_of_the_end_of_a_long_log_is_compared_with_that_end(tmp_path: Path) -> None:
     """A unit that fails again and again says the same each time, more often than all can be compared."""
     draw = random.Random(3)
-    lines = flown(tmp_path / "log", times={100.0 + 50.0 * at + draw.uniform(0, 30): "nodes/node_1" for at in range(100)})
+    lines = flown(
+        tmp_path / "log", times={100.0 + 50.0 * at + draw.uniform(0, 30): "nodes/node_1" for at in range(100)}
+    )
     file = tmp_path / "ground.tlog"
     file.write_bytes(b"".join(heard(at + 20.0, text) for at, text in lines[-20:]))
     clock = clock_of(report(tmp_path), file)
