@@ -61,7 +61,7 @@ def command(
         name, answer = delivery_client.deliver(agent, secret, text, version)
     except (ConfigError, InvalidKey) as error:
         raise click.ClickException(str(error)) from None
-    except delivery_client.DeliveryFailed as error:  # has words of whoever answers there
+    except delivery_client.DeliveryFailed as error:  # has words of the program that answers there
         raise click.ClickException(one_line(str(error))) from None
     _print(name, answer, as_json=as_json)
     ctx.exit(0 if answer.ok else EX_CONFIG if answer.problems else 1)

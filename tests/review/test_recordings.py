@@ -256,7 +256,7 @@ def test_entries_that_are_not_shown_are_counted(tmp_path: Path, monkeypatch: pyt
     assert "; the last 3 are left out" in tables.markdown(report(tmp_path))
 
 
-def test_the_name_of_a_file_that_is_no_record_steers_no_terminal(tmp_path: Path) -> None:
+def test_the_name_of_a_file_without_a_record_steers_no_terminal(tmp_path: Path) -> None:
     """It is shown where nothing else can be."""
     (tmp_path / "a\x1b[2J\n.mcap").write_bytes(b"\x89MCAP0\r\n")
     result = CliRunner().invoke(group, ["report", str(tmp_path)])
