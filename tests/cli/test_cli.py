@@ -430,7 +430,6 @@ def test_run_ends_with_the_exit_code_of_the_daemon(monkeypatch: pytest.MonkeyPat
     with_daemon(monkeypatch)
     monkeypatch.setattr("phm.runtime.service.run", lambda configuration, read: 3)
     monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process continues
-    monkeypatch.setattr("phm.cli.run.make_room", lambda: None)
     assert invoke("run").exit_code == 3
 
 

@@ -42,7 +42,6 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
         count(check, "build", "checks")
     monkeypatch.setenv("PHM_WATCHDOG", "off")
     monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process stays
-    monkeypatch.setattr("phm.cli.run.make_room", lambda: None)
     return counted
 
 
