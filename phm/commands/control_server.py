@@ -73,12 +73,27 @@ class ControlServer:
             if self._closing.wait(RETRY_S):
                 return
         with listener:
-            polling.wait([(listener.fileno(), polling.READ), (self._bell.fd, polling.READ)], None)
-            if not self._closing.is_set():
-                from phm.commands.control_clients import ControlClients
+            while not self._closing.is_set() and listener.fileno() >= 0:
+                polling.wait([(listener.fileno(), polling.READ), (self._bell.fd, polling.READ)], None)
+                try:
+                    self._serve(listener)
+                except (
+                    Exception
+                ) as error:  # such as too many open files: the client waits, and holds must be possible later
+                    self._problem = (
+                        f"clients of the control socket cannot be served: {error}; `phm approve` does not work"
+                    )
+                    self._closing.wait(RETRY_S)
 
-                self._clients = ControlClients(self._execute)
-                self._clients.serve(listener, self._closing)
+    def _serve(self, listener: socket.socket) -> None:
+        """Until `close`, which also closes the listener."""
+        if self._closing.is_set():
+            return
+        from phm.commands.control_clients import ControlClients
+
+        self._clients = ControlClients(self._execute)
+        self._problem = ""
+        self._clients.serve(listener, self._closing)
 
     def _execute(self, request: OperatorRequest, by: str) -> Reply:
         return self.execute(request, by)

@@ -21,6 +21,8 @@ LINE_CHARS = 2000
 """The rest of a longer line is not searched."""
 CLOCK_S = 2.0
 """PHM's clock may be so far behind that of the engine, which is the same unless the engine is on another computer."""
+RESUME_S = 30.0
+"""A reader that has not followed for so long after a reload is of a check that is no longer configured."""
 MOST_PARTS = 40
 """So many parts of READ_BYTES are as much as TAIL lines of LINE_CHARS."""
 _STAMPED = re.compile(rb"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?Z ?(.*)", re.DOTALL)
@@ -51,6 +53,7 @@ class Logs:
         self._readers: dict[str, _Reader] = {}
         self._earlier: dict[str, _Reader] = {}
         """Those of the probe before, until they follow again."""
+        self._resumed = clock.mono()
         self._memories: dict[str, LogMemory] = {}
         self._lock = threading.Lock()
 
@@ -63,13 +66,23 @@ class Logs:
                 if place.lock.acquire(timeout=0.1):
                     given._readers[name] = self._readers.pop(name)
                     place.lock.release()
+            self._forget_absent()
             given._readers.update(self._earlier)  # reloaded again before they followed
             self._earlier = {}
         return given
 
     def resume(self, before: Logs) -> None:
         """Continue where readers of these names were; one that follows another log now begins at its end. To be called before `follow`."""
-        self._earlier, self._memories = before._readers, before._memories
+        self._earlier, self._memories, self._resumed = before._readers, before._memories, self._clock.mono()
+
+    def _forget_absent(self) -> None:
+        """A check that is configured again after it was absent begins at the end of its log, like a new one."""
+        if self._clock.mono() - self._resumed < RESUME_S:
+            return
+        for name, place in self._earlier.items():
+            place.file.close()
+            self._memories.pop(name, None)
+        self._earlier = {}
 
     def memory(self, reader: str) -> LogMemory:
         with self._lock:

@@ -8,6 +8,7 @@ import os
 import random
 import socket
 import stat
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -192,6 +193,19 @@ def test_only_root_and_the_own_user_are_accepted(daemon: Daemon, monkeypatch: py
     monkeypatch.setattr("phm.commands.control_clients._user", lambda peer: os.geteuid() + 12345)
     with pytest.raises(wire.Refused, match="only root"):
         daemon.ping()
+
+
+def test_clients_that_cannot_be_served_now_are_served_later(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What serves them is loaded for the first one, which fails without memory or a free descriptor: a problem, not the end."""
+    monkeypatch.setattr("phm.commands.control_server.RETRY_S", 0.02)
+    with monkeypatch.context() as broken:
+        broken.setitem(sys.modules, "phm.commands.control_clients", None)
+        stream = daemon.connect()
+        until(daemon.control.problem, "the problem")
+    with stream:
+        stream.sendall(b'{"do": "ping"}\n')
+        assert json.loads(stream.recv(4096))["ok"] is True
+    assert daemon.control.problem() == ""
 
 
 def test_a_run_directory_that_cannot_be_created_is_a_problem(tmp_path: Path) -> None:

@@ -48,6 +48,23 @@ def test_a_lost_network_hides_silence_but_not_an_ended_process() -> None:
     assert bench.blocked_by("nodes/n") == "container/app"
 
 
+def test_a_lost_network_hides_what_a_running_node_reports() -> None:
+    """It is conclusive that a node repeats old data or has no input, but its camera may be on that network: one cause, one alarm."""
+    frozen = error("frozen", brief="frozen", condition="data_frozen").with_evidence(Evidence(conclusive=True))
+    bench = Bench([unit("container/app"), unit("network/app", "container/app"), unit("data/image", "network/app")])
+    bench.all_well()
+    bench.now += 1
+    bench.see("network/app", BAD)
+    bench.see("container/app", OK)
+    for _ in range(3):
+        bench.now += 1
+        bench.see("data/image", frozen)
+        bench.see("container/app", OK)
+        bench.see("network/app", BAD)
+    assert bench.opened == ["network/app"]
+    assert bench.blocked_by("data/image") == "network/app"
+
+
 def test_dependencies_run_again_before_an_error_is_published() -> None:
     """A dependent's ERROR waits until all its upstream units have answered since."""
     bench = chain()

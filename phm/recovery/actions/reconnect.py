@@ -6,7 +6,7 @@ import contextlib
 
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
-from phm.facts import CannotTell, ContainerFact
+from phm.facts import CannotTell, ContainerFact, NotPermitted
 from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
 from phm.recovery.actions.join_network import join_networks
@@ -57,13 +57,14 @@ class Reconnect(Action):
             return NotNeeded(f"{target.key} is already connected")
         waits = f"; {not_there(gone)}" if gone else ""
         joined = _join(container, context)
-        return (
-            f"reconnected {target.key} to {', '.join(done)}{waits}{joined}{self._renew_sockets(target, fault, context)}"
-        )
+        # The engine may refuse to start a container again whose network is gone. When that is there, this action is done again.
+        renewed = "" if gone else self._renew_sockets(target, fault, context)
+        return f"reconnected {target.key} to {', '.join(done)}{waits}{joined}{renewed}"
 
     def _renew_sockets(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """Restart the container if ROS nodes run in it, and only while the vehicle is disarmed: in the air the connections that are
-        left are worth more than those that could be made. A ladder of the user without `restart` forbids it.
+        left are worth more than those that could be made. A ladder of the user without `restart` forbids it, and so does
+        an operator who puts it on hold meanwhile.
         """
         settings = context.settings
         has_nodes = any(settings.container_of_node(node.name) == target.key for node in settings.ros.nodes)
@@ -73,11 +74,11 @@ class Reconnect(Action):
             return ""
         later = f"; nodes that start later find those of {target.key} only after its restart, which is not done now"
         armed = context.armed()
-        if armed.restricts:
-            return f"{later}: {armed.why}"
+        if why := armed.why if armed.restricts else context.on_hold(target.key):
+            return f"{later}: {why}"
         try:
             restart_gracefully(fact, context)
-        except FlightCriticalError as error:
+        except (FlightCriticalError, NotPermitted) as error:  # the reconnection itself was permitted
             return f"{later}: {error}"
         self.still_bad_after_s = self.dependents_within_s = None  # now something has to start
         return f" and restarted it: its sockets had left their multicast groups{restart_dependents(target, fault, context)}"

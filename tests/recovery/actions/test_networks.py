@@ -170,6 +170,40 @@ def test_nodes_are_restarted_on_a_new_interface_unless_the_vehicle_may_be_armed(
     assert action.dependents_within_s == (None if restarted else Reconnect.dependents_within_s)
 
 
+def test_nodes_are_not_restarted_while_another_network_is_missing(fake: FakeEngine, ask: DockerEngine) -> None:
+    """As for every restart: the engine may refuse to start the container. Once that network is there, it is connected and restarted."""
+    fake.containers["app"] = container("app", networks={})
+    fake.networks["swarm"] = {"Id": "new"}
+    made = bench(ask, containers=[{**APP, "networks": ["swarm", "radio"]}], ros=NODES)
+    words = made.run(Reconnect, "app", OFF)
+    assert "reconnected app to swarm" in words and "no network radio" in words
+    assert changes(fake) == ["connect"]
+    fake.networks["radio"] = {"Id": "radio-id"}
+    assert "and restarted it" in made.run(Reconnect, "app", OFF)
+    assert changes(fake) == ["connect", "connect", "restart"]
+
+
+def test_a_proxy_that_refuses_restarts_does_not_refuse_reconnections(fake: FakeEngine, ask: DockerEngine) -> None:
+    """The reconnection was permitted and done: it is verified, and tried again for the next fault."""
+    agent(fake, ask, exists=True)
+    made = bench(ask, containers=[APP], ros=NODES)
+    fake.fault = Status(403, "no", route="/restart")
+    action = Reconnect()
+    words = action.run(made.target("app"), OFF, made.context())
+    assert "reconnected app to swarm" in words and "which is not done now" in words
+    assert action.dependents_within_s == Reconnect.dependents_within_s
+
+
+def test_nodes_that_an_operator_holds_meanwhile_are_not_restarted(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Reconnecting takes seconds: what is true when it begins need not be true when it ends."""
+    agent(fake, ask, exists=True)
+    made = bench(ask, containers=[APP], ros=NODES)
+    context = replace(made.context(), on_hold=lambda key: f"{key} is on hold")
+    words = Reconnect().run(made.target("app"), OFF, context)
+    assert words.endswith("which is not done now: app is on hold")
+    assert changes(fake) == ["connect"]
+
+
 def test_phm_joins_the_existing_networks(fake: FakeEngine, ask: DockerEngine) -> None:
     """A missing network does not prevent it from joining the others."""
     made = agent(fake, ask, exists=True)
