@@ -77,12 +77,9 @@ class ControlServer:
                 polling.wait([(listener.fileno(), polling.READ), (self._bell.fd, polling.READ)], None)
                 try:
                     self._serve(listener)
-                except (
-                    Exception
-                ) as error:  # such as too many open files: the client waits, and holds must be possible later
-                    self._problem = (
-                        f"clients of the control socket cannot be served: {error}; `phm approve` does not work"
-                    )
+                except Exception as error:
+                    # Such as too many open files. The client waits: holds and approvals must be possible later.
+                    self._problem = f"clients of {NAME} cannot be served: {error}; `phm approve` does not work"
                     self._closing.wait(RETRY_S)
 
     def _serve(self, listener: socket.socket) -> None:
