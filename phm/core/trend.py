@@ -25,6 +25,8 @@ EXTRAPOLATED = 2.0
 KEPT_SLOPE = 0.9
 """A trend goes on while the newer half of its points has at least this share of its slope."""
 MOST_CORRELATED = 0.95
+ROUNDING = 1e-9
+"""Deviations from a line of at most this share of the largest value are rounding errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,11 +152,12 @@ def _variance(points: Sequence[tuple[float, float]]) -> float:
 
 def _inflation(points: Sequence[tuple[float, float]], slope: float) -> float:
     residuals = [value - slope * at_s for at_s, value in points]
-    middle = sum(residuals) / len(residuals)
+    middle = math.fsum(residuals) / len(residuals)
     offsets = [residual - middle for residual in residuals]
-    total = sum(offset * offset for offset in offsets)
-    if total <= 0.0:
+    # Rounding errors of a straight line are correlated, and mean nothing.
+    if max(map(abs, offsets)) <= ROUNDING * max(abs(value) for _, value in points):
         return 1.0
-    correlation = sum(one * other for one, other in pairwise(offsets)) / total
+    total = math.fsum(offset * offset for offset in offsets)
+    correlation = math.fsum(one * other for one, other in pairwise(offsets)) / total
     correlation = min(max(correlation, 0.0), MOST_CORRELATED)
     return (1 + correlation) / (1 - correlation)

@@ -57,14 +57,6 @@ def test_entries_are_accepted(entry: str) -> None:
         (f"{TOPIC}, field: x, min: 2, warn_min: 1", "custom[0]: min is 2 and warn_min is 1"),
         (f"{TOPIC}, field: 'x[-1]', min: 2", "custom[0].field: is 'x[-1]', allowed is the name of a field, e.g. pose"),
         (f"{TOPIC}, field: x, min: .nan", "custom[0].min: is nan, expected a finite number"),
-        (
-            f"{TOPIC}, message: std_msgs/msg/Float64, field: datum, min: 0",
-            "custom[0].field: std_msgs/msg/Float64 has no field 'datum'; it has data",
-        ),
-        (
-            f"{TOPIC}, message: std_msgs/msg/String, field: data, min: 0",
-            "custom[0].field: data of std_msgs/msg/String is of type string, not a number",
-        ),
         ("name: a, type: topic, topic: /diagnostics", "custom[0].topic: is '/diagnostics', on which PHM publishes itself"),
         (f"{SERVICE}, call: Trigger", "custom[0].call: is 'Trigger', allowed is package/srv/Type"),
         (f"{SERVICE}, call: std_srvs/srv/Empty", "custom[0].call: is 'std_srvs/srv/Empty', but the same service is std_srvs/srv/Trigger in line 1"),
@@ -83,6 +75,20 @@ def test_a_mistake_is_named_with_its_line(entry: str, problem: str) -> None:
     """At the key, or at the entry if a key is missing."""
     (found,) = problems(entry)
     assert found.startswith(f"phm.yaml:4: {problem}")
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("message", "field", "problem"),
+    [
+        ("Float64", "datum", "std_msgs/msg/Float64 has no field 'datum'; it has data"),
+        ("String", "data", "data of std_msgs/msg/String is of type string, not a number"),
+    ],
+)
+def test_a_field_must_be_a_number_of_its_message(message: str, field: str, problem: str) -> None:
+    """Where the message is installed."""
+    (found,) = problems(f"{TOPIC}, message: std_msgs/msg/{message}, field: {field}, min: 0")
+    assert found.startswith(f"phm.yaml:4: custom[0].field: {problem}")
 
 
 def test_mavlink_needs_a_link_to_the_autopilot() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from phm.core.trend import LEAST_POINTS, POINTS, Forecast, Trend
+from phm.core.trend import LEAST_POINTS, POINTS, Forecast, Trend, line
 
 
 def observed(value: Callable[[float], float], for_s: float = 300.0, every_s: float = 5.0, **options: float) -> Trend:
@@ -31,6 +31,13 @@ def test_a_straight_line_is_extrapolated_exactly() -> None:
     for reached_s in (found.likely_s, found.latest_s, found.earliest_s):
         assert reached_s == pytest.approx(100.0)
     assert found.slope == pytest.approx(0.1) and found.span_s == 300.0
+
+
+def test_rounding_errors_are_not_noise() -> None:
+    """Python before 3.12 adds up less exactly: errors that follow each other make no trend uncertain."""
+    made = line([(at_s, 80.0 - 0.5 * at_s + (2e-14 if at_s < 8.0 else -2e-14)) for at_s in map(float, range(12))])
+    assert made is not None
+    assert (made.low, made.high) == (pytest.approx(-0.5), pytest.approx(-0.5))
 
 
 def test_a_falling_measurement_reaches_a_limit_below() -> None:

@@ -81,6 +81,7 @@ def test_what_is_wrong_is_said_in_a_sentence(
     assert text in result.output
 
 
+@pytest.mark.extras
 @pytest.mark.parametrize(
     ("data", "text"),
     [(b"", "the files are empty"), (b"garbage\n", "phm.jsonl:1: not JSON"), (b'{"a": 1}\n', "no line of a record")],

@@ -143,6 +143,7 @@ def test_an_injection_into_node_10_is_not_one_into_node_1(tmp_path: Path) -> Non
     assert [one["fault"] for one in report(tmp_path)["table2"]["injections"]] == [right]
 
 
+@pytest.mark.extras
 def test_agents_whose_names_are_not_for_paths_do_not_replace_each_other_in_a_dataset(tmp_path: Path) -> None:
     """The time of both is in it."""
     for number, name in ((1, "\u00c4"), (2, "\u00d6")):
@@ -152,6 +153,7 @@ def test_agents_whose_names_are_not_for_paths_do_not_replace_each_other_in_a_dat
     assert {row["observed_s"] for row in json.loads(result.output)["dataset"]["checks"]} == {4000.0}
 
 
+@pytest.mark.extras
 @pytest.mark.parametrize(
     ("key", "value"),
     [

@@ -85,4 +85,4 @@ def _allowed(least: float | None, most: float | None) -> str:
 
 def plain(number: float) -> str:
     """Whole numbers in full, others with six digits."""
-    return f"{number:.0f}" if number.is_integer() and abs(number) < WHOLE else f"{number:.6g}"
+    return f"{number:.0f}" if float(number).is_integer() and abs(number) < WHOLE else f"{number:.6g}"
