@@ -60,9 +60,12 @@ class WebChoice:
             raise click.UsageError(f"{given[0]} is for --web and --serve.")
         if self.edit and self.web is None:
             raise click.UsageError("--edit is for --web.")
-        for file, _, _ in self.deliver:
+        files = [file for file, _, _ in self.deliver]
+        for file in files:
             if file not in self.edit:
                 raise click.UsageError(f"--deliver is for a file of --edit: add --edit {file}.")
+            if files.count(file) > 1:
+                raise click.UsageError(f"--deliver names {file} twice: each file is that of one agent.")
         if self.deliver and self.token_file is None:
             raise click.UsageError(
                 "--deliver needs --token-file FILE: without it, every user of this computer could run programs on the agents."

@@ -9,27 +9,38 @@ from pathlib import Path
 
 
 def replace(path: Path, data: bytes, like: Path | None = None) -> None:
-    """Atomically, with the owner and the permissions of `like` (default: of the present file). Raises OSError.
+    """Atomically, as far as PHM's user may with the owner, group and permissions of `like` (default: of the present file).
 
-    A killed process leaves the old or the new file; at most a file with the name of `path`, a dot before and random letters behind.
+    Raises OSError. A killed process leaves the old or the new file; at most a file with the name of `path`, a dot before and
+    random letters behind.
     """
     present = (like or path).stat()
+    mode = present.st_mode & 0o777
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
-        if hasattr(os, "chown"):
-            with suppress(PermissionError):  # only root may give a file to somebody else
-                os.chown(temporary, present.st_uid, present.st_gid)
-        os.chmod(temporary, present.st_mode & 0o777)
+        mode &= ~_give(temporary, present)
+        os.chmod(temporary, mode)
         os.replace(temporary, path)
     except BaseException:
         with suppress(OSError):
             os.unlink(temporary)
         raise
     _sync(path.parent)
+
+
+def _give(temporary: str, like: os.stat_result) -> int:
+    """Owner and group as far as PHM's user may; the permissions that must go, because another group would get them."""
+    if not hasattr(os, "chown"):
+        return 0
+    for owner in (like.st_uid, -1):  # only root may give a file to somebody else
+        with suppress(PermissionError):
+            os.chown(temporary, owner, like.st_gid)
+            return 0
+    return 0o070
 
 
 def _sync(folder: Path) -> None:

@@ -10,8 +10,9 @@ import errno
 import json
 import logging
 import os
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace as changed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 BACKUP = ".bak"
+_VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)")
+LEAST_SECRET, COMPARED = 6, 8
+"""Characters: shorter values of variables may be in an answer, and of others at most the beginning, which is compared."""
 
 
 class _Refused(Exception):
@@ -85,9 +89,9 @@ class Delivery:
         before = path.read_bytes()
         if version_of(before.decode("utf-8-sig", "replace")) != present:
             raise _Refused("the agent's file was changed meanwhile: begin again")
-        self._check_armed()  # validating takes a moment
         try:
             replace(path.with_name(path.name + BACKUP), before, like=path)
+            self._check_armed()  # again, as late as possible: to validate and to write take a while
             replace(path, text.encode("utf-8"))
         except OSError as error:
             raise _Refused(_not_written(path, error)) from None
@@ -100,13 +104,18 @@ class Delivery:
         if ok:
             return True, why
         try:
-            replace(path, before)
+            _put_back(path, before)
         except OSError as error:
             words = f"not applied: {why}. The previous file could not be written again ({error.strerror or error}): it is {path.name}{BACKUP}"
             self.note(words)
             return False, words
-        self._reloaded()  # the one before may have been late instead of refused
+        back, again = self._reloaded()  # the one before may have been late instead of refused
         words = f"not applied, the previous configuration is back: {why}"
+        if not back:
+            words = (
+                f"failed: {why}. The previous file is back, but PHM may run with the delivered one, because it could not reload again "
+                f"({again}): call `phm reload` on the agent"
+            )
         self.note(words)
         return False, words
 
@@ -148,7 +157,7 @@ class Delivery:
         except ConfigError as error:
             count = len(error.problems)
             words = f"the configuration is invalid on the agent: {count} problem{'s' if count != 1 else ''}"
-            raise _Refused(words, error.problems) from None
+            raise _Refused(words, tuple(self._without_values(each, text) for each in error.problems)) from None
         # All but `delivery` apply after a restart, and a reload does not show whether PHM starts with them; without that one, nothing
         # could be delivered any more.
         fixed = [name for name in FIXED if getattr(wanted, name) != getattr(self._running, name)]
@@ -158,6 +167,17 @@ class Delivery:
                 "and restart PHM",
                 tuple(Problem(self._file, 0, name, "cannot be changed by a delivery") for name in fixed),
             )
+
+    def _without_values(self, problem: Problem, text: str) -> Problem:
+        """An answer is not encrypted, so it has no value of the agent's variables."""
+        values = (self._environ.get(name, "") for name in _VARIABLE.findall(text))
+        starts = {value[:COMPARED] for value in values if len(value) >= LEAST_SECRET}
+        if not any(start in problem.message or repr(start)[1:-1] in problem.message for start in starts):
+            return problem
+        return changed(
+            problem,
+            message="is wrong. The message has a value of the agent's variables: copy the file to the agent, and run `phm validate`",
+        )
 
     def _version(self) -> str:
         try:
@@ -183,6 +203,14 @@ def open_server(delivery: Delivery, settings: Settings, clock: Clock) -> tuple[D
     from phm.commands.delivery_server import DeliveryServer  # with an event loop, 1.3 MB: only where it is configured
 
     return DeliveryServer(wanted.address, key, settings.agent.name, clock, delivery.execute, delivery.note), ""
+
+
+def _put_back(path: Path, before: bytes) -> None:
+    """The previous file again, on a full disk by its copy's name. Raises OSError."""
+    try:
+        replace(path, before)
+    except OSError:
+        os.replace(path.with_name(path.name + BACKUP), path)
 
 
 def _problem(problem: Problem) -> dict[str, Any]:

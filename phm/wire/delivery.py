@@ -166,7 +166,9 @@ def _answer(document: Mapping[str, Any], *, trusted: bool) -> DeliveryAnswer:
         case {"ok": bool(ok), "text": str(text), "present": str(present), "problems": list(problems)}:
             kept = tuple(each for each in problems[:MAX_PROBLEMS] if _is_problem(each))
             if not trusted:
-                return DeliveryAnswer(False, text[:MAX_TEXT])
+                return DeliveryAnswer(
+                    False, f"an answer without the key, so perhaps not the agent's: {text}"[:MAX_TEXT]
+                )
             return DeliveryAnswer(ok, text[:MAX_TEXT], present if _HEX.fullmatch(present) else "", kept, True)
     raise NotADelivery("its answer is not PHM's")
 

@@ -111,6 +111,7 @@ def test_a_configuration_is_delivered_applied_and_recorded(agent: Agent, tmp_pat
     assert (done.returncode, done.stdout, done.stderr) == (0, "A03: configuration reloaded: interval\n", "")
     until(lambda: agent.status().get("interval_s") == 3.0, "the new interval")
     assert json.loads(agent.file.read_text())["interval"] == "3s"
+    until(lambda: ", disarmed, " in json.dumps(agent.status()), "the next heartbeat of the autopilot")
     until(lambda: any("replaces" in line and "from 127.0.0.1" in line for line in agent.lines()), "the line in the log")
 
     again = agent.deliver(interval="4s")

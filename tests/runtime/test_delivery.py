@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -127,6 +128,17 @@ def test_a_change_while_it_is_validated_is_not_overwritten(agent: Agent) -> None
     assert "meanwhile" in agent.refused(kept=other).text
 
 
+def test_an_arming_while_it_is_written_changes_nothing(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The vehicle is armed while the copy of the previous file is written: a slow disk takes a while."""
+
+    def slow(path: Path, data: bytes, like: Path | None = None) -> None:
+        replace(path, data, like)
+        agent.armed = ArmedStatus(ArmedState.ARMED, "the autopilot was armed meanwhile")
+
+    monkeypatch.setattr("phm.runtime.delivery.replace", slow)
+    assert "meanwhile" in agent.refused().text
+
+
 def test_an_invalid_configuration_is_refused_with_the_messages_of_validate(agent: Agent) -> None:
     """With lines and keys, so that the page shows them at the field."""
     answer = agent.refused("agent: {id: 7, name: A07}\ninterval: soon\nhost: 3\n")
@@ -142,6 +154,15 @@ def test_the_agents_own_variables_count(tmp_path: Path) -> None:
     assert [each["key"] for each in agent.refused(unknown).problems] == ["notify.urls[0]"]
     assert agent.deliver(known).ok
     assert "swordfish" not in agent.file.read_text()
+
+
+def test_a_value_of_the_agents_variables_is_not_in_the_answer(tmp_path: Path) -> None:
+    """The answer is not encrypted. Messages without a value stay."""
+    agent = Agent(tmp_path)
+    answer = agent.refused(f"{NEW}notify: {{urls: ['x: ${{PHM_SECRET}}']}}\nhost: 3\n")
+    assert [(each["line"], each["key"]) for each in answer.problems] == [(3, "notify.urls[0]"), (4, "host")]
+    assert "swordf" not in "".join((json.dumps(answer.problems), answer.text, *agent.notes))
+    assert "phm validate" in answer.problems[0]["text"] and "section with keys" in answer.problems[1]["message"]
 
 
 @pytest.mark.parametrize(
@@ -189,8 +210,18 @@ def test_the_previous_file_returns_if_phm_fails(agent: Agent, monkeypatch: pytes
 
     monkeypatch.setattr(agent.delivery, "_reload", fail)
     answer = agent.deliver()
-    assert not answer.ok and "previous configuration is back" in answer.text
+    assert not answer.ok and "previous file is back" in answer.text and "a defect" not in answer.text
     assert agent.file.read_text() == OLD
+
+
+def test_a_second_reload_that_fails_is_not_a_return(agent: Agent) -> None:
+    """The first one may have been applied late: then PHM runs with another configuration than that of its file, and the answer says so."""
+    late, busy = "PHM did not answer within 30 s", "an action is in progress"
+    agent.outcomes = [ReloadOutcome(False, why=late), ReloadOutcome(False, why=busy)]
+    answer = agent.deliver()
+    assert not answer.ok and "configuration is back" not in answer.text
+    assert late in answer.text and busy in answer.text and "phm reload" in answer.text
+    assert (agent.file.read_text(), agent.notes[-1]) == (OLD, answer.text)
 
 
 def test_a_link_stays_a_link(agent: Agent, tmp_path: Path) -> None:
@@ -244,6 +275,24 @@ def test_a_full_disk_leaves_the_old_file(tmp_path: Path, mounted: Callable[..., 
     mounted("-t", "tmpfs", "-o", "size=64k", "tmpfs", str(tmp_path))
     agent = Agent(tmp_path)
     assert "space" in agent.refused(NEW + "#" * 200_000).text
+
+
+def test_a_disk_that_is_full_meanwhile_lets_the_old_file_return(tmp_path: Path, mounted: Callable[..., None]) -> None:
+    """Its copy takes its name, which needs no space."""
+    mounted("-t", "tmpfs", "-o", "size=64k", "tmpfs", str(tmp_path))
+    agent = Agent(tmp_path)
+    agent.outcomes = [ReloadOutcome(False, why="an action is in progress"), ReloadOutcome(True)]
+    reload = agent._reload
+
+    def fill() -> str:
+        with contextlib.suppress(OSError):
+            (tmp_path / "full").write_bytes(b"x" * 200_000)
+        return reload()
+
+    agent.delivery._reload = fill
+    answer = agent.deliver()
+    assert not answer.ok and "configuration is back" in answer.text
+    assert (agent.file.read_text(), agent.reloads) == (OLD, [NEW, OLD])
 
 
 KILLED = """

@@ -296,6 +296,7 @@ class Refusing(Bench):
 
     def _execute(self, text: str, base: str, who: str) -> DeliveryAnswer:
         self.executed.append((text, base, who))
+        assert self.go.wait(LIMIT_MS / 1000)
         if not text:
             return DeliveryAnswer(True, "nothing was delivered", version_of("theirs"))
         if base != version_of("theirs"):
@@ -337,6 +338,41 @@ def test_a_saved_file_is_delivered_and_the_agents_problems_are_at_the_fields(bro
         expect(page.locator("#deliver")).to_be_disabled()
         assert axe(page) == []
     agent.server.close()
+
+
+def test_a_file_that_is_opened_meanwhile_is_not_delivered(browser: Browser, file: Path, tmp_path: Path) -> None:
+    """The answer, and the question that follows, are about the file whose button was pressed."""
+    agent, other = Refusing(), tmp_path / "a8.yaml"
+    other.write_text(TEXT.replace("7", "8"))
+    files, target = [str(file), str(other)], DeliveryTarget(*agent.where, KEY)
+    extra = {EXTRA: ConfigEditor(plan_of, files), DELIVERY: ConfigDelivery(dict.fromkeys(files, target))}
+    with ground(ListenOptions(port=0), extra=extra) as here, tab(browser, f"{here.page.url}checks") as page:
+        page.on("dialog", lambda dialog: dialog.accept())
+        expect(page.locator("#state")).to_contain_text("a7.yaml: not changed, valid")
+        page.locator("#box-deliver summary").click()
+        agent.go.clear()
+        page.locator("#deliver").click()
+        expect(page.locator("#delivered")).to_have_text("delivering...")
+        page.locator("#file").select_option(str(other))
+        expect(page.locator("#state")).to_contain_text("a8.yaml: not changed, valid")
+        agent.go.set()
+        expect(page.locator("#delivered")).to_have_text("A07: the configuration is invalid on the agent: 1 problem")
+        assert [text for text, _, _ in agent.executed] == [TEXT, "", TEXT]
+        expect(page.locator("#state")).to_contain_text("a8.yaml: not changed, valid")
+    agent.server.close()
+
+
+def test_a_delivery_without_an_answer_may_have_been_applied(browser: Browser, file: Path) -> None:
+    """The connection to the page's server breaks: the page does not say that nothing was done."""
+    target = DeliveryTarget("127.0.0.1", 9, KEY)
+    extra = {EXTRA: ConfigEditor(plan_of, [str(file)]), DELIVERY: ConfigDelivery({str(file): target})}
+    with ground(ListenOptions(port=0), extra=extra) as here, tab(browser, f"{here.page.url}checks") as page:
+        page.on("dialog", lambda dialog: dialog.accept())
+        page.route("**/api/config/deliver", lambda route: route.abort())
+        expect(page.locator("#state")).to_contain_text("not changed, valid")
+        page.locator("#box-deliver summary").click()
+        page.locator("#deliver").click()
+        expect(page.locator("#delivered")).to_contain_text("whether the configuration was applied is not known")
 
 
 def test_without_an_agent_nothing_is_offered(page: Page) -> None:

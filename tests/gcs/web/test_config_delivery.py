@@ -131,6 +131,7 @@ def test_only_an_operator_delivers(agent: Bench, file: Path) -> None:
     [
         (["--deliver", "a.yaml", "10.0.0.7:9465", "k"], "add --edit a.yaml"),
         (["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7:9465", "k"], "needs --token-file"),
+        (["--edit", "a.yaml", *("--deliver", "a.yaml", "10.0.0.7:9465", "k") * 2], "names a.yaml twice"),
         (["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7", "k", "--token-file", "tokens"], "HOST:PORT"),
         (
             ["--edit", "a.yaml", "--deliver", "a.yaml", "10.0.0.7:9465", "missing.key", "--token-file", "tokens"],

@@ -2,29 +2,31 @@
 
 import { Refused, postJson } from "../api.js";
 
-const LIMIT_MS = 120000;
+const LIMIT_MS = 180000; // longer than `phm/gcs/delivery_client.py` waits
 const DOES = "The agent validates it, replaces its own, and reloads: all units are STALE until their next check.";
 
 /** state: `name`, `version`, `agents`, `agentBase` (version that the agent should have). Returns the answer; `ok` false if not asked. */
 export async function deliver(state, status) {
-  const agent = state.agents[state.name];
-  if (!window.confirm(`Deliver ${state.name} to ${agent}? ${DOES}`)) return { ok: false, problems: [] };
-  let got = await send(state, status, state.agentBase);
-  if (!got.ok && got.present && got.present !== state.agentBase && got.present !== state.version && got.problems.length === 0) {
-    if (window.confirm(`${got.text}. Replace whatever the agent has?`)) got = await send(state, status, null);
+  const { name, version, agentBase } = state; // another file may be opened meanwhile
+  const agent = state.agents[name];
+  if (!window.confirm(`Deliver ${name} to ${agent}? ${DOES}`)) return { ok: false, problems: [] };
+  let got = await send(name, version, agentBase, status);
+  if (!got.ok && got.present && got.present !== agentBase && got.present !== version && got.problems.length === 0) {
+    if (window.confirm(`${got.text}. Replace whatever the agent has?`)) got = await send(name, version, null, status);
   }
   return got;
 }
 
-async function send(state, status, base) {
+async function send(name, version, base, status) {
   status.textContent = "delivering...";
   try {
-    const got = await postJson("api/config/deliver", { name: state.name, version: state.version, base }, LIMIT_MS);
+    const got = await postJson("api/config/deliver", { name, version, base }, LIMIT_MS);
     status.textContent = `${got.agent || "the agent"}: ${got.text}`;
     return got;
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    status.textContent = error.message;
+    const unknown = error.status === 0 ? "; whether the configuration was applied is not known, the agent's log says it" : "";
+    status.textContent = `${error.message}${unknown}`;
     return { ok: false, problems: [] };
   }
 }

@@ -102,11 +102,13 @@ async function save() {
 /** Problems that only the agent finds are shown at the fields, like all others. */
 async function deliverNow() {
   await settled();
+  const { name, version } = state;
   state.delivering = true;
   showState();
   try {
     const got = await deliver(state, byId("delivered"));
-    if (got.ok) state.agentBase = state.version;
+    if (state.name !== name) return;
+    if (got.ok) state.agentBase = version;
     else if (got.problems.length) showFound(got.problems);
   } finally {
     state.delivering = false;
