@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import statistics
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -32,7 +32,7 @@ SHARE_HEARD, MOST_OTHER = 0.5, 0.8
 """Of the frames that both can have received at least this share must agree. And another offset may have at most this share of the
 votes: numbers that come again at even intervals fit several offsets."""
 MOST_EACH = 60
-"""Observations of one kind that are compared."""
+"""Observations of one kind that are compared: the first ones, and as many near each of the other record."""
 Observed = dict[tuple[object, ...], list[float]]
 
 
@@ -121,10 +121,7 @@ def align(run: Run, clock: RunClock, grounds: Sequence[tuple[GroundRun, RunClock
         for key, times in _of_ground(ground, its, run.agent_id).items():
             heard.setdefault(key, []).extend(times)
     differences = [
-        theirs - own
-        for key in mine.keys() & heard.keys()
-        for theirs in heard[key][:MOST_EACH]
-        for own in mine[key][:MOST_EACH]
+        theirs - own for key in mine.keys() & heard.keys() for theirs, own in compared(sorted(heard[key]), mine[key])
     ]
     agreed = vote(differences)
     if agreed is None:
@@ -136,6 +133,18 @@ def align(run: Run, clock: RunClock, grounds: Sequence[tuple[GroundRun, RunClock
     clock.applied = abs(agreed[0]) > agreed[1]
     if clock.applied:
         clock.shift += agreed[0]
+
+
+def compared(one: Sequence[float], other: Sequence[float]) -> Iterator[tuple[float, float]]:
+    """Pairs of times of two lists in order. Of long ones the first times, and those that are near if the clocks are nearly right: one
+    record may be of a small part of the other."""
+    if len(one) > len(other):
+        yield from ((first, second) for second, first in compared(other, one))
+        return
+    for time in one[:MOST_EACH]:
+        first, near = min(MOST_EACH, len(other)), bisect_left(other, time)
+        yield from ((time, each) for each in other[:first])
+        yield from ((time, each) for each in other[max(first, near - MOST_EACH // 2) : near + MOST_EACH // 2])
 
 
 def align_together(runs: Sequence[tuple[Run, RunClock]]) -> None:

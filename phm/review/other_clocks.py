@@ -12,12 +12,11 @@ from __future__ import annotations
 import itertools
 import re
 import statistics
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from phm.core.model import Level, Slot
-from phm.review.clocks import MOST_EACH, OWN_ERROR_S, WINDOW_S, RunClock, vote
+from phm.review.clocks import OWN_ERROR_S, WINDOW_S, RunClock, compared, vote
 from phm.review.other import LEVELS, Other
 from phm.review.run import Run
 from phm.wire import status_line
@@ -86,12 +85,7 @@ def _differences(received: Times, said: Times) -> Iterator[float]:
     """Of lines about changes that both have; the rarest first, which say most."""
     both = [key for key in received.keys() & said.keys() if key[-1] != REFRESH]
     for key in sorted(both, key=lambda key: (len(received[key]) * len(said[key]), repr(key))):
-        ours = said[key]
-        for theirs in received[key][:MOST_EACH]:
-            # The first ones, and those that are near if the clock is nearly right: a long log has more than can be compared.
-            first, near = min(MOST_EACH, len(ours)), bisect_left(ours, theirs)
-            places = (range(first), range(max(first, near - MOST_EACH // 2), min(len(ours), near + MOST_EACH // 2)))
-            yield from (ours[place] - theirs for place in itertools.chain(*places))
+        yield from (ours - theirs for theirs, ours in compared(received[key], said[key]))
 
 
 def _paired(theirs: Sequence[float], ours: Sequence[float], offset_s: float) -> list[float]:

@@ -70,9 +70,11 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
                 + [_other_clock(row) for row in document["clocks"]["others"]],
             )
         )
-    if document["files"]["problems"]:
+    if document["files"]["problems"] or document["files"]["more_problems"]:
         head = ("problem", "how often", "first in")
-        found.append(("Not read", head, [_problem(row) for row in document["files"]["problems"]]))
+        more = document["files"]["more_problems"]
+        rows = [("problems of other kinds or files", str(more), "")] if more else []
+        found.append(("Not read", head, rows + [_problem(row) for row in document["files"]["problems"]]))
     return [(title, head, _cut(rows, most, len(head))) for title, head, rows in found]
 
 

@@ -149,3 +149,19 @@ def test_numbers_that_come_again_at_even_intervals_decide_nothing(tmp_path: Path
     for agent in agents:
         agent.close()
     assert [run["offset_s"] for run in report(tmp_path)["clocks"]["runs"]] == [None, None]
+
+
+def test_a_ground_that_received_the_end_of_a_long_run_places_it(tmp_path: Path) -> None:
+    """A unit that fails again and again says the same each time, more often than all can be compared."""
+    draw, ground = random.Random(3), Ground(tmp_path / "ground.jsonl")
+    made = Flown(tmp_path / "log", wrong_s=20.0)
+    for number in range(100):
+        made.until(100.0 + 50.0 * number + draw.uniform(0, 30))
+        if number >= 90:
+            ground.text(made.now + 0.2, 1, 6, "nodes/node_1 gone")
+        made.fail("nodes/node_1", lasts=4.0)
+    made.close()
+    ground.close()
+    (clock,) = report(tmp_path)["clocks"]["runs"]
+    assert (clock["applied"], clock["votes"]) == (True, 10)
+    assert clock["offset_s"] == pytest.approx(-19.8, abs=0.01)

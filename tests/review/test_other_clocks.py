@@ -156,3 +156,16 @@ def test_a_record_of_the_end_of_a_long_log_is_compared_with_that_end(tmp_path: P
     clock = clock_of(report(tmp_path), file)
     assert (clock["applied"], clock["lines"]) == (True, 20)
     assert clock["offset_s"] == pytest.approx(-20.0, abs=0.01)
+
+
+def test_a_log_of_the_end_of_a_long_record_is_compared_with_that_end(tmp_path: Path) -> None:
+    """The other way round: the record is of the entire day, and the first runs of PHM were not collected."""
+    draw = random.Random(5)
+    times = [5000.0 + 50.0 * at + draw.uniform(0, 30) for at in range(10)]
+    lines = flown(tmp_path / "log", times=dict.fromkeys(times, "nodes/node_1"))
+    before = [(30.0 * at + draw.uniform(0, 20), lines[at % 2][1]) for at in range(150)]
+    file = tmp_path / "ground.tlog"
+    file.write_bytes(b"".join(heard(at + 20.0, text) for at, text in [*before, *lines]))
+    clock = clock_of(report(tmp_path), file)
+    assert (clock["applied"], clock["lines"]) == (True, 20)
+    assert clock["offset_s"] == pytest.approx(-20.0, abs=0.01)

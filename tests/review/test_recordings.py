@@ -254,6 +254,8 @@ def test_entries_that_are_not_shown_are_counted(tmp_path: Path, monkeypatch: pyt
     assert [row[3] for row in data["other"]] == levels and f"({count - len(levels)} are not drawn)" in drawn
     monkeypatch.setattr("phm.review.document.MOST_OTHER", count - 3)
     assert "; the last 3 are left out" in tables.markdown(report(tmp_path))
+    monkeypatch.setattr("phm.review.lines.MOST_PROBLEMS", 0)
+    assert "| problems of other kinds or files | 1 |" in tables.markdown(report(tmp_path))
 
 
 def test_the_name_of_a_file_without_a_record_steers_no_terminal(tmp_path: Path) -> None:
