@@ -19,6 +19,7 @@ from fnmatch import fnmatchcase
 
 from phm.core.clock import Clock
 from phm.facts import CannotTell
+from phm.probes.file_stamp import Stamp, settled, stamp
 from phm.wire.manifest import MAX_FILES
 
 MAX_DEPTH = 64
@@ -38,7 +39,6 @@ SHARE = 20
 _PIECE = 1 << 20
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _FILE = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-_Key = tuple[int, int, int, int, int]
 
 
 @dataclass(slots=True)
@@ -58,7 +58,7 @@ class TreeReader:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._known: dict[str, tuple[_Key, str]] = {}
+        self._known: dict[str, tuple[Stamp, str]] = {}
         self._waiting: tuple[str, ...] = ()
         self._listing = TreeListing()
         self._problem = ""
@@ -116,14 +116,14 @@ class _Walk:
     """
 
     def __init__(
-        self, clock: Clock, ignore: Sequence[str], known: dict[str, tuple[_Key, str]], waiting: Sequence[str]
+        self, clock: Clock, ignore: Sequence[str], known: dict[str, tuple[Stamp, str]], waiting: Sequence[str]
     ) -> None:
         self._clock, self._ignore, self._known = clock, tuple(ignore), known
         self._began_s = clock.mono()
         self._entries, self._bytes = 0, 0
         self._changed: set[str] = set()
         self.waiting = tuple(waiting)
-        self.found: dict[str, tuple[_Key, str]] = {}
+        self.found: dict[str, tuple[Stamp, str]] = {}
         self.listing = TreeListing()
 
     def run(self, folder: int) -> None:
@@ -171,7 +171,7 @@ class _Walk:
                 self._folder(below.number, path, depth + 1)
         elif stat.S_ISLNK(info.st_mode):
             target = os.fsencode(os.readlink(name, dir_fd=number))
-            self._add(path, _key(info), hashlib.sha256(b"link " + target).hexdigest())
+            self._add(path, stamp(info), hashlib.sha256(b"link " + target).hexdigest())
         elif stat.S_ISREG(info.st_mode):
             self._file(path, info)
         if len(self.listing.sums) + len(self._changed) > MAX_FILES:
@@ -180,7 +180,7 @@ class _Walk:
     def _file(self, path: str, info: os.stat_result) -> None:
         known = self._known.get(path)
         self.listing.size += info.st_size
-        if known is not None and known[0] == _key(info):
+        if known is not None and known[0] == stamp(info):
             self._add(path, *known)
         else:
             self._changed.add(path)
@@ -220,6 +220,7 @@ class _Walk:
 
     def _read(self, number: int, path: str) -> None:
         before = os.fstat(number)
+        lasts = settled(before)
         if not stat.S_ISREG(before.st_mode):
             return  # replaced meanwhile
         total, until_s = hashlib.sha256(), self._clock.mono() + FILE_S
@@ -228,15 +229,13 @@ class _Walk:
             self._bytes += len(piece)
             if self._clock.mono() > until_s:
                 raise OSError(f"{path} is too slow to read")
-        if _key(os.fstat(number)) != _key(before):
+        if stamp(os.fstat(number)) != stamp(before):
             self.listing.pending.add(path)  # written to while it was read
+        elif lasts:
+            self._add(path, stamp(before), total.hexdigest())
         else:
-            self._add(path, _key(before), total.hexdigest())
+            self.listing.sums[path] = total.hexdigest()
 
-    def _add(self, path: str, key: _Key, total: str) -> None:
+    def _add(self, path: str, key: Stamp, total: str) -> None:
         self.listing.sums[path] = total
         self.found[path] = (key, total)
-
-
-def _key(info: os.stat_result) -> _Key:
-    return info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns

@@ -17,6 +17,7 @@ from phm.core.clock import Clock
 from phm.core.settings import DockerSettings
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount, TreeFact
 from phm.probes.docker_facts import TimeBudget
+from phm.probes.file_stamp import settled, stamp
 from phm.probes.file_tree import TreeListing, TreeReader
 from phm.probes.inotify import FileWatcher
 from phm.probes.tree_comparison import Manifests, compare
@@ -168,7 +169,7 @@ class Files:
 
     def _sum_of_file(self, number: int, info: os.stat_result, path: str) -> str:
         """SHA-256 of an open path. Raises Outside if PHM may not read it: the engine may."""
-        key = (info.st_dev, info.st_ino, info.st_size, info.st_mtime_ns, info.st_ctime_ns)
+        key, lasts = stamp(info), settled(info)
         known = self._known(key)
         if info.st_size > MAX_BYTES or known == _TOO_LARGE:
             raise _too_large(path, info.st_size)
@@ -188,9 +189,9 @@ class Files:
                 now = os.fstat(content.fileno())
         except OSError as error:
             raise OutsideVolumes(f"{path}: {error}") from error
-        if key != (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns):
+        if key != stamp(now):
             raise CannotTell(f"{path} changed while it was read")
-        return self._keep(key, total.hexdigest())
+        return self._keep(key, total.hexdigest()) if lasts else total.hexdigest()
 
     # ------------------------------------------------------------ engine
 

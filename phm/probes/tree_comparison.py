@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 
 from phm.facts import CannotTell, TreeFact
+from phm.probes.file_stamp import Stamp, settled, stamp
 from phm.probes.file_tree import TreeListing
 from phm.wire import manifest
 
@@ -15,16 +16,16 @@ class Manifests:
     """Manifest files by path, read again when they change."""
 
     def __init__(self) -> None:
-        self._known: dict[str, tuple[tuple[int, int, int], dict[str, str]]] = {}
+        self._known: dict[str, tuple[Stamp | None, dict[str, str]]] = {}
 
     def read(self, path: str) -> Mapping[str, str]:
         """Checksum by relative path. Raises CannotTell."""
         try:
             with open(path, "rb", opener=_without_blocking) as stream:
                 info = os.fstat(stream.fileno())
-                key = (info.st_ino, info.st_size, info.st_mtime_ns)
                 known = self._known.get(path)
-                if known is None or known[0] != key:
+                if known is None or known[0] != stamp(info):
+                    key = stamp(info) if settled(info) else None
                     known = self._known[path] = (key, manifest.decode(stream.read(manifest.MAX_BYTES + 1)))
         except OSError as error:
             raise CannotTell(

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import CannotTell
-from phm.probes import file_tree
+from phm.probes import file_stamp, file_tree, tree_comparison
 from phm.probes.file_tree import TreeListing, TreeReader
 from phm.probes.tree_comparison import Manifests, compare
 from phm.testing import FakeClock
@@ -41,6 +41,12 @@ def folder(tmp_path: Path) -> Iterator[Folder]:
     made = Folder(tmp_path / "tree")
     yield made
     os.close(made.number)
+
+
+@pytest.fixture
+def old(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each file counts as one that was written long ago."""
+    monkeypatch.setattr(file_stamp, "COARSEST_S", 0.0)
 
 
 def total(text: str = "text") -> str:
@@ -73,6 +79,7 @@ def test_pipes_are_not_opened(folder: Folder) -> None:
     assert set(folder.read().sums) == {"a"}
 
 
+@pytest.mark.usefixtures("old")
 def test_a_file_is_read_again_only_when_it_changed(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     folder.write("a")
     folder.write("b")
@@ -90,6 +97,42 @@ def test_a_file_is_read_again_only_when_it_changed(folder: Folder, monkeypatch: 
     assert reads == ["a"]
 
 
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """File times in steps, as those of FAT, and as those of ext4 in steps of 4 ms before Linux 6.13."""
+
+    def stamp(info: os.stat_result) -> file_stamp.Stamp:
+        return info.st_dev, info.st_ino, info.st_size, 0, 0
+
+    for module in (file_tree, tree_comparison):
+        monkeypatch.setattr(module, "stamp", stamp)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_change_of_equal_size_is_seen_within_the_resolution_of_the_file_times(folder: Folder) -> None:
+    for number in "123":
+        folder.write("a", number)
+        assert folder.read().sums == {"a": total(number)}
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_manifest_is_read_again_within_the_resolution_of_the_file_times(tmp_path: Path) -> None:
+    path, manifests = tmp_path / "manifest", Manifests()
+    for number in "123":
+        path.write_bytes(manifest.encode({"a": total(number)}))
+        assert manifests.read(str(path)) == {"a": total(number)}
+
+
+def test_a_file_of_a_while_ago_is_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one from before the clock was set back."""
+    (tmp_path / "a").write_text("a")
+    info = os.stat(tmp_path / "a")
+    for later_s, last in ((0.0, False), (1.9, False), (2.1, True), (-3600.0, True)):
+        monkeypatch.setattr(file_stamp, "time", lambda later_s=later_s: info.st_ctime + later_s)
+        assert file_stamp.settled(info) is last
+
+
+@pytest.mark.usefixtures("old")
 def test_a_large_folder_is_read_in_several_looks(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """So much in each; what was not read is pending."""
     monkeypatch.setattr(file_tree, "LOOK_BYTES", 8)
@@ -176,6 +219,7 @@ def test_names_that_come_slowly_end_the_walk(folder: Folder, monkeypatch: pytest
     assert len(taken) < 20
 
 
+@pytest.mark.usefixtures("old")
 def test_a_walk_that_failed_is_not_repeated_at_once(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its problem stays until the next walk is due by cost; then checksums of before are still known."""
     for name in "abc":
@@ -205,6 +249,7 @@ def test_a_file_that_is_too_slow_does_not_hide_the_others(folder: Folder, monkey
     assert set(second.sums) == {"b", "c"}
 
 
+@pytest.mark.usefixtures("old")
 def test_a_large_file_that_changes_all_the_time_does_not_starve_the_others(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
