@@ -26,8 +26,12 @@ def pytest_configure() -> None:
     os.environ.pop("COLUMNS", None)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark by directory; in any directory, a file named `test_real_*` or `test_*_real` uses a real engine."""
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark by directory; in any directory, a file named `test_real_*` or `test_*_real` uses a real engine.
+
+    With `--dist loadgroup` (scripts/test), a file is a group, and tests that are marked `long` come first and alone.
+    """
     for item in items:
         if ROOT not in item.path.parents:
             continue
@@ -36,6 +40,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(mark)
         if "real" in name.split("_"):
             item.add_marker("engine")
+    if getattr(config.option, "loadgroup", False):
+        items.sort(key=lambda item: item.get_closest_marker("long") is None)
+        for item in items:
+            if item.get_closest_marker("long") is None:
+                item.add_marker(pytest.mark.xdist_group(item.path.relative_to(ROOT).as_posix()))
 
 
 @pytest.hookimpl(trylast=True)

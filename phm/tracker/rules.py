@@ -57,8 +57,11 @@ def decide(record: UnitRecord, view: TrackerView, now: float) -> Decision | None
     if record.latest is None:
         return None
     context = RuleContext(record, record.latest, view, now)
-    decisions = (rule(context) for rule in RULES)
-    return next((decision for decision in decisions if decision is not None), NO_CHANGE)
+    for rule in RULES:
+        decision = rule(context)
+        if decision is not None:
+            return decision
+    return NO_CHANGE
 
 
 def recovered(context: RuleContext) -> Decision | None:

@@ -173,7 +173,8 @@ class Tracker:
         record.had_error = record.had_error or record.failing
         record.error_since = (started if record.error_since is None else record.error_since) if record.failing else None
         record.bad_in_a_row = record.bad_in_a_row + 1 if result.level.bad else 0
-        record.published = replace(record.published, duration_s=duration_s)
+        if record.published.duration_s != duration_s:
+            record.published = replace(record.published, duration_s=duration_s)
         if record.target and result.evidence.generation:
             self._see_generation(record.target, unit, result.evidence.generation, started, now, effects)
         self._evaluate(record, now, effects)

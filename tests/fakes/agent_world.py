@@ -292,7 +292,12 @@ class World:
     def _is_bad(self, unit: str, at: float) -> bool:
         return any(span.covers(at) for span in self.bad.get(unit, ()))
 
-    def changes(self, unit: str) -> Iterable[float]:
+    def changes(self, units: Iterable[str]) -> Iterable[float]:
+        for unit in units:
+            if unit in self.bad or unit.startswith("health/"):  # most are neither, and this is asked at each tick
+                yield from self._changes(unit)
+
+    def _changes(self, unit: str) -> Iterable[float]:
         for span in self.bad.get(unit, ()):
             yield from (span.begin, span.end)
         if unit.startswith("health/"):
@@ -392,7 +397,7 @@ class Sim:
 
     def _wake_on_changes(self, begin: float, end: float) -> None:
         for index, units in enumerate(self._checks):
-            changed = any(begin <= change < end for unit in units for change in self.world.changes(unit))
+            changed = any(begin <= change < end for change in self.world.changes(units))
             if changed and self.random.random() >= self.wakes_lost:
                 self._wake(index, 0.1)
         for life in self.world.lives:

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import pytest
+
 from phm.core.clock import Clock
 from phm.core.model import (
     Fault,
@@ -21,6 +23,7 @@ from phm.core.model import (
     UnitState,
 )
 from phm.core.settings import Settings
+from phm.reporters import log, own_cost
 from phm.reporters.base import ReporterContext
 from phm.testing import FakeClock
 
@@ -55,6 +58,13 @@ def opened(state: UnitState, name: str = "ab12-1") -> FaultOpened:
 def closed(state: UnitState, outcome: Outcome, by: str, seconds: float, name: str = "ab12-1") -> FaultClosed:
     stamp = at(seconds)
     return FaultClosed(stamp, replace(fault(state, name), closed=stamp, outcome=outcome, by=by))
+
+
+@pytest.fixture(autouse=True)
+def fixed_cost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PHM's own cost is read once, not from the kernel at each of thousands of reports. Import it into a conftest.py."""
+    cost = own_cost.own_cost({})
+    monkeypatch.setattr(log, "own_cost", lambda health: cost)
 
 
 def context(

@@ -9,7 +9,7 @@ import psutil
 
 from phm.reporters.own_cost import own_cost
 
-BUSY = "import time\nend = time.process_time() + 0.3\nwhile time.process_time() < end: pass\nprint('done', flush=True)\ninput()"
+BUSY = "import time\nend = time.process_time() + 0.4\nwhile time.process_time() < end: pass\nprint('done', flush=True)\ninput()"
 
 
 def test_child_processes_count_while_they_run_and_after_their_end() -> None:

@@ -27,6 +27,7 @@ def name() -> Iterator[str]:
     Swarm(Options(agents=2, name=name)).down()
 
 
+@pytest.mark.long
 def test_a_campaign_detects_and_recovers_one_fault_of_each_layer(name: str, tmp_path: Path) -> None:
     """No alarm without a fault, no action with recovery off; each fault is reported at its cause, and recovered if
     possible. Extended with more trials, a campaign resumes from its record on the running swarm.

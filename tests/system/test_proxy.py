@@ -78,6 +78,7 @@ def stack(app: AppContainer) -> Iterator[Stack]:
         made.compose("down", "--volumes", "--timeout", "3")
 
 
+@pytest.mark.long
 def test_phm_recovers_through_the_proxy_without_the_engines_socket(app: AppContainer, stack: Stack) -> None:
     """It joins the network, sees files and nodes, restarts a killed container and reconnects a disconnected one."""
     for unit in ("container/ros_app", "files/ros_app", "network/ros_app", "nodes/agent_1/node_1"):

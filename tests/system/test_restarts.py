@@ -62,6 +62,7 @@ def test_a_crash_that_docker_recovers_raises_no_alarm_inside(
     phm.wait_all_ok(phm.mark())
 
 
+@pytest.mark.long
 def test_a_restart_by_the_operator_raises_no_alarm_inside(app: AppContainer, start_phm: Callable[..., Phm]) -> None:
     """`docker restart`, twice, with a stop timeout of zero; only the container itself may be reported down."""
     phm = start_phm(config_for(app, recovery={"mode": "off"}), app.domain)
@@ -74,6 +75,7 @@ def test_a_restart_by_the_operator_raises_no_alarm_inside(app: AppContainer, sta
     phm.wait_all_ok(phm.mark())
 
 
+@pytest.mark.long
 def test_a_crash_loop_is_one_fault_until_the_application_stays_up(
     app: AppContainer, docker_client: DockerClient, start_phm: Callable[..., Phm]
 ) -> None:
@@ -112,6 +114,7 @@ def short_lived(docker_client: DockerClient) -> Iterator[Container]:
         made.remove(force=True)
 
 
+@pytest.mark.long
 def test_a_process_that_repeatedly_ends_after_two_seconds_is_one_fault(
     short_lived: Container, start_phm: Callable[..., Phm]
 ) -> None:

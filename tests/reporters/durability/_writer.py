@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from phm.core.clock import SystemClock
 from phm.core.model import Note
@@ -116,14 +116,26 @@ def _write(directory: Path, run: int, pipe: int, max_size: int, files: int) -> N
             os.write(pipe, _WORD.pack(b"k", number))
 
 
+def of_run(directory: Path, run: int) -> list[dict[str, Any]]:
+    """The lines of a run, in the order of the files."""
+    return [line for line in json_log.read(directory) if line["boot_id"] == f"run{run:09d}"]
+
+
+def events_in(lines: list[dict[str, Any]]) -> list[int]:
+    """The numbers of the events."""
+    return [int(str(line["text"]).split()[1]) for line in lines if line["event"] == "note"]
+
+
+def numbers_in(lines: list[dict[str, Any]]) -> list[int]:
+    """All `seq`."""
+    return [int(str(line["seq"])) for line in lines]
+
+
 def events(directory: Path, run: int = 1) -> list[int]:
     """The numbers of a run's events, in the order of the files."""
-    lines = (
-        line for line in json_log.read(directory) if line["boot_id"] == f"run{run:09d}" and line["event"] == "note"
-    )
-    return [int(str(line["text"]).split()[1]) for line in lines]
+    return events_in(of_run(directory, run))
 
 
 def numbers(directory: Path, run: int = 1) -> list[int]:
     """All `seq` of a run."""
-    return [int(str(line["seq"])) for line in json_log.read(directory) if line["boot_id"] == f"run{run:09d}"]
+    return numbers_in(of_run(directory, run))

@@ -197,23 +197,23 @@ def test_runs_of_two_starts_of_the_machine_are_placed_by_their_own_clocks(logs: 
 
 
 WRITER = """
-import sys, time
+import sys
 from pathlib import Path
 from phm.core.clock import SystemClock
 from phm.core.model import Note
 from tests.reporters.durability._writer import reporter
-clock, log, number = SystemClock(), reporter(Path(sys.argv[1]), 1, 20_000, 100), 0
-while True:
-    number += 1
+clock, log = SystemClock(), reporter(Path(sys.argv[1]), 1, 20_000, 100)
+for number, _ in enumerate(sys.stdin, 1):
     log.handle(Note(clock.stamp(), "TEST", f"event {number} {'x' * (number % 300)}"))
     log.tick()
-    time.sleep(0.002)
 """
+"""Writes one event for each line that it gets."""
 
 
 def test_the_clock_of_a_process_that_writes_is_set(tmp_path: Path) -> None:
     """Of a real process, by hours ahead and back, while it writes and rotates; the clocks of the machine stay as they are."""
-    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)])
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stdin=subprocess.PIPE)
+    assert writer.stdin is not None
 
     def newest() -> dict[str, Any]:
         """Empty while it rotates."""
@@ -228,19 +228,23 @@ def test_the_clock_of_a_process_that_writes_is_set(tmp_path: Path) -> None:
         line = newest()
         return float(line["utc_s"]) - float(line["mono"]) if line else 0.0
 
+    def write() -> None:
+        """60 more events are asked for, and the writer begins."""
+        seq = newest().get("seq", 0)
+        writer.stdin.write(b"\n" * 60)  # type: ignore[union-attr]
+        writer.stdin.flush()  # type: ignore[union-attr]
+        until(lambda: newest().get("seq", 0) > seq, "a new line")
+
     try:
-        until(offset_s, "the first line")
-        real_s = offset_s()
+        write()
+        real_s = until(offset_s, "the first line")
         for moved_s in (7200, -10_800, 3600, 0):
-            seq = until(newest, "a line")["seq"]
+            write()
             _wall_clock.shift(writer.pid, moved_s)
-            until(
-                lambda moved_s=moved_s, seq=seq: (  # type: ignore[misc]
-                    abs(offset_s() - real_s - moved_s) < 60 and newest().get("seq", 0) > seq + 60
-                ),
-                f"lines {moved_s} s ahead",
-            )
+            write()
+            until(lambda moved_s=moved_s: abs(offset_s() - real_s - moved_s) < 60, f"lines {moved_s} s ahead")  # type: ignore[misc]
     finally:
+        writer.stdin.close()
         writer.kill()
         writer.wait()
     check(tmp_path)

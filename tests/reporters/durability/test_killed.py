@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.reporters.durability._writer import Writer, events, numbers
+from tests.reporters.durability._writer import Writer, events, events_in, numbers_in, of_run
 
 TIMES = int(os.environ.get("PHM_KILLS", "100"))
 """With rotations every 60 events. `PHM_KILLS=1000` in the environment makes it a long test."""
@@ -30,11 +30,12 @@ def test_no_accepted_event_is_lost(tmp_path: Path) -> None:
     for run in range(1, TIMES + 1):
         # All files together hold more than one run writes, so none of it is removed before it is compared.
         made = killed(tmp_path, run, draw, max_size=20_000, files=100)
-        found = events(tmp_path, run)
+        lines = of_run(tmp_path, run)
+        found = events_in(lines)
         assert found == list(range(1, len(found) + 1)), f"run {run}"
         # The last event may be in the file before its number was in the pipe.
         assert made.written <= len(found) <= made.written + 1, f"run {run}"
-        seqs = numbers(tmp_path, run)
+        seqs = numbers_in(lines)
         assert seqs == list(range(1, len(seqs) + 1)), f"run {run}"
 
 
