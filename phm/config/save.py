@@ -25,7 +25,7 @@ def replace(path: Path, data: bytes, like: Path | None = None) -> None:
         mode &= ~_give(temporary, present)
         os.chmod(temporary, mode)
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException:  # also at Ctrl-C: no temporary file stays
         with suppress(OSError):
             os.unlink(temporary)
         raise

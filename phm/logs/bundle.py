@@ -143,7 +143,7 @@ def write(path: Path, fill: Callable[[Bundle], None], secrets: Secrets, deadline
             fill(made)
             made.finish()
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException:  # also at Ctrl-C: no half of a bundle stays
         os.unlink(temporary)
         raise
     return made

@@ -134,7 +134,14 @@ def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> Loo
     found: list[ContainerLogs | FolderLogs] = []
     missing: list[tuple[str, str]] = []
     used, failures = set[str](), 0
-    for name, container, place in _containers(engine, folder, patterns, used):
+    wanted = list(_containers(engine, folder, patterns, used))
+    others = f"the other containers at {engine.url}"
+    for number, (name, container, place) in enumerate(wanted):
+        if number == MOST_CONTAINERS:
+            missing.append(
+                (others, f"not asked: {len(wanted) - number} of {len(wanted)}; choose some with --container")
+            )
+            break
         logs = ContainerLogs(engine, container, name, place)
         try:
             has = any(logs.look(base) is not None for base in BASES)
@@ -142,9 +149,7 @@ def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> Loo
             missing.append((logs.name, str(error)))
             failures += 1
             if failures == MOST_FAILURES:
-                missing.append(
-                    (f"the other containers at {engine.url}", "not asked, since others could not be looked at")
-                )
+                missing.append((others, "not asked, since others could not be looked at"))
                 break
             continue
         if has:
@@ -161,7 +166,7 @@ def _containers(
     engine: DockerEngine, folder: str, patterns: Sequence[str], used: set[str]
 ) -> Iterator[tuple[str, str, str]]:
     """Name, id and folder of logs. Adds to `used` which patterns fit a container."""
-    for summary in engine.list(deadline_s=LOOK_S)[:MOST_CONTAINERS]:
+    for summary in engine.list(deadline_s=LOOK_S):
         names, labels, container = summary.get("Names"), summary.get("Labels"), summary.get("Id")
         name = str(names[0]).lstrip("/") if isinstance(names, list) and names else str(container)[:12]
         fitting = {one for one in patterns if fnmatch.fnmatchcase(name, one)}

@@ -96,9 +96,9 @@ def _paragraph(group: Group) -> str:
         f"({_named(group)}; {len(group.seeds)} seeds), PHM detected a fault after "
         f"{_seconds(detection)} on average and reported it on the ground after {_seconds(response)}.",
         f"By the definitions of a published prototype, detection took {_seconds(logged)} (prototype: 5.2 s) and response "
-        f"{_seconds(published)} (14.82 s).",
+        f"{_seconds(published)} (prototype: 14.82 s).",
         f"An action of PHM ended {'-' if by_action is None else percent(by_action.mean)} of the faults, confirmed from "
-        "outside (16.6 %).",
+        "outside (prototype: 16.6 %).",
         f"There were {'-' if alarms is None else f'{alarms.mean:.2f}'} alarms per fault and {group.all.false} false alarms.",
     ]
     return " ".join([f"The campaign is {done}." if done else "", *sentences]).strip()

@@ -259,7 +259,8 @@ class Runner:
     def _await_records(self, agents: Sequence[int]) -> None:
         """Wait until the records of these agents have something newer than now, thus all before it."""
         now = time.monotonic()
-        self._wait(lambda: all(self.watch.levels[agent].newest > now for agent in agents), RECORD_LIMIT_S)
+        if not self._wait(lambda: all(self.watch.levels[agent].newest > now for agent in agents), RECORD_LIMIT_S):
+            self.progress(f"  no new records after {RECORD_LIMIT_S:g} s: the trial is judged by what there is")
 
     def _healed_limit_s(self, trial: Trial) -> float:
         """How long the recovery of its faults may take: some can only be detected late."""

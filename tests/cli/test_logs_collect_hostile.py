@@ -147,6 +147,17 @@ def test_an_engine_that_is_not_there_costs_only_its_agents(tmp_path: Path, engin
     assert texts(tmp_path / "out" / "agent_1") == [1, 2, 3]
 
 
+def test_containers_beyond_the_limit_are_named(
+    tmp_path: Path, engine: FakeEngine, agent: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_sources, "MOST_CONTAINERS", 1)
+    result = collect(tmp_path / "out", engine=engine)
+    assert result.exit_code == 1 and "not asked: 1 of 2" in result.output, result.output
+    assert collect(tmp_path / "out", "--container", "phm", engine=engine).exit_code == 0, (
+        "the limit is of those that are looked at"
+    )
+
+
 def test_an_engine_that_hangs_ends_at_its_deadline(
     tmp_path: Path, engine: FakeEngine, agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -127,7 +127,7 @@ class SlowClock(SystemClock):
 def test_lines_of_an_earlier_flight_are_not_new_where_the_clock_was_set_back(
     place: Place, engine: DockerEngine
 ) -> None:
-    """Their times are in the future. Until the clock has reached them, new lines cannot be told apart, which is STALE."""
+    """Their times are in the future. Until the clock has reached them, new lines cannot be distinguished, which is STALE."""
     container = place.world.docker.container(place.name)
     assert container is not None
     place.run(place.check(type="command", command=shell("echo FATAL of before > /tmp/say")))

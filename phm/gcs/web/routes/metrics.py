@@ -50,7 +50,7 @@ class _Page:
         """The time is that of the end, also of a failure: neither is repeated all the time."""
         try:
             page, kind = text.render(accept)
-        except Exception:
+        except Exception:  # one bad value must not end the server; the log has the traceback
             logger.exception("the metrics could not be rendered")
             return self._clock.mono(), None, None
         return self._clock.mono(), page, kind
