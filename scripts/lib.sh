@@ -6,7 +6,7 @@ CACHE="$ROOT/.cache"                            # rebuilt at will; ignored by gi
 STATE="${XDG_RUNTIME_DIR:-/tmp}/phm-$(id -u)"   # what we started, for as long as it runs
 LOCKS="$ROOT/scripts/locks"
 PYTHONS=(3.12 3.11 3.13 3.10)                   # the ROS wheels exist for these; 3.12 is Jazzy's own
-export PYTHONDONTWRITEBYTECODE=${PYTHONDONTWRITEBYTECODE-} PIP_DISABLE_PIP_VERSION_CHECK=1
+export PIP_DISABLE_PIP_VERSION_CHECK=1
 
 say() { printf '== %s\n' "$*" >&2; }
 
