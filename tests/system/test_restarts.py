@@ -64,7 +64,8 @@ def test_a_crash_that_docker_recovers_raises_no_alarm_inside(
     published = [
         (event["unit"], event["level"], event["condition"])
         for event in phm.record.events[mark:]
-        if event["event"] == "transition" and event["level"] in ("WARN", "ERROR")
+        if event["event"] == "transition"
+        and event["level"] in ("WARN", "ERROR")
         # A busy machine may starve it while it starts.
         and not event["unit"].startswith("pressure/")
     ]
