@@ -33,7 +33,7 @@ def test_a_failed_check_restarts_its_container_only_on_request(
     alone = entry(name="alone", command=[*CHECK[:2], CHECK[2].replace("well", "alone")])
     healed = entry(recovery={"container": "app"})
     app.exec_run(["touch", "/tmp/alone"])
-    phm = Phm(tmp_path, engine_access, containers, custom=[alone, healed], verify="20s")
+    phm = Phm(tmp_path, engine_access, containers, custom=[alone, healed], verify="60s", limit_s=180.0)
     try:
         phm.start()
         app.exec_run(["rm", "/tmp/alone"])

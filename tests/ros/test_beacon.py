@@ -321,7 +321,8 @@ def test_a_copied_identity_is_rejected_and_reported_with_its_publisher(bench: Be
     seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 5, "its beacon")
     bench.script("ros_beacon_replay.py", A, "copy")
     fact = seen(probe, lambda fact: fact.beacons[A].copied_by and fact, "the report")
-    assert fact.beacons[A].copied_by == "/elsewhere/copycat"
+    assert fact.beacons[A].copied_by.startswith(("/elsewhere/copycat", "writer ")), "until its name is discovered"
+    fact = seen(probe, lambda fact: fact.beacons[A].copied_by == "/elsewhere/copycat" and fact, "its name")
     assert fact.beacons[A].late_s < 99.0 and fact.beacons[A].missed < 3.0
     node.kill()
     seen(probe, lambda fact: fact.beacons[A].missed > 6.0 and fact.beacons[A].late_s < 99.0, "its silence")
@@ -343,4 +344,5 @@ def test_large_foreign_beacons_displace_no_configured_node(bench: Bench) -> None
 
     first_s = probe.look().up_s
     seen(probe, advances, "its beacons beside many others", 60.0)
-    assert probe.restarts == 0 and not probe.problems() and began
+    assert probe.restarts == 0 and began
+    assert all(problem.startswith("more messages come on") for problem in probe.problems()), "on a busy machine alone"

@@ -90,8 +90,9 @@ def test_the_written_folder_starts_a_sidecar_that_sees_the_application(
     """Container, health and network are OK; its ROS settings are the application's."""
     app = start(network)
     options = ("--yes", "--no-ros", "--container", app, "--mavlink", "none")
-    assert CliRunner().invoke(group, ["init", str(folder), *options]).exit_code == 0
-    assert CliRunner().invoke(group, ["validate", str(folder / "phm.yaml")]).exit_code == 0
+    for words in (["init", str(folder), *options], ["validate", str(folder / "phm.yaml")]):
+        result = CliRunner().invoke(group, words)
+        assert result.exit_code == 0, result.output
     run("docker", "compose", "up", "--detach", cwd=folder)
     wanted = {f"container/{app}", f"health/{app}", "engine", *([f"network/{app}"] if network == "bridge" else [])}
     end, levels = time.monotonic() + LIMIT_S, {}

@@ -15,10 +15,9 @@ from typing import Any
 from phm.beacon import BEACON, MAX_TEXT
 from phm.probes.ros.beacon_registry import BeaconRegistry, portions
 from phm.probes.ros.beacon_text import log_texts
-from phm.probes.ros.graph import full_name
+from phm.probes.ros.graph import node_of
 from phm.probes.ros.message_taker import GID_BYTES, MessageTaker, Taken
 from phm.probes.ros.protocol import Message, SelfReportUpdate
-from phm.probes.ros.raw_names import printable
 
 MAX_TAKES = 250
 """Messages read per look, four looks a second: enough for 200 processes with five heartbeats a second."""
@@ -96,10 +95,7 @@ class BeaconListener:
             infos = self._node.get_publishers_info_by_topic(BEACON)
         except Exception:  # a name that is not UTF-8
             return None
-        return {
-            bytes(info.endpoint_gid)[:GID_BYTES]: printable(full_name(info.node_name, info.node_namespace))
-            for info in infos
-        }
+        return {bytes(info.endpoint_gid)[:GID_BYTES]: node_of(info) for info in infos}
 
 
 def choose(taken: Sequence[Taken], own: Collection[bytes]) -> list[Taken]:

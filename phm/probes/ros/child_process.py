@@ -7,10 +7,12 @@ import os
 import selectors
 import signal
 import subprocess
+import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import IO
 
+from phm.core import threads
 from phm.probes.ros.line_splitter import LineSplitter
 
 _PIECE = 65536
@@ -134,7 +136,7 @@ class ChildProcess:
         """How it ended, with its last line on standard error. Call after `end`."""
         code = self._process.poll()
         if code is None:
-            return f"cannot be killed: process {self.pid} hangs in the kernel"
+            return f"was killed and has not ended: process {self.pid} hangs in the kernel, or the machine is too busy"
         text = f"was terminated by {_signal_name(-code)}" if code < 0 else f"exited with code {code}"
         tail = [line.decode("utf-8", "replace").strip() for line in self._stderr if line.strip()]
         return f"{text} ({tail[-1][:200]})" if tail else text
@@ -146,10 +148,10 @@ class ChildProcess:
 
     def _kill(self) -> None:
         self._process.kill()
-        with contextlib.suppress(
-            subprocess.TimeoutExpired
-        ):  # blocked in the kernel (state D); `exit_reason` reports it
+        try:
             self._process.wait(_REAP_S)
+        except subprocess.TimeoutExpired:  # `exit_reason` reports it; no zombie stays
+            threads.start_now(threading.Thread(target=self._process.wait, name="phm-reap", daemon=True))
 
     def _write(self, data: bytes) -> None:
         """A configuration may be longer than a pipe holds, and the child may be dead already."""

@@ -162,7 +162,7 @@ def _endpoint(info: Any) -> EndpointFact:
     qos = info.qos_profile
     type_hash = str(getattr(info, "topic_type_hash", ""))  # not in Humble
     plain = EndpointFact(
-        node="" if info.node_name in _UNKNOWN else printable(full_name(info.node_name, info.node_namespace)),
+        node=node_of(info),
         type=printable(info.topic_type),
         type_hash=type_hash[:_HASH_SHOWN] if type_hash.startswith("RIHS") else "",
     )
@@ -194,6 +194,11 @@ def quality_matters() -> bool:
 def _seconds(duration: Any) -> float | None:
     nanoseconds = duration.nanoseconds
     return None if nanoseconds <= 0 or nanoseconds >= _ENDLESS_NS else nanoseconds / 1e9
+
+
+def node_of(info: Any) -> str:
+    """The full name of an endpoint's node; empty if it has none or discovery has not delivered it yet."""
+    return "" if info.node_name in _UNKNOWN else printable(full_name(info.node_name, info.node_namespace))
 
 
 def full_name(name: str, namespace: str) -> str:
