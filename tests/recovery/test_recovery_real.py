@@ -79,6 +79,11 @@ class Phm:
     def notes(self) -> list[str]:
         return [event.text for event in list(self.events) if isinstance(event, Note)]
 
+    def conditions(self) -> list[tuple[str, str, float]]:
+        """Of the faults: unit, condition, and when it was opened (monotonic seconds)."""
+        faults = [event.fault for event in list(self.events) if isinstance(event, FaultOpened)]
+        return [(fault.unit, fault.result.condition, fault.opened.mono) for fault in faults]
+
     def opened(self) -> list[str]:
         return [event.fault.unit for event in self.events if isinstance(event, FaultOpened)]
 
@@ -155,8 +160,9 @@ def test_dockers_restart_policy_does_not_reset_attempts(real: Any, phm: Start) -
 
         daemon.until(lived, "Docker to restart it")
         daemon.passes(3)  # longer than `verify`
-    assert daemon.count(Phase.STARTED) == 2
-    assert daemon.opened().count("files/app") == 1
+    seen = (daemon.actions(), daemon.notes(), daemon.conditions())
+    assert daemon.count(Phase.STARTED) == 2, seen
+    assert daemon.opened().count("files/app") == 1, seen
 
 
 class Restarts:
