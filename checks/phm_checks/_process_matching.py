@@ -17,6 +17,8 @@ _TOOL = re.compile(r"(?:^|[/ ])ros2 ")
 _END = r"(?![\w.-])"
 BARE = 2
 """The last and least certain of the matching methods: the node's name is a word in the process's command line."""
+EXEC_S = 2.0
+"""A forked process that is going to execute another program has done so at this age (`ps` reports whole seconds)."""
 _STEPS = 64
 """Maximum number of parent generations to follow; process lists are external input and may contain a cycle."""
 
@@ -71,6 +73,11 @@ def match(
     for node in nodes:
         apart = [one for one in processes if one.pid not in wrappers.get(node.name, ())]
         fitting, way = _fitting(node, apart, (ways or {}).get(node.name, BARE))
+        forks = _forks(fitting)
+        if any(one.age_s is not None and one.age_s < EXEC_S for one in forks):
+            counts[node.name] = len(fitting)
+            continue
+        fitting = [one for one in fitting if one not in forks]
         outer = {pid for one in fitting for pid in _above(one.pid, parents)}
         inner = [one for one in fitting if one.pid not in outer]
         counts[node.name] = len(inner)
@@ -94,6 +101,13 @@ def _fitting(node: Wanted, processes: Sequence[api.ProcessFact], least: int) -> 
         if found:
             return [one for one in found if _NAMESPACE.search(one.command)] or found, way
     return [], 0
+
+
+def _forks(processes: Sequence[api.ProcessFact]) -> list[api.ProcessFact]:
+    """Those with the command line of their parent: it forked them. They are its workers (a pool of Python's `multiprocessing`), or
+    about to execute another program, which a young one does not show."""
+    by_pid = {one.pid: one for one in processes}
+    return [one for one in processes if one.parent in by_pid and by_pid[one.parent].command == one.command]
 
 
 def _may_be(node: Wanted, command: str) -> bool:

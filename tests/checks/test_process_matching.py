@@ -71,6 +71,25 @@ def test_two_equal_processes_match_no_node() -> None:
     assert match([NODE], processes, {}) == ({}, {NODE.name: 2})
 
 
+def forked(age_s: float | None, command: str = "python3 /ws/node_1.py") -> list[ProcessFact]:
+    """A node, and a process that it forked so long ago."""
+    node = ProcessFact(7, 1, "S", 0.0, "python3 /ws/node_1.py", 100.0)
+    return [node, ProcessFact(8, 7, "S", 0.0, command, age_s)]
+
+
+@pytest.mark.parametrize("age_s", [2.0, 99.0, None])
+def test_a_worker_that_a_node_forked_is_not_the_node(age_s: float | None) -> None:
+    """It has the node's command line, and its end is not the node's."""
+    assert found(NODE, forked(age_s)) == 7
+
+
+def test_a_process_between_fork_and_exec_leaves_the_match_open() -> None:
+    """It is the node's if a launcher with the same words forked it, and not if the node did."""
+    assert found(NODE, forked(0.0)) == 0
+    assert match([NODE], forked(1.0), {})[1] == {NODE.name: 2}
+    assert found(NODE, forked(0.0, "sleep 1")) == 7
+
+
 def test_the_most_specific_match_wins() -> None:
     """A remapped name is more reliable than a word."""
     assert found(NODE, ps("cat /tmp/log/node_1", "x --ros-args -r __node:=node_1")) == 2
