@@ -29,8 +29,8 @@ class Injection(Fault):
     _link = ""
 
     def inject(self, agent: Agent) -> float:
-        number = agent.run_in_app("cat", "/sys/class/net/eth0/iflink")
-        self._link = next(link.name for link in LINKS.iterdir() if (link / "ifindex").read_text().strip() == number)
+        # One call: a list of all interfaces may miss one while others come and go.
+        self._link = socket.if_indextoname(int(agent.run_in_app("cat", "/sys/class/net/eth0/iflink")))
         moment = time.monotonic()
         set_link(self._link, up=False)
         return moment

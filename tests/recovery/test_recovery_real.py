@@ -66,7 +66,12 @@ class Phm:
         self.until(lambda: {state.level for state in self.daemon.pipeline.states()} == {Level.OK}, "all units to be OK")
 
     def until(self, condition: Callable[[], object], what: str) -> None:
-        until(condition, what, self.actions, limit_s=self._limit_s)
+        until(condition, what, self.seen, limit_s=self._limit_s)
+
+    def seen(self) -> tuple[object, ...]:
+        """For a test that fails: actions, what is not OK, and notes."""
+        states = [state for state in self.daemon.pipeline.states() if state.level is not Level.OK]
+        return self.actions(), [(state.unit, state.level.name, state.result.summary) for state in states], self.notes()
 
     def actions(self) -> list[tuple[str, str, str]]:
         return [
@@ -160,7 +165,7 @@ def test_dockers_restart_policy_does_not_reset_attempts(real: Any, phm: Start) -
 
         daemon.until(lived, "Docker to restart it")
         daemon.passes(3)  # longer than `verify`
-    seen = (daemon.actions(), daemon.notes(), daemon.conditions())
+    seen = (daemon.seen(), daemon.conditions())
     assert daemon.count(Phase.STARTED) == 2, seen
     assert daemon.opened().count("files/app") == 1, seen
 
