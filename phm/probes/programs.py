@@ -13,7 +13,7 @@ from pathlib import Path
 
 from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact, NotPermitted, ProcessFact, ProgramFact
-from phm.transport.docker import DockerEngine, EngineMissing
+from phm.transport.docker import NEVER_STARTED, DockerEngine, EngineMissing
 
 AT_ONCE = 4
 """So many programs run beside PHM at a time."""
@@ -91,6 +91,8 @@ class Programs:
         if code is None:
             raise CannotTell(f"{argv[0]} closed its output in {container} and still runs")
         del self._unfinished[key]
+        if code == NEVER_STARTED:
+            raise CannotTell(f"the Docker Engine did not start {argv[0]} in {container}")
         if code in (126, 127) and not output:
             raise CannotTell(
                 f"{argv[0]} cannot be started in {container}: {_text(errors)[:200] or f'exit code {code}'}"

@@ -52,6 +52,8 @@ __all__ = [
 
 ACT_MARGIN_S = 10.0
 """Additional seconds for changing calls: the engine waits this long for a kill to take effect."""
+NEVER_STARTED = -1
+"""In the place of the exit code of a program."""
 NOT_MODIFIED = 304
 """The engine's status code if a container is already in the requested state."""
 EVENT_SILENCE_S = 60.0
@@ -278,9 +280,12 @@ class DockerEngine(DockerSession):
         return self.call(ask, deadline_s=deadline_s, what="run a program")
 
     def exec_exit_code(self, program: str) -> int | None:
-        """The exit code of a program; None: it still runs."""
+        """The exit code of a program; None: it still runs; NEVER_STARTED: it was prepared and no more."""
         answer = self._ask(lambda client: client.exec_inspect(program), None, "look at a program")
-        return None if answer.get("Running") else int(answer["ExitCode"])
+        if answer.get("Running"):
+            return None
+        code = answer.get("ExitCode")
+        return NEVER_STARTED if code is None else int(code)
 
     def logs(self, container: str, since: str, *, tail: int, limit: int, deadline_s: float | None = None) -> bytes:
         """The end of a container's log, with timestamps: at most `tail` lines, and of these the first `limit` bytes.

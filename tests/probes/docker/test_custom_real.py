@@ -52,6 +52,20 @@ def place(real: Any, engine: DockerEngine) -> Any:
     made.matcher.close()
 
 
+def test_a_program_that_was_prepared_and_never_started_is_not_waited_for(
+    place: Place, engine: DockerEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The engine was too busy, or a socket proxy refused: its exit code is neither there nor to come."""
+
+    def busy(*_: object, **__: object) -> None:
+        raise CannotTell("the Docker Engine did not answer in time")
+
+    with monkeypatch.context() as patched, pytest.raises(CannotTell, match="did not answer"):
+        patched.setattr(engine, "exec_read", busy)
+        place.programs.run(["true"], timeout_s=10, container=place.name)
+    assert place.programs.run(["true"], timeout_s=60, container=place.name).exit_code == 0
+
+
 def shell(script: str) -> list[str]:
     return ["sh", "-c", script]
 
