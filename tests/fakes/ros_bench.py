@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import itertools
 import json
 import os
 import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from phm.core.clock import SystemClock
 from phm.core.settings import Settings
@@ -23,28 +20,12 @@ from phm.facts import CannotTell, RosFact
 from phm.probes.ros.supervisor import COMMAND, RosSupervisor, SupervisorLimits
 from sitl.bench.ros_environments import server_command
 from tests.fakes import until as wait
+from tests.fakes.ros_domain import claim_domain
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMITS = SupervisorLimits()
-FIRST_DOMAIN, DOMAINS = 60, 42
-"""Clear of 0, which others use, and up to 101: the ports of 102 are ephemeral ones, which any socket may have."""
-_turns = itertools.count(os.getpid())
 _open: list[Bench] = []
 """What a test that fails for want of something describes."""
-
-
-def claim_domain() -> tuple[int, IO[bytes]]:
-    """A ROS domain that no other test on this machine uses while the file is open: the kernel releases it with the process."""
-    for turn in itertools.islice(_turns, DOMAINS):
-        domain = FIRST_DOMAIN + turn % DOMAINS
-        lock = Path(tempfile.gettempdir(), f"phm-ros-domain-{domain}.lock").open("ab")  # noqa: SIM115 (it outlives this)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-        else:
-            return domain, lock
-    raise RuntimeError(f"all ROS domains from {FIRST_DOMAIN} to {FIRST_DOMAIN + DOMAINS - 1} are used by other tests")
 
 
 def until(condition: Callable[[], Any], what: str, limit_s: float = 60.0) -> Any:

@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from tests.fakes import ros_bench
+from tests.fakes import ros_domain
 
 
 def test_a_domain_in_use_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -14,13 +14,13 @@ def test_a_domain_in_use_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     locks = []
     domains = []
     for _ in range(3):
-        monkeypatch.setattr(ros_bench, "_turns", itertools.count(7))
-        domain, lock = ros_bench.claim_domain()
+        monkeypatch.setattr(ros_domain, "_turns", itertools.count(7))
+        domain, lock = ros_domain.claim_domain()
         domains.append(domain)
         locks.append(lock)
     try:
         assert len(set(domains)) == 3
-        assert all(ros_bench.FIRST_DOMAIN <= domain < 102 for domain in domains)
+        assert all(ros_domain.FIRST_DOMAIN <= domain < 102 for domain in domains)
     finally:
         for lock in locks:
             lock.close()

@@ -18,6 +18,7 @@ from docker import DockerClient
 from docker.errors import APIError, NotFound
 
 from phm.cli import group
+from tests.fakes.ros_domain import claim_domain
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
 LIMIT_S = 90.0
@@ -34,12 +35,12 @@ def run(*words: str, cwd: Path, check: bool = True) -> str:
 def start() -> Iterator[Start]:
     """Starts the demo's application and returns the container's name; removes it with its network."""
     client, name = DockerClient.from_env(timeout=60), f"phm-init-{uuid.uuid4().hex[:8]}"
-    domain = str(100 + uuid.uuid4().int % 100)
+    domain, claim = claim_domain()
 
     def app(network: str) -> str:
         # Loopback alone: on the host's network nothing of this test may reach another machine.
         environment = {
-            "ROS_DOMAIN_ID": domain,
+            "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST" if network == "host" else "SUBNET",
         }
         if network != "host":
@@ -62,6 +63,7 @@ def start() -> Iterator[Start]:
     with contextlib.suppress(NotFound, APIError):
         client.networks.get(name).remove()
     client.close()
+    claim.close()
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from sitl.faults._application import works
 from sitl.faults._node_signal import NodeSignal
 from sitl.faults._reading import ReadingFault
 from sitl.faults.base import Agent
+from tests.fakes.ros_domain import claim_domain
 from tests.fakes.until import until
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
@@ -27,6 +28,7 @@ def agent() -> Iterator[Agent]:
     project = f"phm-test-{uuid.uuid4().hex[:8]}"
     network = client.networks.create(project, labels={"phm.test": "1"})
     found = Agent(project, "agent_1", client)
+    domain, claim = claim_domain()
     try:
         client.containers.run(
             APP_IMAGE,
@@ -35,7 +37,7 @@ def agent() -> Iterator[Agent]:
             detach=True,
             network=project,
             labels={"com.docker.compose.project": project, "com.docker.compose.service": "ros_app", "phm.test": "1"},
-            environment={"ROS_DOMAIN_ID": str(10 + uuid.uuid4().int % 80)},
+            environment={"ROS_DOMAIN_ID": str(domain)},
             mem_limit="500m",
             memswap_limit="500m",
         )
@@ -46,6 +48,7 @@ def agent() -> Iterator[Agent]:
             container.remove(force=True)
         network.remove()
         client.close()
+        claim.close()
 
 
 @pytest.mark.parametrize("name", [*SIGNALS, "node_duplicate"])

@@ -25,6 +25,7 @@ from docker.errors import APIError, DockerException, ImageNotFound, NotFound
 from docker.models.containers import Container
 
 from sitl.harness.log_follower import Event, Record
+from tests.fakes.ros_domain import claim_domain
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,7 +54,7 @@ class AppContainer:
         """more: further arguments of `docker run`."""
         self.client = client
         self.name = f"phm-test-{uuid.uuid4().hex[:8]}"
-        self.domain = 10 + uuid.uuid4().int % 80
+        self.domain, self._claim = claim_domain()
         self.network = client.networks.create(self.name, labels={"phm.test": "1"})
         self.container: Container = client.containers.run(
             APP_IMAGE,
@@ -86,6 +87,7 @@ class AppContainer:
             self.container.remove(force=True)
         with contextlib.suppress(NotFound, APIError):
             self.network.remove()
+        self._claim.close()
 
 
 class Phm:

@@ -18,6 +18,7 @@ from docker.models.containers import Container
 
 from phm.facts import RateFact
 from tests.fakes import app_messages
+from tests.fakes.ros_domain import claim_domain
 from tests.fakes.ros_truth import within_2_percent
 from tests.system.conftest import APP_IMAGE, ROOT, poll
 
@@ -38,7 +39,8 @@ class Pair:
         self._folder = folder
         self._made: list[Any] = []
         self._name = f"phm-test-{uuid.uuid4().hex[:8]}"
-        self._domain = str(10 + uuid.uuid4().int % 80)
+        domain, self._claim = claim_domain()
+        self._domain = str(domain)
         self._made.append(client.networks.create(self._name, labels={"phm.test": "1"}))
         self.sidecar: Container
 
@@ -118,6 +120,7 @@ class Pair:
         for made in self._made:
             with contextlib.suppress(NotFound, APIError):
                 made.remove(**({"force": True, "v": True} if isinstance(made, Container) else {}))
+        self._claim.close()
 
 
 @pytest.fixture

@@ -85,6 +85,6 @@ def test_a_killed_daemon_is_restarted_and_continues_its_log(stack: Stack, docker
         boots = {event["boot_id"] for event in record.events if event["event"] == "report"}
         return len(boots) == 2
 
-    poll(second_boot, "a report of a second boot", 60.0)
+    poll(second_boot, "a report of a second boot", 120.0)
     phm.reload()
     assert phm.attrs["RestartCount"] == 1
