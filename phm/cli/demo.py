@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from phm.simulation.demo import Demo
 
 STEP_S = 0.2
+END_S = 3.0
 
 
 @click.command(epilog="Example: phm demo --web --for 600")
@@ -74,14 +75,26 @@ def _watch(demo: Demo, seconds: int, port: int, web: int | None) -> int:
     page = [] if web is None else ["--web", f"127.0.0.1:{web}", "--history", "none"]
     words = [sys.executable, "-m", "phm.cli", "gcs", "--for", str(seconds), *page, f"udpin:127.0.0.1:{port}"]
     started = time.monotonic()
-    with subprocess.Popen(words) as gcs:
-        try:
-            while True:
-                demo.step(time.monotonic() - started)
-                with contextlib.suppress(subprocess.TimeoutExpired):  # `phm gcs` still runs
-                    return gcs.wait(STEP_S)
-        finally:
-            gcs.terminate()  # also after Ctrl-C and SIGTERM; nothing is sent to a process that has ended
+    gcs = subprocess.Popen(words)
+    try:
+        while True:
+            demo.step(time.monotonic() - started)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # `phm gcs` still runs
+                return gcs.wait(STEP_S)
+    except KeyboardInterrupt:
+        return _stop(gcs)
+
+
+def _stop(gcs: subprocess.Popen[bytes]) -> int:
+    """Wait for the end of `phm gcs`. Ctrl-C on a terminal reached it, too, and a second signal would cut its cleanup short: so
+    SIGTERM is sent only to one that does not end by itself.
+    """
+    for ask in (gcs.poll, gcs.terminate):
+        ask()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return gcs.wait(END_S)
+    gcs.kill()
+    return gcs.wait()
 
 
 def _end(number: int, frame: object) -> NoReturn:
