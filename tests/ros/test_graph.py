@@ -8,10 +8,12 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from phm.facts import EndpointFact, NameFact, RateFact, RosFact
+from phm.probes.ros.graph import node_of
 from phm.probes.ros.supervisor import SupervisorLimits
 from tests.fakes.ros_bench import Bench, gone, seen, stale, until
 from tests.fakes.ros_truth import within_2_percent
@@ -220,3 +222,10 @@ def test_a_change_of_the_graph_is_seen_immediately(bench: Bench) -> None:
     )
     node.terminate()
     seen(probe, lambda fact: not fact.nodes and not fact.topics[TOPIC].publishers, "its absence")
+
+
+def test_a_node_without_a_name_yet_is_not_called_by_a_placeholder() -> None:
+    """rclpy names an endpoint whose node discovery has not delivered by a placeholder: it has no name then."""
+    unknown = SimpleNamespace(node_name="_NODE_NAME_UNKNOWN_", node_namespace="_NODE_NAMESPACE_UNKNOWN_")
+    assert node_of(unknown) == ""
+    assert node_of(SimpleNamespace(node_name="node_1", node_namespace="/agent_1")) == "/agent_1/node_1"
