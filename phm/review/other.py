@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from phm.review.events import LATEST_S, WORDS, Event
 from phm.review.lines import BLOCK, Problems
+from phm.review.unpack import GZIP
 from phm.wire.text import one_line
 
 RECORDED = frozenset(("diagnostic", "rosout", "topic", "gap"))
@@ -20,7 +21,6 @@ MOST = 50_000
 """Of all files; more are counted and left out."""
 MOST_SYSTEMS = 256
 MOST_TEXT, MOST_BY = 200, 20
-GZIP = b"\x1f\x8b"
 EARLIEST_S = 946_684_800.0
 """2000-01-01: an earlier time is a clock that was never set."""
 _OURS = re.compile(r"A\d{1,3} ([A-Z]+)\b")
@@ -60,16 +60,6 @@ def text_event(system: int, utc_s: float, text: str, by: str = "", level: str = 
     if ours := _OURS.match(text):
         level = WORDS.get(ours.group(1), level)
     return Event("statustext", system=system, utc_s=utc_s, text=text[:MOST_TEXT], by=by, level=level)
-
-
-def unpacked(head: bytes) -> bytes:
-    """The first bytes of a file, decompressed if it is compressed by gzip."""
-    if not head.startswith(GZIP):
-        return head
-    try:
-        return zlib.decompressobj(31).decompress(head, 4096)
-    except zlib.error:
-        return b""
 
 
 def blocks(path: str, problems: Problems) -> Iterator[bytes]:

@@ -11,7 +11,8 @@ from phm.review import autopilot_names as names
 from phm.review.dataflash import FMT, HEAD, records
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
-from phm.review.other import MOST, blocks, text_event, unpacked
+from phm.review.other import MOST, blocks, text_event
+from phm.review.unpack import gunzipped
 
 WANTED = frozenset(("MODE", "ARM", "EV", "ERR", "MSG", "PARM", "GPS"))
 GPS_EPOCH_S = 315_964_800 - 18
@@ -24,7 +25,7 @@ ARMED, DISARMED = 10, 11
 
 
 def fits(path: Path, head: bytes) -> bool:
-    return unpacked(head).startswith(HEAD + bytes([FMT]))
+    return gunzipped(head).startswith(HEAD + bytes([FMT]))
 
 
 def read(piece: Piece, problems: Problems) -> Iterator[Event]:

@@ -1,4 +1,4 @@
-"""Recordings of rosbag2 in SQLite (`.db3`), each file on its own; `metadata.yaml` is not needed.
+"""Recordings of rosbag2 in SQLite (`.db3`, also compressed as a whole), each file on its own; `metadata.yaml` is not needed.
 
 Not by rosbags: it chooses by the file's name, sorts all messages first, and reads whatever the file defines as a table.
 """
@@ -6,17 +6,19 @@ Not by rosbags: it chooses by the file's name, sorts all messages first, and rea
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
+import tempfile
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import IO
 from urllib.parse import quote
 
 from phm.review.events import Event
-from phm.review.lines import Piece, Problems
+from phm.review.lines import BLOCK, Piece, Problems
 from phm.review.recording import MOST_MESSAGE, MOST_TOPICS, Recording
-from phm.review.source_mcap import first_bytes
-from phm.review.unpack import ZSTD
+from phm.review.unpack import GZIP, ZSTD, damages, first_bytes, opened
 
 MAGIC = b"SQLite format 3\0"
 TOPICS = "SELECT id, name, type, serialization_format FROM topics NOT INDEXED LIMIT ?"
@@ -24,10 +26,12 @@ MESSAGES = """SELECT topic_id, timestamp,
 CASE WHEN instr(?, printf(',%d,', topic_id)) AND length(data) <= ? THEN data END FROM messages NOT INDEXED"""
 LEAST_ROW = 4
 """Bytes of a row in the file, at least: a damaged file could show the same rows again and again."""
+FREE_SHARE = 0.25
+"""Of the free space of the temporary folder, for an unpacked database: several files may be read at the same time."""
 
 
 def fits(path: Path, head: bytes) -> bool:
-    if head.startswith(ZSTD):
+    if head.startswith((GZIP, ZSTD)):
         return first_bytes(path, head).startswith(MAGIC)
     if not head.startswith(MAGIC):
         return False
@@ -41,19 +45,56 @@ def fits(path: Path, head: bytes) -> bool:
 def read(piece: Piece, problems: Problems) -> Iterator[Event]:
     found = Recording(piece.path, problems)
     try:
-        path = Path(piece.path)
-        with path.open("rb") as stream:
-            if stream.read(4) == ZSTD:
-                found.problem("a database that is compressed as a whole: unpack it first, e.g. with `zstd -d`")
-                return
         log = Path(f"{piece.path}-wal")
         if log.is_file() and log.stat().st_size:
             found.problem(f"{log.name} beside it is not read: the last messages may be missing")
-        with closing(_opened(piece.path)) as database:
-            _read(database, found, path.stat().st_size)
+        with _database_file(piece.path, found) as path, closing(_opened(path)) as database:
+            if _is_torn(path):
+                found.problem("the end of the file is missing")
+            _read(database, found, os.path.getsize(path))
+    except ImportError:
+        found.problem("a compressed database: needs zstandard, install with `pip install 'phm-sidecar[report]'`")
     except (sqlite3.Error, OSError) as error:
         found.problem(f"damaged or unreadable from here on: {error}")
     yield from found.events()
+
+
+@contextmanager
+def _database_file(path: str, found: Recording) -> Iterator[str]:
+    """The file itself, or a temporary one with what it unpacks to: SQLite reads only files."""
+    with open(path, "rb") as stream:
+        if not stream.read(4).startswith((GZIP, ZSTD)):
+            yield path
+            return
+    with tempfile.TemporaryDirectory(prefix="phm-report-") as folder:
+        unpacked = os.path.join(folder, "unpacked.db3")
+        try:
+            with opened(path) as packed, open(unpacked, "wb") as target:
+                _copy(packed, target, int(FREE_SHARE * shutil.disk_usage(folder).free))
+        except damages() as error:  # what came before it can be read
+            found.problem(f"damaged or unreadable from here on: {error or type(error).__name__}")
+        yield unpacked
+
+
+def _copy(packed: IO[bytes], target: IO[bytes], most: int) -> None:
+    while block := packed.read(BLOCK):
+        most -= len(block)
+        if most < 0:
+            raise ValueError(f"it needs more than a quarter of the free space of {tempfile.gettempdir()} (TMPDIR)")
+        target.write(block)
+
+
+def _is_torn(path: str) -> bool:
+    """Whether the file is shorter than its header says (https://www.sqlite.org/fileformat2.html#the_database_header). SQLite reports
+    only some of these, and zstandard none.
+    """
+    with open(path, "rb") as stream:
+        head = stream.read(100)
+    if len(head) < 100:
+        return True
+    page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+    valid = head[24:28] == head[92:96]  # else an old program wrote it, which does not count pages
+    return valid and os.path.getsize(path) < pages * (65536 if page == 1 else page)
 
 
 def _read(database: sqlite3.Connection, found: Recording, size: int) -> None:

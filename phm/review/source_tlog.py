@@ -10,7 +10,8 @@ from typing import Any
 from phm.review import autopilot_names as names
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
-from phm.review.other import EARLIEST_S, blocks, text_event, unpacked
+from phm.review.other import EARLIEST_S, blocks, text_event
+from phm.review.unpack import gunzipped
 
 V1, V2, SIGNED = 0xFE, 0xFD, 0x01
 MARKER = re.compile(rb"[\xfd\xfe]")
@@ -27,7 +28,7 @@ SAME_S = 1.0
 
 
 def fits(path: Path, head: bytes) -> bool:
-    first = unpacked(head)
+    first = gunzipped(head)
     return len(first) > STAMP and first[STAMP] in (V1, V2) and _stamp(first, 0) is not None
 
 

@@ -10,8 +10,9 @@ from typing import Any
 from phm.review import autopilot_names as names
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
-from phm.review.other import EARLIEST_S, MOST, blocks, text_event, unpacked
+from phm.review.other import EARLIEST_S, MOST, blocks, text_event
 from phm.review.ulog import MAGIC, messages
+from phm.review.unpack import gunzipped
 
 STATUS, FIXES = "vehicle_status", ("vehicle_gps_position", "sensor_gps")
 WANTED = frozenset((STATUS, *FIXES))
@@ -22,7 +23,7 @@ MOST_FIXES = 200
 
 
 def fits(path: Path, head: bytes) -> bool:
-    return unpacked(head).startswith(MAGIC)
+    return gunzipped(head).startswith(MAGIC)
 
 
 def read(piece: Piece, problems: Problems) -> Iterator[Event]:

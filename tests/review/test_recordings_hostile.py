@@ -16,6 +16,7 @@ import pytest
 import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from phm.review import mcap_stream, source_mcap, source_rosbag2
 from phm.review.cdr_read import line, statuses
@@ -281,3 +282,24 @@ def test_a_long_recording_is_read_in_little_memory(tmp_path: Path) -> None:
         "/scan: last of 300000 messages, median period 0.001 s",
     ]
     assert not found
+
+
+def said_of(file: Path) -> list[str]:
+    return [row["what"] for row in report_of(file)["files"]["problems"]]
+
+
+def test_a_torn_compressed_database_is_named_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also one that needs more space than there is; the unpacked file is removed each time."""
+    options = (CompressionMode.FILE, CompressionFormat.ZSTD)
+    database = bags.rosbag2(tmp_path / "b", bags.flight(), StoragePlugin.SQLITE3, options)
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    monkeypatch.setattr(source_rosbag2, "FREE_SHARE", 0.0)
+    assert any("more than a quarter of the free space" in text for text in said_of(database))
+    monkeypatch.undo()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    database.write_bytes(database.read_bytes()[:-20])
+    assert "the end of the file is missing" in said_of(database)
+    assert list((tmp_path / "temporary").iterdir()) == []
