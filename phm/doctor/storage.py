@@ -1,4 +1,4 @@
-"""The folders that PHM writes to."""
+"""The folders that PHM writes to, and the configuration if operators may deliver another one."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ def rows(surroundings: Surroundings) -> Iterator[Row]:
     needed = 2 * settings.log.files * settings.log.max_size
     for name, path, least in (("log", settings.log.directory, needed), ("state", settings.state_dir, 1e6)):
         yield _folder(name, path, least, configured=bool(surroundings.configuration))
+    if settings.delivery.listen is not None and surroundings.configuration:
+        yield _replaceable(os.path.realpath(surroundings.configuration))
 
 
 def _folder(name: str, path: str, least_bytes: float, *, configured: bool) -> Row:
@@ -30,3 +32,14 @@ def _folder(name: str, path: str, least_bytes: float, *, configured: bool) -> Ro
     if free < least_bytes:
         return limited(name, text, f"free {least_bytes / 1e6:.0f} MB, or lower log.max_size and log.files")
     return ok(name, text)
+
+
+def _replaceable(path: str) -> Row:
+    """Whether PHM can put a delivered configuration into the place of this file: it renames another one over it."""
+    folder = os.path.dirname(path)
+    remedy = f"mount {folder} writable for uid {os.geteuid()}, not the file alone and not with :ro; or remove delivery.listen"
+    if os.path.ismount(path):
+        return limited("delivery", f"{path} is mounted alone and cannot be replaced", remedy)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return limited("delivery", f"{folder} cannot be written by uid {os.geteuid()}: deliveries are refused", remedy)
+    return ok("delivery", f"{path} can be replaced by a delivered configuration")

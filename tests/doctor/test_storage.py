@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+import pytest
 
 from phm.doctor.storage import rows
 from tests.doctor.places import row, states, surroundings
@@ -25,3 +28,22 @@ def test_a_disk_without_room_for_the_log_is_limited(tmp_path: Path) -> None:
     (tmp_path / "log").mkdir()
     there = surroundings(tmp_path, log={"directory": str(tmp_path / "log"), "max_size": 1e18})
     assert row(list(rows(there)), "log").state == "limited"
+
+
+def test_a_configuration_that_no_delivery_can_replace_is_limited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a folder that PHM cannot write, and mounted as a single file; not asked where nothing can be delivered."""
+    there = surroundings(tmp_path, delivery={"listen": "127.0.0.1:9465", "key": "/etc/phm/delivery.key"})
+    assert "delivery" not in states(list(rows(there)))
+    there.configuration = str(tmp_path / "phm.yaml")
+    assert row(list(rows(there)), "delivery").state == "ok"
+    monkeypatch.setattr(os.path, "ismount", lambda path: path == there.configuration)
+    assert "mounted alone" in row(list(rows(there)), "delivery").text
+    monkeypatch.undo()
+    monkeypatch.setattr(os, "access", lambda path, mode: path != str(tmp_path))
+    refused = row(list(rows(there)), "delivery")
+    assert refused.state == "limited" and "not with :ro" in refused.remedy
+    plain = surroundings(tmp_path)
+    plain.configuration = there.configuration
+    assert "delivery" not in states(list(rows(plain)))
