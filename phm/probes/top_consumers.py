@@ -20,16 +20,18 @@ LEAST_S = 0.5
 """An earlier request returns the last answer."""
 ENGINE_LEAST_S = 5.0
 """The same if the engine must be asked for each container, which costs it about 16 ms of CPU time each."""
-MOST_S = 15.0
-"""An older reading is not used for comparison."""
+MOST_S, ENGINE_MOST_S = 15.0, 60.0
+"""An older reading is not used for comparison: of files, and of the engine, which is not asked for every container each time."""
 MOST_ASKED = 16
 """Number of containers whose statistics are requested at a time."""
-BUDGET_S = 2.0
-"""Deadline for all of these together: the engine of a starved machine is starved too."""
+BUDGET_S, LIST_S = 2.0, 1.0
+"""Deadline for all of these together, and of that for their list: the engine of a starved machine is starved too."""
 LEAST_CPUS = 0.05
 """Smaller consumers are not listed."""
 _MOST_NAMES = 1000
 _IDLE, _IOWAIT, _STEAL = 3, 4, 7
+_Reading = tuple[float, float]
+"""(Monotonic second, CPU seconds used until then.)"""
 
 
 class TopConsumers:
@@ -47,37 +49,62 @@ class TopConsumers:
         self._stat = str(proc / "stat")
         self._lock = threading.Lock()
         self._names: dict[str, str] = {}
-        self._before: tuple[float, dict[str, float], float] | None = None
+        self._running: tuple[str, ...] = ()
+        self._asked: dict[str, float] = {}
+        self._seen: dict[str, _Reading] = {}
+        self._cpus: dict[str, _Reading] = {}
+        self._whole: tuple[float, dict[str, _Reading], float] | None = None
         self._last: tuple[ConsumerFact, ...] = ()
+        self._read_at = float("-inf")
         self._cheap = self._may_list = True
 
     def read(self) -> tuple[ConsumerFact, ...]:
         """See `phm.facts.pressure.PressureProbe.consumers`. Raises CannotTell."""
         with self._lock:
-            before = self._before
-            least_s = LEAST_S if self._cheap else ENGINE_LEAST_S
-            if before is not None and self._clock.mono() - before[0] < least_s:
+            now = self._clock.mono()
+            if now - self._read_at < (LEAST_S if self._cheap else ENGINE_LEAST_S):
                 return self._last
-            seen = cgroups.used_by_all(self._root)
-            self._cheap = bool(seen)
-            used = seen or self._by_engine()
-            now, busy_s = self._clock.mono(), self._busy_s()
-            self._before = now, used, busy_s
-            fresh = before is not None and now - before[0] <= MOST_S
-            self._last = self._since(before, now, used, busy_s) if fresh and before is not None else ()
+            used, every = {each: (now, spent) for each, spent in cgroups.used_by_all(self._root).items()}, True
+            self._cheap = bool(used)
+            if not used:
+                used, every = self._by_engine()
+            self._read_at, busy_s = self._clock.mono(), self._busy_s()
+            self._compare(used, MOST_S if self._cheap else ENGINE_MOST_S)
+            outside = self._outside(used, busy_s) if every else 0.0
+            self._whole = (self._read_at, used, busy_s) if every else None
+            self._last = self._facts(outside)
             return self._last
 
-    def _since(
-        self, before: tuple[float, dict[str, float], float], now: float, used: dict[str, float], busy_s: float
-    ) -> tuple[ConsumerFact, ...]:
-        span_s = now - before[0]
-        spent = {each: used[each] - before[1][each] for each in used.keys() & before[1].keys()}
-        # A restarted container counts from 0: its use in between is unknown, and so is the rest for other programs.
-        cpus = {each: seconds / span_s for each, seconds in spent.items() if seconds >= 0}
-        whole = used.keys() == before[1].keys() and len(cpus) == len(used)
-        outside = (busy_s - before[2]) / span_s - sum(cpus.values()) if whole else 0.0
-        first = sorted((each for each in cpus if cpus[each] >= LEAST_CPUS), key=lambda each: -cpus[each])
-        found = [ConsumerFact(self._name(each), cpus[each]) for each in first[:MOST_ASKED]]
+    def _compare(self, used: Mapping[str, _Reading], most_s: float) -> None:
+        """Compare each container with its own last reading; those that do not run any more are forgotten."""
+        present = set(used) if self._cheap else {*used, *self._running}
+        for table in (self._seen, self._cpus, self._asked):
+            for each in [each for each in table if each not in present]:
+                del table[each]
+        for each, (at, spent_s) in used.items():
+            before = self._seen.get(each)
+            self._seen[each] = at, spent_s
+            # A restarted container counts from 0: its use in between is unknown.
+            if before is not None and spent_s >= before[1] and before[0] < at <= before[0] + most_s:
+                self._cpus[each] = at, (spent_s - before[1]) / (at - before[0])
+            else:
+                self._cpus.pop(each, None)
+        for each in [each for each, (at, _) in self._seen.items() if self._read_at - at > most_s]:
+            del self._seen[each]
+            self._cpus.pop(each, None)
+
+    def _outside(self, used: Mapping[str, _Reading], busy_s: float) -> float:
+        """CPUs used by what is not in a container. Known only between two readings of all the same containers."""
+        if self._whole is None or used.keys() != self._whole[1].keys() or used.keys() != self._cpus.keys():
+            return 0.0
+        span_s = self._read_at - self._whole[0]
+        if not 0.0 < span_s <= MOST_S:
+            return 0.0
+        return (busy_s - self._whole[2]) / span_s - sum(cpus for _, cpus in self._cpus.values())
+
+    def _facts(self, outside: float) -> tuple[ConsumerFact, ...]:
+        first = sorted(((cpus, each) for each, (_, cpus) in self._cpus.items() if cpus >= LEAST_CPUS), reverse=True)
+        found = [ConsumerFact(self._name(each), cpus) for cpus, each in first[:MOST_ASKED]]
         if outside >= LEAST_CPUS:
             found.append(ConsumerFact("", outside))
         return tuple(sorted(found, key=lambda fact: -fact.cpus))
@@ -91,7 +118,9 @@ class TopConsumers:
 
     def _learn_names(self) -> None:
         """Request the name once for each new container: one that the engine does not name keeps its id."""
-        listed = self._list()
+        self._take_names(self._list(BUDGET_S) or ())
+
+    def _take_names(self, listed: Sequence[Mapping[str, Any]]) -> None:
         if len(self._names) > _MOST_NAMES:
             self._names.clear()
         for entry in listed[:_MOST_NAMES]:
@@ -99,36 +128,51 @@ class TopConsumers:
             if isinstance(names, list) and names:
                 self._names[str(entry.get("Id"))] = str(names[0]).lstrip("/")
 
-    def _list(self) -> Sequence[Mapping[str, Any]]:
-        """All containers; none if the engine does not answer. A proxy that refuses is asked once."""
+    def _list(self, deadline_s: float) -> Sequence[Mapping[str, Any]] | None:
+        """All containers; None if the engine does not answer. A proxy that refuses is asked once."""
         if not self._may_list:
-            return ()
+            return None
         try:
-            return self._engine.list(deadline_s=BUDGET_S)
+            return self._engine.list(deadline_s=deadline_s)
         except NotPermitted:
             self._may_list = False
         except CannotTell:
             pass
-        return ()
+        return None
 
-    def _by_engine(self) -> dict[str, float]:
-        """CPU seconds by container: the configured ones first, as many as the engine answers for within the budget."""
+    def _by_engine(self) -> tuple[dict[str, _Reading], bool]:
+        """Readings by container, of as many as the engine answers for within the budget, and whether these are all that run.
+
+        On a busy machine, or with many containers, one reading does not reach all of them. Those come first that were asked about
+        once, since their use is known only after the second time; then those not asked about for the longest time.
+        """
         budget, used = TimeBudget(self._clock, BUDGET_S), {}
-        running = [str(entry.get("Id")) for entry in self._list() if entry.get("State") == "running"]
-        known = self._known()
-        for container in [*known, *(each for each in running if each not in known)][:MOST_ASKED]:
+        listed = self._list(LIST_S)
+        if listed is not None:
+            self._take_names(listed)
+            self._running = tuple(str(entry.get("Id")) for entry in listed if entry.get("State") == "running")
+        present = tuple(dict.fromkeys((*self._known(), *self._running)))[:_MOST_NAMES]
+        begun = self._seen.keys() - self._cpus.keys()
+        turn = sorted(present, key=lambda each: (each not in begun, self._asked.get(each, float("-inf"))))
+        for container in turn[:MOST_ASKED]:
             if budget.spent:
                 break
-            try:
-                answer = self._engine.stats(container, deadline_s=budget.left_s())
-            except CannotTell:
-                continue
-            cpu = answer.get("cpu_stats")
-            usage = cpu.get("cpu_usage") if isinstance(cpu, dict) else None
-            total_ns = usage.get("total_usage") if isinstance(usage, dict) else None
-            if isinstance(total_ns, int):
-                used[container] = total_ns / 1e9
-        return used
+            self._asked[container] = self._clock.mono()
+            spent_s = self._ask(container, budget.left_s())
+            if spent_s is not None:
+                used[container] = self._clock.mono(), spent_s
+        return used, listed is not None and len(used) == len(present)
+
+    def _ask(self, container: str, deadline_s: float) -> float | None:
+        """Its CPU seconds; None if the engine does not know."""
+        try:
+            answer = self._engine.stats(container, deadline_s=deadline_s)
+        except CannotTell:
+            return None
+        cpu = answer.get("cpu_stats")
+        usage = cpu.get("cpu_usage") if isinstance(cpu, dict) else None
+        total_ns = usage.get("total_usage") if isinstance(usage, dict) else None
+        return total_ns / 1e9 if isinstance(total_ns, int) else None
 
     def _busy_s(self) -> float:
         """CPU seconds since boot that were not idle, of all CPUs together."""

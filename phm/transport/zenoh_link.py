@@ -148,7 +148,7 @@ class ZenohLink:
 
     def _serve(self, session: Any) -> None:
         try:
-            declared = ZenohDeclarations(session, self._keys, self._asked, self._seen)
+            declared = ZenohDeclarations(session, self._keys, self._asked, self._seen, self._has_readers)
             while not self._stopping.is_set() and not session.is_closed():
                 self._turn(session, declared)
                 self._clock.wait(self._bell, IDLE_S)
@@ -218,6 +218,12 @@ class ZenohLink:
         self._queries.put(query)
         self._bell.set()
 
+    def _has_readers(self, yes: bool) -> None:
+        """A status that is published before the router knows of any reader goes nowhere, also just after a reconnect."""
+        if yes and self._present and self._newest:
+            self._due = True
+            self._bell.set()
+
     def _seen(self, token: str, there: bool) -> None:
         if token == self._keys.alive:
             return
@@ -231,7 +237,12 @@ class ZenohDeclarations:
     """What one session has declared; Zenoh declares it again by itself after each reconnect."""
 
     def __init__(
-        self, session: Any, keys: FleetKeys, asked: Callable[[Any], None], seen: Callable[[str, bool], None]
+        self,
+        session: Any,
+        keys: FleetKeys,
+        asked: Callable[[Any], None],
+        seen: Callable[[str, bool], None],
+        has_readers: Callable[[bool], None],
     ) -> None:
         import zenoh
 
@@ -243,6 +254,7 @@ class ZenohDeclarations:
             keys.status, encoding=zenoh.Encoding.APPLICATION_JSON, congestion_control=zenoh.CongestionControl.DROP
         )
         self._kept = (
+            self._publisher.declare_matching_listener(lambda status: has_readers(bool(status.matching))),
             session.declare_queryable(keys.status, asked, complete=True),
             session.liveliness().declare_subscriber(
                 keys.namesakes,

@@ -14,6 +14,7 @@ from phm.probes.docker_processes import FORMS
 from phm.testing import settings
 from phm.transport import docker_bodies
 from phm.transport.docker import DockerEngine, EngineMissing, EngineRefused
+from sitl.faults.base import freeze
 from tests.fakes.until import until
 from tests.proxy.haproxy import Proxies, Proxy
 
@@ -87,7 +88,7 @@ def test_requests_that_phm_needs_pass(place: Place) -> None:
         assert client.copy_file(ref, FILE, lambda piece: None, limit=1 << 20)
         client.restart(ref, 3.0)
         client.start(ref)
-        app.pause()
+        freeze(app)
         client.unpause(ref)
     for network in (net.name, net.id):
         client.disconnect(network, app.name, force=True)

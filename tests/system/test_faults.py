@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from docker import DockerClient
 
+from sitl.faults.base import freeze
 from sitl.harness.log_follower import Event
 from tests.system.conftest import AppContainer, Phm, config_for
 
@@ -23,7 +24,7 @@ CASES: dict[str, tuple[str, str, Callable[[AppContainer], object]]] = {
         "start",
         lambda app: app.container.exec_run(["kill", "-USR2", "1"]),  # which may end with the container
     ),
-    "container paused": ("container/{name}", "unpause", lambda app: app.container.pause()),
+    "container paused": ("container/{name}", "unpause", lambda app: freeze(app.container)),
     "unhealthy": ("health/{name}", "restart", lambda app: app.run("touch", "/tmp/unhealthy")),
     "network lost": ("network/{name}", "reconnect", lambda app: app.network.disconnect(app.container, force=True)),
 }

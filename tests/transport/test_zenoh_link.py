@@ -178,6 +178,18 @@ def test_a_killed_process_is_detected(bench: Bench) -> None:
     assert {status.state for status in ground.statuses.values()} == {"ACTIVE"}
 
 
+def test_a_status_that_no_reader_could_have_received_is_published_again(bench: Bench) -> None:
+    """The router knows of the first reader only after it was published, as it may after a reconnect on a busy machine."""
+    bench.router()
+    agent = bench.agent(refresh="1h")
+    until(lambda: agent.reporter.report()["published"] == 2, "the first publication, and its repetition")
+    received: list[str] = []
+    reader = zenoh.open(config("client", connect__endpoints=[bench.endpoint]))
+    bench.later(reader.close)
+    reader.declare_subscriber(f"phm/{FLEET}/*/status", lambda sample: received.append(str(sample.key_expr)))
+    until(lambda: received, "the status without a query")
+
+
 def test_a_hanging_process_is_detected_after_its_lease(bench: Bench) -> None:
     """Its connection stays open and silent; when it resumes, it is present again, with its state."""
     bench.router()

@@ -22,6 +22,7 @@ from phm.testing import settings
 from phm.transport.docker import DockerEngine, EngineConflict, EngineError, EngineMissing
 from phm_checks.unknown_containers import UnknownContainers
 from sitl.faults.address_silent import LINKS, set_link
+from sitl.faults.base import freeze
 from tests.fakes.until import until
 
 pytestmark = pytest.mark.engine
@@ -128,7 +129,7 @@ def test_events_of_a_real_container_trigger_its_checks(
     until(lambda: "healthy" in [event.detail for event in events], "healthy")
     made.exec_run(["rm", "/tmp/healthy"])
     until(lambda: "unhealthy" in [event.detail for event in events], "unhealthy")
-    made.pause()
+    freeze(made)
     made.unpause()
     made.kill()
     until(lambda: "die" in [event.action for event in events], "death")

@@ -400,3 +400,43 @@ def test_a_slow_engine_is_not_asked_about_all_containers(tmp_path: Path) -> None
     containers.engine.stats = stats  # type: ignore[method-assign]
     containers.consumers.read()
     assert containers.engine.asked == ["list", ID]
+
+
+class ManyContainers(CountingEngine):
+    """Sixty running containers; the one that uses two CPUs was started first, so the engine lists it last."""
+
+    def __init__(self, clock: Any, takes_s: float) -> None:
+        super().__init__()
+        self.clock, self.takes_s = clock, takes_s
+        ids = [f"{number:064x}" for number in range(60, 0, -1)]
+        self.names = [{"Id": each, "Names": [f"/c{int(each, 16)}"], "State": "running"} for each in ids]
+
+    def stats(self, container: str, **_: Any) -> Any:
+        self.clock.advance(self.takes_s)
+        used_s = 2.0 * self.clock.mono() if container.endswith("01") else 1.0
+        return {"cpu_stats": {"cpu_usage": {"total_usage": round(used_s * 1e9)}}}
+
+
+@pytest.mark.parametrize("takes_s", [0.02, 0.5])
+def test_every_container_is_asked_about_in_turn(tmp_path: Path, takes_s: float) -> None:
+    """However many run and however slow the engine is: those asked about in one reading are not always the same."""
+    containers = TwoContainers(tmp_path, files=False)
+    containers.consumers._engine = ManyContainers(containers.clock, takes_s)  # type: ignore[assignment]
+    found: tuple[ConsumerFact, ...] = ()
+    for _ in range(40):
+        found = containers.consumers.read()
+        if found:
+            break
+        containers.clock.advance(5.0)
+    assert [(fact.name, round(fact.cpus, 2)) for fact in found] == [("c1", 2.0)]
+
+
+def test_other_programs_are_not_blamed_while_the_containers_are_unknown(tmp_path: Path) -> None:
+    """The engine does not answer, or a proxy refuses its list: what uses the CPU may be a container."""
+    for error in (EngineRefused("403"), CannotTell("the engine did not answer")):
+        containers = TwoContainers(tmp_path, files=False)
+        containers.engine.names = error
+        containers.consumers.read()
+        containers.clock.advance(5.0)
+        containers.after(0.0, 0.0, 10.0)
+        assert containers.consumers.read() == ()

@@ -107,6 +107,16 @@ def test_the_keyboard_is_enough(page: Page) -> None:
     expect(row).to_be_focused()
 
 
+def test_requests_appear_when_a_busy_server_answers_again(page: Page) -> None:
+    """The panel of an agent asks again by itself."""
+    busy = [True]
+    page.route("**/api/choices*", lambda route: route.abort() if busy else route.continue_())
+    page.locator(".row[data-name=A07] button").click()
+    expect(page.get_by_text("No requests: the server does not answer.")).to_be_visible()
+    busy.clear()
+    expect(page.get_by_role("button", name="run all checks")).to_be_visible()
+
+
 def test_a_new_critical_is_seen_and_heard_until_it_is_acknowledged(page: Page, agents: Fleet) -> None:
     """It rings, flashes and marks its agent; silence ends the bell alone; to acknowledge ends the mark."""
     page.evaluate(

@@ -29,13 +29,14 @@ function announce(request) {
   toast(request.sentence || `${request.agent} ${request.text}: ${STATES[request.state]}`, request.accepted ? "ok" : "error");
 }
 
-/** Fill `place` with the choices for this agent. */
+/** Fill `place` with the choices for this agent. Returns whether the server answered. */
 export async function showChoices(place, name) {
-  let found;
+  let found, answered = true;
   try {
     found = await getJson("api/choices", { agent: name });
   } catch (error) {
     found = { choices: [], note: error.status === 404 ? "No requests are possible here." : `No requests: ${error.message}.` };
+    answered = error.status !== 0;
     checkSession(error);
   }
   render(place, [name, found, mayOperate()], () => [
@@ -43,6 +44,7 @@ export async function showChoices(place, name) {
     mayOperate() ? null : el("p", { class: "quiet", text: "This session may look, not act: its role is view." }),
     found.note ? el("p", { class: "quiet" }, said(found.note)) : null,
   ]);
+  return answered;
 }
 
 function choiceButton(name, choice) {

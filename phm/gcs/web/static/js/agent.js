@@ -11,6 +11,7 @@ import { ageOf, now, on, store } from "./store.js";
 import { LAYERS, PRESENCE, age, ago, cell, clock, pilotWords, received, slotLong, stateClass } from "./words.js";
 
 const FAULTS_EVERY_MS = 5000;
+const AGAIN_MS = 3000;
 const MOST_EVENTS = 20;
 const CHOICE_KEYS = ["advice", "containers", "on_hold", "presence"];
 let shown = "";
@@ -93,9 +94,15 @@ function show() {
   const key = JSON.stringify(CHOICE_KEYS.map((name) => agent[name]));
   if (key !== choicesFor && store.link === "live") {
     choicesFor = key;
-    showChoices(parts.choices, shown);
+    askChoices(key);
   }
   ages();
+}
+
+/** Again with a later update if the server did not answer: it may be busy. */
+async function askChoices(key) {
+  if (await showChoices(parts.choices, shown)) return;
+  setTimeout(() => { if (choicesFor === key) choicesFor = ""; }, AGAIN_MS);
 }
 
 function showAlarm(agent) {
