@@ -72,7 +72,8 @@ class PressureProbe(Protocol):
         """
 
     def consumers(self) -> tuple[ConsumerFact, ...]:
-        """Return the CPU use of all consumers between the previous call and this one, highest first. Empty for the first call.
+        """Return the CPU use of all consumers, highest first, each between its last two readings. Empty for the first call.
 
-        Reads each container, so call this only when there is a reason. Raises CannotTell.
+        Reads each container, so call this only when there is a reason. Without cgroups the engine is asked, about some containers
+        in each call and about all in turn. Raises CannotTell.
         """

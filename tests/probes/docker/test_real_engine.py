@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -115,8 +116,9 @@ def test_an_oom_kill_is_detected(real: Any, engine: DockerEngine) -> None:
     docker = probe(engine, made.name)
     made.start()
     until(lambda: fact_of(docker, made.name).status == "exited", "the container's end")
-    fact = fact_of(docker, made.name)
-    assert (fact.exit_code, fact.oom_killed) == (137, True)
+    assert fact_of(docker, made.name).exit_code == 137
+    # The engine learns of the end and of its cause by two messages of containerd, in any order.
+    until(lambda: fact_of(docker, made.name).oom_killed, "the cause", lambda: fact_of(docker, made.name))
 
 
 def test_events_of_a_real_container_trigger_its_checks(
@@ -180,8 +182,9 @@ def test_networks_are_disconnected_and_connected_with_ids(
     assert "nav" in joined.aliases
     assert joined.address
     until(lambda: "connect" in [event.action for event in events], "both events")
-    # The engine itself sends `disconnect` twice.
-    assert [(event.key, event.action, event.container) for event in events] == [
+    # The engine itself sends `disconnect` twice; on a busy machine so late that it counts as another one.
+    said = [(event.key, event.action, event.container) for event in events]
+    assert [each for each, _ in itertools.groupby(said)] == [
         (network.name, "disconnect", made.name),
         (network.name, "connect", made.name),
     ]
