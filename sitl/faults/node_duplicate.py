@@ -8,6 +8,7 @@ from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault
 
 PID = "/tmp/duplicate.pid"
+ENDED = f"for turn in 1 2 3 4 5 6; do kill -0 $(cat {PID}) 2>/dev/null || break; sleep 0.5; done; "
 
 
 class Injection(Fault):
@@ -24,16 +25,17 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         self._generation = agent.generation
         node = (
-            f"echo $$ > {PID}; exec ros-entrypoint python -m sitl.application.node --name node_1 --namespace /{agent.name} "
-            "--publish topic_1:10 --subscribe topic_3"
+            f"ros-entrypoint python -m sitl.application.node --name node_1 --namespace /{agent.name} --publish topic_1:10 "
+            f"--subscribe topic_3 </dev/null >/dev/null 2>&1 & echo $! > {PID}"
         )
         moment = time.monotonic()
-        agent.app.exec_run(["sh", "-c", node], detach=True)
+        agent.run_in_app("sh", "-c", node)  # its number is there when this returns, however busy the engine is
         return moment
 
     def clear(self, agent: Agent) -> None:
-        """After a restart it is gone, and its number may be another's."""
-        kill = f"kill $(cat {PID}) || true; " if agent.generation == self._generation else ""
+        """After a restart it is gone, and its number may be another's. A node that is starting may ignore SIGTERM."""
+        kill = f"kill $(cat {PID}) || true; {ENDED}kill -9 $(cat {PID}) 2>/dev/null || true; "
+        kill = kill if agent.generation == self._generation else ""
         agent.run_in_app("sh", "-c", f"if [ -e {PID} ]; then {kill}rm {PID}; fi")
 
     def restored(self, agent: Agent) -> bool | None:
