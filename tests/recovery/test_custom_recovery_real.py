@@ -21,7 +21,9 @@ def entry(**more: Any) -> dict[str, Any]:
 
 
 def faults(phm: Phm, kind: type[FaultOpened] | type[FaultClosed]) -> list[Fault]:
-    return [event.fault for event in list(phm.events) if isinstance(event, kind)]
+    """Of the custom checks; not those of an engine that is slow on a busy machine."""
+    found = [event.fault for event in list(phm.events) if isinstance(event, kind)]
+    return [fault for fault in found if fault.unit.startswith("custom/")]
 
 
 def test_a_failed_check_restarts_its_container_only_on_request(
@@ -40,11 +42,14 @@ def test_a_failed_check_restarts_its_container_only_on_request(
         phm.until(lambda: faults(phm, FaultOpened), "the fault without recovery")
         app.exec_run(["rm", "/tmp/well"])
         phm.until(lambda: phm.count(Phase.VERIFIED) == 1, "the verified restart")
+        assert [fault.unit for fault in faults(phm, FaultOpened)] == ["custom/alone", "custom/pump"], phm.seen()
+        assert len(faults(phm, FaultClosed)) == 1, (faults(phm, FaultClosed), phm.seen())
         (closed,) = faults(phm, FaultClosed)
         assert (closed.unit, closed.outcome, closed.by) == ("custom/pump", Outcome.RESOLVED, "restart")
         assert (closed.result.condition, closed.result.target) == ("custom_failed", "app")
         assert closed.result.summary == "pump: PUMP dry" and closed.result.brief == "pump PUMP dry"
-        assert [fault.unit for fault in phm.daemon.pipeline.open_faults()] == ["custom/alone"]
+        still = [fault.unit for fault in phm.daemon.pipeline.open_faults()]
+        assert [unit for unit in still if unit.startswith("custom/")] == ["custom/alone"]
         assert phm.count(Phase.STARTED) == 1
     finally:
         phm.daemon.stop()

@@ -128,7 +128,7 @@ def test_a_fault_is_acted_on_and_the_result_is_verified(worlds: list[World]) -> 
     """Started, done, verified; the fault is resolved by the action."""
     world = make(worlds)
     world.fail()
-    world.until(lambda: Phase.VERIFIED in world.phases())
+    world.until(lambda: Phase.VERIFIED in world.phases() and world.closed())
     for _ in range(100):
         world.clock.advance(0.05)
         world.look()
@@ -299,7 +299,7 @@ def test_an_action_that_leaves_dependents_down_is_followed_by_the_next_step(worl
 
     world.behave = fix_in_part
     world.fail()
-    world.until(lambda: Phase.VERIFIED in world.phases())
+    world.until(lambda: Phase.VERIFIED in world.phases() and world.closed())
     assert world.runs == ["start", "restart"]
     assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.FAILED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
     assert sum(isinstance(event, FaultOpened) for event in world.events) == 1

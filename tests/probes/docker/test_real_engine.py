@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import re
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -135,8 +136,9 @@ def test_events_of_a_real_container_trigger_its_checks(
     made.unpause()
     made.kill()
     until(lambda: "die" in [event.action for event in events], "death")
-    actions = [event.action for event in events if event.kind == "container"]
-    assert actions == ["start", "health_status", "health_status", "pause", "unpause", "kill", "die"]
+    actions = " ".join(event.action for event in events if event.kind == "container")
+    # A pause that the kernel refuses, see `freeze`, is published with its end.
+    assert re.sub("(pause unpause )+", r"\1", actions) == "start health_status health_status pause unpause kill die"
     assert "exit code 137" in [event.detail for event in events]
     assert not any(event.lost for event in events)
 
