@@ -78,9 +78,11 @@ def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
     views: dict[int, PeerView] = {agent: view for agent, peer in peers.all().items() if (view := peer.votes(now))}
     observers = tuple(sorted((peers.own, *views)))
     # Usually all observers receive the same agents: those need no counting, and 100 agents do not cost 10 000 comparisons.
-    undisputed = frozenset(agent for agent, how in seen.items() if how in THERE).intersection(
-        *(view.there | {observer} for observer, view in views.items())
-    )
+    received = frozenset(agent for agent, how in seen.items() if how in THERE)
+    disputed = {
+        agent for observer, view in views.items() for agent in received.difference(view.there) if agent != observer
+    }
+    undisputed = received - disputed
     statuses = {
         agent: _unanimous(agent, how, observers, views, peers)
         if agent in undisputed

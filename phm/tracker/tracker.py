@@ -194,6 +194,8 @@ class Tracker:
             if self._units[name].starving is not None and self._units[name].unknown:
                 self._note_starvation(self._units[name], now, effects)
         for record in self._units.values():
+            if record.settled:
+                continue  # most are, and this is called several times a second
             if record.unpublished:
                 self._evaluate(record, now, effects)
             effects.waiting |= record.waiting

@@ -187,6 +187,12 @@ class UnitRecord:
         return self.latest.level.bad and (self.published.level is not self.latest.level or self.new_condition)
 
     @property
+    def settled(self) -> bool:
+        """Its latest result is OK and nothing is open: time changes nothing."""
+        well = self.latest is not None and self.latest.level is Level.OK
+        return well and self.pending is None and self.fault is None and not self.escalated
+
+    @property
     def waiting(self) -> bool:
         """Whether time alone can change what is published, or when its check runs again."""
         return self.pending is not None or self.unpublished

@@ -15,13 +15,13 @@ from sitl.harness.compose_stack import ROOT
 SHIPPED = ROOT / "config" / "phm.yaml"
 
 
-class _Reader(yaml.SafeLoader):
+class _Reader(yaml.CSafeLoader):
     """Only true and false are booleans, as for PHM: on, off, yes and no are ordinary text."""
 
 
 _Reader.yaml_implicit_resolvers = {
     first: [(tag, form) for tag, form in found if tag != "tag:yaml.org,2002:bool"]
-    for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    for first, found in yaml.CSafeLoader.yaml_implicit_resolvers.items()
 }
 _Reader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"true|false"), list("tf"))
 

@@ -292,15 +292,15 @@ class World:
     def _is_bad(self, unit: str, at: float) -> bool:
         return any(span.covers(at) for span in self.bad.get(unit, ()))
 
-    def changes(self, units: Iterable[str]) -> Iterable[float]:
-        for unit in units:
-            if unit in self.bad or unit.startswith("health/"):  # most are neither, and this is asked at each tick
-                yield from self._changes(unit)
+    def changing(self, begin: float, end: float) -> set[str]:
+        """The units of which something changes in that time. Only those that are bad at some time, and the health."""
+        units = {*self.bad, f"health/{TARGET}"}
+        return {unit for unit in units if any(begin <= change < end for change in self._changes(unit))}
 
     def _changes(self, unit: str) -> Iterable[float]:
         for span in self.bad.get(unit, ()):
             yield from (span.begin, span.end)
-        if unit.startswith("health/"):
+        if unit == f"health/{TARGET}":
             starts = [life.at for life in self.lives] + [span.end for span in self.bad.get(f"container/{TARGET}", ())]
             yield from (start + PROBING_S for start in starts)
 
@@ -396,9 +396,9 @@ class Sim:
             self._observe(unit, result, started)
 
     def _wake_on_changes(self, begin: float, end: float) -> None:
-        for index, units in enumerate(self._checks):
-            changed = any(begin <= change < end for change in self.world.changes(units))
-            if changed and self.random.random() >= self.wakes_lost:
+        changed = {self._of_unit[unit] for unit in self.world.changing(begin, end) if unit in self._of_unit}
+        for index in sorted(changed):
+            if self.random.random() >= self.wakes_lost:
                 self._wake(index, 0.1)
         for life in self.world.lives:
             if begin <= life.at < end and self.random.random() >= self.wakes_lost:
