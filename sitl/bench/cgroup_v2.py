@@ -1,0 +1,181 @@
+"""PHM's pressure check on a kernel with cgroup v2 alone: real limits, real processes, no engine.
+
+`scripts/test-kernel` runs it as root in a virtual machine of its own; it changes limits below /sys/fs/cgroup, and needs a disk
+/dev/vda that may be overwritten. Exit 0 only if each row is what the kernel was made to do.
+"""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from phm import api, testing
+from phm.api import Level
+from phm.core.clock import SystemClock
+from phm.probes.pressure import Pressure as Probe
+from phm.transport.docker import DockerEngine
+from phm_checks.pressure import Pressure
+
+ROOT = Path("/sys/fs/cgroup")
+DISK = "/dev/vda"
+LIMIT_S = 90.0
+LOOK_S = 0.5
+MIB = 1 << 20
+IDS = ("ab" * 32, "cd" * 32)
+"""As of a container that is watched and of another one."""
+IDLE = "import time\nwhile True: time.sleep(60)"
+BUSY = "while True: pass"
+FORK = """
+import os, time
+for _ in range(20):
+    try:
+        if os.fork() == 0:
+            break
+    except OSError:
+        pass
+time.sleep(20)
+"""
+REREAD = f"""
+import mmap, os
+pages = mmap.mmap(os.open({DISK!r}, os.O_RDONLY), {48 * MIB}, prot=mmap.PROT_READ)
+pages.madvise(mmap.MADV_RANDOM)
+while True:
+    sum(pages[place] for place in range(0, len(pages), 4096))
+"""
+WRITE = f"""
+import mmap, os
+disk, data = os.open({DISK!r}, os.O_RDWR | os.O_DIRECT), mmap.mmap(-1, {MIB})
+while True:
+    os.lseek(disk, 0, 0)
+    os.write(disk, data)
+"""
+ALLOCATE = f"data = bytearray({64 * MIB})\nfor place in range(0, len(data), 4096): data[place] = 1"
+
+
+class Rows:
+    """Cgroups as Docker makes them, the check on the first, and what it said."""
+
+    def __init__(self) -> None:
+        (ROOT / "cgroup.subtree_control").write_text("+cpu +io +memory +pids")
+        parent = ROOT / "docker"
+        parent.mkdir()
+        (parent / "cgroup.subtree_control").write_text("+cpu +io +memory +pids")
+        self.group, self.other = (parent / name for name in IDS)
+        self.group.mkdir()
+        self.other.mkdir()
+        settings = testing.settings(containers=[{"name": "ros_app"}], pressure={"cgroups": str(ROOT)})
+        clock, docker = SystemClock(), testing.FakeDocker(testing.container("ros_app", id=IDS[0]))
+        engine = DockerEngine("unix:///nowhere")
+        self.probe = Probe(engine, docker, settings.containers, settings.pressure, clock)
+        (self.check,) = Pressure.build(settings)
+        self.world = testing.world(clock=clock, docker=docker, pressure=self.probe)
+        self.bad = 0
+
+    def limit(self, name: str, value: object) -> None:
+        (self.group / name).write_text(str(value))
+
+    @contextmanager
+    def running(self, *programs: str, others: bool = False) -> Iterator[None]:
+        """Python programs in the watched cgroup, or in the other one."""
+        group = self.other if others else self.group
+
+        enter = f"open({str(group / 'cgroup.procs')!r}, 'w').write('0')\n"
+        started = [subprocess.Popen([sys.executable, "-S", "-c", enter + code]) for code in programs]
+        try:
+            yield
+        finally:
+            for one in started:
+                one.kill()
+            for one in started:
+                one.wait()
+
+    def row(self, title: str, condition: str = "", least: Level = Level.ERROR) -> None:
+        """Look until the check reports that condition, at that level or a worse one; or OK if there is none."""
+        levels = (least, Level.ERROR) if condition else (Level.OK,)
+
+        def wanted(result: api.Result) -> bool:
+            return result.level in levels and condition in ("", result.condition)
+
+        end_s, result = time.monotonic() + LIMIT_S, self.look()
+        while not wanted(result) and time.monotonic() < end_s:
+            time.sleep(LOOK_S)
+            result = self.look()
+        self.bad += not wanted(result)
+        verdict = "as expected" if wanted(result) else f"NOT {condition or 'OK'}"
+        print(f"{title}: {verdict}: {result.level.name} {result.summary}", flush=True)
+
+    def look(self) -> api.Result:
+        result = self.check.run(self.world)
+        assert isinstance(result, api.Result)
+        return result
+
+
+def processor(rows: Rows) -> None:
+    with rows.running(BUSY):
+        rows.limit("cpu.max", "3000 100000")
+        rows.row("CPU limit lowered to 3 %", "cpu_throttled")
+    rows.limit("cpu.max", "max 100000")
+    rows.row("limit removed")
+
+
+def processes(rows: Rows) -> None:
+    rows.limit("pids.max", 5)
+    with rows.running(FORK):
+        rows.row("limit of processes reached", "pids_limit")
+    rows.limit("pids.max", "max")
+    rows.row("limit removed")
+
+
+def memory(rows: Rows) -> None:
+    with rows.running(REREAD):
+        time.sleep(5.0)  # it has read them once
+        rows.limit("memory.max", 34 * MIB)
+        rows.row("memory limit just above use", "memory_pressure")
+    rows.limit("memory.max", "max")
+    rows.row("limit removed")
+    rows.limit("memory.max", 24 * MIB)
+    with rows.running(ALLOCATE):
+        rows.row("killed for lack of memory", "memory_pressure")
+    rows.limit("memory.max", "max")
+    rows.row("limit removed")
+
+
+def disk(rows: Rows) -> None:
+    device = Path("/sys/class/block", Path(DISK).name, "dev").read_text().strip()
+    rows.limit("io.max", f"{device} rbps=262144 wbps=262144")
+    with rows.running(*[WRITE] * 4):
+        rows.row("slow disk", "io_pressure")
+    rows.limit("io.max", f"{device} rbps=max wbps=max")
+    rows.row("limit removed")
+
+
+def others(rows: Rows) -> None:
+    (rows.other / "cpu.weight").write_text("10000")
+    with rows.running(*[BUSY] * 4), rows.running(*[BUSY] * 12, others=True):
+        # How long it waits depends on how evenly two emulated processors are shared.
+        rows.row("other containers take the CPU", "cpu_starved", Level.WARN)
+    rows.row("they have ended")
+
+
+def main() -> int:
+    rows = Rows()
+    with rows.running(IDLE):
+        fact = rows.probe.container("ros_app")
+        assert fact is not None
+        stalls = fact.cpu is not None  # else the kernel was started with psi=0
+        known = f"not seen: {', '.join(fact.not_seen) or 'nothing'}"
+        print(f"Linux {platform.release()}, {fact.source}, {'with' if stalls else 'without'} PSI, {known}", flush=True)
+        rows.row("idle")
+        for part in (processor, processes, memory, *((disk, others) if stalls else ())):
+            part(rows)
+    print(f"{rows.bad} rows are not as expected", flush=True)
+    return 1 if rows.bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
