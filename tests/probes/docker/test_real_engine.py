@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import re
 import threading
 from collections.abc import Callable, Iterator
@@ -132,12 +131,13 @@ def test_events_of_a_real_container_trigger_its_checks(
     until(lambda: "healthy" in [event.detail for event in events], "healthy")
     made.exec_run(["rm", "/tmp/healthy"])
     until(lambda: "unhealthy" in [event.detail for event in events], "unhealthy")
-    freeze(made)
+    attempts = freeze(made)
     made.unpause()
     made.kill()
     until(lambda: "die" in [event.action for event in events], "death")
     actions = " ".join(event.action for event in events if event.kind == "container")
     # A pause that the kernel refuses, see `freeze`, is published with its end.
+    assert 1 <= actions.count(" pause ") <= attempts, (attempts, actions)
     assert re.sub("(pause unpause )+", r"\1", actions) == "start health_status health_status pause unpause kill die"
     assert "exit code 137" in [event.detail for event in events]
     assert not any(event.lost for event in events)
@@ -184,9 +184,12 @@ def test_networks_are_disconnected_and_connected_with_ids(
     assert "nav" in joined.aliases
     assert joined.address
     until(lambda: "connect" in [event.action for event in events], "both events")
-    # The engine itself sends `disconnect` twice; on a busy machine so late that it counts as another one.
     said = [(event.key, event.action, event.container) for event in events]
-    assert [each for each, _ in itertools.groupby(said)] == [
+    if (
+        len(said) == 3
+    ):  # the engine itself sends `disconnect` twice; on a busy machine so late that it counts as another one
+        assert said[0] == said.pop(1)
+    assert said == [
         (network.name, "disconnect", made.name),
         (network.name, "connect", made.name),
     ]
