@@ -20,6 +20,8 @@ IO_S = 5.0
 """Window for disk waits: a short write to a slow card is not a fault."""
 KILL_REPORT_S = 10.0
 """A process killed for lack of memory shows in one reading; it is reported for this long so that operators see it."""
+NEAR_LIMIT = 0.9
+"""A container that uses less than this share of its memory limit waits for another reason."""
 LOOK_FROM = 0.5
 """From this share of the waiting limit on, the top CPU consumer is determined: that takes two readings."""
 
@@ -128,27 +130,43 @@ class Pressure(PerContainer):
     def _judge_memory(
         self, fact: api.PressureFact, over: PressureDelta, newest: PressureDelta, now: float
     ) -> api.Result | None:
-        limit = "" if fact.memory_limit is None else f" of {_size(fact.memory_limit)}"
-        short = limit.removeprefix(" of")
         if newest.oom_kills:
             self._killed = now, newest.oom_kills
         levels = self._memory.level(over.memory, newest.memory), self._faults.level(over.faults_hz, newest.faults_hz)
         if self._killed is not None and now - self._killed[0] < KILL_REPORT_S:
-            words = (
-                f"{self.key} reached its memory limit{limit}, and the kernel killed {self._killed[1]} of its processes: raise the "
-                "limit (`mem_limit:`, `docker update --memory`), or find the leak"
-            )
-            return self._bad(Level.ERROR, words, f"memory limit{short}: killed", "memory_pressure")
+            return self._killed_for_memory(fact, self._killed[1])
         level = max(levels)
         if level is Level.OK:
             return None
         reads = f" and reads back {over.faults_hz:.0f} pages a second" if levels[1] is not Level.OK else ""
         waits = f"waits for memory {over.memory:.0f} % of the time" if over.memory is not None else "waits for memory"
+        limit = _reached_limit(fact)
+        if limit is None:
+            words = (
+                f"{self.key} {waits}{reads}, not because of a limit of its own: the computer has too little memory, see "
+                "`docker stats`, and stop or limit what uses most"
+            )
+            return self._bad(level, words, "waits for memory", "memory_pressure")
         words = (
-            f"{self.key} {waits}{reads}, because its memory limit{limit} is used up: raise it (`mem_limit:`, `docker update "
-            "--memory`), or find the leak"
+            f"{self.key} {waits}{reads}, because its memory limit of {_size(limit)} is used up: raise it (`mem_limit:`, "
+            "`docker update --memory`), or find the leak"
         )
-        return self._bad(level, words, f"memory limit{short} too small", "memory_pressure")
+        return self._bad(level, words, f"memory limit {_size(limit)} too small", "memory_pressure")
+
+    def _killed_for_memory(self, fact: api.PressureFact, count: int) -> api.Result:
+        """The kernel counts kills at the container's own limit and for lack of memory in the computer together."""
+        limit = fact.memory_limit
+        if limit is None:
+            words = (
+                f"the computer ran out of memory, and the kernel killed {count} of the processes of {self.key}: find what uses "
+                "most with `docker stats`, and give it a limit (`mem_limit:`)"
+            )
+            return self._bad(Level.ERROR, words, "killed, no memory left", "memory_pressure")
+        words = (
+            f"{self.key} reached its memory limit of {_size(limit)}, and the kernel killed {count} of its processes: raise the "
+            "limit (`mem_limit:`, `docker update --memory`), or find the leak"
+        )
+        return self._bad(Level.ERROR, words, f"memory limit {_size(limit)}: killed", "memory_pressure")
 
     def _judge_growth(self, fact: api.PressureFact) -> api.Result | None:
         """Memory without the page cache, which the kernel can evict. A container without a limit is judged with the host."""
@@ -238,6 +256,12 @@ def _values(fact: api.PressureFact, over: PressureDelta) -> dict[str, api.Value]
 
 def _not_seen(fact: api.PressureFact) -> str:
     return f"; not available: {', '.join(fact.not_seen)}" if fact.not_seen else ""
+
+
+def _reached_limit(fact: api.PressureFact) -> int | None:
+    """The memory limit in bytes if the container has reached it; None: it has not, or has none."""
+    limit, used = fact.memory_limit, fact.memory_bytes
+    return None if limit is None or (used is not None and used < NEAR_LIMIT * limit) else limit
 
 
 def _size(count: int) -> str:

@@ -46,6 +46,11 @@ def data_is_good(agent: Agent, proc: Path = PROC) -> bool:
     return bool(received) and good and works(agent, proc)
 
 
+def seen(agent: Agent, proc: Path = PROC) -> tuple[object, ...]:
+    """For a test that fails: what the nodes that run have received, and the end of what the application has printed."""
+    return _records(agent, proc), agent.app.logs(tail=30).decode(errors="replace")
+
+
 def root(agent: Agent, proc: Path = PROC) -> Path | None:
     """The root folder of the running application container as this machine sees it; None: it does not run."""
     state = agent.app.attrs["State"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import itertools
 import os
 import stat
 import tarfile
@@ -156,20 +155,16 @@ def put(container: Container, path: str, content: bytes, mode: int = 0o644) -> N
         raise RuntimeError(f"the engine did not take {path} for {container.name}")
 
 
-def freeze(container: Container) -> int:
-    """Pause a container; the number of attempts that it took.
-
-    On a starved machine with cgroup v1 the kernel now and then does not freeze it in time.
-    """
-    for attempt in itertools.count(1):
+def freeze(container: Container) -> None:
+    """Pause a container. On a starved machine with cgroup v1 the kernel now and then does not freeze it in time: try again."""
+    for left in reversed(range(FREEZES)):
         try:
             container.pause()
-            break
+            return
         except APIError as error:
-            if attempt == FREEZES or "unable to freeze" not in str(error):
+            if not left or "unable to freeze" not in str(error):
                 raise
         time.sleep(FREEZE_AGAIN_S)
-    return attempt
 
 
 class Fault(ABC):

@@ -200,6 +200,31 @@ def test_waiting_for_memory_is_pressure() -> None:
     assert bench.looks(3, memory=0.7)[-1].condition == "memory_pressure"
 
 
+@pytest.mark.parametrize("fact", [FACT, replace(FACT, memory_limit=None)], ids=["below its limit", "without a limit"])
+def test_memory_that_the_computer_lacks_is_not_blamed_on_a_limit(fact: api.PressureFact) -> None:
+    """A raised limit would not help."""
+    bench = Bench(fact)
+    bench.calm()
+    result = bench.looks(3, memory=0.7)[-1]
+    assert (result.level, result.condition, result.brief) == (
+        api.Level.ERROR,
+        "memory_pressure",
+        "ros_app waits for memory",
+    )
+    assert "the computer has too little memory" in result.summary and "raise it" not in result.summary
+
+
+def test_a_kill_without_a_memory_limit_is_blamed_on_the_computer() -> None:
+    """The kernel counts it in the same place."""
+    bench = Bench(replace(FACT, memory_limit=None))
+    bench.calm()
+    result = bench.look(oom_kills=2)
+    assert result.summary.startswith(
+        "the computer ran out of memory, and the kernel killed 2 of the processes of ros_app"
+    )
+    assert result.brief == "ros_app killed, no memory left"
+
+
 def test_an_oom_kill_inside_the_container_is_reported_for_a_while() -> None:
     """The container keeps running without that process."""
     bench = Bench()

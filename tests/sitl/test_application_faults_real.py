@@ -10,7 +10,7 @@ import pytest
 from docker import DockerClient
 
 from sitl.faults import all_faults, healthcheck_hangs, memory_leak, sigterm_ignored
-from sitl.faults._application import works
+from sitl.faults._application import seen, works
 from sitl.faults._node_signal import NodeSignal
 from sitl.faults._reading import ReadingFault
 from sitl.faults.base import Agent
@@ -57,11 +57,11 @@ def test_a_fault_breaks_the_application_and_clearing_ends_that(agent: Agent, nam
     fault = all_faults()[name]
     if isinstance(fault, ReadingFault):
         fault.prepare(agent)
-    until(lambda: fault.restored(agent), "the application")
+    until(lambda: fault.restored(agent), "the application", lambda: seen(agent))
     fault.inject(agent)
     until(lambda: not fault.restored(agent), "its effect")
     fault.clear(agent)
-    until(lambda: fault.restored(agent), "its end")
+    until(lambda: fault.restored(agent), "its end", lambda: seen(agent))
     if isinstance(fault, ReadingFault):
         fault.dismantle(agent)
 
