@@ -96,10 +96,19 @@ class ControlServer:
         return self.execute(request, by)
 
     def _listen(self) -> socket.socket | None:
+        try:
+            listener = self._bound()
+        except OSError as error:
+            self._problem = f"cannot create {os.path.join(self._run_dir, NAME)}: {error.strerror or error}; `phm approve` does not work"
+            return None
+        self._problem = ""
+        return listener
+
+    def _bound(self) -> socket.socket:
         """Bind under another name, restrict its mode, and only then rename it: it is never open to other users."""
         name = f"{NAME}.{os.getpid()}"
-        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
+        with contextlib.ExitStack() as failed:
+            listener = failed.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
             os.makedirs(self._run_dir, exist_ok=True)
             with address(self._run_dir, name) as path:
                 with contextlib.suppress(FileNotFoundError):
@@ -109,9 +118,5 @@ class ControlServer:
                 listener.listen(BACKLOG)
                 self._inode = os.stat(path).st_ino
                 os.replace(path, os.path.join(os.path.dirname(path), NAME))
-        except OSError as error:
-            listener.close()
-            self._problem = f"cannot create {os.path.join(self._run_dir, NAME)}: {error.strerror or error}; `phm approve` does not work"
-            return None
-        self._problem = ""
+            failed.pop_all()
         return listener

@@ -32,6 +32,10 @@ ReadAgain = Callable[[], Configuration]
 """Reads and validates the configuration file again. Raises ConfigError."""
 
 
+class HandoverFailed(Exception):
+    """The present daemon has ended, and the new one could not be started: nothing is checked until PHM is restarted."""
+
+
 @dataclass(frozen=True, slots=True)
 class ReloadOutcome:
     """changed: sections that apply now. restart: changed sections that apply after a restart of PHM. why: the reason when not ok."""
@@ -84,11 +88,13 @@ class Reloader:
         return request.outcome.as_json()
 
     def run(self, daemon: Daemon) -> Daemon:
-        """Reload; returns the daemon that runs from now on. Never raises."""
+        """Reload; returns the daemon that runs from now on. Raises nothing but HandoverFailed."""
         with self._lock:
             waiting, self._waiting = self._waiting, []
         try:
             daemon, outcome = self._reload(daemon)
+        except HandoverFailed:
+            raise
         except Exception as error:  # a defect here must not end PHM
             logger.exception("the configuration could not be reloaded")
             outcome = ReloadOutcome(False, why=f"{type(error).__name__}: {error}")
@@ -128,5 +134,8 @@ class Reloader:
         except Exception:  # a defect: the present daemon goes on, and `run` reports the failure
             daemon.cancel_handover()
             raise
-        new.start()
+        try:
+            new.start()
+        except Exception as error:  # a defect, or no memory for another thread
+            raise HandoverFailed(f"{type(error).__name__}: {error}") from error
         return new, ReloadOutcome(True, changed, restart)

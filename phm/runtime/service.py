@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 from dataclasses import dataclass
+from typing import NoReturn
 
 from phm.core import memory, threads
 from phm.core.clock import SystemClock
@@ -17,7 +18,7 @@ from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.configuration import Configuration
 from phm.runtime.daemon import STALLED_END_S, SUPERVISE_S, Daemon
 from phm.runtime.delivery import Delivery, open_server
-from phm.runtime.reload import ReadAgain, Reloader
+from phm.runtime.reload import HandoverFailed, ReadAgain, Reloader
 
 logger = logging.getLogger(__name__)
 
@@ -34,7 +35,7 @@ class _Running:
 def run(configuration: Configuration, read: ReadAgain) -> int:
     """Run until SIGTERM or SIGINT; 0 after an orderly end. read: reads the configuration again, on SIGHUP. Raises AlreadyRunning.
 
-    Exits with 70 (EX_SOFTWARE) when the scheduler has stalled: restart policies act on that.
+    Exits with 70 (EX_SOFTWARE) when the scheduler has stalled, or a reload failed halfway: restart policies act on that.
     """
     settings = configuration.settings
     lock = InstanceLock(settings.state_dir, settings.run_dir)
@@ -79,8 +80,7 @@ def _serve(running: _Running, signals: Signals, reloader: Reloader, systemd: Sys
     while True:
         if not running.daemon.supervise():
             logger.critical("PHM has stalled for %.0f s and exits so that it is restarted", STALLED_END_S)
-            logging.shutdown()
-            os._exit(os.EX_SOFTWARE)  # an orderly stop would wait for what hangs
+            _exit()
         if running.daemon.alive:
             systemd.watchdog()
         for number in signals.wait(SUPERVISE_S):
@@ -90,5 +90,17 @@ def _serve(running: _Running, signals: Signals, reloader: Reloader, systemd: Sys
                 running.daemon.wake()
             if number == signal.SIGHUP:
                 systemd.reloading()
-                running.daemon = reloader.run(running.daemon)
+                try:
+                    running.daemon = reloader.run(running.daemon)
+                except HandoverFailed:
+                    logger.critical(
+                        "PHM could not start again after a reload and exits so that it is restarted", exc_info=True
+                    )
+                    _exit()
                 systemd.ready()
+
+
+def _exit() -> NoReturn:
+    """At once: an orderly stop would wait for what hangs."""
+    logging.shutdown()
+    os._exit(os.EX_SOFTWARE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import random
@@ -11,6 +12,7 @@ import stat
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from click.testing import CliRunner
@@ -216,3 +218,20 @@ def test_a_run_directory_that_cannot_be_created_is_a_problem(tmp_path: Path) -> 
     until(control.problem, "the problem")
     assert "`phm approve` does not work" in control.problem()
     control.close()
+
+
+def test_without_a_free_descriptor_the_socket_is_created_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread does not end: `phm approve` works as soon as there is one."""
+    monkeypatch.setattr("phm.commands.control_server.RETRY_S", 0.02)
+    control = ControlServer(str(tmp_path / "run"))
+    with monkeypatch.context() as exhausted:
+        exhausted.setattr("phm.commands.control_server.socket.socket", _no_descriptor)
+        control.start()
+        until(control.problem, "the problem")
+    until((tmp_path / "run" / wire.NAME).exists, "the socket")
+    until(lambda: control.problem() == "", "the end of the problem")
+    control.close()
+
+
+def _no_descriptor(*options: object) -> NoReturn:
+    raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))

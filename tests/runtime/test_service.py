@@ -44,21 +44,39 @@ from phm.cli import main
 main(sys.argv[1:])
 """
 
+# The daemon of a new configuration cannot be started, after that of the present one has ended.
+HALFWAY = """
+import sys
+from phm.runtime.daemon import Daemon
+begin, begun = Daemon._start_recovery, []
+def fail(daemon):
+    begun.append(daemon)
+    if len(begun) > 1:
+        raise MemoryError("no thread")
+    begin(daemon)
+Daemon._start_recovery = fail
+from phm.cli import main
+main(sys.argv[1:])
+"""
+
 
 class Running:
     """`phm run` with its own configuration."""
 
     def __init__(self, folder: Path, *before: str, **more: Any) -> None:
         self.folder = folder
+        self.write(**more)
+        self.process = self.another(*before)
+
+    def write(self, **more: Any) -> None:
         places = {
-            "state_dir": str(folder / "state"),
-            "run_dir": str(folder / "run"),
-            "log": {"directory": str(folder / "log")},
+            "state_dir": str(self.folder / "state"),
+            "run_dir": str(self.folder / "run"),
+            "log": {"directory": str(self.folder / "log")},
         }
-        (folder / "phm.yaml").write_text(
+        (self.folder / "phm.yaml").write_text(
             json.dumps({"agent": {"id": 1}, "checks": {"host": {"enabled": False}}, **places, **more})
         )
-        self.process = self.another(*before)
 
     def another(self, *before: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
@@ -185,6 +203,21 @@ def test_a_sigterm_at_the_worst_moment_ends_the_daemon(start: Callable[..., Runn
     running.process.send_signal(signal.SIGTERM)
     _, errors = running.process.communicate(timeout=LIMIT_S)
     assert (running.process.returncode, errors) == (0, "")
+
+
+def test_a_reload_that_fails_halfway_ends_phm_at_once(start: Callable[..., Running], tmp_path: Path) -> None:
+    """Nothing would be checked until it is noticed as a stall: the exit code has it restarted."""
+    script = tmp_path / "halfway.py"
+    script.write_text(HALFWAY)
+    running = start(str(script))
+    running.ready()
+    running.write(interval="3s")
+    running.process.send_signal(signal.SIGHUP)
+    _, errors = running.process.communicate(timeout=LIMIT_S)
+    assert running.process.returncode == os.EX_SOFTWARE
+    assert "could not start again after a reload" in errors and "no thread" in errors
+    assert "the old one remains active" not in errors
+    assert running.marker.exists(), "the next start knows that this end was not requested"
 
 
 def test_a_sigterm_at_the_worst_moment_ends_the_ground_station(tmp_path: Path) -> None:
