@@ -13,17 +13,23 @@ from phm import api
 LEAST_S = 0.4
 """Over a shorter time, shares mean nothing: the kernel grants the CPU limit in ten periods per second."""
 MOST_READINGS = 200
+PAGE_S = 0.01
+"""Reading a page back takes at most this long, also from an SD card; if it takes longer, the disk is what is slow."""
 
 
 @dataclass(frozen=True, slots=True)
 class PressureDelta:
-    """What happened to a container in `seconds`. Shares are in percent of that time; None: not available."""
+    """What happened to a container in `seconds`. Shares are in percent of that time; None: not available.
+
+    memory: waiting for memory by the kernel's measure. shortage: the part of it that more memory would end, see `_shortage`.
+    """
 
     seconds: float
     cpus: float | None = None
     throttled: float | None = None
     waiting: float | None = None
     memory: float | None = None
+    shortage: float | None = None
     io: float | None = None
     faults_hz: float | None = None
     oom_kills: int = 0
@@ -78,14 +84,17 @@ def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> Pres
     waiting = _share(old.cpu, new.cpu, seconds)
     used_s = _risen(old.cpu_used_s, new.cpu_used_s)
     faults = _risen(old.reread_pages, new.reread_pages)
+    memory, io = _share(old.memory, new.memory, seconds), _share(old.io, new.io, seconds)
+    limited = new.memory_limit is not None
     return PressureDelta(
         seconds,
         cpus=None if used_s is None else used_s / seconds,
         throttled=throttled,
         # The kernel counts tasks that the limit throttles among those that wait for a CPU.
         waiting=None if waiting is None else max(0.0, waiting - (throttled or 0.0)),
-        memory=_share(old.memory, new.memory, seconds),
-        io=_share(old.io, new.io, seconds),
+        memory=memory,
+        shortage=_shortage(memory, io, (faults or 0.0) / seconds) if limited else memory,
+        io=io,
         faults_hz=None if faults is None else faults / seconds,
         oom_kills=int(_risen(old.oom_kills, new.oom_kills) or 0),
         refused=int(_risen(old.pids_refused, new.pids_refused) or 0),
@@ -107,6 +116,17 @@ def _throttled(old: api.PressureFact, new: api.PressureFact, seconds: float) -> 
         return None
     wanted_s = stopped_s + used_s
     return 100.0 * min(1.0, hits * new.cpu_period_s / seconds) * stopped_s / wanted_s if wanted_s > 0 else 0.0
+
+
+def _shortage(memory: float | None, io: float | None, faults_hz: float) -> float | None:
+    """Percent of the time in which a container with a memory limit waits because of the limit.
+
+    A task that waits for the disk to make memory free (until its own data have been written) or to bring a page back is counted as
+    waiting for memory and for the disk. Only the latter is for lack of memory: a recorder at its limit waits for the disk.
+    """
+    if memory is None or io is None:
+        return memory
+    return max(0.0, memory - max(0.0, io - 100.0 * PAGE_S * faults_hz))
 
 
 def _share(old: api.StallFact | None, new: api.StallFact | None, seconds: float) -> float | None:

@@ -109,7 +109,7 @@ class Pressure(PerContainer):
         shares = (
             (newest.throttled, limits.throttled),
             (newest.waiting, limits.waiting),
-            (newest.memory, limits.memory),
+            (newest.shortage, limits.memory),
         )
         return any(share is not None and share >= limit.warn for share, limit in shares)
 
@@ -132,14 +132,19 @@ class Pressure(PerContainer):
     ) -> api.Result | None:
         if newest.oom_kills:
             self._killed = now, newest.oom_kills
-        levels = self._memory.level(over.memory, newest.memory), self._faults.level(over.faults_hz, newest.faults_hz)
+        levels = (
+            self._memory.level(over.shortage, newest.shortage),
+            self._faults.level(over.faults_hz, newest.faults_hz),
+        )
         if self._killed is not None and now - self._killed[0] < KILL_REPORT_S:
             return self._killed_for_memory(fact, self._killed[1])
         level = max(levels)
         if level is Level.OK:
             return None
         reads = f" and reads back {over.faults_hz:.0f} pages a second" if levels[1] is not Level.OK else ""
-        waits = f"waits for memory {over.memory:.0f} % of the time" if over.memory is not None else "waits for memory"
+        waits = (
+            f"waits for memory {over.shortage:.0f} % of the time" if over.shortage is not None else "waits for memory"
+        )
         limit = _reached_limit(fact)
         if limit is None:
             words = (

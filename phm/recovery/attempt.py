@@ -264,7 +264,7 @@ class Attempt:
         if not self._type.starts:
             return contextlib.nullcontext()
         name = self._target.name
-        return self._generations.acting(name, name, self._engine.take_unanswered)
+        return self._generations.acting(name, name, self._engine.take_unanswered, lambda: self._engine.disturbs)
 
     def _forbids(self, key: str, impact: Impact) -> str:
         return self._guard.forbids(key, impact, self._approved_at)
@@ -280,7 +280,7 @@ class Attempt:
                 raise TargetBusy(f"{key} is being stopped")
             self._locks.start_hold(key, self, fault.unit, action, at_most_s)
             try:
-                with self._generations.acting(key, name, self._engine.take_unanswered):
+                with self._generations.acting(key, name, self._engine.take_unanswered, lambda: self._engine.disturbs):
                     yield
             finally:
                 self._locks.end_hold(key, self, worked=True)

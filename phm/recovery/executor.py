@@ -265,8 +265,8 @@ class Executor:
         return self._worker(container).restart(by)
 
     def action_on(self, target: str) -> bool:
-        """Whether what the engine does to it may be PHM's doing: an action is at work, or a call got no answer."""
-        return target in self._generations.unfinished()
+        """Whether an end or start of it may be PHM's doing: an action has requested that, or such a call got no answer."""
+        return self._generations.disturbed(target)
 
     def stop(self) -> None:
         """Have all workers begin nothing more."""

@@ -112,6 +112,7 @@ def test_one_calm_second_does_not_end_a_fault() -> None:
         ),
         pytest.param({"cpu": 0.7}, id="waits as on a machine with load 9 per core, and gets what it needs"),
         pytest.param({"memory": 0.33, "io": 0.3, "reread_pages": 8}, id="page cache is filled up to the limit"),
+        pytest.param({"memory": 0.49, "io": 0.45, "reread_pages": 8}, id="the same beside others that use the disk"),
         pytest.param({"io": 0.45}, id="a recorder writes"),
     ],
 )
@@ -191,6 +192,13 @@ def test_memory_that_is_read_back_from_disk_is_pressure() -> None:
     assert (result.level, result.condition) == (api.Level.ERROR, "memory_pressure")
     assert "reads back 4000 pages a second" in result.summary and "limit of 64 MB" in result.summary
     assert result.brief == "ros_app memory limit 64 MB too small"
+
+
+def test_pages_that_a_slow_disk_reads_back_are_pressure() -> None:
+    """An SD card: few pages a second, and the container does nothing but wait for them."""
+    bench = Bench(replace(FACT, memory_bytes=64 * MIB))
+    bench.calm()
+    assert bench.looks(3, memory=0.9, io=0.9, reread_pages=90)[-1].condition == "memory_pressure"
 
 
 def test_waiting_for_memory_is_pressure() -> None:

@@ -93,11 +93,12 @@ def resets_attempts(generation: Generation, fact: ContainerFact, now: float, las
 class _Actor:
     """PHM is acting on a container to recover `who`; after `ended` (monotonic seconds), until the outcome was observed.
 
-    `unanswered` calls may still start the container, each once, until `until` (monotonic seconds).
+    `disturbs`: whether it has begun to stop or start containers. `unanswered` calls may still start the container, each once, until `until` (monotonic seconds).
     """
 
     who: str
     ended: float | None = None
+    disturbs: Callable[[], bool] = lambda: True
     unanswered: int = 0
     until: float = float("-inf")
 
@@ -152,11 +153,18 @@ class GenerationTracker:
             self._generations.pop(key, None)
 
     @contextlib.contextmanager
-    def acting(self, key: str, who: str, unanswered: Callable[[], int] = lambda: 0) -> Iterator[None]:
+    def acting(
+        self,
+        key: str,
+        who: str,
+        unanswered: Callable[[], int] = lambda: 0,
+        disturbs: Callable[[], bool] = lambda: True,
+    ) -> Iterator[None]:
         """Inside this context, and until the outcome was observed, a new generation of `key` is attributed to PHM,
         acting for `who`. unanswered: returns how many calls that start `key` got no response; called once, at the end.
+        disturbs: returns whether PHM has begun to stop or start containers.
         """
-        actor = _Actor(who)
+        actor = _Actor(who, disturbs=disturbs)
         with self._lock(key):
             self._update(key)  # a start before this is not PHM's
             before = self._actors.get(key)
@@ -175,7 +183,7 @@ class GenerationTracker:
         """An action on `key` to recover `who` was interrupted when PHM stopped; the engine may complete it. Call before
         any observation."""
         now = self._clock.mono()
-        self._actors[key] = _Actor(who, now, 1, now + UNFINISHED_S)
+        self._actors[key] = _Actor(who, now, unanswered=1, until=now + UNFINISHED_S)
 
     def unfinished(self) -> dict[str, str]:
         """The containers on which PHM is acting, or for which a call got no response, each with the container to
@@ -186,6 +194,14 @@ class GenerationTracker:
             for key, actor in actors.items()
             if actor.ended is None or (actor.unanswered > 0 and now < actor.until)
         }
+
+    def disturbed(self, key: str) -> bool:
+        """Whether PHM has begun to stop or start containers in an action on this one, or such a call got no response."""
+        actor = self._actors.get(key)
+        if actor is None:
+            return False
+        at_work = actor.ended is None and actor.disturbs()
+        return at_work or (actor.unanswered > 0 and self._clock.mono() < actor.until)
 
     def _lock(self, key: str) -> threading.Lock:
         return self._locks.setdefault(key, threading.Lock())

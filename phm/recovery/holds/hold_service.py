@@ -56,8 +56,8 @@ class HoldInputs:
     armed:     the vehicle's armed state; unknown counts as in the air.
     container: the engine's current view of a configured container, for its label. Raises CannotTell.
     stream:    the engine's event stream.
-    own:       whether the engine's changes of a container may be PHM's doing: an action in progress, or a call without
-               a response.
+    own:       whether the end or start of a container may be PHM's doing: an action has requested it, or a call to
+               start it got no response.
     """
 
     armed: Callable[[], ArmedStatus]

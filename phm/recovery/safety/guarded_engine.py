@@ -44,6 +44,8 @@ BRINGS_BACK = frozenset({"start", "unpause", "connect"})
 """Never refused for what the same action took down: an action that is half done is worse than one that is complete."""
 STARTS = frozenset({"start", "restart"})
 """Calls that start a container; the engine may still carry them out after it gave no answer."""
+BEGINS_OR_ENDS = STARTS | {"stop", "kill"}
+"""Calls after which the engine reports that a container ends or starts."""
 
 Forbids = Callable[[str, Impact], str]
 
@@ -57,6 +59,8 @@ class GuardedEngine:
         self._engine, self._guard, self._forbids = engine, flight_critical_guard, forbids
         self._down: set[str] = set()
         self._unanswered = 0
+        self.disturbs = False
+        """Whether a call that begins or ends the life of a container has been made: until then, a stop is an operator's."""
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._engine, name)
@@ -66,6 +70,7 @@ class GuardedEngine:
         def guarded(*args: Any, **kwargs: Any) -> Any:
             given = inspect.signature(found).bind(*args, **kwargs).arguments
             self._ask(name, str(given.get("container") or given.get("ref") or ""))
+            self.disturbs |= name in BEGINS_OR_ENDS
             try:
                 return found(*args, **kwargs)
             except EngineNotConnected:

@@ -353,16 +353,32 @@ def test_only_an_unanswered_start_is_attributed_to_phm(yard: Yard, call: str, fa
     assert agent.executor.action_on("app") is own
 
 
-@pytest.mark.parametrize("action", ["relaunch", "restart"])
-def test_an_external_stop_during_a_relaunch_is_not_phms_own(yard: Yard, action: str) -> None:
+def test_an_external_stop_during_a_relaunch_is_not_phms_own(yard: Yard) -> None:
     """An operator's `docker stop` during a relaunch is a manual stop."""
-    agent = yard.phm(actions=(action,), ladders={"broken": [action]})
+    agent = yard.phm(actions=("relaunch",), ladders={"broken": ["relaunch"]})
     agent.rest(3.0)
     seen: list[bool] = []
     agent.behave = lambda key, context, fault: seen.append(agent.executor.action_on("app"))
     agent.bad["health/app"] = "broken"
     agent.until(lambda: seen, "the action")
-    assert seen[0] is (action == "restart")
+    assert seen == [False]
+
+
+def test_an_external_stop_before_phm_stops_the_container_is_not_phms_own(yard: Yard) -> None:
+    """Such as while it reconnects the container's networks, before it restarts it."""
+    agent = yard.phm()
+    agent.rest(3.0)
+    seen: list[bool] = []
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        seen.append(agent.executor.action_on("app"))
+        context.engine.restart(key)
+        seen.append(agent.executor.action_on("app"))
+
+    agent.behave = act
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: len(seen) > 1, "the action")
+    assert seen[:2] == [False, True]
 
 
 @pytest.mark.parametrize("action", ["relaunch", "restart"])
