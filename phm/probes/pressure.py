@@ -11,6 +11,7 @@ from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, PressureSettings
 from phm.facts import CannotTell, ConsumerFact, DockerProbe, PressureFact
 from phm.probes import cgroups, engine_stats
+from phm.probes.stall_sampler import SUSPECT, StallSampler
 from phm.probes.top_consumers import TopConsumers
 from phm.transport.docker import DockerEngine, EngineMissing
 
@@ -30,6 +31,8 @@ class _Entry:
     group: cgroups.Cgroup | None = None
     answer: PressureFact | None = None
     asked_at: float = float("-inf")
+    before: PressureFact | None = None
+    """The previous reading of its files."""
     without_cache: int | None = None
     cache_at: float = float("-inf")
 
@@ -48,6 +51,7 @@ class Pressure:
         self._engine, self._docker, self._clock = engine, docker, clock
         self._root = Path(settings.cgroups)
         self._entries = {entry.key: _Entry() for entry in containers}
+        self._sampler = StallSampler(clock)
         self._consumers = TopConsumers(engine, self._root, clock, self._known)
 
     def container(self, name: str) -> PressureFact | None:
@@ -72,7 +76,11 @@ class Pressure:
         if entry.group is None:
             return None
         try:
-            return self._with_cache(entry, entry.group, cgroups.read(entry.group, self._clock.mono()))
+            fact = cgroups.read(entry.group, self._clock.mono())
+            if _waits(entry.before, fact):
+                self._sampler.suspect(f"{entry.group.unified}/cpu.pressure")
+            entry.before = fact
+            return self._with_cache(entry, entry.group, fact)
         except OSError:
             entry.group = None
             return None
@@ -104,3 +112,12 @@ class Pressure:
         entry.asked_at = self._clock.mono()
         entry.answer = engine_stats.pressure_fact(answer, container, entry.asked_at)
         return entry.answer
+
+
+def _waits(before: PressureFact | None, now: PressureFact) -> bool:
+    """Whether the container seems to wait for a CPU."""
+    if before is None or before.cpu is None or now.cpu is None or before.generation != now.generation:
+        return False
+    if before.cpu.full_s is None or now.cpu.full_s is None:
+        return False
+    return now.cpu.full_s - before.cpu.full_s >= SUSPECT * (now.at - before.at) > 0

@@ -93,7 +93,8 @@ def resets_attempts(generation: Generation, fact: ContainerFact, now: float, las
 class _Actor:
     """PHM is acting on a container to recover `who`; after `ended` (monotonic seconds), until the outcome was observed.
 
-    `disturbs`: whether it has begun to stop or start containers. `unanswered` calls may still start the container, each once, until `until` (monotonic seconds).
+    `disturbs`: whether it has begun to stop or start containers. `unanswered` calls may still start the container, each
+    once, until `until` (monotonic seconds).
     """
 
     who: str

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,10 @@ from phm import testing
 from phm.facts import CannotTell, ConsumerFact, ContainerFact, StallFact
 from phm.probes import cgroups, engine_stats
 from phm.probes.pressure import ENGINE_EVERY_S, Pressure
+from phm.probes.stall_sampler import KEEP_S, PERIOD_S
 from phm.probes.top_consumers import LEAST_S, MOST_S, TopConsumers
 from phm.transport.docker import EngineMissing, EngineRefused
+from tests.fakes.until import LIMIT_S, until
 
 ID = "ab" * 32
 OTHER = "cd" * 32
@@ -139,6 +142,30 @@ def test_version_2_is_read(tmp_path: Path) -> None:
         pids_limit=20,
         pids_refused=3,
     )
+
+
+def test_a_container_that_seems_to_wait_is_read_often(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel counts too little if tasks change their CPU between two readings. One that does not wait any more is left."""
+    read: list[str] = []
+    monkeypatch.setattr("phm.probes.stall_sampler.head", lambda path, most: read.append(path))
+    folder, bench = v2(tmp_path), Bench(tmp_path)
+
+    def second(full_us: int) -> None:
+        (folder / "cpu.pressure").write_text(f"some avg10=0.00 total={full_us}\nfull avg10=0.00 total={full_us}\n")
+        bench.clock.advance(1.0)
+        bench.probe.container("ros_app")
+
+    second(3_000_000)
+    second(3_100_000)
+    assert read == []
+    second(3_300_000)
+    for _ in range(3):
+        bench.clock.wait_for_sleepers(1, LIMIT_S)
+        bench.clock.advance(PERIOD_S)
+    bench.clock.wait_for_sleepers(1, LIMIT_S)
+    assert read == [str(folder / "cpu.pressure")] * 4
+    bench.clock.advance(KEEP_S)
+    until(lambda: "phm-stalls" not in [thread.name for thread in threading.enumerate()], "the end of the readings")
 
 
 def test_version_1_is_read_with_the_pressure_of_hybrid_mode(tmp_path: Path) -> None:
