@@ -93,7 +93,7 @@ def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> Pres
         # The kernel counts tasks that the limit throttles among those that wait for a CPU.
         waiting=None if waiting is None else max(0.0, waiting - (throttled or 0.0)),
         memory=memory,
-        shortage=_shortage(memory, io, (faults or 0.0) / seconds) if limited else memory,
+        shortage=_shortage(memory, io or 0.0, waiting or 0.0, (faults or 0.0) / seconds) if limited else memory,
         io=io,
         faults_hz=None if faults is None else faults / seconds,
         oom_kills=int(_risen(old.oom_kills, new.oom_kills) or 0),
@@ -118,15 +118,16 @@ def _throttled(old: api.PressureFact, new: api.PressureFact, seconds: float) -> 
     return 100.0 * min(1.0, hits * new.cpu_period_s / seconds) * stopped_s / wanted_s if wanted_s > 0 else 0.0
 
 
-def _shortage(memory: float | None, io: float | None, faults_hz: float) -> float | None:
+def _shortage(memory: float | None, io: float, waiting: float, faults_hz: float) -> float | None:
     """Percent of the time in which a container with a memory limit waits because of the limit.
 
-    A task that waits for the disk to make memory free (until its own data have been written) or to bring a page back is counted as
-    waiting for memory and for the disk. Only the latter is for lack of memory: a recorder at its limit waits for the disk.
+    To the kernel, a task that makes memory free waits for memory, also while it waits for the disk (until its own data have been
+    written, or a page has been brought back) or for a CPU. Of these, only the page that is brought back is for lack of memory: a
+    recorder at its limit waits for the disk.
     """
-    if memory is None or io is None:
-        return memory
-    return max(0.0, memory - max(0.0, io - 100.0 * PAGE_S * faults_hz))
+    if memory is None:
+        return None
+    return max(0.0, memory - max(0.0, io - 100.0 * PAGE_S * faults_hz) - waiting)
 
 
 def _share(old: api.StallFact | None, new: api.StallFact | None, seconds: float) -> float | None:
