@@ -60,7 +60,39 @@ ALLOCATE = f"data = bytearray({64 * MIB})\nfor place in range(0, len(data), 4096
 
 
 class Rows:
-    """Cgroups as Docker makes them, the check on the first, and what it said."""
+    """What the check says, row by row. bad: the number of rows that are not as expected."""
+
+    def __init__(self, check: api.Check, world: api.World) -> None:
+        self.check, self.world, self.bad = check, world, 0
+
+    def row(self, title: str, condition: str = "") -> None:
+        """Look until the check is in ERROR with that condition, or OK if there is none."""
+        level = Level.ERROR if condition else Level.OK
+
+        def wanted(result: api.Result) -> bool:
+            return result.level is level and condition in ("", result.condition)
+
+        end_s, result = time.monotonic() + LIMIT_S, self.look()
+        while not wanted(result) and time.monotonic() < end_s:
+            time.sleep(LOOK_S)
+            result = self.look()
+        self.bad += not wanted(result)
+        verdict = "as expected" if wanted(result) else f"NOT {condition or 'OK'}"
+        print(f"{title}: {verdict}: {result.level.name} {result.summary}", flush=True)
+
+    def look(self) -> api.Result:
+        result = self.check.run(self.world)
+        assert isinstance(result, api.Result)
+        return result
+
+    def end(self) -> int:
+        """Say how many are not as expected; the exit code."""
+        print(f"{self.bad} rows are not as expected", flush=True)
+        return 1 if self.bad else 0
+
+
+class GroupRows(Rows):
+    """Cgroups as Docker makes them, and the check on the first."""
 
     def __init__(self) -> None:
         (ROOT / "cgroup.subtree_control").write_text("+cpu +io +memory +pids")
@@ -74,9 +106,8 @@ class Rows:
         clock, docker = SystemClock(), testing.FakeDocker(testing.container("ros_app", id=IDS[0]))
         engine = DockerEngine("unix:///nowhere")
         self.probe = Probe(engine, docker, settings.containers, settings.pressure, clock)
-        (self.check,) = Pressure.build(settings)
-        self.world = testing.world(clock=clock, docker=docker, pressure=self.probe)
-        self.bad = 0
+        (check,) = Pressure.build(settings)
+        super().__init__(check, testing.world(clock=clock, docker=docker, pressure=self.probe))
 
     def limit(self, name: str, value: object) -> None:
         (self.group / name).write_text(str(value))
@@ -105,28 +136,8 @@ class Rows:
             for one in started:
                 one.wait()
 
-    def row(self, title: str, condition: str = "") -> None:
-        """Look until the check is in ERROR with that condition, or OK if there is none."""
-        level = Level.ERROR if condition else Level.OK
 
-        def wanted(result: api.Result) -> bool:
-            return result.level is level and condition in ("", result.condition)
-
-        end_s, result = time.monotonic() + LIMIT_S, self.look()
-        while not wanted(result) and time.monotonic() < end_s:
-            time.sleep(LOOK_S)
-            result = self.look()
-        self.bad += not wanted(result)
-        verdict = "as expected" if wanted(result) else f"NOT {condition or 'OK'}"
-        print(f"{title}: {verdict}: {result.level.name} {result.summary}", flush=True)
-
-    def look(self) -> api.Result:
-        result = self.check.run(self.world)
-        assert isinstance(result, api.Result)
-        return result
-
-
-def processor(rows: Rows) -> None:
+def processor(rows: GroupRows) -> None:
     with rows.running(BUSY):
         rows.limit("cpu.max", "3000 100000")
         rows.row("CPU limit lowered to 3 %", "cpu_throttled")
@@ -134,7 +145,7 @@ def processor(rows: Rows) -> None:
     rows.row("limit removed")
 
 
-def processes(rows: Rows) -> None:
+def processes(rows: GroupRows) -> None:
     rows.limit("pids.max", 5)
     with rows.running(FORK):
         rows.row("limit of processes reached", "pids_limit")
@@ -142,7 +153,7 @@ def processes(rows: Rows) -> None:
     rows.row("limit removed")
 
 
-def memory(rows: Rows) -> None:
+def memory(rows: GroupRows) -> None:
     with rows.running(REREAD):
         rows.until_used(48 * MIB)  # it has read them once
         rows.limit("memory.max", 34 * MIB)
@@ -156,7 +167,7 @@ def memory(rows: Rows) -> None:
     rows.row("limit removed")
 
 
-def disk(rows: Rows) -> None:
+def disk(rows: GroupRows) -> None:
     device = Path("/sys/class/block", Path(DISK).name, "dev").read_text().strip()
     rows.limit("io.max", f"{device} rbps=262144 wbps=262144")
     with rows.running(*[WRITE] * 4):
@@ -165,7 +176,7 @@ def disk(rows: Rows) -> None:
     rows.row("limit removed")
 
 
-def others(rows: Rows) -> None:
+def others(rows: GroupRows) -> None:
     (rows.other / "cpu.weight").write_text("10000")
     with rows.running(*[BUSY] * 4), rows.running(*[BUSY] * 12, others=True):
         rows.row("other containers take the CPU", "cpu_starved")
@@ -173,7 +184,7 @@ def others(rows: Rows) -> None:
 
 
 def main() -> int:
-    rows = Rows()
+    rows = GroupRows()
     with rows.running(IDLE):
         fact = rows.probe.container("ros_app")
         assert fact is not None
@@ -183,8 +194,7 @@ def main() -> int:
         rows.row("idle")
         for part in (processor, processes, memory, *((disk, others) if stalls else ())):
             part(rows)
-    print(f"{rows.bad} rows are not as expected", flush=True)
-    return 1 if rows.bad else 0
+    return rows.end()
 
 
 if __name__ == "__main__":

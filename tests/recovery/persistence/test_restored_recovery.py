@@ -22,7 +22,7 @@ from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.target import Target
 from phm.tracker import TrackedUnit, Tracker, graph_of
-from tests.fakes.until import until
+from tests.fakes.until import LIMIT_S, until
 
 APP = "health/app"
 
@@ -110,6 +110,8 @@ def lives(tmp_path: Path) -> Iterator[Callable[..., Life]]:
     made: list[Life] = []
 
     def live(**more: Any) -> Life:
+        if made:
+            made[-1].bus.close(LIMIT_S)  # else both write the state
         made.append(Life(tmp_path, clock, **more))
         return made[-1]
 

@@ -14,7 +14,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, Page, sync_playwright
+import psutil
+from playwright.sync_api import Browser, BrowserContext, Error, Page, sync_playwright
 
 from phm.core.model import Level, Slot
 from phm.transport.dialect import mavlink
@@ -183,7 +184,30 @@ def tab(browser: Browser, url: str, **options: Any) -> Iterator[Page]:
         yield page
         assert not problems
     finally:
+        failed = sys.exc_info()[0] is not None
+        try:
+            _close(context)
+        except Error:
+            if not failed:  # else it would hide why the test failed
+                raise
+
+
+def _close(context: BrowserContext) -> None:
+    """`close` has no time limit: a Chromium that hangs (seen once) is killed, so that the tests end."""
+    guard = threading.Timer(LIMIT_MS / 1000, _kill_chromium)
+    guard.start()
+    try:
         context.close()
+    finally:
+        guard.cancel()
+
+
+def _kill_chromium() -> None:
+    """Kill each Chromium that this process has started."""
+    for process in psutil.Process().children(recursive=True):
+        with contextlib.suppress(psutil.Error):
+            if process.name().startswith("chrom"):
+                process.kill()
 
 
 @contextlib.contextmanager
