@@ -1,7 +1,7 @@
 """PHM's pressure check on containers of a real Docker Engine that has cgroup v2 alone.
 
 `scripts/test-kernel` runs it as root in a virtual machine of its own. It starts an engine without networks, and makes an image
-that holds nothing but busybox. Exit 0 only if each row is what the engine was told to do.
+that holds nothing but busybox. Exit 0 only if each row shows the limit that was set.
 """
 
 from __future__ import annotations
