@@ -13,6 +13,7 @@ import tarfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from docker import DockerClient
@@ -31,6 +32,7 @@ ENGINE = (
     *("dockerd", "--host", SOCKET, "--storage-driver", "vfs", "--log-level", "error"),
     *("--bridge", "none", "--iptables=false", "--ip6tables=false"),
 )
+LOG = Path("/run/dockerd.log")
 START_S, TIMEOUT_S = 240.0, 120
 """Emulated processors are slow."""
 BUSYBOX, PROGRAMS = "/bin/busybox", ("sh", "sleep", "dd")
@@ -38,14 +40,16 @@ IMAGE, NAME, OTHER = "busybox:test", "ros_app", "greedy"
 MIB = 1 << 20
 IDLE = "exec sleep 6000"
 BUSY = "while :; do :; done"
-FORK = "for i in 1 2 3 4 5 6 7 8 9; do sleep 6000 & done; wait"
+FORK = "sleep 6000 & sleep 6000 & sleep 6000 & wait"
+"""Four processes. A shell that cannot start another one ends."""
 FILL = "while :; do dd if=/dev/zero of=/dev/shm/data bs=1M count=48 2>/dev/null; done"
 
 
 @contextmanager
 def engine() -> Iterator[DockerClient]:
     """A Docker Engine for the time of this block."""
-    process = subprocess.Popen(ENGINE)
+    with LOG.open("wb") as log:
+        process = subprocess.Popen(ENGINE, stdout=log, stderr=log)
     try:
         yield _answering(process)
     finally:
@@ -60,6 +64,7 @@ def _answering(process: subprocess.Popen[bytes]) -> DockerClient:
             return DockerClient(base_url=SOCKET, version="auto", timeout=TIMEOUT_S)
         except DockerException:
             if process.poll() is not None or time.monotonic() > end_s:
+                print(LOG.read_text("utf-8", "replace"), flush=True)
                 raise
         time.sleep(1.0)
 
@@ -110,7 +115,7 @@ def processor(rows: ContainerRows) -> None:
 
 
 def processes(rows: ContainerRows) -> None:
-    with rows.running(FORK, pids_limit=5):
+    with rows.running(FORK, pids_limit=4):
         rows.row("limit of processes reached", "pids_limit")
 
 
