@@ -9,7 +9,7 @@ from typing import Any
 from phm.review.events import LATEST_S, Event, numbers
 from phm.review.ground_part import GroundRun
 from phm.review.lines import Problems
-from phm.review.other import KINDS, MOST, Other
+from phm.review.other import EARLIEST_S, KINDS, MOST, Other
 from phm.review.run import MOST_SERIES, Change, Run, RunMark
 from phm.review.series import Series
 
@@ -39,6 +39,7 @@ PLOTTED = (
 """Beginnings of the names of values that are plotted."""
 MEASURED = frozenset(("host", "radio", "link", "rates", "autopilot"))
 """Checks with such values."""
+TOO_EARLY = "times before the year 2000, left out: the clock was never set, or the time is simulated (use_sim_time)"
 
 
 class Part:
@@ -70,7 +71,9 @@ class Part:
     def _other(self, event: Event, path: str) -> None:
         made = Other.of(event, path)
         if made is None:
-            self.problems.add("an entry without a possible time or system, left out", path)
+            self.problems.add(
+                TOO_EARLY if event.utc_s <= EARLIEST_S else "an entry without a possible time or system, left out", path
+            )
         elif len(self.others) >= MOST:
             self.problems.add(f"more than {MOST} entries of other records; the others are left out", path)
         else:

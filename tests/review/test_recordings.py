@@ -103,6 +103,15 @@ def test_foreign_encodings_and_missing_types_are_named_and_their_times_read(tmp_
     assert problems(made)["topics without a type: only the times of their messages are read"] == 3
 
 
+@pytest.mark.parametrize("write", [bags.mcap, bags.rosbag2])
+def test_a_recording_in_simulated_time_is_left_out_with_its_reason(tmp_path: Path, write: Any) -> None:
+    """A recorder that was started with `use_sim_time` writes times that begin at 1970."""
+    file = write(tmp_path / "bag.mcap", [bags.scan(number / 10 - T0) for number in range(1, 20)])
+    result = CliRunner().invoke(group, ["report", str(file)])
+    assert result.exit_code == 1
+    assert "the clock was never set, or the time is simulated (use_sim_time)" in result.output
+
+
 def test_our_own_export_can_be_read_again(tmp_path: Path) -> None:
     """Faults and levels of the MCAP file are those of the report that wrote it, of the same agents."""
     (tmp_path / "log").mkdir()
