@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm_checks._graph_evidence import NodeTopics
-from phm_checks._process_matching import Wanted, match
+from phm_checks._process_matching import Wanted, match, wanted_nodes
 from phm_checks._text import listed, span
 
 WITNESSES = 2
@@ -44,11 +44,8 @@ class DataPath:
 
     def __init__(self, key: str, settings: api.Settings) -> None:
         self._key, self._grace_s = key, settings.ros.grace
-        names = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes]
-        words = {f"/{api.topic_id(node.name)}": tuple(node.process) for node in settings.ros.nodes}
-        own = [name for name in names if settings.container_of_node(name) == key]
-        self._wanted = [Wanted(name, key, words[name]) for name in own]
-        self._ends = {name: NodeTopics.of(name, settings.ros.topics) for name in own}
+        self._wanted = [node for node in wanted_nodes(settings) if node.container == key]
+        self._ends = {node.name: NodeTopics.of(node.name, settings.ros.topics) for node in self._wanted}
         self._generation, self._met_at = "", 0.0
         self._cut_at = 0.0
         """The last sign of life before they were reported as cut off came at this moment at the latest."""

@@ -44,6 +44,12 @@ class Wanted:
         return self.name.rpartition("/")[2]
 
 
+def wanted_nodes(settings: api.Settings) -> list[Wanted]:
+    """All configured nodes."""
+    named = ((f"/{api.topic_id(entry.name)}", entry) for entry in settings.ros.nodes)
+    return [Wanted(name, settings.container_of_node(name), tuple(entry.process)) for name, entry in named]
+
+
 @dataclass(frozen=True, slots=True)
 class Match:
     """The process of a node, and its parents, whose command lines may contain the same words (a shell, `ros2 run`, an init, a launcher).

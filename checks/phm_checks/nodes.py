@@ -9,7 +9,7 @@ from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
 from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
 from phm_checks._liveness import Evidence, Kind, NodeHistory, NodeState, NodeVerdict, Observation, fuse
-from phm_checks._process_matching import Wanted
+from phm_checks._process_matching import Wanted, wanted_nodes
 from phm_checks._process_table import NEVER, ProcessTable
 from phm_checks._text import brief, did_you_mean, last, span
 
@@ -106,12 +106,9 @@ class Nodes(api.Check):
     def __init__(self, settings: api.Settings) -> None:
         self._grace_s = settings.ros.grace
         self._nodes: list[_Node] = []
-        for entry in settings.ros.nodes:
-            name = f"/{api.topic_id(entry.name)}"
-            wanted = Wanted(name, settings.container_of_node(name), tuple(entry.process))
-            self._nodes.append(
-                _Node(wanted, GraphEvidence(name, NodeTopics.of(name, settings.ros.topics), self._grace_s))
-            )
+        for wanted in wanted_nodes(settings):
+            topics = NodeTopics.of(wanted.name, settings.ros.topics)
+            self._nodes.append(_Node(wanted, GraphEvidence(wanted.name, topics, self._grace_s)))
         self._tables = {
             key: ProcessTable(key, [node.wanted for node in self._nodes if node.wanted.container == key], self._grace_s)
             for key in dict.fromkeys(node.wanted.container for node in self._nodes if node.wanted.container)

@@ -9,6 +9,7 @@ from phm import api
 from phm.api import Level, Slot
 from phm_checks._ahead import Ahead
 from phm_checks._cpu_consumers import OUTSIDE, top_consumer
+from phm_checks._growing_process import GrowingProcess
 from phm_checks._per_container import PerContainer
 from phm_checks._pressure_window import PressureDelta, PressureWindow
 from phm_checks._text import StableNumber, brief, joined
@@ -32,13 +33,13 @@ class Pressure(PerContainer):
     name, slot = "pressure", Slot.HOST
     period_s = 1.0
 
-    def __init__(
-        self, entry: api.ContainerSettings, limits: api.PressureSettings, trends: api.TrendSettings, grace_s: float
-    ) -> None:
+    def __init__(self, entry: api.ContainerSettings, settings: api.Settings) -> None:
         super().__init__(entry)
+        limits, trends = settings.pressure, settings.trends
         self._growing = Ahead(trends.memory, trends.confidence)
+        self._grower = GrowingProcess(entry.key, settings)
         self._generation = ""
-        self._limits, self._grace_s = limits, grace_s
+        self._limits, self._grace_s = limits, settings.ros.grace
         self._window = PressureWindow(max(limits.window, IO_S))
         self._throttled = WindowThreshold(limits.throttled.warn, limits.throttled.error)
         self._waiting = WindowThreshold(limits.waiting.warn, limits.waiting.error)
@@ -54,8 +55,7 @@ class Pressure(PerContainer):
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
-        entries = [entry for entry in settings.containers if cls.wanted(entry)]
-        return [cls(entry, settings.pressure, settings.trends, settings.ros.grace) for entry in entries]
+        return [cls(entry, settings) for entry in settings.containers if cls.wanted(entry)]
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -92,7 +92,7 @@ class Pressure(PerContainer):
                 self._judge_pids(fact, over),
                 self._judge_waiting(world, over, newest),
                 # Last: a forecast explains no symptom, and must not take the place of what does.
-                self._judge_growth(fact) if memory is None else None,
+                self._judge_growth(world, fact) if memory is None else None,
             )
             if finding is not None
         ]
@@ -173,20 +173,25 @@ class Pressure(PerContainer):
         )
         return self._bad(Level.ERROR, words, f"memory limit {_size(limit)}: killed", "memory_pressure")
 
-    def _judge_growth(self, fact: api.PressureFact) -> api.Result | None:
+    def _judge_growth(self, world: api.World, fact: api.PressureFact) -> api.Result | None:
         """Memory without the page cache, which the kernel can evict. A container without a limit is judged with the host."""
         if fact.generation != self._generation:
             self._generation = fact.generation
             self._growing.forget()
+            self._grower.forget()
         used, limit = fact.without_cache_bytes, fact.memory_limit
         soon = None if limit is None else self._growing.soon(fact.at, used, limit)
         if soon is None or used is None or limit is None:
+            self._grower.forget()
             return None
+        by = self._grower.look(world, used, soon.slope)
         words = (
             f"{self.key} uses {_size(used)} and reaches its memory limit of {_size(limit)} {self._growing.words(soon)}, growing "
-            f"by {_size(round(soon.slope * 60))} a minute: find the leak, or raise the limit (`mem_limit:`)"
+            f"by {_size(round(soon.slope * 60))} a minute{f', most of it {by.words}' if by else ''}: find the leak, or raise the "
+            "limit (`mem_limit:`)"
         )
-        return self._bad(Level.WARN, words, f"memory full {self._growing.short(soon)}", "memory_filling")
+        short = f"memory full {self._growing.short(soon)}"
+        return self._naming(self._bad(Level.WARN, words, short, "memory_filling"), short, by.short if by else "")
 
     def _judge_io(self, newest: PressureDelta) -> api.Result | None:
         over = self._window.over(IO_S, full=True)
@@ -230,8 +235,12 @@ class Pressure(PerContainer):
         takes = f"{by[0]} uses {by[1]:.1f} CPUs: stop it, or give it a CPU limit" if by else "see `docker stats`"
         words = f"{self.key} waits {over.waiting:.0f} % of the time for a CPU that others use; {takes}"
         short = f"waits {self._steady.show('waiting', over.waiting):.0f}% for CPU"
-        named = brief(f"{self.key} {short}", f"({by[0]})") if by and by[0] != OUTSIDE else ""
         result = self._bad(level, words, short, "cpu_starved")
+        return self._naming(result, short, by[0] if by and by[0] != OUTSIDE else "")
+
+    def _naming(self, result: api.Result, short: str, culprit: str) -> api.Result:
+        """The result with the culprit in its brief, if there is one and both fit."""
+        named = brief(f"{self.key} {short}", f"({culprit})") if culprit else ""
         return replace(result, brief=named) if named.startswith(self.key) else result
 
     def _bad(self, level: Level, words: str, short: str, condition: str) -> api.Result:

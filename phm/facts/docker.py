@@ -149,6 +149,8 @@ class ProcessFact:
     """Program and arguments, separated by spaces, at most 4096 characters."""
     age_s: float | None = None
     """Time since it was started, in full seconds, rounded down; None when unknown."""
+    memory_bytes: int | None = None
+    """Resident memory, in which shared pages count for each process that uses them; None when unknown."""
 
 
 @dataclass(frozen=True, slots=True)

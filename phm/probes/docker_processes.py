@@ -15,9 +15,9 @@ from phm.transport.docker import DockerEngine, EngineBroken
 
 LIMIT_S = 1.0
 """A container that hangs in the kernel can block requests about its processes."""
-FORMS = ("-ww -o pid,ppid,stat,times,etimes,args", "-o pid,ppid,stat,args")
+FORMS = ("-ww -o pid,ppid,stat,times,etimes,rss,args", "-o pid,ppid,stat,args")
 """Arguments for `ps`, the best first, not cut to the width of a terminal. The second is for hosts with BusyBox, whose
-`ps` reports neither CPU time nor age in seconds."""
+`ps` reports neither CPU time nor age in seconds, and memory rounded to MB or GB."""
 AGAIN_S, AGAIN_MOST_S = 5.0, 300.0
 """A better form that the engine refused is tried again after this time, doubled after each refusal: the engine answers
 HTTP 500 both for a `ps` that does not support the form and for one that a busy machine could not start."""
@@ -62,12 +62,14 @@ def processes(answer: Mapping[str, Any]) -> tuple[ProcessFact, ...]:
 
 
 def _process(row: Mapping[str, Any], command: str) -> ProcessFact:
+    resident = _whole(row.get("RSS"))
     return ProcessFact(
         pid=_whole(row.get("PID")) or 0,
         parent=_whole(row.get("PPID")) or 0,
         state=str(row.get("STAT") or "")[:1],
         cpu_s=_whole(row.get("TIME")),
         age_s=_whole(row.get("ELAPSED")),
+        memory_bytes=None if resident is None else resident << 10,
         command=command[:_COMMAND_CHARS],
     )
 

@@ -17,7 +17,7 @@ from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Hang, Status
 from tests.fakes.until import until
 
-TITLES = ["PID", "PPID", "STAT", "TIME", "ELAPSED", "COMMAND"]
+TITLES = ["PID", "PPID", "STAT", "TIME", "ELAPSED", "RSS", "COMMAND"]
 
 
 def probe(engine: DockerEngine, name: str) -> Docker:
@@ -25,20 +25,23 @@ def probe(engine: DockerEngine, name: str) -> Docker:
 
 
 def test_a_row_is_a_process() -> None:
-    """Numbers, the first letter of the state, CPU time and age in whole seconds, and the unmodified command."""
+    """Numbers, the first letter of the state, CPU time and age in whole seconds, memory in KiB, and the unmodified command.
+
+    A rounded number, as of BusyBox, is unknown.
+    """
     rows = [
-        ["7", "1", "Sl+", "12", "300", "python -m sitl.application.node --name node_1"],
-        ["8", "7", "R", "0", "0", "sh"],
+        ["7", "1", "Sl+", "12", "300", "2048", "python -m sitl.application.node --name node_1"],
+        ["8", "7", "R", "0", "0", "12m", "sh"],
     ]
     assert processes({"Titles": TITLES, "Processes": rows}) == (
-        ProcessFact(7, 1, "S", 12.0, "python -m sitl.application.node --name node_1", 300.0),
+        ProcessFact(7, 1, "S", 12.0, "python -m sitl.application.node --name node_1", 300.0, 2 << 20),
         ProcessFact(8, 7, "R", 0.0, "sh", 0.0),
     )
 
 
 def test_a_zombie_has_terminated() -> None:
     """A child process that was not reaped no longer runs."""
-    rows = [["7", "1", "Z", "0", "9", "[python3] <defunct>"], ["8", "1", "S", "0", "9", "sh"]]
+    rows = [["7", "1", "Z", "0", "9", "0", "[python3] <defunct>"], ["8", "1", "S", "0", "9", "8", "sh"]]
     assert [fact.pid for fact in processes({"Titles": TITLES, "Processes": rows})] == [8]
 
 
@@ -52,7 +55,7 @@ def test_a_table_without_numbers_is_an_error(answer: dict[str, Any]) -> None:
         processes(answer)
 
 
-@pytest.mark.parametrize("rows", [None, [None], [["x", "1", "S", "0", "9", "sh"]], [["1", "sh"]], [[]]])
+@pytest.mark.parametrize("rows", [None, [None], [["x", "1", "S", "0", "9", "8", "sh"]], [["1", "sh"]], [[]]])
 def test_invalid_rows_are_dropped(rows: Any) -> None:
     """A truncated row is not a process, and breaks nothing."""
     assert processes({"Titles": TITLES, "Processes": rows}) == ()
@@ -150,6 +153,7 @@ def test_real_processes_are_listed_with_their_state(real: Any, engine: DockerEng
     parent = find("602")
     assert parent is not None
     assert None not in (parent.age_s, busy.age_s)
+    assert busy.memory_bytes and busy.memory_bytes > 1 << 20
     assert busy.parent == parent.pid
     until(lambda: (getattr(find("busy"), "cpu_s", None) or 0) >= 1, "its CPU time to increase")
     for number, letter in ((signal.SIGSTOP, "T"), (signal.SIGCONT, "R"), (signal.SIGKILL, "gone")):

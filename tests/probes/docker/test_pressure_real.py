@@ -20,7 +20,7 @@ from phm_checks.pressure import Pressure
 from tests.fakes.until import until
 
 FILES, STATISTICS = "/sys/fs/cgroup", "/nowhere"
-LOOK_S = 0.5
+LOOK_S, LIMIT_S = 0.5, 90.0
 """For whatever is waited for: the machine may be as busy as it likes."""
 BUSY = "while :; do :; done"
 THRASH = """
@@ -35,19 +35,32 @@ while True:
     sum(pages[place] for place in range(0, size, 4096))
 """
 """Needs the same 40 MB of a file again and again, as a program needs its code."""
+HOLD = """
+import time
+kept = bytes([1]) * (30 << 20)
+time.sleep(600)
+"""
+LEAK = """
+import time
+kept = [bytes([1]) * (30 << 20)]
+while True:
+    kept.append(bytes([1]) * (1 << 19))
+    time.sleep(0.4)
+"""
+"""Takes another 1.2 MB a second: the limit of 256 MB is reached after almost three minutes."""
 STREAM = "while :; do dd if=/dev/zero of=/tmp/data bs=1M count=200 2>/dev/null; cat /tmp/data >/dev/null; done"
 
 
-wait_until = partial(until, limit_s=90.0, step=lambda: time.sleep(LOOK_S))
+wait_until = partial(until, limit_s=LIMIT_S, step=lambda: time.sleep(LOOK_S))
 
 
 class Agent:
     """The check and the probe on one real container, as in PHM."""
 
-    def __init__(self, engine: DockerEngine, name: str, source: str) -> None:
+    def __init__(self, engine: DockerEngine, name: str, source: str, **more: Any) -> None:
         # This machine may be overloaded during the test, so waiting for others is excluded.
         limits = {"cgroups": source, "waiting": {"warn": 100, "error": 100}}
-        settings = testing.settings(containers=[{"name": name, "alias": "ros_app"}], pressure=limits)
+        settings = testing.settings(containers=[{"name": name, "alias": "ros_app"}], pressure=limits, **more)
         (self.check,) = Pressure.build(settings)
         clock = SystemClock()
         self.docker = Docker(engine, settings.containers, settings.docker, clock)
@@ -64,12 +77,12 @@ class Agent:
         self.seen.append(result)
         return result
 
-    def until(self, wanted: Callable[[api.Result], bool], what: str) -> api.Result:
+    def until(self, wanted: Callable[[api.Result], bool], what: str, limit_s: float = LIMIT_S) -> api.Result:
         def found() -> api.Result | None:
             result = self.look()
             return result if wanted(result) else None
 
-        return wait_until(found, what, lambda: self.seen[-1])
+        return wait_until(found, what, lambda: self.seen[-1], limit_s=limit_s)
 
     def is_ok(self) -> api.Result:
         return self.until(lambda result: result.level is api.Level.OK and not result.bypass, "no pressure")
@@ -203,3 +216,17 @@ def until_read(made: Any, size: int) -> None:
         lambda: made.stats(stream=False, one_shot=True)["memory_stats"].get("usage", 0) >= size,
         "the program to read its file",
     )
+
+
+@pytest.mark.long
+def test_the_process_that_leaks_is_named(real: Any, engine: DockerEngine, source: str) -> None:
+    """Of two nodes of a container, by real process lists; PHM knows a trend after a minute."""
+    commands = f"python3 -c '{HOLD}' __node:=steady & exec python3 -c '{LEAK}' __node:=leaking"
+    made = real.container(commands, mem_limit="256m", memswap_limit="256m")
+    nodes = [{"name": "/steady"}, {"name": "/leaking"}]
+    agent = Agent(engine, made.name, source, ros={"nodes": nodes})
+    result = agent.until(lambda result: "most of it" in result.summary, "a named process", limit_s=170.0)
+    assert (result.level, result.condition) == (api.Level.WARN, "memory_filling")
+    pids = [fact.pid for fact in agent.docker.processes("ros_app") if fact.command.endswith("__node:=leaking")]
+    assert any(f"most of it node /leaking (process {pid}): find the leak" in result.summary for pid in pids)
+    assert "(leaking)" in result.brief
