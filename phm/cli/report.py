@@ -113,11 +113,9 @@ def _add(merged: Record, dataset: str) -> dict[str, Any]:
 
     from phm.review import parquet
 
-    name = parquet.name_of(merged)
     try:
-        rows = parquet.write(merged, dataset, name)
-        return {"folder": dataset, "record": name, "rows": rows, "checks": parquet.rates(dataset)}
-    except (OSError, pa.ArrowException, duckdb.Error, parquet.NotADataset) as error:
+        return {"folder": dataset, "rows": parquet.write(merged, dataset), "checks": parquet.rates(dataset)}
+    except (OSError, pa.ArrowException, duckdb.Error, parquet.DatasetError) as error:
         raise click.ClickException(f"dataset {dataset}: {one_line(str(error))}") from None
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import sys
 import tempfile
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from phm.core.file_lock import locked
 from phm.facts import CannotTell
 from phm.logs.bundle import file_name
 from phm.logs.collect_index import Agent, Index, agent_of
@@ -53,7 +53,8 @@ class Collection:
     def open(self) -> Iterator[None]:
         """Raises InUse, and OSError if it cannot be written."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        with _locked(self.folder / f"{INDEX}.lock"):
+        busy = InUse(f"another `phm logs collect` writes into {self.folder}")
+        with locked(self.folder / f"{INDEX}.lock", busy):
             for left in self.folder.glob(f"{_STAGING}*"):  # of a run that was ended by force
                 shutil.rmtree(left, ignore_errors=True)
             self._index = Index.read(self.folder / INDEX)
@@ -118,22 +119,3 @@ class Collection:
         if self._claimed.get(folder, source) == source:
             return True
         return bool(keys & Copies(self.folder / folder, RECORD).keys())  # the same log, from two places
-
-
-if sys.platform == "win32":
-
-    @contextlib.contextmanager
-    def _locked(path: Path) -> Iterator[None]:
-        yield
-
-else:
-    import fcntl
-
-    @contextlib.contextmanager
-    def _locked(path: Path) -> Iterator[None]:
-        with path.open("ab") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InUse(f"another `phm logs collect` writes into {path.parent}") from None
-            yield

@@ -1,22 +1,30 @@
 """Many flights as a partitioned Parquet dataset, and MTBF and MTTR of all of them by one query.
 
-The schema is a contract: docs/reference/report.md. Needs pyarrow; the query needs duckdb.
+One file of each table for each run of PHM, so that a run counts once, however often and in whatever company it is reported. The
+schema is a contract: docs/reference/report.md. Needs pyarrow; the query needs duckdb.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
-from collections.abc import Iterator
+import shutil
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from phm.review.record import AgentRecord, Record
+from phm.core.file_lock import locked
+from phm.review import parquet_rows
+from phm.review.record import Record
+from phm.review.run import Run
 from phm.review.statistics import rate_limits
 from phm.wire.report import iso
 
 Json = dict[str, Any]
-VERSION = 1
+VERSION = 2
+LOCK, STAGED = ".lock", ".writing"
 SCHEMAS: dict[str, tuple[tuple[str, str], ...]] = {
     "runs": (
         ("boot_id", "string"),
@@ -41,6 +49,7 @@ SCHEMAS: dict[str, tuple[tuple[str, str], ...]] = {
         ("outcome", "string"),
         ("by", "string"),
         ("armed", "bool"),
+        ("continued", "bool"),
         ("summary", "string"),
     ),
     "actions": (
@@ -56,34 +65,67 @@ SCHEMAS: dict[str, tuple[tuple[str, str], ...]] = {
     "levels": (("unit", "string"), ("begin", "timestamp"), ("end", "timestamp"), ("level", "string")),
     "metrics": (("t", "timestamp"), ("name", "string"), ("value", "double")),
 }
-"""Columns of each table, after `record` and before the partitions `day` and `agent`."""
+"""Columns of each table, after `run` and before the partitions `day` and `agent`."""
 MTBF = """
-SELECT observed."check", coalesce(count, 0) AS faults, observed_s,
-       observed_s / nullif(count, 0) AS mtbf_s, mttr_s, observed.records AS records
-FROM (SELECT "check", sum(observed_s) AS observed_s, count(DISTINCT record) AS records
+SELECT observed."check", coalesce(count, 0) AS faults, observed_s, observed_s / nullif(count, 0) AS mtbf_s, mttr_s, runs
+FROM (SELECT "check", sum(observed_s) AS observed_s, count(*) AS runs
       FROM read_parquet($checks, hive_partitioning = true) GROUP BY "check") AS observed
 LEFT JOIN (SELECT "check", count(*) AS count, avg(lasted_s) FILTER (outcome = 'resolved') AS mttr_s
-           FROM read_parquet($faults, hive_partitioning = true) WHERE outcome <> 'reattributed' GROUP BY "check") AS failed
+           FROM read_parquet($faults, hive_partitioning = true)
+           WHERE outcome <> 'reattributed' AND NOT continued GROUP BY "check") AS failed
 USING ("check") ORDER BY faults DESC, observed."check"
 """
-"""MTBF and MTTR of each check over all records of a dataset; $checks and $faults are lists of its files."""
+"""MTBF and MTTR of each check over all runs of a dataset; $checks and $faults are lists of its files."""
+_WITHOUT_FAULTS = """
+SELECT "check", 0, sum(observed_s), NULL, NULL, count(*)
+FROM read_parquet($checks, hive_partitioning = true) GROUP BY "check" ORDER BY "check"
+"""
 
 
-class NotADataset(Exception):
-    """The folder has no tables; the message says what to do."""
+class DatasetError(Exception):
+    """The folder cannot be used as a dataset; the message says what to do."""
 
 
-def name_of(record: Record) -> str:
-    """The same for the same record: its beginning, and a digest of its runs."""
-    runs = " ".join(sorted(f"{agent.id} {run.boot_id}" for agent in record.agents for run, _ in agent.runs))
-    return f"{iso(record.begin)[:19]}Z-{hashlib.sha256(runs.encode()).hexdigest()[:8]}"
+def write(record: Record, folder: str) -> dict[str, int]:
+    """Add the runs of a record to the dataset in the folder; those that it has are replaced. Returns the rows of each table.
 
-
-def write(record: Record, folder: str, name: str) -> dict[str, int]:
-    """Add a record to the dataset in the folder. A record of the same name is replaced. Returns the rows of each table.
-
-    name: identifies the record, in the column `record` and in the names of the files.
+    A reader finds whole files only. Raises DatasetError, OSError.
     """
+    whole = Path(folder)
+    whole.mkdir(parents=True, exist_ok=True)
+    with locked(
+        whole / LOCK, DatasetError("another `phm report --parquet` writes into it: run this one again after it")
+    ):
+        return _write(record, whole)
+
+
+def _write(record: Record, folder: Path) -> dict[str, int]:
+    had, staged, rows = _files(folder), folder / STAGED, Counter[str]()
+    shutil.rmtree(staged, ignore_errors=True)  # of one that was killed
+    written: set[Path] = set()
+    try:
+        for agent in record.agents:
+            for run, tables in parquet_rows.by_run(agent):
+                for table, values in tables.items():
+                    if values:
+                        path = Path(table, f"day={_day(tables)}", f"agent={_folder(agent.name)}", _file(run))
+                        _write_table(staged / path, table, run_name(run), values)
+                        written.add(path)
+                        rows[table] += len(values)
+        runs = {_file(run) for agent in record.agents for run, _ in agent.runs}
+        # What a run no longer has goes first: if this is interrupted, a run may be missing, but none counts twice.
+        for old in (path for files in had.values() for path in files):
+            if old.name in runs and old.relative_to(folder) not in written:
+                old.unlink(missing_ok=True)
+        for path in sorted(written):
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(staged / path, folder / path)
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+    return dict(rows)
+
+
+def _write_table(path: Path, table: str, run: str, rows: Sequence[tuple[Any, ...]]) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -94,33 +136,47 @@ def write(record: Record, folder: str, name: str) -> dict[str, int]:
         "bool": pa.bool_(),
         "timestamp": pa.timestamp("ms", tz="UTC"),
     }
-    safe = re.sub(r"[^\w.-]", "_", name)[:80] or "record"
-    counts: dict[str, int] = {}
-    for table in SCHEMAS:  # an empty table has no file, so what an earlier record of this name had goes first
-        for old in Path(folder, table).glob(f"day=*/agent=*/{safe}.parquet"):
-            old.unlink()
-    for agent in record.agents:
-        day = iso(agent.cover[0][0])[:10] if agent.cover else "unknown"
-        place = f"day={day}/agent={_folder(agent.name)}"
-        for table, rows in _tables(agent).items():
-            if not rows:
-                continue
-            columns = {"record": pa.array([name] * len(rows), pa.string())}
-            for place_of, (column, kind) in enumerate(SCHEMAS[table]):
-                values = [row[place_of] for row in rows]
-                if kind == "timestamp":
-                    values = [None if value is None else round(value * 1000) for value in values]
-                elif kind == "int32":
-                    values = [_small(value) for value in values]
-                columns[column] = pa.array(values, kinds[kind])
-            target = Path(folder, table, place)
-            target.mkdir(parents=True, exist_ok=True)
-            metadata = {"phm_parquet": str(VERSION)}
-            parquet.write_table(
-                pa.table(columns).replace_schema_metadata(metadata), target / f"{safe}.parquet", compression="zstd"
+    columns = {"run": pa.array([run] * len(rows), pa.string())}
+    for place, (column, kind) in enumerate(SCHEMAS[table]):
+        values = [row[place] for row in rows]
+        if kind == "timestamp":
+            values = [None if value is None else round(value * 1000) for value in values]
+        elif kind == "int32":
+            values = [_small(value) for value in values]
+        columns[column] = pa.array(values, kinds[kind])
+    made = pa.table(columns).replace_schema_metadata({"phm_parquet": str(VERSION)})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as stream:
+        parquet.write_table(made, stream, compression="zstd")
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def run_name(run: Run) -> str:
+    """Identifies a run of PHM, in the column `run` and the names of the files: its boot_id, and a digest of it and the agent."""
+    digest = hashlib.sha256(f"{run.agent}\0{run.boot_id}".encode()).hexdigest()[:12]
+    return f"{re.sub('[^A-Za-z0-9]', '_', run.boot_id)[:40]}-{digest}"
+
+
+def _file(run: Run) -> str:
+    return f"run-{run_name(run)}.parquet"
+
+
+def _day(tables: dict[str, parquet_rows.Rows]) -> str:
+    """On which the run began."""
+    return iso(tables["runs"][0][2])[:10]
+
+
+def _files(folder: Path) -> dict[str, list[Path]]:
+    """The files of each table. Raises DatasetError for one that is not of this version of PHM: a flight in it might count twice."""
+    found = {table: sorted(Path(folder, table).rglob("*.parquet")) for table in SCHEMAS}
+    for path in (path for files in found.values() for path in files):
+        if not path.name.startswith("run-"):
+            raise DatasetError(
+                f"{path.relative_to(folder)} is of an earlier version of PHM or another program, whose runs would count twice: "
+                "report the logs again into a new folder"
             )
-            counts[table] = counts.get(table, 0) + len(rows)
-    return counts
+    return found
 
 
 def _folder(name: str) -> str:
@@ -135,29 +191,25 @@ def _small(value: int | None) -> int | None:
 
 
 def rates(folder: str) -> list[Json]:
-    """MTBF and MTTR of each check over all records in the folder, by one query. Raises NotADataset."""
+    """MTBF and MTTR of each check over all runs in the folder, by one query. Raises DatasetError."""
     import duckdb
 
-    files = {table: sorted(map(str, Path(folder, table).rglob("*.parquet"))) for table in ("checks", "faults")}
+    files = {
+        table: [*map(str, paths)] for table, paths in _files(Path(folder)).items() if table in ("checks", "faults")
+    }
     if not files["checks"]:
-        raise NotADataset(f"no dataset in {folder}: write one with `phm report PATH... --parquet {folder}`")
+        raise DatasetError(f"no dataset in {folder}: write one with `phm report PATH... --parquet {folder}`")
     query, used = (MTBF, files) if files["faults"] else (_WITHOUT_FAULTS, {"checks": files["checks"]})
     with duckdb.connect() as connection:
         return [_rate(row) for row in connection.execute(query, used).fetchall()]
 
 
-_WITHOUT_FAULTS = """
-SELECT "check", 0, sum(observed_s), NULL, NULL, count(DISTINCT record)
-FROM read_parquet($checks, hive_partitioning = true) GROUP BY "check" ORDER BY "check"
-"""
-
-
 def _rate(row: tuple[Any, ...]) -> Json:
-    check, faults, observed_s, mtbf_s, mttr_s, records = row
+    check, faults, observed_s, mtbf_s, mttr_s, runs = row
     low, high = rate_limits(faults, observed_s)
     return {
         "check": check,
-        "records": records,
+        "runs": runs,
         "faults": faults,
         "observed_s": round(observed_s, 3),
         "mtbf_s": None if mtbf_s is None else round(mtbf_s, 3),
@@ -165,62 +217,3 @@ def _rate(row: tuple[Any, ...]) -> Json:
         "mtbf_high_s": round(1 / low, 3) if low else None,
         "mttr_s": None if mttr_s is None else round(mttr_s, 3),
     }
-
-
-def _tables(agent: AgentRecord) -> dict[str, list[tuple[Any, ...]]]:
-    from phm.review import levels
-
-    units = levels.of_units(agent)
-    return {
-        "runs": list(_runs(agent)),
-        "checks": list(_checks(agent)),
-        "faults": [_fault(agent, fault) for fault in agent.faults],
-        "actions": [
-            (
-                t,
-                mark.body["fault"],
-                mark.body["unit"],
-                mark.body["action"],
-                mark.body["phase"],
-                mark.body["attempt"],
-                mark.body["target"],
-                mark.text,
-            )
-            for t, mark in agent.marks
-            if mark.what == "action"
-        ],
-        "levels": [(unit, *segment) for unit, segments in units.items() for segment in segments],
-        "metrics": [
-            (clock.t(at), name, value)
-            for run, clock in agent.runs
-            for name, series in run.series.items()
-            for at, value in series.points()
-        ],
-    }
-
-
-def _runs(agent: AgentRecord) -> Iterator[tuple[Any, ...]]:
-    from phm.review.spans import clipped, total
-
-    for run, clock in agent.runs:
-        spans = [[clock.t(begin), clock.t(end)] for begin, end in run.cover.spans]
-        if spans:
-            armed_s = sum(total(clipped(agent.armed, *span)) for span in spans)
-            yield run.boot_id, run.version, spans[0][0], spans[-1][1], armed_s, total(spans)
-
-
-def _checks(agent: AgentRecord) -> Iterator[tuple[Any, ...]]:
-    """For how long each check was run: the time of PHM on an agent that has it."""
-    from phm.review.spans import clipped, total
-
-    armed_s = sum(total(clipped(agent.armed, *span)) for span in agent.cover)
-    for check in sorted({body["check"] for run, _ in agent.runs for body in run.units.values()}):
-        yield check, total(agent.cover), armed_s
-
-
-def _fault(agent: AgentRecord, fault: Json) -> tuple[Any, ...]:
-    lasted = (fault["closed"] if fault["closed"] is not None else agent.end) - fault["opened"]
-    armed = any(begin <= fault["opened"] <= end for begin, end in agent.armed)
-    keys = ("fault", "unit", "check", "slot", "layer", "condition", "target", "opened", "closed")
-    outcome = fault["outcome"] if fault["closed"] is not None else "open"
-    return (*(fault[key] for key in keys), lasted, outcome, fault["by"], armed, fault["summary"])

@@ -44,10 +44,8 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
         checks = [_check(row) for row in document["checks"] if row["faults"]]
         found.append(("Checks", ("check", "faults", "MTBF (95 %)", "MTTR"), checks))
     if "dataset" in document:
-        rows = [(*_check(row)[:1], str(row["records"]), *_check(row)[1:]) for row in document["dataset"]["checks"]]
-        found.append(
-            ("Checks, all records of the dataset", ("check", "records", "faults", "MTBF (95 %)", "MTTR"), rows)
-        )
+        rows = [(*_check(row)[:1], str(row["runs"]), *_check(row)[1:]) for row in document["dataset"]["checks"]]
+        found.append(("Checks, all runs of the dataset", ("check", "runs", "faults", "MTBF (95 %)", "MTTR"), rows))
     if document["other"]["rows"] or document["other"]["outside"]:
         found.append(_others(document["other"], most))
     low = [row for row in document["availability"] if row["availability"] is not None and row["availability"] < 1]
