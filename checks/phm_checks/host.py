@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._ahead import Ahead
 from phm_checks._cpu import Cpu
 from phm_checks._host_pressure import HostPressure
+from phm_checks._limit_forecast import LimitForecast
 from phm_checks._text import StableNumber, brief, clean, joined, listed, span
 from phm_checks._threshold import Threshold
 
@@ -33,8 +33,8 @@ class Host(api.Check):
         self._memory = Threshold(limits.memory.warn, limits.memory.error)
         self._disks: dict[str, Threshold] = {}
         self._trends = settings.trends
-        self._filling: dict[str, Ahead] = {}
-        self._growing = Ahead(self._trends.memory, self._trends.confidence)
+        self._filling: dict[str, LimitForecast] = {}
+        self._growing = LimitForecast(self._trends.memory, self._trends.confidence)
         self._heat = Threshold(limits.temperature_warn, limits.temperature_error)
         self._step: tuple[float, float] | None = None
         self._window_s = settings.pressure.host_window
@@ -159,16 +159,16 @@ class Host(api.Check):
             f"disk_total_bytes {path}": disk.total_bytes,
         }
         level = graded.level(most)
-        ahead = self._filling.setdefault(disk.path, Ahead(self._trends.disk, self._trends.confidence))
-        soon = ahead.soon(now, most, self._limits.disk.error)
+        forecast = self._filling.setdefault(disk.path, LimitForecast(self._trends.disk, self._trends.confidence))
+        soon = forecast.soon(now, most, self._limits.disk.error)
         if level is Level.OK:
             self._steady.forget(disk.path)
             if soon is not None:
                 words = (
-                    f"disk {path} at {most:.0f} % {what} reaches {self._limits.disk.error:g} % {ahead.words(soon)}: find what "
+                    f"disk {path} at {most:.0f} % {what} reaches {self._limits.disk.error:g} % {forecast.words(soon)}: find what "
                     f"writes to it, {disk.free_bytes / 1e6:.0f} MB are free"
                 )
-                return self._bad(Level.WARN, words, f"disk {path} full {ahead.short(soon)}", "disk_filling", values)
+                return self._bad(Level.WARN, words, f"disk {path} full {forecast.short(soon)}", "disk_filling", values)
             return api.ok(f"Disk {path} is {disk.used_percent:.0f} % full", **values)
         words = (
             f"disk {path} at {most:.0f} % {what}, {disk.free_bytes / 1e6:.0f} MB free, expected below "

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Level, Slot
-from phm_checks._ahead import Ahead
 from phm_checks._cpu_consumers import OUTSIDE, top_consumer
 from phm_checks._growing_process import GrowingProcess
+from phm_checks._limit_forecast import LimitForecast
 from phm_checks._per_container import PerContainer
 from phm_checks._pressure_window import PressureDelta, PressureWindow
 from phm_checks._text import StableNumber, brief, joined
@@ -36,7 +36,7 @@ class Pressure(PerContainer):
     def __init__(self, entry: api.ContainerSettings, settings: api.Settings) -> None:
         super().__init__(entry)
         limits, trends = settings.pressure, settings.trends
-        self._growing = Ahead(trends.memory, trends.confidence)
+        self._growing = LimitForecast(trends.memory, trends.confidence)
         self._grower = GrowingProcess(entry.key, settings)
         self._generation = ""
         self._limits, self._grace_s = limits, settings.ros.grace

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._ahead import Ahead
 from phm_checks._command_path import link_id, link_of, named, radio_id, silent, starting, target_of, with_radio
+from phm_checks._limit_forecast import LimitForecast
 from phm_checks._text import StableNumber, brief, joined, span
 
 PERIODS = 2.5
@@ -34,7 +34,9 @@ class Radio(api.Check):
         self._age, self._margin = StableNumber(share=1.0), StableNumber(share=0.5)
         self._was: frozenset[str] = frozenset()
         trends = settings.trends
-        self._fading = Ahead(trends.radio, trends.confidence, window_s=FADE_WINDOW_S, least_s=FADE_LEAST_S, falls=True)
+        self._fading = LimitForecast(
+            trends.radio, trends.confidence, window_s=FADE_WINDOW_S, least_s=FADE_LEAST_S, falls=True
+        )
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:

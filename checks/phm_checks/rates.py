@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._ahead import Ahead
 from phm_checks._environment_advice import advice
+from phm_checks._limit_forecast import LimitForecast
 from phm_checks._node_activity import FRESH_S, turned_s
 from phm_checks._text import StableNumber, brief, clean, last, span
 
@@ -44,7 +44,7 @@ class _Memory:
 
     off_since: float | None = None
     reported: api.Result | None = None
-    widening: Ahead | None = None
+    widening: LimitForecast | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,9 @@ class Rates(api.Check):
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
         self._grace_s = grace_s
-        self._memory = {topic.name: _Memory(widening=Ahead(trends.jitter, trends.confidence)) for topic in topics}
+        self._memory = {
+            topic.name: _Memory(widening=LimitForecast(trends.jitter, trends.confidence)) for topic in topics
+        }
         self._hz = StableNumber(share=0.1)
 
     @classmethod
@@ -280,17 +282,17 @@ class Rates(api.Check):
 
     def _widening(self, case: _Case, measured: api.RateFact, memory: _Memory, now: float) -> api.Result | None:
         """Samples that come ever more irregularly, at the right rate: something on their way runs out of room."""
-        limit_s, ahead = JITTER_SHARE / case.rate, memory.widening
+        limit_s, forecast = JITTER_SHARE / case.rate, memory.widening
         jitter_s = measured.jitter_s
-        soon = None if ahead is None else ahead.soon(now, jitter_s, limit_s)
-        if soon is None or ahead is None or jitter_s is None or jitter_s >= limit_s:
+        soon = None if forecast is None else forecast.soon(now, jitter_s, limit_s)
+        if soon is None or forecast is None or jitter_s is None or jitter_s >= limit_s:
             return None
         return self._bad(
             Level.WARN,
             "jitter_rising",
-            f"jitter rises, {ahead.short(soon)} half",
+            f"jitter rises, {forecast.short(soon)} half",
             f"{case.name}: its jitter of {1000 * jitter_s:.0f} ms rises to half of its period, {1000 * limit_s:.0f} ms, "
-            f"{ahead.words(soon)}: look for a queue, a log or a disk that fills, and for growing load",
+            f"{forecast.words(soon)}: look for a queue, a log or a disk that fills, and for growing load",
             case,
         )
 

@@ -45,7 +45,7 @@ def command(
     Exit code 0: applied; 78: FILE is invalid on the agent; 1: not applied, or no answer.
     """
     from phm.config import ConfigError
-    from phm.config.load import read_file
+    from phm.config.loader import read_file
     from phm.gcs import delivery_client
     from phm.transport.mavlink_signing import InvalidKey, read_key
     from phm.wire.delivery import version_of

@@ -152,7 +152,7 @@ def _with_nodes(machine: Machine, answers: Answers, engine: DockerEngine) -> Ans
 def _checked(machine: Machine, answers: Answers, directory: Path) -> dict[str, str]:
     """The files, of which phm.yaml is valid: a defect of PHM is reported here and not when the container starts."""
     from phm.config import ConfigError
-    from phm.config.load import loads
+    from phm.config.loader import loads
     from phm.setup.render import CONFIGURATION, render
 
     texts = render(machine, answers)

@@ -18,7 +18,7 @@ from phm.cli.logs_collect import collect
 from phm.cli.options import config_option, json_option, load_settings
 
 if TYPE_CHECKING:
-    from phm.logs.choice import Choice, TakeOff
+    from phm.logs.line_filter import LineFilter, TakeOff
     from phm.logs.reader import LogReader
 
 LOOK_S = 0.25
@@ -133,23 +133,23 @@ def command(
     configuration. Rotated and compressed files are included; lines of several agents are in the order of their times.
     Exit code 0; 1: there is no log, or no flight in it.
     """
-    from phm.logs import places
-    from phm.logs.choice import Choice
+    from phm.logs import log_paths
+    from phm.logs.line_filter import LineFilter
 
     given = paths or (Path(load_settings(config).log.directory),)
     since_s = since if isinstance(since, float) else None
-    choice = Choice(units, frozenset(kinds), frozenset(levels), agents, since_s, reports)
+    criteria = LineFilter(units, frozenset(kinds), frozenset(levels), agents, since_s, reports)
     try:
-        logs = places.readers(given, awaited=follow)
+        logs = log_paths.readers(given, awaited=follow)
         gates = _take_offs(logs) if since == TAKE_OFF else [None] * len(logs)
-    except places.NoLog as error:
+    except log_paths.NoLog as error:
         raise click.ClickException(str(error)) from None
     show = _show_json if as_json else _Printer(brief, several=len(logs) > 1).show
     try:
-        count = _print(logs, gates, choice, show, follow=follow)
+        count = _print(logs, gates, criteria, show, follow=follow)
         while follow:
             time.sleep(LOOK_S)
-            _print(logs, gates, choice, show, follow=True)
+            _print(logs, gates, criteria, show, follow=True)
     except KeyboardInterrupt:
         return
     finally:
@@ -160,30 +160,30 @@ def command(
 
 def _take_offs(logs: Sequence[LogReader]) -> list[TakeOff | None]:
     """The gate of each log. Of a log without a flight nothing is shown; without any flight, raises NoLog."""
-    from phm.logs import choice, places
+    from phm.logs import line_filter, log_paths
 
     found = []
     for log in logs:
         first = log.again()
-        found.append(choice.take_off(first))
+        found.append(line_filter.take_off(first))
         first.close()
     if not any(found):
-        raise places.NoLog(
+        raise log_paths.NoLog(
             "there is no flight in the log (the autopilot was not seen armed): leave out --since take-off"
         )
-    return [gate or choice.NOTHING for gate in found]
+    return [gate or line_filter.NOTHING for gate in found]
 
 
 def _print(
-    logs: Sequence[LogReader], gates: Sequence[TakeOff | None], choice: Choice, show: Any, *, follow: bool
+    logs: Sequence[LogReader], gates: Sequence[TakeOff | None], criteria: LineFilter, show: Any, *, follow: bool
 ) -> int:
     """Print what is new, in the order of time; how many events."""
-    from phm.logs.choice import utc_s
+    from phm.logs.line_filter import utc_s
 
     def chosen(log: LogReader, gate: TakeOff | None) -> Iterator[tuple[Json, bool]]:
         for event in log.events(last=not follow):
             if gate is None or gate.takes(event):
-                yield event, choice.takes(event)
+                yield event, criteria.takes(event)
 
     count = 0
     streams = [chosen(log, gate) for log, gate in zip(logs, gates, strict=True)]
@@ -203,7 +203,7 @@ class _Printer:
 
     def __init__(self, brief: bool, several: bool) -> None:
         from phm.cli import render
-        from phm.logs.words import Explainer
+        from phm.logs.line_explainer import Explainer
 
         self._brief, self._several = brief, several
         self._explainer, self._console = Explainer(), render.console()

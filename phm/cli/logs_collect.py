@@ -18,8 +18,8 @@ from phm.cli.options import json_option
 from phm.wire.text import one_line
 
 if TYPE_CHECKING:
-    from phm.logs.collect import CollectedLogs, Collection
-    from phm.logs.fetch import Progress
+    from phm.logs.log_collection import CollectedLogs, Collection
+    from phm.logs.log_copier import Progress
     from phm.logs.log_sources import Looked
 
 ENGINE = "unix:///var/run/docker.sock"
@@ -82,7 +82,7 @@ def collect(
     that have some are copied. PATH is a folder with logs, such as that of a mounted card. The next run into the same DIR
     fetches what is new, and removes nothing. Exit code 0; 1: something is missing (it is listed, the rest is there).
     """
-    from phm.logs.collect import Collection, InUse
+    from phm.logs.log_collection import Collection, InUse
 
     if not place.startswith("/"):
         raise click.UsageError(f"--path {place} is not an absolute path, such as /var/log/phm")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phm.config.load import find, load, loads
+from phm.config.loader import find, load, loads
 from phm.config.problems import ConfigError, Problem
 
 __all__ = ["ConfigError", "Problem", "find", "load", "loads"]

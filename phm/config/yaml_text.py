@@ -1,6 +1,6 @@
 """Changes a value in the text of a YAML file, and only the lines that have it: comments, order and style of the rest stay.
 
-Each function takes the text and where the value is, and returns the new text. `phm.config.edit` verifies the result, so what cannot be
+Each function takes the text and where the value is, and returns the new text. `phm.config.editor` verifies the result, so what cannot be
 done here in a rare style is refused there.
 """
 

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from phm.config.load import loads
+from phm.config.loader import loads
 from phm.core.settings import Settings
 from phm.learn.baseline import Baseline
 from phm.wire import manifest

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from phm.facts import CannotTell
-from phm.logs.fetch import BASES, MOST_FAILURES, Gone, Seen
+from phm.logs.log_copier import BASES, MOST_FAILURES, Gone, Seen
 from phm.transport.docker import DockerEngine, EngineMissing
 
 LABEL = "phm.logs"

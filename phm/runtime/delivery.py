@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phm.config import ConfigError, Problem
-from phm.config.load import read_file
-from phm.config.save import replace
+from phm.config.atomic_write import replace
+from phm.config.loader import read_file
 from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.runtime.configuration import read_text

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from statistics import median, quantiles
 
 from phm.core.settings import TrendSettings
-from phm_checks._ahead import Ahead
+from phm_checks._limit_forecast import LimitForecast
 
 LIMIT = 95.0
 """Percent; `host.disk.error` and `host.memory.error`."""
@@ -142,7 +142,7 @@ class Outcome:
 
 def run(series: Series, settings: TrendSettings, horizon_s: float, *, fails: bool) -> Outcome:
     """Forecast one series until it reaches the limit, or for an hour."""
-    ahead = Ahead(horizon_s, settings.confidence)
+    forecast = LimitForecast(horizon_s, settings.confidence)
     first_s: float | None = None
     reports, was = 0, False
     for at_s, value in zip(itertools.count(0.0, EVERY_S), series, strict=False):
@@ -150,7 +150,7 @@ def run(series: Series, settings: TrendSettings, horizon_s: float, *, fails: boo
             return Outcome(None, reports, at_s / 3600)
         if fails and value >= LIMIT:
             return Outcome(0.0 if first_s is None else at_s - first_s, 0, at_s / 3600)
-        soon = ahead.soon(at_s, value, LIMIT) is not None
+        soon = forecast.soon(at_s, value, LIMIT) is not None
         reports += soon and not was
         first_s = at_s if soon and not was else first_s
         was = soon

@@ -18,7 +18,7 @@ from phm.cli import group
 from phm.core.clock import SystemClock
 from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Slot
 from phm.core.settings import Settings
-from phm.logs.choice import utc_s
+from phm.logs.line_filter import utc_s
 from phm.logs.reader import LogReader
 from phm.reporters.base import ReporterContext
 from phm.reporters.log import LogReporter

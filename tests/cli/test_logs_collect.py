@@ -12,8 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.logs.collect import Collection
 from phm.logs.copies import Copies, Fetched, key_of
+from phm.logs.log_collection import Collection
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.log_agents import PLACE, Agent, agent as agent, collect, copies, engine as engine, texts
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from phm.config.load import loads
+from phm.config.loader import loads
 from phm.learn.baseline import Baseline, Learned
 from phm.learn.merge import merge, unified_diff
 from tests.docs.story import ROOT

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from phm.checking import registry
 from phm.cli import group
+from phm.config import loader
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.signals import Signals
 from phm.core.systemd import SystemdNotifier
@@ -36,7 +37,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
         monkeypatch.setattr(owner, name, call)
 
-    count(sys.modules["phm.config.load"], "read_file", "file")  # `phm.config.load` is also a function
+    count(loader, "read_file", "file")
     count(DependencyGraph, "__init__", "graph")
     for check in registry.checks().values():
         count(check, "build", "checks")

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import pytest
 
-from phm.config.save import replace
+from phm.config.atomic_write import replace
 from phm.core.clock import SystemClock
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.runtime.configuration import read
@@ -298,7 +298,7 @@ def test_a_disk_that_is_full_meanwhile_lets_the_old_file_return(tmp_path: Path, 
 KILLED = """
 import sys
 from pathlib import Path
-from phm.config.save import replace
+from phm.config.atomic_write import replace
 path, texts = Path(sys.argv[1]), [b"a" * 200_000, b"b" * 200_000]
 while True:
     for text in texts:

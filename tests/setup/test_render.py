@@ -8,7 +8,7 @@ import pytest
 import yaml
 from hypothesis import given, strategies as st
 
-from phm.config.load import loads
+from phm.config.loader import loads
 from phm.core.settings import Settings
 from phm.setup.answers import Answers
 from phm.setup.machine import Application, SerialPort

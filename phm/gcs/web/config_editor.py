@@ -15,9 +15,9 @@ from typing import Any
 
 from phm.checking.plan import CheckPlan, unit_rows
 from phm.config import ConfigError, Problem
-from phm.config.edit import MAX_EDITS, Edit, EditError, apply, diff, values
-from phm.config.load import read_file
-from phm.config.save import replace
+from phm.config.atomic_write import replace
+from phm.config.editor import MAX_EDITS, Edit, EditError, apply, diff, values
+from phm.config.loader import read_file
 from phm.config.schema import schema
 from phm.config.yaml_tree import MAX_BYTES
 

@@ -18,7 +18,7 @@ _FLIGHT = b'"flight"'
 
 
 @dataclass(frozen=True)
-class Choice:
+class LineFilter:
     """An empty part allows everything.
 
     units:   patterns as in a shell; `*` matches `/`, too.

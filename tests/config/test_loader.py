@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from phm.config import ConfigError, Problem, find, load, loads
+from phm.config import ConfigError, Problem, find, load, loader, loads
 from phm.config.yaml_scalars import resolve
 from phm.config.yaml_tree import MAX_BYTES
 from phm.core.settings import Settings
@@ -173,7 +172,7 @@ def test_the_default_file_is_the_installed_one_or_that_of_the_repository(
     """A given path has priority; without one, /etc/phm/phm.yaml, else config/phm.yaml."""
     installed = tmp_path / "phm.yaml"
     # By name: the package's attribute `load` is the function, not the module.
-    monkeypatch.setattr(importlib.import_module("phm.config.load"), "INSTALLED", installed)
+    monkeypatch.setattr(loader, "INSTALLED", installed)
     assert find("other.yaml") == Path("other.yaml")
     assert find() == Path("config/phm.yaml")
     installed.touch()
@@ -183,7 +182,7 @@ def test_the_default_file_is_the_installed_one_or_that_of_the_repository(
 def test_without_any_configuration_phm_init_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As `phm run` in an empty folder says."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(importlib.import_module("phm.config.load"), "INSTALLED", tmp_path / "none.yaml")
+    monkeypatch.setattr(loader, "INSTALLED", tmp_path / "none.yaml")
     with pytest.raises(
         ConfigError, match=r"config/phm\.yaml: file not found, nor /etc/phm/phm\.yaml: `phm init` writes"
     ):

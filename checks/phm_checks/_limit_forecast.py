@@ -13,7 +13,7 @@ UNSURE = 2.0
 """A forecast is reported only if even its latest time is within this many horizons."""
 
 
-class Ahead:
+class LimitForecast:
     """The forecast of one measurement. `LOOKS` of them are made in the shortest time that a trend is observed for."""
 
     LOOKS = 12

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.config.save import replace
+from phm.config.atomic_write import replace
 
 STRANGER, GROUP = 65534, 4242
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from phm.config.edit import Edit, EditError, apply, diff, values
+from phm.config.editor import Edit, EditError, apply, diff, values
 
 REFERENCE = (Path(__file__).parents[2] / "config" / "phm.yaml").read_text(encoding="utf-8")
 SMALL = """\

@@ -13,9 +13,9 @@ from pathlib import Path
 from phm.core.file_lock import locked
 from phm.facts import CannotTell
 from phm.logs.bundle import file_name
-from phm.logs.collect_index import Agent, Index, agent_of
+from phm.logs.collection_index import Agent, Index, agent_of
 from phm.logs.copies import Copies
-from phm.logs.fetch import BASES, RECORD, Copied, LogSource, Progress, fetch
+from phm.logs.log_copier import BASES, RECORD, Copied, LogSource, Progress, fetch
 
 INDEX = ".phm-collect.json"
 """What was collected from where. Without it everything is fetched again, and nothing is there twice."""
