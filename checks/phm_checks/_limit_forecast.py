@@ -60,7 +60,7 @@ class LimitForecast:
         )
 
     def short(self, forecast: api.Forecast) -> str:
-        """`in 12 min`, which changes seldom: the ground receives each change."""
+        """`in 12 min`, which rarely changes: the ground receives each change."""
         shown_s = self._shown.show("", forecast.likely_s)
         return f"in {shown_s / 60:.0f} min" if shown_s >= 90 else f"in {shown_s:.0f} s"
 

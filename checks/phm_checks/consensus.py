@@ -210,9 +210,9 @@ def _copied(fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Res
     names = list(dict.fromkeys((*by, *twice)))
     who = f": {listed(dict.fromkeys(by.values()), 3)}" if by else ""
     return api.warn(
-        f"beacons of {_names(names)} also come from a second publisher{who}; PHM rejects them and uses the first: find out which participant "
+        f"beacons of {_names(names)} also come from a second publisher{who}; PHM refuses them and uses the first: find out which participant "
         "publishes on /phm/beacon. Any participant of the ROS domain can; SROS2 prevents it",
-        brief=brief(last(names[0]), "duplicate beacon"),
+        brief=brief(last(names[0]), "beacon copied"),
         condition="beacon_copied",
         target="",
         copied=len(names),
@@ -280,6 +280,6 @@ def _refused(fact: api.RosFact) -> str:
     if not fact.refused:
         return ""
     return (
-        f"; {fact.refused} messages on /phm/beacon were rejected: they have another version; give the nodes this PHM's "
+        f"; {fact.refused} messages on /phm/beacon were refused: they have another version; give the nodes this PHM's "
         "phm/beacon.py"
     )

@@ -174,7 +174,7 @@ def command(
             show_record(replay, speed or 1.0, choice, lambda: clock.wait(stop, seconds))
         return
     if speed is not None:
-        raise click.UsageError("--speed is for --replay.")
+        raise click.UsageError("--speed needs --replay.")
     choice.check()
     clock.measure()
     station = make_station(link_settings(urls, baud, key, unsigned), system, clock, expect, silent=silent, pilot=pilot)

@@ -57,21 +57,21 @@ class WebChoice:
         }
         given = [option for option, value in needs.items() if value]
         if given and self.web is None and self.serve is None:
-            raise click.UsageError(f"{given[0]} is for --web and --serve.")
+            raise click.UsageError(f"{given[0]} needs --web or --serve.")
         if self.edit and self.web is None:
-            raise click.UsageError("--edit is for --web.")
+            raise click.UsageError("--edit needs --web.")
         files = [file for file, _, _ in self.deliver]
         for file in files:
             if file not in self.edit:
-                raise click.UsageError(f"--deliver is for a file of --edit: add --edit {file}.")
+                raise click.UsageError(f"--deliver needs a file of --edit: add --edit {file}.")
             if files.count(file) > 1:
-                raise click.UsageError(f"--deliver names {file} twice: each file is that of one agent.")
+                raise click.UsageError(f"--deliver names {file} twice: each file belongs to one agent.")
         if self.deliver and self.token_file is None:
             raise click.UsageError(
                 "--deliver needs --token-file FILE: without it, every user of this computer could run programs on the agents."
             )
         if self.history is not None and self.web is None:
-            raise click.UsageError("--history is for --web.")
+            raise click.UsageError("--history needs --web.")
         for option, wanted in (("--web", self.web), ("--serve", self.serve)):
             if wanted is not None:
                 require_aiohttp(option)
@@ -90,7 +90,7 @@ def make_parts(choice: WebChoice, station: GroundStation, clock: Clock) -> list[
 def show_record(record: str, speed: float, choice: WebChoice, wait: Callable[[], object]) -> None:
     """Serve the page of a record until `wait` returns. Raises UsageError and ClickException."""
     if choice.web is None:
-        raise click.UsageError("--replay is for --web: the record is shown on the page.")
+        raise click.UsageError("--replay needs --web: the record is shown on the page.")
     if choice.serve is not None or choice.history is not None:
         raise click.UsageError("--replay shows a record: it cannot be used with --serve and --history.")
     choice.check()

@@ -113,7 +113,7 @@ def _request(duration: str, containers: tuple[str, ...], folders: tuple[str, ...
     except (ValidationError, ValueError):
         for_s = 0.0
     if not 5 <= for_s <= 86400:
-        raise click.UsageError(f"--for {duration}: a duration of 5s to 24h, such as 90s or 10min.")
+        raise click.UsageError(f"--for {duration}: must be a duration of 5s to 24h, such as 90s or 10min.")
     try:
         return WatchRequest(for_s, containers, tuple(parse_folder(text) for text in folders))
     except ValueError as error:

@@ -89,7 +89,7 @@ class WithTasks(click.Command):
 @click.command(cls=WithTasks, epilog="Example: phm logs -f --since take-off --unit 'nodes*'")
 @click.argument("paths", metavar="[PATH]...", nargs=-1, type=click.Path(path_type=Path))
 @config_option
-@click.option("-f", "--follow", is_flag=True, help="Go on with new lines, until Ctrl-C.")
+@click.option("-f", "--follow", is_flag=True, help="Show new lines as they are written, until Ctrl-C.")
 @click.option("--unit", "units", metavar="GLOB", multiple=True, help="Only units like this, e.g. 'nodes*'; repeatable.")
 @click.option(
     "--kind",
@@ -238,4 +238,4 @@ def _close(logs: Sequence[LogReader]) -> None:
         for file, why in log.damaged.items():
             click.echo(f"{file}: damaged or unreadable: {why}; what is before that is shown", err=True)
         if log.skipped:
-            click.echo(f"{log.path}: {log.skipped} lines are torn or no JSON, and were left out", err=True)
+            click.echo(f"{log.path}: {log.skipped} lines are torn or not JSON and were left out", err=True)

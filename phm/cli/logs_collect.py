@@ -46,7 +46,7 @@ class _Engine(click.ParamType):  # type: ignore[type-arg]
             local = parts.scheme == "unix" and not parts.netloc and parts.path.startswith("/")
             # The port is looked at, because it is checked only then.
             if not local and (parts.scheme not in ("tcp", "ssh") or not parts.hostname or parts.port == 0):
-                raise ValueError("it has another form")
+                raise ValueError("unknown form")
         except ValueError as error:
             why = f"{url!r} is not the address of a Docker Engine: {error}"
             self.fail(f"{why}; write unix:///PATH, tcp://HOST:PORT or ssh://USER@HOST", param, ctx)

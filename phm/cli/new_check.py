@@ -79,7 +79,7 @@ def _seconds(text: str) -> float:
     except (ValidationError, ValueError):
         period_s = math.nan
     if not 0.1 <= period_s <= 86400:
-        raise click.UsageError(f"--period {text}: a duration of 0.1s to 24h, such as 500ms or 10s.")
+        raise click.UsageError(f"--period {text}: must be a duration of 0.1s to 24h, such as 500ms or 10s.")
     return period_s
 
 

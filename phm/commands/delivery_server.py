@@ -179,7 +179,7 @@ class DeliveryServer:
             return DeliveryAnswer(False, "PHM cannot start a thread: try again")
         except Exception:  # a defect; its text is not for the network
             logger.exception("a configuration could not be delivered")
-            return DeliveryAnswer(False, "PHM failed: its log has the reason")
+            return DeliveryAnswer(False, "PHM failed: see its log")
 
 
 async def _send(writer: asyncio.StreamWriter, line: bytes) -> None:

@@ -60,7 +60,7 @@ def _send(where: tuple[str, int], key: bytes, text: str, base: str, limit_s: flo
 
 
 def _unknown(why: str, sent: bool) -> str:
-    return f"{why}; whether the configuration was applied is not known, the agent's log says it" if sent else why
+    return f"{why}; it is not known whether the configuration was applied: see the agent's log" if sent else why
 
 
 def _line(stream: socket.socket, most: int, limit_s: float) -> bytes:

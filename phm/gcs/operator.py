@@ -29,9 +29,9 @@ REPLY_S = 2.0
 """The text of an answer follows its COMMAND_ACK within this time; an older PHM sends none."""
 HINTS = {
     "DENIED": "not among mavlink.commands on board, or not signed with the key of the agents (--key)",
-    "TEMPORARILY_REJECTED": "not possible now; the agent's log has the reason",
+    "TEMPORARILY_REJECTED": "not possible now; see the agent's log",
     "UNSUPPORTED": "this version of PHM does not know the request",
-    "FAILED": "there is nothing to do, or recovery is not allowed there; the agent's log has the reason",
+    "FAILED": "there is nothing to do, or recovery is not allowed there; see the agent's log",
 }
 """Used where the agent sends no text."""
 

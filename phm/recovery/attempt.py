@@ -191,9 +191,9 @@ class Attempt:
             words = f"{unit} is OK again {self._clock.mono() - self._began:.1f} s after the action began"
             other = "there was nothing to do" if not_needed else self._other_cause()
             self._credited = not other
-            return AttemptOutcome(True, f"{words}, but not because of {name}: {other}" if other else words)
+            return AttemptOutcome(True, f"{words}; the action {name} did not cause this: {other}" if other else words)
         if verified.undecided:
-            words = f"{name} {target}: whether {unit} is OK is not known yet, PHM waits"
+            words = f"{name} {target}: it is not yet known whether {unit} is OK; PHM waits"
             return AttemptOutcome(False, words, undecided=True)
         words = f"{name} {target} did not recover {verified.missing}"
         return AttemptOutcome(False, words, not_counted=verified.not_counted, partly=verified.partly)

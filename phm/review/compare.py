@@ -1,4 +1,4 @@
-"""Two records or flights against each other: what is new, gone, worse or better, and what of it can be chance. Pure."""
+"""Two records or flights against each other: what is new, gone, worse or better, and what of it may be random. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phm.review.statistics import same_rate
 Json = dict[str, Any]
 VERSION = 1
 LEVEL = 0.05
-"""A difference with a smaller probability, after the correction for many comparisons, is not taken for chance."""
+"""A difference with a smaller probability, after the correction for many comparisons, is statistically significant."""
 VERDICTS = ("new", "worse", "gone", "better", "same")
 
 
@@ -21,7 +21,7 @@ def build(first: Json, second: Json) -> Json:
     """Rows for each check and each (unit, condition) of two documents of `document.build`.
 
     `probability` is that of a difference at least as unlikely if both rates are equal; `corrected` by Holm over all rows of the
-    list; `chance` whether the difference may be chance.
+    list; `chance` whether the difference may be random.
     """
     return {
         "compare": VERSION,

@@ -19,17 +19,17 @@ HEAD = (
     "MTTR A",
     "MTTR B",
     "probability",
-    "can be chance",
+    "may be random",
 )
 
 
 def sentences(comparison: Json) -> list[str]:
-    """What was compared, and what changed beyond chance."""
+    """What was compared, and which changes are statistically significant."""
     lines = [_about(name, comparison[name.lower()]) for name in ("A", "B")]
     real = Counter(row["verdict"] for row in comparison["faults"] if not row["chance"])
     rest = sum(row["chance"] for row in comparison["faults"])
     changed = ", ".join(f"{count} {verdict}" for verdict, count in real.items()) or "nothing"
-    lines.append(f"Beyond chance: {changed}; {rest} other differences of faults can be chance.")
+    lines.append(f"Statistically significant: {changed}; {rest} other differences of faults may be random.")
     return lines
 
 

@@ -78,7 +78,7 @@ class Delivery:
             self.note(f"a configuration from {who} was refused: {words}")
         except Exception as error:  # a defect must not leave the sender without an answer
             logger.exception("a delivered configuration could not be applied")
-            done, words = False, f"PHM failed ({type(error).__name__}): its log has the reason"
+            done, words = False, f"PHM failed ({type(error).__name__}): see its log"
         return DeliveryAnswer(done, words, self._version(), tuple(_problem(each) for each in problems))
 
     def _take(self, text: str, base: str, who: str) -> tuple[bool, str]:

@@ -157,7 +157,7 @@ def ssh_command(url: str) -> tuple[str, ...]:
         if not _SSH_NAME.fullmatch(word):
             raise ValueError(f"{word!r} is not a {name}")
     if parts.password or parts.path.strip("/") or parts.query or parts.fragment:
-        raise ValueError("there is more than ssh://[user@]host[:port]")
+        raise ValueError("only ssh://[user@]host[:port] is supported")
     options = [("-l", parts.username), ("-p", parts.port and str(parts.port))]
     given = [word for option, value in options if value for word in (option, str(value))]
     return (*SSH, *given, "--", str(parts.hostname), "docker", "system", "dial-stdio")

@@ -127,11 +127,11 @@ class ScrapeServer:
         headers = [(name.strip().lower(), value.strip()) for name, _, value in (line.partition(":") for line in lines)]
         hosts = [value for name, value in headers if name == "host"]
         if self._local and not all(_is_local(host) for host in hosts):
-            raise _Refused(HTTPStatus.FORBIDDEN, "ask for this machine by its own name or address")
+            raise _Refused(HTTPStatus.FORBIDDEN, "the Host header names another machine")
         if words[0] not in ("GET", "HEAD"):
             raise _Refused(HTTPStatus.METHOD_NOT_ALLOWED, "only GET is served")
         if words[1].partition("?")[0] != "/metrics":
-            raise _Refused(HTTPStatus.NOT_FOUND, "there is /metrics")
+            raise _Refused(HTTPStatus.NOT_FOUND, "only /metrics is served")
         return ",".join(value for name, value in headers if name == "accept")
 
     def _page(self, accept: str) -> tuple[bytes, str]:
@@ -140,7 +140,7 @@ class ScrapeServer:
         if kept is None or self._clock.mono() - kept[0] >= AGAIN_S:
             kept = self._pages[first] = self._made(accept)
         if kept[1] is None:
-            raise _Refused(HTTPStatus.INTERNAL_SERVER_ERROR, "the metrics cannot be shown: PHM's log has the reason")
+            raise _Refused(HTTPStatus.INTERNAL_SERVER_ERROR, "the metrics cannot be shown: see PHM's log")
         return kept[1], kept[2]
 
     def _made(self, accept: str) -> tuple[float, bytes, str] | tuple[float, None, None]:
@@ -158,7 +158,7 @@ async def _head(reader: asyncio.StreamReader) -> bytes:
     try:
         return await reader.readuntil(b"\r\n\r\n")
     except asyncio.IncompleteReadError:
-        raise ConnectionError("the client has ended before its request") from None
+        raise ConnectionError("the client closed the connection before its request was complete") from None
     except asyncio.LimitOverrunError:
         raise _Refused(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "the request is too long") from None
 

@@ -132,7 +132,7 @@ def read_hello(line: bytes) -> Hello:
         case {"phm": "delivery", "v": 1, "agent": str(agent), "nonce": str(nonce)} if _HEX.fullmatch(nonce):
             return Hello(agent, nonce)
         case {"phm": "delivery"}:
-            raise NotADelivery("it has another version of PHM")
+            raise NotADelivery("it runs another version of PHM")
         case {"answer": str()}:
             raise NotADelivery(_answer(document, trusted=False).text)
     raise NotADelivery("it is not PHM's port for configurations (`delivery.listen`)")

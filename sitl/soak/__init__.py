@@ -1,1 +1,1 @@
-"""A swarm for hours with seldom faults: what grows meanwhile, and how many false alarms there are (docs/development/soak.md)."""
+"""A swarm for hours with rare faults: what grows meanwhile, and how many false alarms there are (docs/development/soak.md)."""

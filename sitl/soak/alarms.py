@@ -1,4 +1,4 @@
-"""False alarms per agent hour, and what became of the seldom faults. Pure; the rules are those of the campaign."""
+"""False alarms per agent hour, and what became of the rare faults. Pure; the rules are those of the campaign."""
 
 from __future__ import annotations
 

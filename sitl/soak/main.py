@@ -40,7 +40,7 @@ TRIALS, SAMPLES, SETTING, DOCUMENT, PAGE, LOGS = (
 def parser() -> argparse.ArgumentParser:
     words = argparse.ArgumentParser(
         prog="scripts/soak",
-        description="Run a swarm for hours with seldom faults, and show what grows and how many false alarms there are.",
+        description="Run a swarm for hours with rare faults, and show what grows and how many false alarms there are.",
         epilog="Ctrl-C writes what is known; the same command continues. See docs/development/soak.md.",
     )
     words.add_argument("hours", nargs="?", type=float, metavar="HOURS", help="to observe (2)")

@@ -40,7 +40,7 @@ class Plan:
     seed: int
 
 
-def seldom(faults: Mapping[str, Fault], agents: int) -> dict[str, Fault]:
+def soak_faults(faults: Mapping[str, Fault], agents: int) -> dict[str, Fault]:
     """Those that a soak injects: none that restarts PHM or changes its configuration, none that all agents of the machine see."""
     found = chosen(faults, (), agents, PROFILE, air=True)
     return {
@@ -78,7 +78,7 @@ class Soak:
 
     def __init__(self, swarm: Swarm, plan: Plan, record: Path, samples: Path, progress: Progress) -> None:
         self._plan, self._record, self._progress = plan, record, progress
-        faults = seldom(all_faults(), len(swarm.agents))
+        faults = soak_faults(all_faults(), len(swarm.agents))
         self._runner = Runner(swarm, faults, PROFILE, progress)
         self._runner.on_end = lambda trial: append(record, trial)
         self._sampler = Sampler(self._runner.agents, samples, plan.period_s)

@@ -299,7 +299,7 @@ def test_beacons_of_another_version_are_a_warning() -> None:
     """Beacons arrive, but this PHM cannot read them."""
     result = evaluate({}, refused=12)
     assert (result.level, result.condition) == (api.Level.WARN, "beacons_refused")
-    assert "12 messages on /phm/beacon were rejected" in result.summary
+    assert "12 messages on /phm/beacon were refused" in result.summary
     assert evaluate(matrix(A, B, C), refused=12).level is api.Level.OK
 
 
@@ -309,7 +309,7 @@ def test_a_second_publisher_of_a_beacon_is_reported() -> None:
     copied = evaluate({**beacons, A: beacon({B: True, C: True}, witness=A, copied_by="/elsewhere/forger")})
     assert (copied.level, copied.condition, copied.target) == (api.Level.WARN, "beacon_copied", "")
     assert (
-        "beacons of agent_1/a also come from a second publisher: /elsewhere/forger; PHM rejects them" in copied.summary
+        "beacons of agent_1/a also come from a second publisher: /elsewhere/forger; PHM refuses them" in copied.summary
     )
     rival = {**beacons, A: beacon({B: True, C: True}, witness=A, rivals=1)}
     assert evaluate(rival).condition == "beacon_copied"

@@ -55,14 +55,14 @@ def test_an_action_that_found_nothing_to_do_is_not_credited(agent: Agent) -> Non
 
     by, said = resolved(agent, nothing)
     assert by == "itself"
-    assert said.endswith("but not because of restart: there was nothing to do")
+    assert said.endswith("the action restart did not cause this: there was nothing to do")
 
 
 def test_an_action_may_report_another_cause(agent: Agent) -> None:
     agent.other_cause = lambda: "the moon has moved"
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "itself"
-    assert said.endswith("but not because of restart: the moon has moved")
+    assert said.endswith("the action restart did not cause this: the moon has moved")
 
 
 def test_an_action_is_credited_when_no_thread_can_be_started_to_query_other_causes(

@@ -17,7 +17,7 @@ from sitl.soak import report
 from sitl.soak.alarms import count
 from sitl.soak.main import main
 from sitl.soak.process_tree import Wakeups, descriptors, memory_mb, tree
-from sitl.soak.run import draws, load as load_runs, seldom
+from sitl.soak.run import draws, load as load_runs, soak_faults
 from sitl.soak.sample import Sample, from_json, load, to_json as sample_to_json
 from sitl.soak.slopes import MEASUREMENTS, Row, restarts, rows
 from tests.fakes.campaign_trials import alarm, injection, trial
@@ -147,7 +147,7 @@ def test_few_hours_without_an_alarm_have_an_upper_limit() -> None:
 
 def test_only_faults_that_leave_phm_running_are_injected() -> None:
     """None of PHM itself, of its configuration or of the whole machine; each once before one comes again."""
-    names = seldom(all_faults(), 8)
+    names = soak_faults(all_faults(), 8)
     assert not names.keys() & {
         "phm_killed",
         "phm_stopped",

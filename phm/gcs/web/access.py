@@ -125,7 +125,7 @@ class Gate:
             raise
         except Exception:  # a failure of one request must not show its traceback, and not affect the others
             logger.exception("a request to the page failed")
-            return answer({"error": "the server failed; its log has the reason"}, 500)
+            return answer({"error": "internal error: see the server's log"}, 500)
 
     async def headers(self, request: web.Request, response: web.StreamResponse) -> None:
         """Added to every response."""
@@ -184,7 +184,7 @@ class Gate:
         if request.match_info.http_exception is not None:
             return
         if role is None:
-            raise HttpProblem(403, "this route says not who may use it")
+            raise HttpProblem(403, "no role is defined for this route")
         changes = request.method not in ("GET", "HEAD")
         if (changes or role or request.path.startswith("/api/")) and not self.same_origin(request):
             raise HttpProblem(403, "the request comes from a page of another origin")
@@ -205,7 +205,7 @@ class Gate:
             raise HttpProblem(403, f"the header {CSRF} is missing or wrong")
 
     def _check_host(self, request: web.Request) -> None:
-        """On loopback, a page of anywhere can have its own name point here: then the Host header has that name."""
+        """On loopback, refuse other names: a page of any site can let its name point here, and the Host header has that name."""
         if not self.options.loopback or self.options.behind_proxy:
             return
         try:
@@ -213,7 +213,7 @@ class Gate:
         except ValueError:
             name = ""
         if not is_loopback(name):
-            raise HttpProblem(403, "ask for this machine by its own name or address")
+            raise HttpProblem(403, "the Host header names another machine")
 
     def _by_token(self, request: web.Request, header: str) -> str:
         kind, _, token = header.partition(" ")

@@ -60,13 +60,13 @@ class AlarmBook:
         """`acknowledge`, `silence` for `for_s`, `unsilence`; agent null: all. Raises ValueError."""
         what, name, for_s = body.get("do"), body.get("agent"), body.get("for_s")
         if what not in ("acknowledge", "silence", "unsilence"):
-            raise ValueError("do is acknowledge, silence or unsilence")
+            raise ValueError("do must be acknowledge, silence or unsilence")
         if name is not None and not isinstance(name, str):
-            raise ValueError("agent is a name, or null for all")
+            raise ValueError("agent must be a name, or null for all agents")
         if what == "silence" and (
             isinstance(for_s, bool) or not isinstance(for_s, (int, float)) or not SHORTEST_S <= for_s <= LONGEST_S
         ):
-            raise ValueError(f"for_s is {SHORTEST_S:g} to {LONGEST_S:g} seconds")
+            raise ValueError(f"for_s must be {SHORTEST_S:g} to {LONGEST_S:g} seconds")
         with self._lock:
             if what == "acknowledge":
                 for alarm in self._chosen(name):

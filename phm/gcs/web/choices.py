@@ -12,7 +12,7 @@ from phm.gcs.web.site import RequestRefused
 Json = dict[str, Any]
 LOAD_S = 10.0
 SHORTEST_S, LONGEST_S = 1.0, 86_400.0
-"""Of a hold; the agent has its own limits."""
+"""Limits of a hold that the page requests; the agent has its own limits."""
 _DECIDES = "The agent decides: it refuses what its configuration does not allow, and says why."
 
 
@@ -44,8 +44,8 @@ def choices(agent: Mapping[str, Any]) -> list[Json]:
 
 
 def command_of(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCommand:
-    """The command of a request. agent: the row of its agent. Raises ValueError for what is none, and RequestRefused for what the agent
-    does not have."""
+    """The command of a request. agent: the row of its agent. Raises ValueError for an invalid request, and RequestRefused for a fault
+    or container that the agent does not have."""
     match body.get("do"):
         case "check":
             return operator.run_checks()
@@ -62,24 +62,26 @@ def command_of(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCom
             return operator.report_load(LOAD_S)
         case "load_off":
             return operator.report_load(0.0)
-    raise ValueError("do is check, approve, restart, hold, release, details, containers, load or load_off")
+    raise ValueError("do must be check, approve, restart, hold, release, details, containers, load or load_off")
 
 
 def _approve(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCommand:
     fault = _number(body.get("fault"), "fault", 1, 10**9 - 1)
     one = next((one for one in agent["advice"] if one["fault"] == fault), None)
     if one is None:
-        raise RequestRefused(f"{agent['name']} approve #{fault}: not sent, the agent advises nothing for it any more")
+        raise RequestRefused(
+            f"{agent['name']} approve #{fault}: not sent, the agent no longer advises an action for it"
+        )
     return operator.approve(fault, f"{one['action']} {one['target']}".strip())
 
 
 def _container(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCommand:
     name, what = body.get("container"), str(body["do"])
     if not isinstance(name, str) or not name:
-        raise ValueError("container is the name of a container")
+        raise ValueError("container must be the name of a container")
     known = list(agent["containers"])
     if name not in known:
-        raise RequestRefused(f"{agent['name']} {what} {name[:100]}: not sent, the agent has named no such container")
+        raise RequestRefused(f"{agent['name']} {what} {name[:100]}: not sent, the agent has not listed this container")
     place = known.index(name) + 1
     if what == "restart":
         return operator.restart(place, name)
@@ -91,14 +93,14 @@ def _container(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCom
 
 def _number(value: object, name: str, least: int, most: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise ValueError(f"{name} is a whole number from {least} to {most}")
+        raise ValueError(f"{name} must be a whole number from {least} to {most}")
     return value
 
 
 def _seconds(value: object) -> float:
     """Whole seconds, as the command has them."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not SHORTEST_S <= value <= LONGEST_S:
-        raise ValueError(f"for_s is {SHORTEST_S:g} to {LONGEST_S:g} seconds")
+        raise ValueError(f"for_s must be {SHORTEST_S:g} to {LONGEST_S:g} seconds")
     return float(round(value))
 
 

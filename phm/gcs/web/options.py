@@ -82,7 +82,7 @@ def read_tokens(path: str) -> Tokens:
             )
         found[role] = token
     if not found:
-        raise OptionError(f"{path}: there is no token in it: write 'view: TOKEN' or 'operate: TOKEN'")
+        raise OptionError(f"{path}: the file contains no token: write 'view: TOKEN' or 'operate: TOKEN'")
     if found.get(VIEW) == found.get(OPERATE):
         raise OptionError(f"{path}: both roles have the same token")
     return Tokens(found.get(VIEW, ""), found.get(OPERATE, ""))
@@ -93,7 +93,7 @@ def tls_context(cert: str | None, key: str | None) -> ssl.SSLContext | None:
     if cert is None and key is None:
         return None
     if cert is None or key is None:
-        raise OptionError("--tls-cert and --tls-key belong together")
+        raise OptionError("--tls-cert and --tls-key must be given together")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:

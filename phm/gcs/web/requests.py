@@ -83,7 +83,7 @@ class RequestDesk:
         """Send it. Raises RequestRefused, and ValueError for a body that is none."""
         name = body.get("agent")
         if not isinstance(name, str):
-            raise ValueError("agent is the name of an agent")
+            raise ValueError("agent must be the name of an agent")
         row = self._row(name)
         command = command_of(body, row)
         if problem := self._problem(row):
@@ -96,7 +96,7 @@ class RequestDesk:
                     f"{name} {command.text}: not sent, still waiting for the answer to {earlier.exchange.command.text}"
                 )
             if len(waiting) >= MAX_OPEN:
-                raise RequestRefused(f"{name} {command.text}: not sent, {MAX_OPEN} requests wait for their answers")
+                raise RequestRefused(f"{name} {command.text}: not sent, {MAX_OPEN} requests are still unanswered")
             sent = self._send(row, command, str(body["do"]), by)
         self._publish([sent])
         return sent.json()

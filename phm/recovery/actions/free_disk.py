@@ -81,7 +81,7 @@ class FreeDisk(Action):
         did = f"removed {count} old file{'' if count == 1 else 's'}, {freed / 1e6:.1f} MB"
         if used >= goal:
             why = "; ".join(problems) or "nothing else that host.free_disk names is old enough"
-            raise ActionFailed(f"{did}, and {disk} is at {used:.0f} % still, below {goal:.0f} % is the goal: {why}")
+            raise ActionFailed(f"{did}, but {disk} is still at {used:.0f} %, and the goal is below {goal:.0f} %: {why}")
         said = f"{did}: {disk} is at {used:.0f} %"
         return said if removed else NotNeeded(said)
 

@@ -205,7 +205,7 @@ def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> PersistedHold:
 def _read_lowered(body: Any) -> LoweredWeight:
     shares = int(body["shares"])
     if not 2 <= shares <= MAX_SHARES:
-        raise ValueError("a CPU weight that no container has")
+        raise ValueError("an invalid CPU weight")
     key, container, unit = (str(body[part])[:MAX_TEXT] for part in ("key", "id", "unit"))
     return LoweredWeight(key, container, shares, unit)
 

@@ -52,7 +52,7 @@ def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | 
         return _never_received(last)
     if _within(fact.armed_s, timeout_s):
         if _within(fact.disarmed_s, timeout_s):
-            words = f"said armed {fact.armed_s:.1f} s ago and disarmed {fact.disarmed_s:.1f} s ago"
+            words = f"reported armed {fact.armed_s:.1f} s ago and disarmed {fact.disarmed_s:.1f} s ago"
             return ArmedStatus(ArmedState.ARMED, f"the autopilot {words}")
         return ArmedStatus(ArmedState.ARMED, "the autopilot is armed")
     if not _within(fact.disarmed_s, timeout_s):
@@ -67,7 +67,9 @@ def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | 
         return ArmedStatus(ArmedState.ARMED, f"the autopilot rebooted while armed{ago}")
     if last is not None and last.armed and not _landed(fact, timeout_s) and not _steadily_disarmed(fact, timeout_s):
         why = "was armed before a silence and may have rebooted in the air"
-        return ArmedStatus(ArmedState.ARMED, f"the autopilot {why}: its disarmed counts after {REBOOT_S:.0f} s")
+        return ArmedStatus(
+            ArmedState.ARMED, f"the autopilot {why}: a disarmed report is trusted {REBOOT_S:.0f} s after the reboot"
+        )
     return ArmedStatus(ArmedState.DISARMED, "the autopilot is disarmed")
 
 
@@ -108,7 +110,7 @@ class ArmedMonitor:
         self._last: LastArmedState | None = None
 
     def restore(self, last: LastArmedState | None) -> None:
-        """The last state known to an earlier run of PHM."""
+        """Take over the last state known to an earlier run of PHM."""
         self._last = last
 
     def now(self) -> ArmedStatus:
@@ -120,6 +122,6 @@ class ArmedMonitor:
         return found
 
     def kept(self) -> LastArmedState | None:
-        """For the state file; changes only when the state does."""
+        """The last certain state, for the state file; it changes only when the state does."""
         self.now()
         return self._last

@@ -241,7 +241,7 @@ def test_a_wrong_token_opens_nothing(locked: Ground, token: Any) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "there is no token"),
+        ("", "contains no token"),
         ("view: short", "16 or more"),
         ("admin: 0123456789abcdef", "'view: TOKEN' or 'operate: TOKEN'"),
         (f"view: {VIEW}\nview: {VIEW}", ":2: write"),
@@ -278,11 +278,11 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path) -> None:
         (("--serve", "0.0.0.0:0", "--token-file", "{tokens}"), "--tls-cert"),
         (("--serve", "0.0.0.0:0", "--behind-proxy"), "add --token-file"),
         (("--web", "127.0.0.1:0", "--behind-proxy"), "--behind-proxy needs --token-file"),
-        (("--web", "127.0.0.1:0", "--tls-cert", "{tokens}"), "belong together"),
+        (("--web", "127.0.0.1:0", "--tls-cert", "{tokens}"), "must be given together"),
         (("--web", "127.0.0.1:0", "--tls-cert", "{tokens}", "--tls-key", "{tokens}"), "both in PEM format"),
         (("--web", "127.0.0.1:0", "--token-file", "/none"), "--token-file /none: No such file"),
-        (("--token-file", "{tokens}"), "is for --web and --serve"),
-        (("--history", "x"), "is for --web"),
+        (("--token-file", "{tokens}"), "needs --web or --serve"),
+        (("--history", "x"), "needs --web"),
     ],
 )
 def test_what_is_not_safe_does_not_start(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:

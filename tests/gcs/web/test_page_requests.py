@@ -111,12 +111,12 @@ def test_the_page_says_what_a_request_does(client: Client, live: Live) -> None:
     ("body", "status", "words"),
     [
         ({"agent": "A99", "do": "check"}, 409, "there is no agent A99"),
-        ({"agent": 7, "do": "check"}, 400, "agent is the name"),
-        ({"agent": "A07", "do": "reboot"}, 400, "do is check"),
-        ({"agent": "A07", "do": "approve", "fault": "17"}, 400, "fault is a whole number"),
-        ({"agent": "A07", "do": "approve", "fault": 17}, 409, "advises nothing"),
-        ({"agent": "A07", "do": "restart", "container": "<b>"}, 409, "has named no such container"),
-        ({"agent": "A07", "do": "restart"}, 400, "container is the name"),
+        ({"agent": 7, "do": "check"}, 400, "agent must be the name"),
+        ({"agent": "A07", "do": "reboot"}, 400, "do must be check"),
+        ({"agent": "A07", "do": "approve", "fault": "17"}, 400, "fault must be a whole number"),
+        ({"agent": "A07", "do": "approve", "fault": 17}, 409, "no longer advises"),
+        ({"agent": "A07", "do": "restart", "container": "<b>"}, 409, "has not listed this container"),
+        ({"agent": "A07", "do": "restart"}, 400, "container must be the name"),
     ],
 )
 def test_a_request_that_cannot_be_sent_is_refused_here(

@@ -255,12 +255,12 @@ def test_levels_have_a_series(client: Client, live: Live) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--replay", "/none"), "--replay is for --web"),
+        (("--replay", "/none"), "--replay needs --web"),
         (("--replay", "/none", "--web", "0"), "there is no such file"),
         (("--replay", "/none", "--web", "0", "--once"), "cannot be used with"),
         (("--replay", "/none", "--web", "0", "--serve", "0"), "cannot be used with"),
         (("--replay", "/none", "--web", "0.0.0.0:0"), "add --token-file"),
-        (("--web", "0", "--speed", "10"), "--speed is for --replay"),
+        (("--web", "0", "--speed", "10"), "--speed needs --replay"),
     ],
 )
 def test_a_mistake_is_explained(arguments: tuple[str, ...], words: str) -> None:

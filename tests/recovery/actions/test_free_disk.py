@@ -182,7 +182,7 @@ def test_no_list_of_all_names_is_built(disk: Path, monkeypatch: pytest.MonkeyPat
 def test_unconfigured_and_recent_files_stay(disk: Path) -> None:
     other, fresh = put(disk / "bags/map.db", 50_000), put(disk / "bags/now.mcap", 48_000, age_s=0.0)
     with pytest.raises(
-        ActionFailed, match=r"removed 0 old files.*at 98 % still.*nothing else that host\.free_disk names"
+        ActionFailed, match=r"removed 0 old files.*still at 98 %.*nothing else that host\.free_disk names"
     ):
         run(disk, {"files": ["*.mcap"]})
     assert other.exists() and fresh.exists()

@@ -35,7 +35,7 @@ def fact(armed_s: float | None, disarmed_s: float | None, **more: object) -> Aut
         (None, LastArmedState(False, 0.0), ArmedState.UNKNOWN, "since PHM started"),
         (fact(None, 0.5), None, ArmedState.DISARMED, "disarmed"),
         (fact(60.0, 0.5, disarmed_for_s=59.0), FLEW, ArmedState.DISARMED, "disarmed"),
-        (fact(2.0, 0.5, disarmed_for_s=1.0), FLEW, ArmedState.ARMED, "said armed 2.0 s ago"),
+        (fact(2.0, 0.5, disarmed_for_s=1.0), FLEW, ArmedState.ARMED, "reported armed 2.0 s ago"),
         (fact(4.0, 0.5, disarmed_for_s=3.0), FLEW, ArmedState.DISARMED, "disarmed"),
         (fact(8.0, 0.5, disarmed_for_s=1.0), FLEW, ArmedState.ARMED, "may have rebooted in the air"),
         (fact(38.0, 0.5, disarmed_for_s=31.0), FLEW, ArmedState.DISARMED, "disarmed"),

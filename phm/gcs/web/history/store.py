@@ -274,7 +274,7 @@ def _check_owner(connection: sqlite3.Connection) -> None:
     )
     if found == APPLICATION:
         if version != VERSION:
-            raise sqlite3.DatabaseError("it is of another version of PHM")
+            raise sqlite3.DatabaseError("it was written by another version of PHM")
     elif (found, version, tables) != (0, 0, 0):
         raise _NotOurs
 

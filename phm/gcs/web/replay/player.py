@@ -135,7 +135,7 @@ class Player:
                 case "speed":
                     self._speed = _number(body.get("speed"), "speed", SLOWEST, FASTEST)
                 case _:
-                    raise ValueError("do is play, pause, seek or speed")
+                    raise ValueError("do must be play, pause, seek or speed")
         changed()
 
     # ------------------------------------------------------------ the thread
@@ -221,5 +221,5 @@ class Player:
 
 def _number(value: object, name: str, least: float, most: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not least <= value <= most:
-        raise ValueError(f"{name} is a number from {least:g} to {most:g}")
+        raise ValueError(f"{name} must be a number from {least:g} to {most:g}")
     return float(value)

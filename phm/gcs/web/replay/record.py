@@ -113,7 +113,7 @@ def load(path: str | Path) -> GroundRecord:
         if len(entries) > MAX_LINES:
             raise RecordError(f"{path}: more than {MAX_LINES} lines; split it")
     if not entries:
-        raise RecordError(f"{path}: no line of `phm gcs --record` is in it")
+        raise RecordError(f"{path}: it contains no line of `phm gcs --record`")
     entries += _fill_in(entries, path)
     entries.sort(key=lambda entry: entry.at)
     return GroundRecord(tuple(entries), tuple(entry.at for entry in entries), tuple(runs), ids)
@@ -256,7 +256,7 @@ class _Filler:
             if at + number * period_s < end:
                 self.found.append(Entry(at + number * period_s, None, [(frame, link)]))
         if len(self.found) > MAX_LINES:
-            raise RecordError(f"{self._path}: it is of more than {MAX_LINES} heartbeats; split it")
+            raise RecordError(f"{self._path}: more than {MAX_LINES} heartbeats; split it")
         if inclusive and end > at:
             self.found.append(Entry(end, None, [(frame, link)]))
 

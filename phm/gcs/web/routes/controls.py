@@ -15,7 +15,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     async def alarms(request: web.Request) -> web.Response:
         body = await read_json(request)
         if site.alarms is None:
-            raise HttpProblem(409, "there are no alarms here")
+            raise HttpProblem(409, "this page has no alarms")
         try:
             site.alarms.control(body, site.view.moment()[0])
         except ValueError as error:
@@ -25,7 +25,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     async def replay(request: web.Request) -> web.Response:
         body = await read_json(request)
         if site.replay is None:
-            raise HttpProblem(409, "no record is replayed here")
+            raise HttpProblem(409, "this page does not replay a record")
         try:
             await asyncio.to_thread(site.replay.control, body)
         except ValueError as error:

@@ -26,9 +26,9 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     def handler(ask: Callable[[Site, HistoryReader, web.Request], Any]) -> Handler:
         async def handle(request: web.Request) -> web.Response:
             if site.history is None:
-                raise HttpProblem(404, "there is no history here")
+                raise HttpProblem(404, "this page has no history")
             if waiting[0] >= MAX_WAITING:
-                raise HttpProblem(503, "the history is asked too much: try again")
+                raise HttpProblem(503, "too many history queries: try again")
             waiting[0] += 1
             try:
                 async with turn:
@@ -67,7 +67,7 @@ def _kinds(site: Site, history: HistoryReader, request: web.Request) -> Any:
 def _events(site: Site, history: HistoryReader, request: web.Request) -> Any:
     before = request.query.get("before")
     if before is not None and not (before.isascii() and before.isdecimal() and len(before) < 18):
-        raise HttpProblem(400, "before is the id of an event")
+        raise HttpProblem(400, "before must be the id of an event")
     return history.events(
         who=_text(request, "agent"),
         event=_text(request, "event"),
@@ -106,5 +106,5 @@ def _number(request: web.Request, name: str, default: float) -> float:
     except ValueError:
         found = math.nan
     if not math.isfinite(found) or abs(found) > 1e11:
-        raise HttpProblem(400, f"{name} is a number")
+        raise HttpProblem(400, f"{name} must be a number")
     return found

@@ -43,7 +43,7 @@ class _Page:
             if kept is None or self._clock.mono() - kept[0] >= AGAIN_S:
                 kept = self._kept[first] = await asyncio.to_thread(self._made, MetricsText(self._ground.page), accept)
         if kept[1] is None:
-            raise HttpProblem(500, "the metrics cannot be shown: the server's log has the reason")
+            raise HttpProblem(500, "the metrics cannot be shown: see the server's log")
         return web.Response(body=kept[1], headers={hdrs.CONTENT_TYPE: kept[2]})
 
     def _made(self, text: MetricsText, accept: str) -> tuple[float, bytes, str] | tuple[float, None, None]:

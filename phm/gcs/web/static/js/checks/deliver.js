@@ -25,7 +25,7 @@ async function send(name, version, base, status) {
     return got;
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    const unknown = error.status === 0 ? "; whether the configuration was applied is not known, the agent's log says it" : "";
+    const unknown = error.status === 0 ? "; it is not known whether the configuration was applied: see the agent's log" : "";
     status.textContent = `${error.message}${unknown}`;
     return { ok: false, problems: [] };
   }
