@@ -153,7 +153,7 @@ def _checked(machine: Machine, answers: Answers, directory: Path) -> dict[str, s
     """The files, of which phm.yaml is valid: a defect of PHM is reported here and not when the container starts."""
     from phm.config import ConfigError
     from phm.config.loader import loads
-    from phm.setup.render import CONFIGURATION, render
+    from phm.setup.template_renderer import CONFIGURATION, render
 
     texts = render(machine, answers)
     try:

@@ -58,9 +58,10 @@ def command(
     Exit code 0: done; 1: nothing could be watched, or the file could not be written; 78: the configuration is invalid.
     """
     from phm.config import ConfigError
-    from phm.learn import merge, output as files
+    from phm.learn import output as files
+    from phm.learn.agent_observer import AgentObserver, ObservationFailed
     from phm.learn.baseline import learn
-    from phm.learn.watch import Watch, WatchFailed
+    from phm.learn.baseline_merger import merge
 
     if folders and output is None:
         raise click.UsageError("--files writes a manifest beside the configuration: add --output.")
@@ -71,17 +72,19 @@ def command(
         settings = files.settings_of(text, str(base or "phm.yaml"), os.environ)
         from phm.core.clock import SystemClock
 
-        seen = Watch(settings, request, SystemClock(), _progress).run()
+        seen = AgentObserver(settings, request, SystemClock(), _progress).run()
         baseline = learn(seen, settings.agent.id)
-        new = merge.merge(text, baseline, os.environ)
+        new = merge(text, baseline, os.environ)
         files.check(new, str(output or base or "phm.yaml"), os.environ)
         if not (baseline.containers or baseline.nodes or baseline.mavlink.values):
-            raise WatchFailed(f"nothing was learned: {'; '.join(seen.problems) or 'no container and no ROS node runs'}")
+            raise ObservationFailed(
+                f"nothing was learned: {'; '.join(seen.problems) or 'no container and no ROS node runs'}"
+            )
         written = files.write(output, new, baseline) if output is not None else []
     except ConfigError as error:
         click.echo(str(error), err=True)
         ctx.exit(EX_CONFIG)
-    except (OSError, UnicodeDecodeError, WatchFailed) as error:
+    except (OSError, UnicodeDecodeError, ObservationFailed) as error:
         raise click.ClickException(str(error)) from None
     for path in written:
         click.echo(f"phm learn: wrote {path}", err=True)
@@ -106,7 +109,7 @@ def _request(duration: str, containers: tuple[str, ...], folders: tuple[str, ...
     from pydantic import TypeAdapter, ValidationError
 
     from phm.core.settings import Seconds
-    from phm.learn.watch import WatchRequest, parse_folder
+    from phm.learn.agent_observer import ObservationRequest, parse_folder
 
     try:
         for_s = float(TypeAdapter(Seconds).validate_python(duration))
@@ -115,7 +118,7 @@ def _request(duration: str, containers: tuple[str, ...], folders: tuple[str, ...
     if not 5 <= for_s <= 86400:
         raise click.UsageError(f"--for {duration}: must be a duration of 5s to 24h, such as 90s or 10min.")
     try:
-        return WatchRequest(for_s, containers, tuple(parse_folder(text) for text in folders))
+        return ObservationRequest(for_s, containers, tuple(parse_folder(text) for text in folders))
     except ValueError as error:
         raise click.UsageError(f"--files {error}") from None
 
@@ -125,7 +128,7 @@ def _progress(text: str, seconds: float) -> None:
 
 
 def _print(old: str, new: str, name: str, baseline: Baseline, *, diff: bool, as_json: bool, printed: bool) -> None:
-    from phm.learn.merge import unified_diff
+    from phm.learn.baseline_merger import unified_diff
 
     if as_json:
         click.echo(json.dumps(_document(old, new, baseline), indent=2))

@@ -10,7 +10,7 @@ from click.testing import CliRunner, Result
 
 from phm.cli import group
 from phm.facts import EndpointFact
-from phm.learn import watch
+from phm.learn import agent_observer
 from phm.learn.observations import Observations, ObservedFolder, ObservedTopic
 
 TYPE = "std_msgs/msg/String"
@@ -28,7 +28,7 @@ def invoke(*words: str) -> Result:
 
 @pytest.fixture(autouse=True)
 def seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(watch.Watch, "run", lambda self: SEEN)
+    monkeypatch.setattr(agent_observer.AgentObserver, "run", lambda self: SEEN)
     monkeypatch.chdir(tmp_path)
 
 
@@ -56,7 +56,9 @@ def test_differences_are_printed_and_nothing_is_written(tmp_path: Path) -> None:
 
 def test_manifests_are_written_beside_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = ObservedFolder("app", "/ws", {"a": "0" * 64}, 1)
-    monkeypatch.setattr(watch.Watch, "run", lambda self: Observations(60.0, SEEN.containers, (folder,), SEEN.nodes))
+    monkeypatch.setattr(
+        agent_observer.AgentObserver, "run", lambda self: Observations(60.0, SEEN.containers, (folder,), SEEN.nodes)
+    )
     assert invoke("--fresh", "--files", "app:/ws", "-o", str(tmp_path / "new" / "phm.yaml")).exit_code == 0
     assert "  a\n" in (tmp_path / "new" / "app-ws.sha256").read_text()
 
@@ -89,7 +91,9 @@ def test_an_invalid_configuration_is_refused_with_its_line(tmp_path: Path) -> No
 
 def test_nothing_learned_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        watch.Watch, "run", lambda self: Observations(60.0, problems=("ROS was not watched: no rclpy",))
+        agent_observer.AgentObserver,
+        "run",
+        lambda self: Observations(60.0, problems=("ROS was not watched: no rclpy",)),
     )
     result = invoke("--fresh")
     assert result.exit_code == 1 and "no rclpy" in result.output
@@ -97,7 +101,7 @@ def test_nothing_learned_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_file_is_kept_when_nothing_was_learned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The engine is down: an empty configuration must not replace the present one."""
-    monkeypatch.setattr(watch.Watch, "run", lambda self: Observations(60.0))
+    monkeypatch.setattr(agent_observer.AgentObserver, "run", lambda self: Observations(60.0))
     (tmp_path / "phm.yaml").write_text("agent: {id: 7} # mine\n")
     result = invoke("--fresh", "-o", "phm.yaml")
     assert result.exit_code == 1

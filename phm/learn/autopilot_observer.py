@@ -25,7 +25,7 @@ class _Heartbeats:
     longest_s: float = 0.0
 
 
-class AutopilotWatch:
+class AutopilotObserver:
     """Call `start`, then `into` at the end."""
 
     def __init__(self, settings: Settings, clock: Clock) -> None:

@@ -14,10 +14,10 @@ from phm import testing
 from phm.core.settings import Settings
 from phm.facts import NameFact, RateFact, RosFact, TopicFact
 from phm.facts.ros import EndpointFact
-from phm.learn import ros_watch
+from phm.learn import ros_observer
+from phm.learn.agent_observer import AgentObserver, ObservationFailed, ObservationRequest
 from phm.learn.observations import Observations
-from phm.learn.ros_watch import RosWatch
-from phm.learn.watch import Watch, WatchFailed, WatchRequest
+from phm.learn.ros_observer import RosObserver
 from phm.probes.docker import Docker
 from phm.testing import FakeClock
 from tests.fakes.engine import FakeEngine, container
@@ -57,8 +57,8 @@ def watch(engine: FakeEngine, *containers: str, **fields: Any) -> Observations:
     """fields: of the request; `settings`: sections of the configuration."""
     sections = fields.pop("settings", {})
     settings = Settings.model_validate({"docker": {"socket": engine.url}, **sections})
-    request = replace(WatchRequest(5.0, containers, ros=False, links=False), **fields)
-    return Watch(settings, request, PassingClock()).run()
+    request = replace(ObservationRequest(5.0, containers, ros=False, links=False), **fields)
+    return AgentObserver(settings, request, PassingClock()).run()
 
 
 def test_all_that_run_are_watched_but_phm(engine: FakeEngine) -> None:
@@ -75,7 +75,7 @@ def test_configured_containers_keep_their_alias(engine: FakeEngine) -> None:
 
 
 def test_a_container_that_does_not_run_is_refused_by_name(engine: FakeEngine) -> None:
-    with pytest.raises(WatchFailed, match=r"no running container ended; running: ros_app"):
+    with pytest.raises(ObservationFailed, match=r"no running container ended; running: ros_app"):
         watch(engine, "ended")
 
 
@@ -86,10 +86,10 @@ def test_a_configured_container_that_does_not_run_is_a_problem(engine: FakeEngin
 
 def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
     settings = Settings.model_validate({"docker": {"socket": f"unix://{tmp_path}/none"}})
-    seen = Watch(settings, WatchRequest(5.0, ros=False, links=False), PassingClock()).run()
+    seen = AgentObserver(settings, ObservationRequest(5.0, ros=False, links=False), PassingClock()).run()
     assert "containers were not watched" in seen.problems[0]
-    with pytest.raises(WatchFailed, match="containers cannot be watched"):
-        Watch(settings, WatchRequest(5.0, ("app",), ros=False, links=False), PassingClock()).run()
+    with pytest.raises(ObservationFailed, match="containers cannot be watched"):
+        AgentObserver(settings, ObservationRequest(5.0, ("app",), ros=False, links=False), PassingClock()).run()
 
 
 def test_a_folder_has_the_sums_of_its_files(engine: FakeEngine) -> None:
@@ -110,8 +110,8 @@ def test_files_that_change_meanwhile_are_left_out(engine: FakeEngine, tmp_path: 
             return super().wait(event, timeout_s)
 
     settings = Settings.model_validate({"docker": {"socket": engine.url}})
-    request = WatchRequest(5.0, folders=(("ros_app", "/data"),), ros=False, links=False)
-    (folder,) = Watch(settings, request, Changing()).run().folders
+    request = ObservationRequest(5.0, folders=(("ros_app", "/data"),), ros=False, links=False)
+    (folder,) = AgentObserver(settings, request, Changing()).run().folders
     assert (list(folder.files), folder.unstable) == (["a"], ("b",))
 
 
@@ -125,7 +125,7 @@ def test_files_that_change_meanwhile_are_left_out(engine: FakeEngine, tmp_path: 
     ],
 )
 def test_a_folder_that_cannot_be_read_is_refused(engine: FakeEngine, folder: tuple[str, str], problem: str) -> None:
-    with pytest.raises(WatchFailed, match=problem):
+    with pytest.raises(ObservationFailed, match=problem):
         watch(engine, folders=(folder,))
 
 
@@ -160,9 +160,9 @@ def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
         nodes={"/a/lidar": 1, "/a/planner": 1, "/_phm_a": 1},
         others={"/a/scan": users, "/diagnostics": users, "/a/unused": NameFact((), ("/a/planner",))},
     )
-    monkeypatch.setattr(ros_watch, "RosSupervisor", Supervisor)
+    monkeypatch.setattr(ros_observer, "RosSupervisor", Supervisor)
     clock = PassingClock()
-    seen = RosWatch(testing.settings(), clock)
+    seen = RosObserver(testing.settings(), clock)
     seen.discover(10.0)
     for _ in range(10):
         clock.advance(1.0)

@@ -11,10 +11,10 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import CannotTell, ContainerFact
-from phm.learn.autopilot_watch import AutopilotWatch
+from phm.learn.autopilot_observer import AutopilotObserver
 from phm.learn.baseline import IGNORED
 from phm.learn.observations import Observations, ObservedContainer, ObservedFolder
-from phm.learn.ros_watch import RosWatch
+from phm.learn.ros_observer import RosObserver
 from phm.probes.devices import Devices
 from phm.probes.docker import Docker
 from phm.probes.docker_facts import container_fact
@@ -28,7 +28,7 @@ _TURN_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class WatchRequest:
+class ObservationRequest:
     """What to watch. containers: their names or aliases; empty: those that are configured, else all that run.
 
     folders: containers and folders in them for which to make manifests. ros, links: whether to watch the ROS graph and the
@@ -42,26 +42,26 @@ class WatchRequest:
     links: bool = True
 
 
-class WatchFailed(Exception):
+class ObservationFailed(Exception):
     """What was asked for cannot be watched at all; the text says why and what to do."""
 
 
 @dataclass
-class Watch:
+class AgentObserver:
     """One watch. progress: called with what happens now, in a few words, and the seconds that it takes (0: unknown)."""
 
     settings: Settings
-    request: WatchRequest
+    request: ObservationRequest
     clock: Clock
     progress: Callable[[str, float], None] = lambda text, seconds: None
     problems: list[str] = field(default_factory=list)
 
     def run(self) -> Observations:
-        """Raises WatchFailed. Returns after `request.for_s`, and the time to read folders."""
+        """Raises ObservationFailed. Returns after `request.for_s`, and the time to read folders."""
         engine = DockerEngine(self.settings.docker.socket, self.settings.docker.timeout, self.clock)
-        ros = RosWatch(self.settings, self.clock) if self.request.ros else None
+        ros = RosObserver(self.settings, self.clock) if self.request.ros else None
         pilot = (
-            AutopilotWatch(self.settings, self.clock)
+            AutopilotObserver(self.settings, self.clock)
             if self.request.links and self.settings.mavlink.endpoints
             else None
         )
@@ -86,7 +86,7 @@ class Watch:
 
     # ------------------------------------------------------------ time
 
-    def _wait(self, ros: RosWatch | None, pilot: AutopilotWatch | None) -> None:
+    def _wait(self, ros: RosObserver | None, pilot: AutopilotObserver | None) -> None:
         if pilot is not None:
             pilot.start()
         if ros is not None:
@@ -104,8 +104,8 @@ class Watch:
         self,
         containers: Sequence[ObservedContainer],
         folders: Sequence[ObservedFolder],
-        ros: RosWatch | None,
-        pilot: AutopilotWatch | None,
+        ros: RosObserver | None,
+        pilot: AutopilotObserver | None,
     ) -> Observations:
         seen = Observations(self.request.for_s, tuple(containers), tuple(folders))
         if ros is not None:
@@ -129,7 +129,7 @@ class Watch:
             running = self._running(engine)
         except CannotTell as reason:
             if wanted or self.request.folders:
-                raise WatchFailed(f"containers cannot be watched: {reason}") from None
+                raise ObservationFailed(f"containers cannot be watched: {reason}") from None
             self.problems.append(f"containers were not watched: {reason}")
             return {}
         found: dict[str, ContainerSettings] = {}
@@ -137,7 +137,9 @@ class Watch:
         for name in wanted or running:
             key = name if name in known else names.get(name, name)
             if key not in known and name not in running:
-                raise WatchFailed(f"there is no running container {name}; running: {', '.join(running) or 'none'}")
+                raise ObservationFailed(
+                    f"there is no running container {name}; running: {', '.join(running) or 'none'}"
+                )
             found[key] = known.get(key) or ContainerSettings(name=name)
         return found
 
@@ -196,7 +198,7 @@ class Watch:
         names = {entry.name: key for key, entry in entries.items()}
         for name, _path in self.request.folders:
             if name not in entries and name not in names:
-                raise WatchFailed(
+                raise ObservationFailed(
                     f"--files names the container {name}, which is not watched: {', '.join(entries) or 'none'} are"
                 )
         return [
@@ -223,9 +225,9 @@ class Watch:
             try:
                 listing = files.listing(key, path, IGNORED, fresh=True)
             except CannotTell as reason:
-                raise WatchFailed(f"--files {key}:{path}: {reason}") from None
+                raise ObservationFailed(f"--files {key}:{path}: {reason}") from None
             if listing is None:
-                raise WatchFailed(f"--files {key}:{path}: the folder does not exist")
+                raise ObservationFailed(f"--files {key}:{path}: the folder does not exist")
             if len(listing.sums) > least:
                 least, since_s = len(listing.sums), self.clock.mono()
             if not listing.pending or self.clock.mono() - since_s > NO_PROGRESS_S:

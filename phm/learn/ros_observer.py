@@ -36,7 +36,7 @@ class _Samples:
     changed: bool = False
 
 
-class RosWatch:
+class RosObserver:
     """Call `discover`, then `turn` a few times a second, then `into`."""
 
     def __init__(self, settings: Settings, clock: Clock) -> None:

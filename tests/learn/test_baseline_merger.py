@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 
 from phm.config.loader import loads
 from phm.learn.baseline import Baseline, Learned
-from phm.learn.merge import merge, unified_diff
+from phm.learn.baseline_merger import merge, unified_diff
 from tests.docs.story import ROOT
 
 TOPIC = {"name": "/a/scan", "type": "std_msgs/msg/String", "rate": 10, "publishers": ["/a/lidar"]}

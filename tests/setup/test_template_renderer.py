@@ -12,7 +12,7 @@ from phm.config.loader import loads
 from phm.core.settings import Settings
 from phm.setup.answers import Answers
 from phm.setup.machine import Application, SerialPort
-from phm.setup.render import render
+from phm.setup.template_renderer import render
 from phm.setup.yaml_text import quoted
 from tests.docs.examples import ROOT
 from tests.setup.machines import application, machine
