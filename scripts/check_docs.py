@@ -1,4 +1,4 @@
-"""Whether the documents keep up with the code, and whether no file names a machine.
+"""Whether the documents keep up with the code, whether no file names a machine, and limits of source files.
 
 Run by `scripts/check`. Prints every problem and ends with 1 when there is one.
 """
@@ -33,6 +33,10 @@ WIDTH = 100
 """Columns of a line of prose; tables, code, pictures and links are longer where they must be."""
 UNWRAPPED = ("|", "<", "![")
 HISTORY = "CHANGELOG.md"
+MAX_TEST_LINES = 500
+UNFORMATTED = re.compile(r"# fmt: (?:skip|off)$", re.MULTILINE)
+MAX_UNFORMATTED = 48
+"""Statements that the formatter leaves as they are: tables in code. The number may only fall."""
 
 
 def tracked() -> list[Path]:
@@ -112,10 +116,34 @@ def machine_names(files: list[Path]) -> Iterator[str]:
                 yield f"{path.relative_to(ROOT)}:{number}: names a registry's host or a folder of one machine"
 
 
+def long_tests(files: list[Path]) -> Iterator[str]:
+    """Modules of tests/ with more than MAX_TEST_LINES lines: split them by subject."""
+    for path in files:
+        name = path.relative_to(ROOT)
+        if path.suffix == ".py" and name.parts[0] == "tests":
+            lines = len(path.read_text("utf-8").splitlines())
+            if lines > MAX_TEST_LINES:
+                yield f"{name}: {lines} lines, at most {MAX_TEST_LINES}: split it by subject"
+
+
+def unformatted(files: list[Path]) -> Iterator[str]:
+    """More statements that are not formatted than MAX_UNFORMATTED."""
+    count = sum(len(UNFORMATTED.findall(path.read_text("utf-8"))) for path in files if path.suffix == ".py")
+    if count > MAX_UNFORMATTED:
+        yield f"{count} statements have `fmt: skip`, at most {MAX_UNFORMATTED}: let the formatter do it"
+
+
 def main() -> int:
     """Print all problems; 0 when there is none."""
     files = tracked()
-    problems = [*broken_links(files), *long_lines(files), *undocumented(), *machine_names(files)]
+    problems = [
+        *broken_links(files),
+        *long_lines(files),
+        *undocumented(),
+        *machine_names(files),
+        *long_tests(files),
+        *unformatted(files),
+    ]
     for problem in problems:
         print(problem)
     return 1 if problems else 0

@@ -114,37 +114,51 @@ class Data(api.Check):
             )
         if found.unset:
             return self._bad(
-                topic, "data_stamp", "stamp not set",
-                f"{name}: header.stamp is not set (0): its node must set it before it publishes", conclusive=True,
-            )  # fmt: skip
+                topic,
+                "data_stamp",
+                "stamp not set",
+                f"{name}: header.stamp is not set (0): its node must set it before it publishes",
+                conclusive=True,
+            )
         late = age_s > 0
         shown = _span(self._numbers.show(name, abs(age_s)))
         return self._bad(
-            topic, "data_stamp", f"stamp {shown} {'old' if late else 'ahead'}",
+            topic,
+            "data_stamp",
+            f"stamp {shown} {'old' if late else 'ahead'}",
             f"{name}: its stamps are {_span(abs(age_s))} {'old' if late else 'in the future'}, allowed is {span_of(data.max_age)}: "
             + ("its messages wait before they are published, or " if 0 < age_s <= DAY_S else "")
             + "the clock of its source differs from the clock of this computer; check time synchronization",
             conclusive=not 0 < age_s <= AT_ONCE,
-        )  # fmt: skip
+        )
 
     def _order(self, topic: api.TopicSettings, found: api.DataFact) -> api.Result:
         """A single step, e.g. of a clock that was set, is a WARN."""
         name, again = api.topic_id(topic.name), found.backs > 1
         return self._bad(
-            topic, "data_stamp", "stamps go back",
+            topic,
+            "data_stamp",
+            "stamps go back",
             f"{name}: its stamps go back, by {_span(found.back_s)}"
-            + (f", {found.backs} times in the last messages examined: several sources, or messages out of order" if again else
-               ": the clock of its source was set"),
-            level=Level.ERROR if again else Level.WARN, conclusive=True,
-        )  # fmt: skip
+            + (
+                f", {found.backs} times in the last messages examined: several sources, or messages out of order"
+                if again
+                else ": the clock of its source was set"
+            ),
+            level=Level.ERROR if again else Level.WARN,
+            conclusive=True,
+        )
 
     def _frozen(self, topic: api.TopicSettings, data: api.DataSettings, found: api.DataFact) -> api.Result:
         name = api.topic_id(topic.name)
         return self._bad(
-            topic, "data_frozen", "frozen",
+            topic,
+            "data_frozen",
+            "frozen",
             f"{name}: frozen. Messages have had the same content for {span(found.frozen_s)}, allowed is {span_of(data.frozen)}: "
-            "its source repeats old data; check the sensor or input of its node", conclusive=True,
-        )  # fmt: skip
+            "its source repeats old data; check the sensor or input of its node",
+            conclusive=True,
+        )
 
     def _range(self, topic: api.TopicSettings, data: api.DataSettings, found: api.DataFact) -> api.Result:
         name = api.topic_id(topic.name)
@@ -154,18 +168,23 @@ class Data(api.Check):
         ]
         what = last(found.outside[0].field.replace(".", "/")) if found.outside else ""
         return self._bad(
-            topic, "data_range", f"{what} out of range",
-            f"{name}: {'; '.join(fields)}: check the sensor or input of its node", conclusive=True,
-        )  # fmt: skip
+            topic,
+            "data_range",
+            f"{what} out of range",
+            f"{name}: {'; '.join(fields)}: check the sensor or input of its node",
+            conclusive=True,
+        )
 
     def _gaps(self, topic: api.TopicSettings, data: api.DataSettings, found: api.DataFact) -> api.Result:
         name, lost = api.topic_id(topic.name), found.lost_percent or 0.0
         result = self._bad(
-            topic, "data_gaps", f"{self._numbers.show(f'{name} gaps', lost):.0f} % lost",
+            topic,
+            "data_gaps",
+            f"{self._numbers.show(f'{name} gaps', lost):.0f} % lost",
             f"{name}: {lost:.0f} % of the numbers in {data.counter} are missing, allowed is {data.gaps:g} %: messages are lost "
             "before they are published; check the input and the load of its node",
             level=Level.ERROR if lost > 2 * data.gaps else Level.WARN,
-        )  # fmt: skip
+        )
         return replace(result, settle_s=SETTLE_S)
 
     def _bad(

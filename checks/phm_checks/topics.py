@@ -156,20 +156,28 @@ class Topics(api.Check):
         lost = [found for kind, wanted, there in sides_of for found in self._lost(name, kind, wanted, there, fact, now)]
         if not lost and not seen.publishers and not seen.subscribers:
             return self._bad(
-                topic, seen, Level.ERROR, "topic_missing", "missing",
+                topic,
+                seen,
+                Level.ERROR,
+                "topic_missing",
+                "missing",
                 f"topic {name} does not exist, expected a publisher: check that its node is running and how it is remapped."
                 f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
-            )  # fmt: skip
+            )
         if lost:
             _, kind, node = lost[0]
             settles = [self._ends.settle_s(key, fact, now) for key in lost]
             known = [settle_s for settle_s in settles if settle_s is not None]
             result = self._bad(
-                topic, seen, Level.ERROR, f"{kind}_lost", f"lost {kind} {last(node)}"[:30],
+                topic,
+                seen,
+                Level.ERROR,
+                f"{kind}_lost",
+                f"lost {kind} {last(node)}"[:30],
                 f"topic {name} has lost its {kind} {node}, which existed before and whose node is still running: it closed its "
                 f"{'publisher' if kind == 'publisher' else 'subscription'}; check its log, restart it",
                 self._homes.get(node, ""),
-            )  # fmt: skip
+            )
             return replace(result, settle_s=max(known) if len(known) == len(settles) else None)
         for kind, wanted, there in sides_of:
             names = {end.node for end in there}
@@ -177,16 +185,24 @@ class Topics(api.Check):
             if lacking:
                 hint = _hint(topic, fact, lacking) or did_you_mean(lacking[0], names)
                 return self._bad(
-                    topic, seen, Level.ERROR, f"{kind}_missing", f"lost {kind} {last(lacking[0])}"[:30],
+                    topic,
+                    seen,
+                    Level.ERROR,
+                    f"{kind}_missing",
+                    f"lost {kind} {last(lacking[0])}"[:30],
                     f"topic {name} lacks its {kind} {listed(lacking)}; present: {listed(sorted(names))}: check that node's "
                     f"topic names and remappings.{hint}",
-                )  # fmt: skip
+                )
         if not seen.publishers:
             return self._bad(
-                topic, seen, Level.ERROR, "publisher_missing", "has no publisher",
+                topic,
+                seen,
+                Level.ERROR,
+                "publisher_missing",
+                "has no publisher",
                 f"topic {name} has no publisher, expected one: check that its node is running and how it is remapped."
                 f"{_hint(topic, fact, ())}",
-            )  # fmt: skip
+            )
         return None
 
     def _lost(
@@ -217,20 +233,28 @@ class Topics(api.Check):
             differing = [pair for pair in pairs_of(seen) if not same_type(*pair)]
             ends = [f"{clean(end.type, 80)} at {side} {who(end)}" for side, end in sides(differing) or all_ends(seen)]
             return self._bad(
-                topic, seen, level_of(topic, seen, differing), "type_wrong", "mixed types",
+                topic,
+                seen,
+                level_of(topic, seen, differing),
+                "type_wrong",
+                "mixed types",
                 f"topic {name} is used with different types, and endpoints of different types do not connect: {some(ends)}; "
                 "build them against the same message package",
-            )  # fmt: skip
+            )
         wrong = [(side, end) for side, end in all_ends(seen) if end.type and end.type != topic.type]
         if not wrong:
             return None
         bad = any(needed_end(topic, seen, side, end) for side, end in wrong)
         ends = [f"type {clean(end.type, 80)} at {side} {who(end)}" for side, end in wrong]
         return self._bad(
-            topic, seen, Level.ERROR if bad else Level.WARN, "type_wrong", "wrong type",
+            topic,
+            seen,
+            Level.ERROR if bad else Level.WARN,
+            "type_wrong",
+            "wrong type",
             f"topic {name} has {some(ends)}; expected {topic.type} at all endpoints, others do not connect: build them "
             "against the same message package",
-        )  # fmt: skip
+        )
 
     def _definition(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
         """Types with the same name and different content: they connect, but messages are wrong or cannot be decoded."""
@@ -239,10 +263,14 @@ class Topics(api.Check):
             return None
         ends = [f"{side} {who(end)} has {clean(end.type_hash, 20)}" for side, end in sides(found)]
         return self._bad(
-            topic, seen, level_of(topic, seen, found), "type_wrong", "type versions differ",
+            topic,
+            seen,
+            level_of(topic, seen, found),
+            "type_wrong",
+            "type versions differ",
             f"topic {full(topic.name)}: {clean(found[0][0].type, 80)} is not the same type everywhere. {some(ends)}; build all "
             "endpoints against the same version of its package",
-        )  # fmt: skip
+        )
 
     def _qos(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
         """Pairs whose publisher offers less than its subscriber requests, so that DDS does not connect them."""
@@ -252,11 +280,15 @@ class Topics(api.Check):
         configured = [entry for entry in found if needed(topic, seen, entry[0])]
         words = [unfit(seen, pair, mismatch) for pair, wrong in configured or found for mismatch in wrong]
         return self._bad(
-            topic, seen, Level.ERROR if configured else Level.WARN, "qos_mismatch", "QoS mismatch",
+            topic,
+            seen,
+            Level.ERROR if configured else Level.WARN,
+            "qos_mismatch",
+            "QoS mismatch",
             f"topic {full(topic.name)} does not connect all its endpoints. {joined(words[:SHOWN])}"
             + (f" And {len(words) - SHOWN} more." if len(words) > SHOWN else ""),
             self._home(topic, [pair for pair, _ in configured]),
-        )  # fmt: skip
+        )
 
     def _home(self, topic: api.TopicSettings, pairs: Iterable[Pair]) -> str:
         """The topic's container if it contains all endpoints of the pairs; empty when the cause may be elsewhere."""
@@ -272,11 +304,17 @@ class Topics(api.Check):
         if not found or now - since < STRAY_S or fact.up_s < self._grace_s:
             return []
         hints = joined([sentence(name, stray) for stray in found[:SHOWN]])
-        return [self._bad(
-            topic, seen, Level.WARN, "name_mistaken", f"misnamed {found[0].name[-21:]}",
-            f"topic {name} is connected, but {hints} Nothing publishes that name: correct it in that node's source, launch file "
-            "or remappings",
-        )]  # fmt: skip
+        return [
+            self._bad(
+                topic,
+                seen,
+                Level.WARN,
+                "name_mistaken",
+                f"misnamed {found[0].name[-21:]}",
+                f"topic {name} is connected, but {hints} Nothing publishes that name: correct it in that node's source, launch file "
+                "or remappings",
+            )
+        ]
 
     def _bad(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -62,16 +62,19 @@ class Agent:
     def ask(self, command: int, first: float, second: float = 0) -> list[Any]:
         """The messages received until shortly after the acknowledgement."""
         came: list[Any] = []
-        again, end = 0, time.monotonic() + LIMIT_S
-        while time.monotonic() < end:
+        attempts = itertools.count()
+
+        def acknowledged() -> bool:
             self.ground.mav.send(heartbeat(kind=mavlink.MAV_TYPE_GCS))
-            self.ground.mav.command_long_send(7, 193, command, again, first, second, 0, 0, 0, 0, 0)
-            again += 1
+            self.ground.mav.command_long_send(7, 193, command, next(attempts), first, second, 0, 0, 0, 0, 0)
             while (message := self.ground.recv_match(blocking=True, timeout=1.0)) is not None:
                 came.append(message)
                 if message.get_type() == "COMMAND_ACK" and message.command == command:
-                    return came
-        raise AssertionError(f"no answer to {command} {first}; came: {came}")
+                    return True
+            return False
+
+        until(acknowledged, f"an answer to {command} {first}", lambda: came, limit_s=LIMIT_S)
+        return came
 
     def detail(self) -> Any:
         """A TUNNEL that is not the text of an earlier answer; None: none came in a moment."""

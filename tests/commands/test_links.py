@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,6 +24,9 @@ from tests.fakes.until import until
 
 # With its default dialect pymavlink starts with MAVLink 1, and loses its key when it first receives MAVLink 2.
 mavutil.set_dialect("common")
+
+AGAIN_S = 2.0
+"""A command without an answer is sent again after this time."""
 
 
 class Agent:
@@ -86,18 +90,19 @@ def ask(ground: Any, command: int, first: float, second: float = 0, *, wanted: s
     while ground.recv_match(blocking=False) is not None:
         pass  # left over from an earlier command
     ground.mav.send(heartbeat(kind=mavlink.MAV_TYPE_GCS))
-    for again in range(round(LIMIT_S / 2)):
-        ground.mav.command_long_send(7, 193, command, again, first, second, 0, 0, 0, 0, 0)
-        end = time.monotonic() + 2.0
-        while time.monotonic() < end:
-            message = ground.recv_match(type=wanted, blocking=True, timeout=0.2)
-            if (
-                message is not None
-                and getattr(message, "target_system", ours) == ours
-                and getattr(message, "command", command) == command
-            ):
-                return message
-    raise AssertionError(f"no {wanted} for command {command}")
+    attempts, next_s = itertools.count(), 0.0
+
+    def answer() -> Any:
+        nonlocal next_s
+        if time.monotonic() >= next_s:
+            ground.mav.command_long_send(7, 193, command, next(attempts), first, second, 0, 0, 0, 0, 0)
+            next_s = time.monotonic() + AGAIN_S
+        message = ground.recv_match(type=wanted, blocking=True, timeout=0.2)
+        if getattr(message, "target_system", ours) != ours or getattr(message, "command", command) != command:
+            return None
+        return message
+
+    return until(answer, f"{wanted} for command {command}", limit_s=LIMIT_S)
 
 
 def test_a_ground_station_gets_an_acknowledgement(agent_and_stations: tuple[Agent, list[Any]]) -> None:

@@ -6,8 +6,6 @@ import shutil
 import socket
 import subprocess
 import tempfile
-import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +16,7 @@ from phm.core.settings import Settings
 from phm.proxy.haproxy import rules
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
+from tests.fakes.until import until
 
 ENGINE = "/var/run/docker.sock"
 LIMIT_S = 30.0
@@ -37,11 +36,12 @@ class Proxy:
         self.said = Path(self.path).with_name("haproxy.log")
         with self.said.open("wb") as log:
             self.process = subprocess.Popen([program, "-db", "-f", str(file)], stdout=log, stderr=log)
-        end = time.monotonic() + LIMIT_S
-        while not self._listens():
-            if self.process.poll() is not None or time.monotonic() > end:
-                pytest.fail(f"haproxy does not start: {self.said.read_text('utf-8', 'replace')}")
-            threading.Event().wait(0.02)
+        until(lambda: self.process.poll() is not None or self._listens(), "haproxy", self._text, limit_s=LIMIT_S)
+        if self.process.poll() is not None:
+            pytest.fail(f"haproxy does not start: {self._text()}")
+
+    def _text(self) -> str:
+        return self.said.read_text("utf-8", "replace")
 
     def _listens(self) -> bool:
         with socket.socket(socket.AF_UNIX) as stream:

@@ -19,6 +19,7 @@ from docker.errors import APIError, NotFound
 
 from phm.cli import group
 from tests.fakes.ros_domain import claim_domain
+from tests.fakes.until import until
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
 LIMIT_S = 90.0
@@ -97,11 +98,15 @@ def test_the_written_folder_starts_a_sidecar_that_sees_the_application(
         assert result.exit_code == 0, result.output
     run("docker", "compose", "up", "--detach", cwd=folder)
     wanted = {f"container/{app}", f"health/{app}", "engine", *([f"network/{app}"] if network == "bridge" else [])}
-    end, levels = time.monotonic() + LIMIT_S, {}
-    while any(levels.get(unit) != "OK" for unit in wanted):
-        assert time.monotonic() < end, f"{levels}\n{run('docker', 'compose', 'logs', cwd=folder)}"
-        time.sleep(0.5)
+
+    def healthy() -> bool:
         levels = status(folder)
+        return all(levels.get(unit) == "OK" for unit in wanted)
+
+    def seen() -> str:
+        return f"{status(folder)}\n{run('docker', 'compose', 'logs', cwd=folder)}"
+
+    until(healthy, f"{wanted} to be OK", seen, limit_s=LIMIT_S, step=lambda: time.sleep(0.5))
     settings = run("docker", "compose", "exec", "-T", "phm", "env", cwd=folder)
     application = {line for line in client_environment(app) if line.startswith("ROS_")}
     assert {line for line in application if not line.endswith("=SUBNET")} <= set(settings.splitlines())

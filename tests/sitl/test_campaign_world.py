@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 from unittest.mock import Mock
@@ -22,6 +21,7 @@ from sitl.campaign.trial import Injection
 from sitl.campaign.world import WorldObserver, observe
 from sitl.faults.base import Agent, Fault
 from tests.fakes.campaign_trials import T0, injection, trial, verified
+from tests.fakes.until import until
 
 LIMIT_S = 20.0
 
@@ -51,13 +51,6 @@ class Observed(Fault):
 def unseen(**more: Any) -> Injection:
     """The world was not observed yet."""
     return injection(**{"world_seen": False, "world_broken": None, "world": None, **more})
-
-
-def until(wanted: Callable[[], bool]) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not wanted():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def test_restored_counts_from_the_last_unbroken_series() -> None:

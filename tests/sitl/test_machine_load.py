@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from sitl.campaign.host_load import BEFORE_S
 from sitl.campaign.machine_load import MachineMeter, sample
+from tests.fakes.until import until
 
 PRESSURE = "some avg10=3.00 avg60=0.00 avg300=0.00 total=1\nfull avg10=2.50 avg60=0.00 avg300=0.00 total=1\n"
 
@@ -27,9 +27,7 @@ def test_samples_from_before_a_trial_are_kept() -> None:
     meter.stop()
     meter.start()
     meter.start()
-    until = time.monotonic() + 30
-    while not meter.samples() and time.monotonic() < until:
-        time.sleep(0.05)
+    until(meter.samples, "the first sample")
     meter.stop()
     meter.stop()
     first = meter.samples()

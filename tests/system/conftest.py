@@ -26,6 +26,7 @@ from docker.models.containers import Container
 
 from sitl.harness.log_follower import Event, Record
 from tests.fakes.ros_domain import claim_domain
+from tests.fakes.until import until
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
 ROOT = Path(__file__).resolve().parents[2]
@@ -233,9 +234,5 @@ def _command(process: psutil.Process) -> list[str]:
 
 
 def poll(condition: Callable[[], bool], what: str, limit_s: float = 20.0) -> None:
-    """Wait until `condition` is true."""
-    end = time.monotonic() + limit_s
-    while not condition():
-        if time.monotonic() > end:
-            pytest.fail(f"{what} did not happen within {limit_s:g} s")
-        time.sleep(0.05)
+    """Wait until `condition` is true, with fewer looks than `until`: each may ask the Docker Engine."""
+    until(condition, what, limit_s=limit_s, step=lambda: time.sleep(0.05))

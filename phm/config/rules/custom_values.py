@@ -77,8 +77,11 @@ def custom_serial_ports_are_read_once(root: ConfigNode) -> None:
 
 def own_topics_are_not_custom(root: ConfigNode) -> None:
     """PHM publishes on these itself, so messages always arrive."""
-    own = [name for name, key in (("diagnostics", "diagnostics"), ("phm/consensus", "consensus"))
-           if root.get("ros", key, "publish").value is not False]  # fmt: skip
+    own = [
+        name
+        for name, key in (("diagnostics", "diagnostics"), ("phm/consensus", "consensus"))
+        if root.get("ros", key, "publish").value is not False
+    ]
     for entry in _of_type(root, "topic"):
         if bare(entry.get("topic").text) in own:
             entry.get("topic").add_problem(

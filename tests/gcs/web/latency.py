@@ -65,8 +65,10 @@ def main() -> None:
     given = parser.parse_args()
     found = sorted(measure(given.agents, max(2, given.changes)))
     p95 = statistics.quantiles(found, n=20, method="inclusive")[-1]
-    click.echo(f"{given.agents} agents, {len(found)} changes: median {statistics.median(found) * 1000:.0f} ms, "
-          f"95 % {p95 * 1000:.0f} ms, worst {found[-1] * 1000:.0f} ms")  # fmt: skip
+    click.echo(
+        f"{given.agents} agents, {len(found)} changes: median {statistics.median(found) * 1000:.0f} ms, "
+        f"95 % {p95 * 1000:.0f} ms, worst {found[-1] * 1000:.0f} ms"
+    )
 
 
 if __name__ == "__main__":

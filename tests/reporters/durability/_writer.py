@@ -23,6 +23,7 @@ from phm.core.settings import LogSettings, Settings
 from phm.reporters.log import LogReporter
 from phm.wire import json_log
 from tests.fakes.records import context
+from tests.fakes.until import until
 
 _WORD = struct.Struct("=cI")
 EVENTS_PER_TICK = 20
@@ -62,11 +63,12 @@ class Writer:
 
     def until(self, wanted: Callable[[], bool]) -> None:
         """Read until `wanted`; at most a minute."""
-        end_s = time.monotonic() + 60.0
-        while not wanted():
-            assert time.monotonic() < end_s and not os.waitpid(self.pid, os.WNOHANG)[0], (self.written, self.kept)
-            self.read()
-            time.sleep(0.001)
+        until(wanted, "the writer", lambda: (self.written, self.kept), limit_s=60.0, step=self._step)
+
+    def _step(self) -> None:
+        assert not os.waitpid(self.pid, os.WNOHANG)[0], (self.written, self.kept)
+        self.read()
+        time.sleep(0.001)
 
     def stop(self) -> None:
         """Suspend it: nothing is written from here."""
