@@ -11,10 +11,10 @@ from rich.console import Console
 
 from sitl.campaign.arguments import parser
 from sitl.campaign.fault_catalog import class_of
-from sitl.campaign.play import play
-from sitl.campaign.publish import check_commit
+from sitl.campaign.publication import check_commit
+from sitl.campaign.run_sequence import play
 from sitl.campaign.schedule import Schedule, check_record, schedule
-from sitl.campaign.show import DONE, show
+from sitl.campaign.terminal_report import DONE, show
 from sitl.campaign.trial import load
 from sitl.harness.console import make_console
 

@@ -19,7 +19,7 @@ from rich.table import Table
 from sitl.campaign import seeds
 from sitl.harness.machine import machine
 from sitl.soak import report
-from sitl.soak.run import PROFILE, Plan, Soak, load, observed_s
+from sitl.soak.runner import PROFILE, Plan, Soak, load, observed_s
 from sitl.soak.sample import load as load_samples
 from sitl.swarm import startup
 from sitl.swarm.options import Options

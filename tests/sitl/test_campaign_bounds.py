@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from sitl.campaign.collect import note
+from sitl.campaign.event_collector import note
 from sitl.campaign.fault_catalog import EXPLAINS, explained
 from sitl.campaign.fault_rows import rare, remarks
 from sitl.campaign.groups import groups

@@ -10,7 +10,7 @@ from unittest.mock import Mock
 import pytest
 
 from sitl.campaign.arguments import parser
-from sitl.campaign.collect import Levels, note
+from sitl.campaign.event_collector import Levels, note
 from sitl.campaign.fault_catalog import (
     EXCLUDED,
     LEFT_ALONE,

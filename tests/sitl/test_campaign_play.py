@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from sitl.campaign import irregular, play
+from sitl.campaign import irregular, run_sequence
 from sitl.campaign.arguments import parser
 from sitl.campaign.groups import groups
 from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.progress import left
-from sitl.campaign.run import NotOk
+from sitl.campaign.runner import NotOk
 from sitl.campaign.schedule import schedule
 from sitl.campaign.trial import ABORTED, NOMINAL, OFF, TRIAL, Trial, load
 from tests.fakes.campaign_trials import injection, trial
@@ -65,14 +65,14 @@ class Runner:
 def run(file: Path, runner: Runner, *more: str) -> tuple[bool, list[str]]:
     asked = parser().parse_args([*WORDS, *more])
     said: list[str] = []
-    return play._Sequence(runner, schedule(asked), file, said.append, asked).run(), said  # type: ignore[arg-type]
+    return run_sequence._Sequence(runner, schedule(asked), file, said.append, asked).run(), said  # type: ignore[arg-type]
 
 
 @pytest.fixture(autouse=True)
 def differences(monkeypatch: pytest.MonkeyPatch) -> None:
     """There are no containers to compare."""
     monkeypatch.setattr(
-        play, "of_swarm", lambda swarm: [{"of": "configuration", "key": "a.b", "shipped": 1, "here": 2}]
+        run_sequence, "of_swarm", lambda swarm: [{"of": "configuration", "key": "a.b", "shipped": 1, "here": 2}]
     )
 
 

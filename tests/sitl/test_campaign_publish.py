@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sitl.campaign import publish
+from sitl.campaign import publication
 from sitl.campaign.main import default_record, main
 from sitl.campaign.progress import left
 from sitl.campaign.report import BEGIN, END, as_markdown
@@ -46,21 +46,21 @@ def campaign() -> list[Trial]:
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     """A copy of the documents that a campaign writes."""
-    for file in (publish.PAGE, publish.README):
+    for file in (publication.PAGE, publication.README):
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / file, tmp_path / file)
     return tmp_path
 
 
 def contents(root: Path) -> list[bytes]:
-    return [(root / file).read_bytes() for file in (publish.RECORD, publish.PAGE, publish.README)]
+    return [(root / file).read_bytes() for file in (publication.RECORD, publication.PAGE, publication.README)]
 
 
 def test_the_page_is_reproduced_from_the_record(root: Path) -> None:
     """Record, page and README are the same, byte for byte, when they are written from the written record."""
-    publish.publish(campaign(), root)
+    publication.publish(campaign(), root)
     first = contents(root)
-    publish.publish(load(root / publish.RECORD), root)
+    publication.publish(load(root / publication.RECORD), root)
     assert contents(root) == first
     assert f"commit {COMMIT}".encode() in first[1]
     assert b"0.90 s" in first[2], "mean detection of 0.73 s and 1.07 s"
@@ -68,13 +68,13 @@ def test_the_page_is_reproduced_from_the_record(root: Path) -> None:
 
 def test_the_command_reproduces_the_page(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`--report-only` with the record of the page; from a record that is not compressed, too."""
-    monkeypatch.setattr(publish.publish, "__defaults__", (root,))
+    monkeypatch.setattr(publication.publish, "__defaults__", (root,))
     raw = root / "campaign.jsonl"
     for each in campaign():
         append(raw, each)
     assert main(["--report-only", "--record", str(raw), "--markdown"]) in (0, 1)
     first = contents(root)
-    assert main(["--report-only", "--record", str(root / publish.RECORD), "--markdown"]) in (0, 1)
+    assert main(["--report-only", "--record", str(root / publication.RECORD), "--markdown"]) in (0, 1)
     assert contents(root) == first
 
 
@@ -90,16 +90,16 @@ def test_a_record_whose_seeds_were_chosen_is_not_published(
     root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], change: dict[str, Any], error: str
 ) -> None:
     """Neither the documents nor the record are touched, also if a single run is not as it must be."""
-    monkeypatch.setattr(publish.publish, "__defaults__", (root,))
-    before, raw = (root / publish.PAGE).read_bytes(), root / "campaign.jsonl"
+    monkeypatch.setattr(publication.publish, "__defaults__", (root,))
+    before, raw = (root / publication.PAGE).read_bytes(), root / "campaign.jsonl"
     first, second = campaign()
     first.setting.update(change)
     for each in (second, first):
         append(raw, each)
     assert main(["--report-only", "--record", str(raw), "--markdown"]) == 2
     assert error in capsys.readouterr().err
-    assert (root / publish.PAGE).read_bytes() == before
-    assert not (root / publish.RECORD).exists()
+    assert (root / publication.PAGE).read_bytes() == before
+    assert not (root / publication.RECORD).exists()
 
 
 def test_a_record_of_a_commit_outside_the_history_is_not_published(root: Path) -> None:
@@ -120,8 +120,8 @@ def test_a_record_of_a_commit_outside_the_history_is_not_published(root: Path) -
     git("checkout", "-q", one)
     assert not in_history(two, root)
     with pytest.raises(ValueError, match=f"{COMMIT}, which is not in the history"):
-        publish.publish(campaign(), root)
-    assert not (root / publish.RECORD).exists()
+        publication.publish(campaign(), root)
+    assert not (root / publication.RECORD).exists()
 
 
 def test_a_seed_chosen_by_hand_has_a_record_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
@@ -144,11 +144,11 @@ def test_all_campaigns_reject_options_of_one(option: str) -> None:
 
 def test_an_empty_record_changes_nothing(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A wrong `--record` must not replace the results by an empty page; the exit code says that trials are missing."""
-    monkeypatch.setattr(publish.publish, "__defaults__", (root,))
-    before = (root / publish.PAGE).read_bytes()
+    monkeypatch.setattr(publication.publish, "__defaults__", (root,))
+    before = (root / publication.PAGE).read_bytes()
     assert main(["--report-only", "--record", str(root / "none.jsonl"), "--markdown"]) == 75
-    assert (root / publish.PAGE).read_bytes() == before
-    assert not (root / publish.RECORD).exists()
+    assert (root / publication.PAGE).read_bytes() == before
+    assert not (root / publication.RECORD).exists()
 
 
 def test_planned_trials_that_are_missing_are_reported(root: Path) -> None:
@@ -165,37 +165,37 @@ def test_an_incomplete_campaign_is_published_as_one(
     root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Only with `--incomplete`, and page and README say how much of it there is."""
-    monkeypatch.setattr(publish.publish, "__defaults__", (root,))
-    before, raw = (root / publish.PAGE).read_bytes(), root / "campaign.jsonl"
+    monkeypatch.setattr(publication.publish, "__defaults__", (root,))
+    before, raw = (root / publication.PAGE).read_bytes(), root / "campaign.jsonl"
     for each in campaign():
         each.setting.update(planned=1, seeds=5)
         append(raw, each)
     asked = ["--report-only", "--record", str(raw), "--markdown"]
     assert main(asked) == 75
     assert "not written" in capsys.readouterr().out
-    assert (root / publish.PAGE).read_bytes() == before
-    assert not (root / publish.RECORD).exists()
+    assert (root / publication.PAGE).read_bytes() == before
+    assert not (root / publication.RECORD).exists()
     assert main([*asked, "--incomplete"]) == 75
-    page, readme = ((root / file).read_text("utf-8") for file in (publish.PAGE, publish.README))
+    page, readme = ((root / file).read_text("utf-8") for file in (publication.PAGE, publication.README))
     note = "INCOMPLETE: 2 OF 5 TRIALS, 2 OF 5 SEEDS COMPLETE"
     assert note in " ".join(page.split())
     assert f"The campaign is {note.lower()}." in " ".join(readme.split())
     complete = campaign()
-    assert "ncomplete" not in as_markdown(complete) + publish.for_readme(complete)
+    assert "ncomplete" not in as_markdown(complete) + publication.for_readme(complete)
 
 
 def test_the_results_are_those_of_the_record() -> None:
     """While no record is committed, page and README are written by hand: every figure of the README must be on the page,
     which says that its record was not kept. With a record, both must be exactly what it gives.
     """
-    page, readme = (ROOT / publish.PAGE).read_text("utf-8"), (ROOT / publish.README).read_text("utf-8")
+    page, readme = (ROOT / publication.PAGE).read_text("utf-8"), (ROOT / publication.README).read_text("utf-8")
     written = page.partition(BEGIN)[2].partition(END)[0]
-    figures = readme.partition(publish.BEGIN)[2].partition(publish.END)[0]
+    figures = readme.partition(publication.BEGIN)[2].partition(publication.END)[0]
     assert written and figures
-    if (ROOT / publish.RECORD).exists():
-        trials = load(ROOT / publish.RECORD)
+    if (ROOT / publication.RECORD).exists():
+        trials = load(ROOT / publication.RECORD)
         assert written.strip("\n") == as_markdown(trials)
-        assert figures.strip("\n") == publish.for_readme(trials)
+        assert figures.strip("\n") == publication.for_readme(trials)
     else:
         assert "Its raw record was not kept" in written
         assert set(NUMBER.findall(figures)) <= {*NUMBER.findall(written)}

@@ -10,13 +10,13 @@ from unittest.mock import Mock
 
 import pytest
 
-from sitl.campaign import irregular, run
+from sitl.campaign import irregular, runner as campaign_runner
 from sitl.campaign.busy import LASTS_S, RENEW_S
 from sitl.campaign.groups import groups
 from sitl.campaign.pacing import WINDOW_S, Pacing
 from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.profiles import ALL
-from sitl.campaign.run import NotOk, Runner
+from sitl.campaign.runner import NotOk, Runner
 from sitl.campaign.trial import ABORTED, Load, Trial
 from sitl.faults.base import Agent, Fault
 from sitl.faults.memory_leak import LASTS_S as LEAK_S
@@ -84,7 +84,7 @@ def test_a_trial_is_complete_before_the_swarm_is_made_ready(runner: Runner, monk
         raise NotOk("not well")
 
     monkeypatch.setattr(runner, "_well", not_ok)
-    monkeypatch.setattr(run, "restore", lambda swarm, agent: None)
+    monkeypatch.setattr(campaign_runner, "restore", lambda swarm, agent: None)
     with pytest.raises(NotOk):
         runner.trial(PLAN)
     assert [(each.number, each.well_after, bool(each.injections)) for each in found] == [(4, None, True)]
@@ -111,7 +111,7 @@ def test_a_trial_has_what_was_recorded_only_after_the_fault(runner: Runner, monk
     levels, late = runner.watch.levels[1], []
 
     def wait(wanted: Callable[[], bool], limit_s: float) -> bool:
-        if limit_s == run.RECORD_LIMIT_S:
+        if limit_s == campaign_runner.RECORD_LIMIT_S:
             late.append(wanted())
             levels.take({"event": "heard", "mono": time.monotonic()})
             late.append(wanted())
@@ -142,7 +142,10 @@ def test_the_load_is_renewed_after_the_pause(runner: Runner, steps: Steps) -> No
 
 def test_the_load_outlasts_a_trial() -> None:
     """Also the longest one: PHM's restart until all is well, a slow injection, recovery, and until all is well again."""
-    assert 3 * run.WELL_LIMIT_S + 2 * LEAK_S + ALL["as-found"].healed_limit_s + run.AFTER_S <= LASTS_S - RENEW_S
+    assert (
+        3 * campaign_runner.WELL_LIMIT_S + 2 * LEAK_S + ALL["as-found"].healed_limit_s + campaign_runner.AFTER_S
+        <= LASTS_S - RENEW_S
+    )
 
 
 def test_with_recovery_off_the_world_is_compared_with_that_of_the_injection(
@@ -155,8 +158,8 @@ def test_with_recovery_off_the_world_is_compared_with_that_of_the_injection(
         steps.done.append("look")
         return next(states)
 
-    monkeypatch.setattr(run, "container_state", state)
-    monkeypatch.setattr(run, "LEFT_ALONE", ("planned",))
+    monkeypatch.setattr(campaign_runner, "container_state", state)
+    monkeypatch.setattr(campaign_runner, "LEFT_ALONE", ("planned",))
     monkeypatch.setattr(runner, "_wait", lambda wanted, limit_s: steps.note("wait"))
     made = runner.off(1)
     after = steps.done.index("inject")
@@ -207,8 +210,10 @@ def test_a_trial_has_the_differences_that_it_made(runner: Runner, monkeypatch: p
 
     runner.faults = {"planned": Special()}
     runner.injector = Mock(planned=Mock(return_value=[]))
-    monkeypatch.setattr(run, "of_fault", lambda fault, agent, changes, options, environment: [{"key": changes["a"]}])
-    monkeypatch.setattr(run, "environment_of", lambda container: {})
+    monkeypatch.setattr(
+        campaign_runner, "of_fault", lambda fault, agent, changes, options, environment: [{"key": changes["a"]}]
+    )
+    monkeypatch.setattr(campaign_runner, "environment_of", lambda container: {})
     assert runner.trial(PLAN).differences == [{"key": "b"}]
     error = RuntimeError("no")
     monkeypatch.setattr(runner, "_inject", Mock(side_effect=error))

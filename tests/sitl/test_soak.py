@@ -17,7 +17,7 @@ from sitl.soak import report
 from sitl.soak.alarms import count
 from sitl.soak.main import main
 from sitl.soak.process_tree import Wakeups, descriptors, memory_mb, tree
-from sitl.soak.run import draws, load as load_runs, soak_faults
+from sitl.soak.runner import draws, load as load_runs, soak_faults
 from sitl.soak.sample import Sample, from_json, load, to_json as sample_to_json
 from sitl.soak.slopes import MEASUREMENTS, Row, restarts, rows
 from tests.fakes.campaign_trials import alarm, injection, trial

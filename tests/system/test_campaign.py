@@ -11,7 +11,7 @@ import pytest
 
 from sitl.campaign.main import main
 from sitl.campaign.scoring import judge
-from sitl.campaign.show import DONE, SHORT
+from sitl.campaign.terminal_report import DONE, SHORT
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, load
 from sitl.swarm.options import Options
 from sitl.swarm.swarm import Swarm

@@ -16,7 +16,7 @@ from sitl.campaign.busy import BusyLoad
 from sitl.campaign.differences import of_swarm
 from sitl.campaign.pacing import first_ready
 from sitl.campaign.plan import TrialPlan
-from sitl.campaign.run import NotOk, Runner
+from sitl.campaign.runner import NotOk, Runner
 from sitl.campaign.schedule import Schedule
 from sitl.campaign.scoring import judge
 from sitl.campaign.trial import BUSY, NOMINAL, OFF, TRIAL, Trial, append, load

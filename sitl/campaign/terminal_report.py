@@ -11,7 +11,7 @@ from rich.table import Table
 from sitl.campaign import table
 from sitl.campaign.groups import groups
 from sitl.campaign.progress import left
-from sitl.campaign.publish import PAGE, README, RECORD, publish
+from sitl.campaign.publication import PAGE, README, RECORD, publish
 from sitl.campaign.report import as_html, as_json, description
 from sitl.campaign.sections import problems
 from sitl.campaign.targets import short

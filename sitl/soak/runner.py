@@ -12,7 +12,7 @@ from pathlib import Path
 from sitl.campaign.fault_catalog import chosen, kind
 from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.profiles import ALL, Profile
-from sitl.campaign.run import Runner
+from sitl.campaign.runner import Runner
 from sitl.campaign.trial import NOMINAL, TRIAL, Trial, append, from_json
 from sitl.faults import all_faults
 from sitl.faults.base import Fault

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sitl.campaign.collect import Levels, note
+from sitl.campaign.event_collector import Levels, note
 from sitl.campaign.machine_load import MachineMeter
 from sitl.campaign.trial import Line, Trial
 from sitl.harness.log_follower import Record

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from phm.transport.priority import SIZES
+from sitl.campaign.agent_restoration import restore
 from sitl.campaign.busy import BusyLoad
 from sitl.campaign.cost_meter import CostMeter
 from sitl.campaign.differences import environment_of, of_fault
@@ -19,10 +20,9 @@ from sitl.campaign.injector import Injector
 from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
 from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.profiles import Profile
-from sitl.campaign.restore import restore
 from sitl.campaign.scoring import judge
+from sitl.campaign.swarm_watcher import GroundListener, SwarmWatcher
 from sitl.campaign.trial import ABORTED, NOMINAL, OFF, TRIAL, Trial
-from sitl.campaign.watch import GroundListener, SwarmWatcher
 from sitl.faults.base import Fault
 from sitl.harness.log_queries import container_state
 from sitl.swarm import config
