@@ -57,13 +57,13 @@ class Devices:
         self,
         settings: HostSettings,
         clock: Clock,
-        notices: FileWatcher | None = None,
+        watcher: FileWatcher | None = None,
         changed: Callable[[], None] = lambda: None,
         matching_changed: Callable[[], None] = lambda: None,
     ) -> None:
         self._changed, self._matching_changed = changed, matching_changed
-        self._watch = notices.on(changed) if notices is not None else lambda directory, name: False
-        self._watch_pattern = notices.on(matching_changed) if notices is not None else lambda directory, name: False
+        self._watch = watcher.on(changed) if watcher is not None else lambda directory, name: False
+        self._watch_pattern = watcher.on(matching_changed) if watcher is not None else lambda directory, name: False
         self._root = Path(settings.dev_root)
         self._clock = clock
         self._worker = BlockingCallWorker("devices")

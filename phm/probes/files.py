@@ -48,12 +48,12 @@ class Files:
         engine: DockerEngine,
         settings: DockerSettings,
         clock: Clock,
-        notices: FileWatcher | None = None,
+        watcher: FileWatcher | None = None,
         changed: Callable[[], None] = lambda: None,
     ) -> None:
         self._docker, self._engine, self._clock = docker_probe, engine, clock
         self._changed = changed
-        self._watch = notices.on(changed, content=True) if notices is not None else lambda directory, name: False
+        self._watch = watcher.on(changed, content=True) if watcher is not None else lambda directory, name: False
         # With tcp:// the engine may be on another machine, whose paths do not exist here.
         self._same_host = settings.socket.startswith("unix:")
         self._last: dict[str, tuple[ContainerFact, ContainerFact | None]] = {}

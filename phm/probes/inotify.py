@@ -143,7 +143,7 @@ class FileWatcher:
         if descriptor < 0:
             return None  # no inotify, or too many instances (fs.inotify.max_user_instances)
         self._libc, self._descriptor, self._wakeup = libc, descriptor, os.pipe()
-        threads.start(threading.Thread(target=self._follow, name="phm-notices", daemon=True))
+        threads.start(threading.Thread(target=self._follow, name="phm-inotify", daemon=True))
         return libc
 
     # ------------------------------------------------------------ what happens

@@ -69,8 +69,8 @@ class ProbeSet:
     engine: DockerEngine
     docker: AttachmentCache
     watch: ContainerWatcher | None
-    pulse: ReachabilityMonitor | None
-    notices: FileWatcher
+    reachability: ReachabilityMonitor | None
+    file_watcher: FileWatcher
     mavlink: MavlinkHub | None
     ros: RosSupervisor | None
     sockets: Sockets
@@ -86,8 +86,8 @@ class ProbeSet:
             self.mavlink.start()
         if self.watch is not None:
             self.watch.start()
-        if self.pulse is not None:
-            self.pulse.start()
+        if self.reachability is not None:
+            self.reachability.start()
 
     def event_stream(self) -> EventStreamFact:
         """State of Docker's event stream; complete when no container is configured."""
@@ -142,10 +142,10 @@ class ProbeSet:
             found.append(("mavlink", self.mavlink.close))
         if self.ros is not None:
             found.append(("ros", self.ros.close))
-        if self.pulse is not None:
-            found.append(("pulse", self.pulse.stop))
+        if self.reachability is not None:
+            found.append(("reachability", self.reachability.stop))
         found += [
-            ("notices", self.notices.close),
+            ("file_watcher", self.file_watcher.close),
             ("sockets", self.sockets.close),
             ("serial", self.serial.close),
             ("matcher", self.matcher.close),
@@ -194,12 +194,12 @@ def build_probes(
         if settings.containers or settings.docker.unknown_containers.level != "off"
         else None
     )
-    pulse = (
+    reachability = (
         ReachabilityMonitor(clock, fresh.answering, fresh.ping, lambda: wake("network"))
         if _addressed(settings)
         else None
     )
-    notices = FileWatcher(clock)
+    file_watcher = FileWatcher(clock)
     hub = hub or MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
     links = Links(hub, settings.agent.id, settings.mavlink, clock, lambda: wake("link"))
     swarm = SwarmMonitor(
@@ -221,7 +221,7 @@ def build_probes(
         else None
     )
     probe: RosProbe = ros if ros is not None else RosNotConfigured()
-    devices = Devices(settings.host, clock, notices, lambda: wake("device"), lambda: wake("other_device"))
+    devices = Devices(settings.host, clock, file_watcher, lambda: wake("device"), lambda: wake("other_device"))
     serial = SerialPorts(clock, devices.place)
     matcher = PatternMatcher(clock)
     logs = Logs(engine, docker.container, clock, matcher)
@@ -230,7 +230,7 @@ def build_probes(
     world = World(
         clock=clock,
         docker=docker,
-        files=Files(docker, engine, settings.docker, clock, notices, lambda: wake("file")),
+        files=Files(docker, engine, settings.docker, clock, file_watcher, lambda: wake("file")),
         devices=devices,
         host=Host(settings.host, clock),
         ros=probe,
@@ -246,7 +246,9 @@ def build_probes(
         logs=logs,
     )
     used = hub if settings.mavlink.endpoints else None
-    return ProbeSet(engine, docker, watch, pulse, notices, used, ros, sockets, serial, matcher, programs, logs, world)
+    return ProbeSet(
+        engine, docker, watch, reachability, file_watcher, used, ros, sockets, serial, matcher, programs, logs, world
+    )
 
 
 def _addressed(settings: Settings) -> bool:

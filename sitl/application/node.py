@@ -40,17 +40,17 @@ LOOK_S = 0.5
 
 
 class Endpoints:
-    """The node's publishers and subscriptions, recreated when its mood changes."""
+    """The node's publishers and subscriptions, recreated when its behaviour changes."""
 
     def __init__(
         self,
         node: Node,
         publish: Sequence[tuple[str, float]],
         subscribe: Sequence[str],
-        mood: Behaviour,
+        behaviour: Behaviour,
         record: Record,
     ) -> None:
-        self._node, self._mood, self._record = node, mood, record
+        self._node, self._behaviour, self._record = node, behaviour, record
         self._publish, self._subscribe = tuple(publish), tuple(subscribe)
         self._unsubscribed = self._careless = False
         self._subscriptions: list[Any] = []
@@ -62,11 +62,11 @@ class Endpoints:
 
     def follow(self) -> None:
         """Not in the signal's handler, which may come in the middle of the executor's work."""
-        if self._unsubscribed != self._mood.unsubscribed:
-            self._unsubscribed = self._mood.unsubscribed
+        if self._unsubscribed != self._behaviour.unsubscribed:
+            self._unsubscribed = self._behaviour.unsubscribed
             self._listen()
-        if self._careless != self._mood.careless:
-            self._careless = self._mood.careless
+        if self._careless != self._behaviour.careless:
+            self._careless = self._behaviour.careless
             self._offer()
 
     def _listen(self) -> None:
@@ -90,8 +90,8 @@ class Endpoints:
         def publish() -> None:
             nonlocal count
             count += 1
-            self._mood.fail()
-            if self._mood.speaks(count):
+            self._behaviour.fail()
+            if self._behaviour.speaks(count):
                 self._publishers[topic].publish(String(data=f"{self._node.get_name()} {count}"))
 
         return publish
@@ -119,11 +119,11 @@ def _work(options: argparse.Namespace) -> None:
     try:
         if options.beacon:
             Beacon(node)
-        mood = Behaviour()
-        mood.listen()
+        behaviour = Behaviour()
+        behaviour.listen()
         record = Record(options.name)
-        ends = Endpoints(node, options.publish, options.subscribe, mood, record)
-        reading = Reading(node, mood, record)
+        ends = Endpoints(node, options.publish, options.subscribe, behaviour, record)
+        reading = Reading(node, behaviour, record)
         # Not `spin`: a SIGTERM that comes just before it waits is lost on a node without timers, which then never ends.
         executor = SingleThreadedExecutor()
         executor.add_node(node)

@@ -35,8 +35,8 @@ def ends(marker: Path = MARKER) -> tuple[str, str]:
 class Reading:
     """The node's end of the topic, if it has one."""
 
-    def __init__(self, node: Node, mood: Behaviour, record: Record) -> None:
-        self._node, self._mood, self._record = node, mood, record
+    def __init__(self, node: Node, behaviour: Behaviour, record: Record) -> None:
+        self._node, self._behaviour, self._record = node, behaviour, record
         self._publisher: Any = None
         self._timer: Any = None
         self._subscription: Any = None
@@ -67,13 +67,13 @@ class Reading:
             self._record.forget(TOPIC)
 
     def _send(self) -> None:
-        self._count += 2 if self._mood.lossy else 1
-        if self._last is None or not self._mood.frozen:
+        self._count += 2 if self._behaviour.lossy else 1
+        if self._last is None or not self._behaviour.frozen:
             self._last = _type()()
             self._last.header.frame_id = "sensor"
             self._last.point.y = math.sin(self._count / 10)
         self._last.point.x = float(self._count)
-        shift_s = SHIFT_S if self._mood.shifted else 0.0
+        shift_s = SHIFT_S if self._behaviour.shifted else 0.0
         at_s = time.time() + shift_s
         self._last.header.stamp.sec, self._last.header.stamp.nanosec = int(at_s), int(at_s % 1 * 1e9)
         self._publisher.publish(self._last)

@@ -301,8 +301,8 @@ def test_a_change_in_a_volume_triggers_the_check(tmp_path: Path, fake: FakeEngin
     here = tmp_path / "volume"
     here.mkdir()
     app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(here), destination="/data"),))
-    triggered, notices = threading.Semaphore(0), FileWatcher()
-    files = Files(FakeDocker(app), ask, settings().docker, FakeClock(), notices, triggered.release)
+    triggered, watcher = threading.Semaphore(0), FileWatcher()
+    files = Files(FakeDocker(app), ask, settings().docker, FakeClock(), watcher, triggered.release)
     try:
         (here / "models").mkdir()
         (here / "current").symlink_to("models")
@@ -316,4 +316,4 @@ def test_a_change_in_a_volume_triggers_the_check(tmp_path: Path, fake: FakeEngin
         (here / "models/model.bin").chmod(0o755)
         assert triggered.acquire(timeout=5)
     finally:
-        notices.close()
+        watcher.close()

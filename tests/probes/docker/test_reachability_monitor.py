@@ -16,7 +16,7 @@ class Bench:
     def __init__(self) -> None:
         self.clock, self.silent, self.changes, self.pings = FakeClock(), set[str](), 0, 0
         self.addresses = ["10.0.0.2", "10.0.0.3"]
-        self.pulse = ReachabilityMonitor(self.clock, lambda: self.addresses, self.ping, self.turned)
+        self.monitor = ReachabilityMonitor(self.clock, lambda: self.addresses, self.ping, self.turned)
 
     def ping(self, address: str) -> bool:
         self.pings += 1
@@ -30,7 +30,7 @@ class Bench:
         before = self.changes
         for _ in range(times):
             self.clock.advance(PERIOD_S)
-            self.pulse.poll()
+            self.monitor.poll()
         return self.changes - before
 
 
@@ -76,13 +76,13 @@ def test_a_machine_without_sockets_does_not_end_the_monitor() -> None:
     def ping(address: str) -> bool:
         raise CannotTell("no sockets")
 
-    pulse = ReachabilityMonitor(clock, lambda: ["10.0.0.2"], ping, lambda: None)
-    pulse.start()
+    monitor = ReachabilityMonitor(clock, lambda: ["10.0.0.2"], ping, lambda: None)
+    monitor.start()
     for _ in range(3):
         clock.wait_for_sleepers(1)
         clock.advance(PERIOD_S)
     clock.wait_for_sleepers(1)
-    pulse.stop()
+    monitor.stop()
 
 
 def test_the_response_timeout_adapts() -> None:

@@ -183,9 +183,9 @@ def test_broken_links_and_plain_files_are_no_devices(tmp_path: Path) -> None:
 def test_a_new_device_that_matches_is_reported(tmp_path: Path) -> None:
     """Its folder, too, may appear later."""
     changed = threading.Event()
-    notices = FileWatcher()
+    watcher = FileWatcher()
     made = Devices(
-        testing.settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), notices, matching_changed=changed.set
+        testing.settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), watcher, matching_changed=changed.set
     )
     made.matching(["/dev/serial/by-id/*"])
     changed.clear()
@@ -195,7 +195,7 @@ def test_a_new_device_that_matches_is_reported(tmp_path: Path) -> None:
     changed.clear()
     (tmp_path / "serial" / "by-id" / "usb-1").symlink_to("../../ttyUSB0")
     assert changed.wait(20.0)
-    notices.close()
+    watcher.close()
 
 
 def test_patterns_need_the_hosts_devices(tmp_path: Path) -> None:

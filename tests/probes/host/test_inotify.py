@@ -38,15 +38,15 @@ class Listener:
 
 
 @pytest.fixture
-def notices() -> Iterator[FileWatcher]:
+def watcher() -> Iterator[FileWatcher]:
     made = FileWatcher(SystemClock())
     yield made
     made.close()
 
 
-def watching(notices: FileWatcher, folder: Path, name: str, *, content: bool = False) -> tuple[Listener, Watch]:
+def watching(watcher: FileWatcher, folder: Path, name: str, *, content: bool = False) -> tuple[Listener, Watch]:
     listener = Listener()
-    watch = notices.on(listener, content=content)
+    watch = watcher.on(listener, content=content)
     assert watch(str(folder), name)
     return listener, watch
 
@@ -60,58 +60,58 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_change_of_a_watched_entry_is_reported(notices: FileWatcher, tmp_path: Path, change: str) -> None:
+def test_a_change_of_a_watched_entry_is_reported(watcher: FileWatcher, tmp_path: Path, change: str) -> None:
     """Its creation, its removal and its new permissions."""
     (tmp_path / "file").write_text("a")
-    listener, _ = watching(notices, tmp_path, "file")
+    listener, _ = watching(watcher, tmp_path, "file")
     CHANGES[change](tmp_path / "file")
     assert listener.called()
 
 
-def test_a_new_entry_is_reported(notices: FileWatcher, tmp_path: Path) -> None:
+def test_a_new_entry_is_reported(watcher: FileWatcher, tmp_path: Path) -> None:
     """An entry that does not exist yet can be watched."""
-    listener, _ = watching(notices, tmp_path, "file")
+    listener, _ = watching(watcher, tmp_path, "file")
     os.mkfifo(tmp_path / "file")
     assert listener.called()
 
 
-def test_another_entry_of_the_directory_is_not_reported(notices: FileWatcher, tmp_path: Path) -> None:
+def test_another_entry_of_the_directory_is_not_reported(watcher: FileWatcher, tmp_path: Path) -> None:
     """Only entries that were requested."""
-    listener, _ = watching(notices, tmp_path, "file")
+    listener, _ = watching(watcher, tmp_path, "file")
     (tmp_path / "log").write_text("a")
     assert listener.silent()
 
 
-def test_a_new_entry_that_matches_a_pattern_is_reported(notices: FileWatcher, tmp_path: Path) -> None:
+def test_a_new_entry_that_matches_a_pattern_is_reported(watcher: FileWatcher, tmp_path: Path) -> None:
     """Its name need not be known before; other names do not count."""
-    listener, _ = watching(notices, tmp_path, "ttyUSB*")
+    listener, _ = watching(watcher, tmp_path, "ttyUSB*")
     (tmp_path / "ttyACM0").touch()
     assert listener.silent()
     (tmp_path / "ttyUSB7").touch()
     assert listener.called()
 
 
-def test_new_content_is_reported_to_listeners_for_content(notices: FileWatcher, tmp_path: Path) -> None:
+def test_new_content_is_reported_to_listeners_for_content(watcher: FileWatcher, tmp_path: Path) -> None:
     """A device that is opened and closed has not changed; a file that was written has."""
     (tmp_path / "file").write_text("a")
-    device, _ = watching(notices, tmp_path, "file")
-    file, _ = watching(notices, tmp_path, "file", content=True)
+    device, _ = watching(watcher, tmp_path, "file")
+    file, _ = watching(watcher, tmp_path, "file", content=True)
     (tmp_path / "file").write_text("b")
     assert file.called() and device.silent()
 
 
-def test_watching_twice_returns_false(notices: FileWatcher, tmp_path: Path) -> None:
+def test_watching_twice_returns_false(watcher: FileWatcher, tmp_path: Path) -> None:
     """True only when the watch started: earlier observations may be outdated then."""
-    _, watch = watching(notices, tmp_path, "file")
+    _, watch = watching(watcher, tmp_path, "file")
     assert not watch(str(tmp_path), "file")
     assert not watch(str(tmp_path / "none"), "file"), "a missing directory cannot be watched"
 
 
-def test_a_recreated_directory_is_watched_again(notices: FileWatcher, tmp_path: Path) -> None:
+def test_a_recreated_directory_is_watched_again(watcher: FileWatcher, tmp_path: Path) -> None:
     """Its removal is reported, and the next request watches the new one."""
     folder = tmp_path / "folder"
     folder.mkdir()
-    listener, watch = watching(notices, folder, "file")
+    listener, watch = watching(watcher, folder, "file")
     folder.rmdir()
     assert listener.called()
     folder.mkdir()
@@ -120,11 +120,11 @@ def test_a_recreated_directory_is_watched_again(notices: FileWatcher, tmp_path: 
     assert listener.called()
 
 
-def test_a_moved_directory_is_no_longer_watched(notices: FileWatcher, tmp_path: Path) -> None:
+def test_a_moved_directory_is_no_longer_watched(watcher: FileWatcher, tmp_path: Path) -> None:
     """Another one may have its path."""
     folder = tmp_path / "folder"
     folder.mkdir()
-    listener, watch = watching(notices, folder, "file")
+    listener, watch = watching(watcher, folder, "file")
     folder.rename(tmp_path / "elsewhere")
     assert listener.called()
     (tmp_path / "elsewhere" / "file").write_text("a")
@@ -133,9 +133,9 @@ def test_a_moved_directory_is_no_longer_watched(notices: FileWatcher, tmp_path: 
     assert watch(str(folder), "file")
 
 
-def test_an_entry_that_changes_all_the_time_is_reported_at_intervals(notices: FileWatcher, tmp_path: Path) -> None:
+def test_an_entry_that_changes_all_the_time_is_reported_at_intervals(watcher: FileWatcher, tmp_path: Path) -> None:
     """A file that is written continuously does not keep its check busy, and its last change is reported."""
-    listener, _ = watching(notices, tmp_path, "file", content=True)
+    listener, _ = watching(watcher, tmp_path, "file", content=True)
     for number in range(200):
         (tmp_path / "file").write_text(str(number))
         threading.Event().wait(0.005)
@@ -146,7 +146,7 @@ def test_an_entry_that_changes_all_the_time_is_reported_at_intervals(notices: Fi
         assert listener.called()
 
 
-def test_a_listener_that_raises_does_not_end_the_watcher(notices: FileWatcher, tmp_path: Path) -> None:
+def test_a_listener_that_raises_does_not_end_the_watcher(watcher: FileWatcher, tmp_path: Path) -> None:
     """Its defect costs one call."""
     listener = Listener()
 
@@ -154,7 +154,7 @@ def test_a_listener_that_raises_does_not_end_the_watcher(notices: FileWatcher, t
         listener()
         raise ZeroDivisionError
 
-    watch = notices.on(fail)
+    watch = watcher.on(fail)
     assert watch(str(tmp_path), "file")
     (tmp_path / "file").write_text("a")
     assert listener.called()
@@ -162,10 +162,10 @@ def test_a_listener_that_raises_does_not_end_the_watcher(notices: FileWatcher, t
     assert listener.called()
 
 
-def test_a_device_behind_a_symlink_is_followed_through_all_steps(notices: FileWatcher, tmp_path: Path) -> None:
+def test_a_device_behind_a_symlink_is_followed_through_all_steps(watcher: FileWatcher, tmp_path: Path) -> None:
     """Directory, symlink and device may each come and go; the directory may be missing at first."""
     listener = Listener()
-    devices = Devices(settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), notices, listener)
+    devices = Devices(settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), watcher, listener)
     assert devices.look("/dev/serial/by-id/radio", open_it=False) is None
     assert listener.called(), "the watch has started, and the device is checked once more"
     for change in (
