@@ -71,20 +71,20 @@ class Agent:
     word: int | None = None
     state: int | None = None
     levels: Mapping[Slot, Level] = field(default_factory=dict)
-    """By its last status word."""
+    """The level of each slot by its last status word."""
     newer: dict[Slot, Level] = field(default_factory=dict)
-    """By its lines since then."""
+    """The level of each slot by its lines since that status word."""
     problem: str = ""
-    """Why its status word cannot be read."""
+    """Why its status word cannot be read, else empty."""
     partial: bool = False
     """Its last refresh reported that some slots are unknown."""
     on_hold: bool = False
     """By its lines: all unknown slots are on hold, or a hold has begun and has not ended."""
     last_text: ReceivedText | None = None
     bad: dict[int, OrderedDict[str, ReportedProblem]] = field(default_factory=dict)
-    """By slot, then by text, oldest first."""
+    """Reported problems by slot, then by text, oldest first."""
     advice: OrderedDict[int, Advice] = field(default_factory=OrderedDict)
-    """By the number of its fault, oldest first."""
+    """Advised actions by the number of their fault, oldest first."""
     containers: tuple[str, ...] = ()
     """Its configured containers in order, once it was asked for them."""
     view: PeerView | None = None
@@ -93,7 +93,7 @@ class Agent:
     """It does not receive the ground, by its own view or by another agent's report."""
     restarts: int = 0
     shown: PresenceState = PresenceState.NEVER
-    """As in the last event about it."""
+    """Its presence in the last event about it."""
     hop: object = None
     """Its first broken hop, as in the last event about it."""
     details: OrderedDict[str, dict[int, FaultDetail]] = field(default_factory=OrderedDict)
@@ -115,7 +115,7 @@ class Agent:
 
     @property
     def worst(self) -> Level | None:
-        """By its last status word and newer lines; None: it reported no slot."""
+        """The worst level by its last status word and newer lines; None: it reported no slot."""
         known = max(self.current.values(), key=_RANK.__getitem__, default=None)
         return Level.STALE if known is Level.OK and self.partial else known
 
@@ -142,7 +142,7 @@ class Agent:
         return {slot: pair for slot, pair in pairs.items() if pair[0] is not pair[1]}
 
     def line(self, line: ParsedLine, at: Stamp) -> None:
-        """Take over a line of its own."""
+        """Take over a line that this agent sent about itself."""
         if line.kind is LineKind.REFRESH:
             self.partial = line.word in ("STALE", "HOLD")
             if line.level is None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from phm.gcs.events import GcsEvent
 
 CRITICAL = 2
-"""MAV_SEVERITY; smaller is graver."""
+"""MAV_SEVERITY_CRITICAL; a smaller value is more severe."""
 
 
 class Alarms:
-    """Not thread-safe. names: agents with such lines, in the order of the first one."""
+    """Agents with such lines: `names`, in the order of their first one. Not thread-safe."""
 
     def __init__(self) -> None:
         self.names: dict[str, int] = {}

@@ -74,9 +74,9 @@ class Fleet:
         self.radios: OrderedDict[str, tuple[float, RadioStatus]] = OrderedDict()
         """The last RADIO_STATUS on each of the ground's links, and when it was received."""
         self.began: float | None = None
-        """When the ground began to listen."""
+        """The moment at which the ground began to listen."""
         self.refused = 0
-        """Frames of agents for which there was no room."""
+        """Number of frames of agents for which there was no room."""
         self._full_until = float("-inf")
         for agent in sorted(self.expected):
             self.agents[agent, PHM_COMPONENT] = Agent(agent, PHM_COMPONENT)

@@ -39,7 +39,7 @@ AUTOPILOT = 1
 
 
 class FleetState:
-    """Not thread-safe: the caller's lock."""
+    """Derives the fleet's state and its events from frames. Not thread-safe: the caller holds a lock."""
 
     def __init__(self, expected: Iterable[int] = (), own: tuple[int, int] = (0, 0), *, signed: bool = False) -> None:
         """expected: agents to report as missing even if never received. own: our own MAVLink ids, which are ignored. signed:
@@ -187,7 +187,7 @@ class FleetState:
             agent.line(line, at)
 
     def _ack(self, ack: CommandAck, at: Stamp) -> Iterator[GcsEvent]:
-        """The answer of an agent to a command of ours."""
+        """Take over an agent's answer to a command of this ground station."""
         agent = self.fleet.agents.get((ack.system, ack.component))
         if agent is None or ack.to != self._own or (self._signed and not ack.signed):
             return

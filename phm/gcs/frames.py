@@ -11,27 +11,27 @@ from phm.wire.text import one_line
 RADIO_STATUS = 109
 IDS = (HEARTBEAT, STATUSTEXT, TUNNEL, RADIO_STATUS, COMMAND_ACK, ONBOARD_COMPUTER_STATUS)
 GCS, ONBOARD_CONTROLLER = 6, 18
-"""MAV_TYPE."""
+"""Values of MAV_TYPE."""
 NO_AUTOPILOT = 8
-"""MAV_AUTOPILOT_INVALID."""
+"""The value of MAV_AUTOPILOT_INVALID."""
 ARMED = 128
-"""In base_mode: MAV_MODE_FLAG_SAFETY_ARMED."""
+"""The flag MAV_MODE_FLAG_SAFETY_ARMED in base_mode."""
 STATES = ("UNINIT", "BOOT", "CALIBRATING", "STANDBY", "ACTIVE", "CRITICAL", "EMERGENCY", "POWEROFF", "TERMINATION")
-"""MAV_STATE by number."""
+"""Names of MAV_STATE, by number."""
 BOOT, POWEROFF = 1, 7
 RESULTS = ("ACCEPTED", "TEMPORARILY_REJECTED", "DENIED", "UNSUPPORTED", "FAILED", "IN_PROGRESS", "CANCELLED")
-"""MAV_RESULT by number."""
+"""Names of MAV_RESULT, by number."""
 _UNKNOWN = 255
-"""In RADIO_STATUS."""
+"""The value for unknown in RADIO_STATUS."""
 _U32, _NO_HEAT = 2**32 - 1, 127
-"""Unknown in ONBOARD_COMPUTER_STATUS."""
+"""The values for unknown in ONBOARD_COMPUTER_STATUS."""
 MAX_TEXT = 200
 """Characters that are kept of a text: escapes can make 50 characters longer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """A HEARTBEAT."""
+    """The content of a HEARTBEAT."""
 
     system: int
     component: int
@@ -45,7 +45,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A STATUSTEXT, safe to print."""
+    """The content of a STATUSTEXT, safe to print."""
 
     system: int
     component: int
@@ -56,7 +56,7 @@ class StatusText:
 
 @dataclass(frozen=True, slots=True)
 class TunnelPayload:
-    """A TUNNEL."""
+    """The content of a TUNNEL."""
 
     system: int
     component: int
@@ -101,7 +101,7 @@ class ComputerStatus:
     temperature: int | None
 
     def values(self) -> dict[str, float]:
-        """Those that are known, by name."""
+        """The known values, by name."""
         found = {"cpu": self.cpu, "memory": self.memory, "temperature": self.temperature}
         return {name: value for name, value in found.items() if value is not None}
 

@@ -45,7 +45,7 @@ class HopEvidence:
 
 
 def first_broken(agent: Agent, state: PresenceState, silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
-    """None: no hop is known to be broken."""
+    """The first broken hop of a path; None: no hop is known to be broken."""
     if state is PresenceState.LEFT:
         return None
     return (_reported(agent) or _autopilot(around)) if state.there else _silent(silent_s, around)
@@ -94,7 +94,7 @@ def _reported(agent: Agent) -> BrokenHop | None:
 
 
 def _bad(agent: Agent, slot: Slot) -> str | None:
-    """Text of an ERROR in this slot."""
+    """The text of an ERROR in this slot."""
     reported = agent.newest(slot, Level.ERROR)
     if reported is not None:
         return reported.text

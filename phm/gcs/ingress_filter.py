@@ -22,7 +22,7 @@ class IngressFilter:
         self._new = RateLimiter(NEW_RATE, NEW_BURST)
         self._frames: DuplicateFilter[bytes, str] = DuplicateFilter(MAX_COPIES, COPY_S)
         self.refused = 0
-        """Frames over a limit."""
+        """Number of frames that exceeded a limit."""
 
     def allow(self, sender: tuple[int, int], now: float) -> bool:
         """Whether one more frame of a sender (system, component) is within the limits."""

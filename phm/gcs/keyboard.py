@@ -38,7 +38,7 @@ if sys.platform == "win32":
     import msvcrt
 
     class Keyboard:
-        """`read` is called by one thread."""
+        """Reads keys from the terminal. `read` is called by one thread."""
 
         def __init__(self, clock: Clock, stop: threading.Event) -> None:
             self._clock, self._stop, self.active = clock, stop, sys.stdin.isatty()

@@ -91,7 +91,7 @@ class LiveView:
         return False
 
     def draw(self, console: Console, *, active: bool = False) -> RenderableType:
-        """active: keys are read."""
+        """Draw the table. active: keys are read."""
         now, body = self._clock.mono(), self._station.snapshot()[1].body
         lines = [f"{table.ago(max(0.0, now - at)):>10}  {text}" for at, text in self._lines]
         return table.render(
@@ -131,7 +131,7 @@ class LiveView:
         self._menu = next(iter(self._choices))
 
     def _update_choices(self, agent: Json) -> None:
-        """New ones come last."""
+        """Update the choices of the menu; new ones are added at its end."""
         for text, command in operator.menu(agent):
             if command in self._choices or len(self._choices) < MAX_CHOICES:
                 self._choices[command] = text
@@ -184,7 +184,7 @@ class LiveView:
     # ------------------------------------------------------------ lines
 
     def _dialog(self, now: float, *, active: bool) -> list[str]:
-        """Alarms, answers, and what the keys do."""
+        """The lines about alarms, answers, and what the keys do."""
         lines = [text] if (text := self._alarms.text()) else []
         agent = self._agent() if self._menu is not None else None
         if agent is not None:
@@ -203,7 +203,7 @@ class LiveView:
 
 
 def _available(agent: Json) -> set[OperatorCommand]:
-    """What can be requested of it now."""
+    """The requests that the selected agent can receive now."""
     return {command for _, command in operator.menu(agent)}
 
 

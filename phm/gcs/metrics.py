@@ -62,14 +62,14 @@ class _Counts(SubscriberQueue):
 
 
 class GroundMetrics:
-    """Counts from its construction on."""
+    """Metrics of the ground station; its counters begin at its construction."""
 
     def __init__(self, station: MeasuredStation, clock: Clock) -> None:
         self._station, self._counts = station, _Counts(clock)
         station.subscribe(self._counts)
 
     def page(self) -> MetricsPage:
-        """Of this moment; may be called by any thread."""
+        """The metrics at this moment. May be called by any thread."""
         page = MetricsPage(metrics.ALL, MAX_SERIES)
         body = self._station.snapshot()[1].body
         page.add(metrics.INFO, 1, __version__)

@@ -33,7 +33,7 @@ HINTS = {
     "UNSUPPORTED": "this version of PHM does not know the request",
     "FAILED": "there is nothing to do, or recovery is not allowed there; see the agent's log",
 }
-"""Used where the agent sends no text."""
+"""Explanations of a result, used where the agent sends no text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def run_checks() -> OperatorCommand:
 
 
 def approve(fault: int, what: str = "") -> OperatorCommand:
-    """fault: its number. what: the action."""
+    """Approve the advised action for a fault. fault: its number. what: the action."""
     return OperatorCommand(f"approve #{fault}{f' {what}' if what else ''}", USER_1, (APPROVE, fault))
 
 
@@ -69,7 +69,7 @@ def restart(place: int, name: str = "") -> OperatorCommand:
 
 
 def hold(place: int, name: str, for_s: float | None = None) -> OperatorCommand:
-    """for_s: seconds; None: as configured on board."""
+    """Hold a container. for_s: seconds; None: as configured on board."""
     text = f"hold {name}{f' for {for_s:g} s' if for_s else ''}"
     return OperatorCommand(text, USER_1, (HOLD, place), container_hash(name), for_s or 0.0)
 
@@ -116,7 +116,7 @@ class Exchange:
         self.result = ""
         """Name of the MAV_RESULT; `TIMEOUT` without an answer."""
         self.late = False
-        """The answer came after it was given up."""
+        """Whether the answer arrived after the command was given up."""
         self.reply = ""
         self._attempts, self._at = 1, now
         self._send(0)
@@ -154,7 +154,7 @@ class Exchange:
         return False
 
     def answer(self) -> str:
-        """One sentence."""
+        """The result in one sentence, for the operator."""
         head = f"{self.name} {self.command.text}: "
         if self.result == "TIMEOUT":
             return f"{head}no answer within {ATTEMPTS * RESEND_S:g} s"

@@ -32,7 +32,7 @@ class PresenceState(str, Enum):
 
 
 class Presence:
-    """Times are monotonic seconds of the ground."""
+    """The presence of one sender. Times are monotonic seconds of the ground."""
 
     def __init__(self) -> None:
         self.heard_s: float | None = None

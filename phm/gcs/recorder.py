@@ -17,7 +17,7 @@ from phm.gcs.subscriber_queue import SubscriberQueue
 from phm.reporters.rotating_file import RotatingFile
 
 MAX_SIZE, FILES = 20_000_000, 5
-"""120 MB in all."""
+"""Bytes of a file, and number of rotated files: 120 MB in all."""
 SNAPSHOT_S = 60.0
 LOOK_S = 0.5
 CLOSE_LIMIT_S = 3.0

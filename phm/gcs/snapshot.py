@@ -33,7 +33,7 @@ class Times:
     moments: bool = False
 
     def of(self, mono: float | None, prefix: str = "") -> dict[str, float | None]:
-        """One key with its value; None: it never was."""
+        """One key with its value; None: the moment never came."""
         if self.moments:
             return {f"{prefix}at": None if mono is None else round(mono, 2)}
         return {f"{prefix}age_s": None if mono is None else seconds(max(0.0, self.now - mono))}

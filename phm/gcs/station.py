@@ -36,7 +36,7 @@ from phm.wire.gcs_marker import MONITOR
 logger = logging.getLogger(__name__)
 
 COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
-"""190, which ground stations use."""
+"""Component id 190, which ground stations use."""
 HEARTBEAT_S = 1.0
 TICK_S = 0.2
 LATE_MOST_S = 5.0
@@ -61,7 +61,7 @@ class Received:
 
 
 class GroundStation:
-    """`start` opens the links. Raises InvalidKey."""
+    """Receives on all links; `start` opens them. Raises InvalidKey."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class GroundStation:
         threads.start(self._thread)
 
     def close(self) -> None:
-        """End within seconds, also when a link hangs."""
+        """Close all links within seconds, even if one hangs."""
         self._stop.set()
         self._frames.wake()
         if self._thread.ident is not None:
@@ -172,7 +172,7 @@ class GroundStation:
             return self._number, GcsEvent(at, "snapshot", body)
 
     def line(self, number: int, event: GcsEvent) -> bytes:
-        """As one line of JSON, without its end."""
+        """The event as one line of JSON, without the line end."""
         return encode(event, self.run, number)
 
     # ------------------------------------------------------------ from the endpoints' threads

@@ -21,7 +21,7 @@ class QueuedEvent:
 
 
 class SubscriberQueue(BoundedQueue[QueuedEvent]):
-    """One thread puts, one takes."""
+    """A queue into which one thread puts events and from which one thread takes them."""
 
     def __init__(self, clock: Clock, size: int = SIZE) -> None:
         super().__init__(clock, size)

@@ -165,7 +165,7 @@ def _age(agent: Json) -> Text:
 
 
 def _pilot(agent: Json) -> Text:
-    """State of the vehicle's autopilot."""
+    """The state of the vehicle's autopilot."""
     pilot = agent["pilot"]
     if pilot is None:
         return Text("?", "dim")
@@ -214,7 +214,7 @@ def _below(snapshot: Json, notes: Sequence[str]) -> list[RenderableType]:
 
 
 def _radio(radio: Json) -> str:
-    """Here and at the other end: signal over noise."""
+    """The signal over the noise of a radio, here and at the other end."""
     here, there = (
         f"{'?' if radio[rssi] is None else radio[rssi]}/{'?' if radio[noise] is None else radio[noise]}"
         for rssi, noise in (("rssi", "noise"), ("remrssi", "remnoise"))

@@ -26,7 +26,7 @@ MOST_REMOVED = 1000
 LIMIT_S = 180.0
 """For everything, unless the caller says another."""
 LOGS_SHARE = 0.9
-"""Of the time; then further logs are left out."""
+"""Share of the time limit after which further logs are left out."""
 _BROKEN = (OSError, EOFError, zlib.error)
 _ROOT = "phm-bundle"
 
@@ -40,13 +40,13 @@ class Bundle:
     archive: tarfile.TarFile
     secrets: Secrets
     written: list[tuple[str, int]] = field(default_factory=list)
-    """Name and bytes."""
+    """The name and the number of bytes of each file in the bundle."""
     missing: list[tuple[str, str]] = field(default_factory=list)
-    """What, and why it is not in it."""
+    """What is missing in the bundle, and why."""
     deadline: Deadline = field(default_factory=lambda: Deadline(LIMIT_S))
 
     def tree(self, name: str, tree: Any) -> None:
-        """As JSON."""
+        """Add a value as a file of JSON."""
         cleaned = json.dumps(self.secrets.clean_json(tree, name), indent=2, default=str)
         self._add(name, cleaned.encode() + b"\n")
 
@@ -92,7 +92,7 @@ class Bundle:
             )
 
     def _log(self, file: Path, limit: int) -> int:
-        """Returns the bytes that were added."""
+        """Add a log; return the number of bytes that were added."""
         name = f"logs/{file.name.removesuffix(json_log.COMPRESSED)}"
         with tempfile.TemporaryFile() as raw, tempfile.TemporaryFile() as spool:
             try:

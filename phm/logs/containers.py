@@ -38,7 +38,7 @@ def environment(inspected: Mapping[str, Any]) -> Iterator[str]:
 
 
 def log(engine: DockerEngine, ref: str) -> str:
-    """The end of its log. Raises CannotTell."""
+    """The end of a container's log. Raises CannotTell."""
     data = engine.logs(ref, "0", tail=LINES, limit=LOG_BYTES, deadline_s=DEADLINE_S)
     if len(data) > LOG_BYTES - (64 << 10):  # the last line may be cut, within a secret
         data = data.rpartition(b"\n")[0]

@@ -38,14 +38,14 @@ class Words:
 
 
 class Explainer:
-    """Remembers open faults, so that what was said is not said again."""
+    """Explains lines; remembers open faults, so that an explanation is not repeated."""
 
     def __init__(self) -> None:
         self._faults: OrderedDict[tuple[str, str], str] = OrderedDict()
         self._last: OrderedDict[str, tuple[object, int]] = OrderedDict()
 
     def explain(self, event: Json) -> Words:
-        """Without a text, where the line before has said it: the fault that this transition has opened."""
+        """A line in words. The text is empty if the line before has reported the fault that this transition opened."""
         name, made = event.get("event"), words(event)
         said = (_text(event, "agent"), _text(event, "fault"))
         if name == "fault_opened":
@@ -56,7 +56,7 @@ class Explainer:
         return made
 
     def gap(self, event: Json) -> int:
-        """How many lines before this one are missing, by the numbers of the lines."""
+        """The number of missing lines before this one, by the numbers of the lines."""
         boot, seq, agent = event.get("boot_id"), event.get("seq"), _text(event, "agent")
         if not isinstance(seq, int):
             return 0
@@ -68,7 +68,7 @@ class Explainer:
 
 
 def words(event: Json) -> Words:
-    """Every text is safe to print, and bounded."""
+    """A line of a log in words. Every text is safe to print and bounded."""
     when = _text(event, "utc")[:24].removesuffix("Z").replace("T", " ", 1)
     slot = event.get("slot")
     place = f"({slot}) " if isinstance(slot, int) else ""

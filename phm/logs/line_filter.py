@@ -1,4 +1,4 @@
-"""Which lines of a log are shown."""
+"""Chooses the lines of a log that are shown."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class TakeOff:
 
 
 NOTHING = TakeOff((object(), 0))
-"""Lets nothing through."""
+"""A gate that takes no event."""
 
 
 def take_off(reader: LogReader) -> TakeOff | None:
@@ -88,12 +88,12 @@ def take_off(reader: LogReader) -> TakeOff | None:
 
 
 def level(event: Json) -> str:
-    """The level that the line says of a unit; empty: none."""
+    """The level that the line gives a unit; empty: none."""
     return "ERROR" if event.get("event") == "fault_opened" else str(event.get("level", ""))
 
 
 def utc_s(event: Json) -> float:
-    """0 for a line without a time."""
+    """UTC seconds of a line; 0 for a line without a time."""
     return _number(event.get("utc_s"))
 
 
@@ -106,6 +106,6 @@ def _matches(text: str, patterns: tuple[str, ...]) -> bool:
 
 
 def _id(text: str) -> int | None:
-    """``A05``, ``5``."""
+    """The id of an agent given as ``A05`` or ``5``; None for other text."""
     digits = text[1:] if text[:1] in "Aa" else text
     return int(digits) if digits.isdecimal() and len(digits) < 6 else None

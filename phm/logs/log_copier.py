@@ -16,7 +16,7 @@ RECORD = "phm.jsonl"
 BASES = (RECORD, "phm.log")
 MOST_FILE_BYTES = 2_000_000_000
 MOST_BYTES = 20_000_000_000
-"""Of one log in one run."""
+"""Maximum number of bytes of one log that are copied in one run."""
 MOST_FAILURES = 3
 """After so many files that could not be copied, the rest of a source is left out."""
 _LOOKS = 5
@@ -25,15 +25,15 @@ _HOLE = 2
 
 
 class Gone(Exception):
-    """There is no such file."""
+    """The source has no such file."""
 
 
 class _CannotWrite(CannotTell):
-    """Here, not at the source."""
+    """A file of this computer cannot be written."""
 
 
 class _GivenUp(Exception):
-    """Too much failed."""
+    """So many copies failed that the rest is given up."""
 
 
 @dataclass(frozen=True)
@@ -46,19 +46,19 @@ class Seen:
 
     @property
     def mark(self) -> str:
-        """Equal for the same content: a rotated file keeps size and time under its next name."""
+        """A key that is equal for the same content: a rotated file keeps its size and time under its next name."""
         return f"{self.size} {self.changed}" if self.changed else ""
 
 
 class LogSource(Protocol):
-    """A folder with logs, somewhere."""
+    """A folder with logs, on this computer or in a container."""
 
     @property
     def name(self) -> str:
-        """For people; the same in each run."""
+        """The name of the source for people; the same in each run."""
 
     def look(self, file: str) -> Seen | None:
-        """None: there is no regular file of that name. Raises CannotTell if the source does not answer."""
+        """A file by its name; None: no such regular file. Raises CannotTell if the source does not answer."""
 
     def copy(self, file: str, sink: Callable[[bytes], object], limit: int) -> Seen:
         """Pass the content of a file of at most `limit` bytes to `sink`. Raises Gone, and CannotTell with the reason; what came until
@@ -66,10 +66,10 @@ class LogSource(Protocol):
 
 
 class Progress(Protocol):
-    """How far it is."""
+    """Shows the progress of a copy."""
 
     def expect(self, count: int) -> None:
-        """So many more bytes are to be copied."""
+        """Add bytes that are still to be copied."""
 
     def got(self, count: int) -> None: ...
 
@@ -112,7 +112,7 @@ class _Fetch:
         self._made = Copied()
 
     def run(self) -> Copied:
-        """In several turns if the log is rotated meanwhile, so that nothing falls between two names."""
+        """Copy all files, in several turns if the log is rotated meanwhile, so that no file is missed."""
         listed = list(self._listed())
         self._made.any = bool(listed)
         try:
@@ -130,7 +130,7 @@ class _Fetch:
         return self._made
 
     def _listed(self) -> Iterator[Seen]:
-        """Newest first. Files only get higher numbers, so none is hidden by a rotation meanwhile."""
+        """The files of the log, newest first. Files only get higher numbers, so a rotation meanwhile hides none."""
         current = self._source.look(self._base)
         if current is not None:
             yield current
@@ -155,7 +155,7 @@ class _Fetch:
         return found.mark if found is not None else ""
 
     def _turn(self, listed: Sequence[Seen]) -> bool:
-        """Copy what is not here. False: a file had another name by then."""
+        """Copy the files that are missing here. False: a file was renamed meanwhile."""
         have = {**self._known, **self._made.marks}
         wanted = [one for one in listed if one.size and one.mark not in have]
         self._progress.expect(sum(one.size for one in wanted))

@@ -1,4 +1,4 @@
-"""Which logs a path names."""
+"""Finds the logs that a path names."""
 
 from __future__ import annotations
 

@@ -30,9 +30,9 @@ class LogReader:
     def __init__(self, path: Path, *, alone: bool = False) -> None:
         self.path = path / "phm.jsonl" if path.is_dir() else path
         self.skipped = 0
-        """Lines that are not JSON objects, or too long."""
+        """Number of lines that are not JSON objects, or are too long."""
         self.damaged: dict[str, str] = {}
-        """File: why it could not be read to its end."""
+        """Why a file could not be read to its end, by its name."""
         self._alone = alone
         self._stream: IO[bytes] | None = None
         self._plain: IO[bytes] | None = None
@@ -184,6 +184,6 @@ class LogReader:
 
 
 def _key(stream: IO[bytes]) -> object:
-    """As `json_log.identity`, small."""
+    """A short key of a line's `json_log.identity`."""
     key = json_log.identity(stream)
     return hashlib.blake2b(key).digest() if isinstance(key, bytes) else key

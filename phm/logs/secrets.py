@@ -105,7 +105,7 @@ class Secrets:
             self.learn(url[where : where + len(host)], what)
 
     def learn_environment(self, variables: Iterable[str], where: str) -> None:
-        """Entries such as ``API_TOKEN=abc``."""
+        """Learn the secrets in entries such as ``API_TOKEN=abc``."""
         for entry in variables:
             name, _, value = entry.partition("=")
             if is_secret(name):
@@ -232,7 +232,7 @@ class Secrets:
 
 
 def listed(removed: Mapping[tuple[str, str], int]) -> list[str]:
-    """Sentences for REMOVED.txt and the terminal."""
+    """What was removed, as sentences for REMOVED.txt and the terminal."""
     return [
         f"{where}: {what}, {count} time{'s' if count > 1 else ''}" for (where, what), count in sorted(removed.items())
     ]

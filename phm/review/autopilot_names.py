@@ -6,14 +6,14 @@ import importlib
 from typing import Any
 
 ARDUPILOT, PX4 = 3, 12
-"""MAV_AUTOPILOT"""
+"""Values of MAV_AUTOPILOT."""
 SUBSYSTEMS = (
     "", "MAIN", "RADIO", "COMPASS", "OPTFLOW", "FAILSAFE_RADIO", "FAILSAFE_BATT", "FAILSAFE_GPS", "FAILSAFE_GCS", "FAILSAFE_FENCE",
     "FLIGHT_MODE", "GPS", "CRASH_CHECK", "FLIP", "AUTOTUNE", "PARACHUTES", "EKFCHECK", "FAILSAFE_EKFINAV", "BARO", "CPU",
     "FAILSAFE_ADSB", "TERRAIN", "NAVIGATION", "FAILSAFE_TERRAIN", "EKF_PRIMARY", "THRUST_LOSS_CHECK", "FAILSAFE_SENSORS",
     "FAILSAFE_LEAK", "PILOT_INPUT", "FAILSAFE_VIBE", "INTERNAL_ERROR", "FAILSAFE_DEADRECKON",
 )  # fmt: skip
-"""ArduPilot's LogErrorSubsystem, by number."""
+"""Names of ArduPilot's LogErrorSubsystem, by number."""
 REASONS = {
     3: "radio failsafe", 4: "battery failsafe", 5: "GCS failsafe", 6: "EKF failsafe", 7: "GPS glitch", 10: "fence breached",
     11: "terrain failsafe",
@@ -91,5 +91,5 @@ def px4_mode(custom_mode: int) -> str:
 
 
 def px4_nav_state(number: int) -> str:
-    """Name of `vehicle_status.nav_state`."""
+    """The name of a value of `vehicle_status.nav_state`."""
     return _PX4_NAV.get(number, f"mode {number}")

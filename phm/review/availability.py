@@ -18,7 +18,7 @@ KINDS = {
     "rates": "topic",
     "data": "topic",
 }
-"""What the subject of a check's unit is."""
+"""The kind of subject that the units of a check have."""
 MOST_ROWS = 400
 
 

@@ -49,7 +49,7 @@ class Status(NamedTuple):
 
 
 def diagnostic_array(t: float, statuses: Iterable[Status]) -> bytes:
-    """t: UTC seconds of the header's stamp."""
+    """A DiagnosticArray in CDR. t: UTC seconds of the header's stamp."""
     out = bytearray(struct.pack("<iI", *divmod(_nanoseconds(t), 1_000_000_000)))
     _string(out, "")
     array = list(statuses)
@@ -70,7 +70,7 @@ def _nanoseconds(t: float) -> int:
 
 
 def _number(out: bytearray, value: int) -> None:
-    """Aligned to 4 bytes, counted after the header."""
+    """Add a number, aligned to 4 bytes, counted after the header."""
     out += bytes(-len(out) % 4)
     out += struct.pack("<I", value)
 

@@ -25,7 +25,7 @@ class RosoutLine(NamedTuple):
 
 
 def statuses(data: bytes) -> list[Status]:
-    """Raises ValueError: it is not such a message."""
+    """The content of the message. Raises ValueError for another message."""
     reader = _Reader(data)
     reader.skip(8)
     reader.text()
@@ -39,7 +39,7 @@ def statuses(data: bytes) -> list[Status]:
 
 
 def line(data: bytes) -> RosoutLine:
-    """Raises ValueError: it is not such a message."""
+    """The content of the message. Raises ValueError for another message."""
     reader = _Reader(data)
     reader.skip(8)
     level = reader.byte()
@@ -48,7 +48,7 @@ def line(data: bytes) -> RosoutLine:
 
 class _Reader:
     def __init__(self, data: bytes) -> None:
-        """data: with the header of four bytes."""
+        """data: the message with its header of four bytes."""
         if len(data) < 4 or data[0] != 0 or data[1] not in ENCODINGS:
             raise ValueError("not CDR")
         self._number = struct.Struct(f"{ENCODINGS[data[1]]}I")

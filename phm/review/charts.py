@@ -11,7 +11,7 @@ from phm.review import html_file
 
 @dataclass(frozen=True)
 class ChartSeries:
-    """Points in ascending order of x; y None: a gap."""
+    """A line of a chart: points in ascending order of x; y None: a gap."""
 
     name: str
     x: Sequence[float]

@@ -12,11 +12,11 @@ CONSEQUENCE = "reattributed"
 """Outcome of a fault that turned out to follow from another one: it is not counted."""
 
 ROUNDED_S = 0.001
-"""Times in rows are rounded."""
+"""Times in rows are rounded to this."""
 
 
 def counted(faults: Sequence[Json]) -> list[Json]:
-    """Faults without consequences of others."""
+    """The faults that are not consequences of others."""
     return [fault for fault in faults if fault["outcome"] != CONSEQUENCE]
 
 

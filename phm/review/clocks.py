@@ -27,7 +27,7 @@ WIDTH_HEARD_S, HEARD_ERROR_S = 0.6, 0.2
 """The same for heartbeats that two agents received: they differ by delays of the links only."""
 REFERENCE = "reference of the other agents"
 LEAST_HEARD = 5
-"""Fewer heartbeats could agree by chance."""
+"""A smaller number of heartbeats could agree by chance."""
 SHARE_HEARD, MOST_OTHER = 0.5, 0.8
 """Of the frames that both can have received at least this share must agree. And another offset may have at most this share of the
 votes: numbers that come again at even intervals fit several offsets."""

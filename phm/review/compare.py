@@ -65,7 +65,7 @@ def _checks(document: Json) -> dict[str, tuple[int, float, float | None]]:
 
 
 def _named(document: Json) -> dict[str, list[Json]]:
-    """Faults by unit and condition, over all agents."""
+    """The faults by unit and condition, over all agents."""
     found: dict[str, list[Json]] = {}
     for fault in opened(document["faults"], document["window"]["begin"]):
         found.setdefault(f"{fault['unit']} {fault['condition']}".strip(), []).append(fault)

@@ -1,4 +1,4 @@
-"""A comparison as sentences and tables. Pure."""
+"""Writes a comparison as sentences and tables. Pure."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def sentences(comparison: Json) -> list[str]:
 
 
 def tables(comparison: Json) -> list[Table]:
-    """Checks, and faults by unit and condition."""
+    """The tables of checks, and of faults by unit and condition."""
     found: list[Table] = []
     for key, kind, title in (("checks", "check", "Checks"), ("faults", "fault", "Faults")):
         head = (HEAD[0], kind, *HEAD[2:])

@@ -24,7 +24,7 @@ _CODES = {
 
 @dataclass(frozen=True)
 class _Format:
-    """fields: None for messages that no one wants."""
+    """The format of a message. fields: None for messages that are not used."""
 
     name: str
     length: int

@@ -10,7 +10,7 @@ Number = int | float
 WORDS = {"FAIL": "ERROR", "WARN": "WARN"}
 """Of PHM's lines about a change, and their levels."""
 LATEST_S = 1e11
-"""No clock of a record is later, in seconds."""
+"""UTC seconds that no clock of a record exceeds."""
 
 
 class Event(msgspec.Struct, gc=False):
@@ -125,7 +125,7 @@ def _without_wrong_types(line: bytes) -> tuple[Event | None, str]:
 
 
 def numbers(raw: msgspec.Raw) -> dict[str, Number | str | bool | None]:
-    """`values` of a unit; empty when it is none."""
+    """The `values` of a unit; empty if it has none."""
     try:
         found = msgspec.json.decode(raw, type=dict[str, int | float | str | bool | None]) if raw else {}
     except UNREADABLE:

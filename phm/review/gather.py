@@ -108,7 +108,7 @@ def _in_order(pool: ProcessPoolExecutor, pieces: list[tuple[Piece, Source]], mos
 
 
 def _read(piece: Piece, name: str) -> Part:
-    """One piece; runs in another process, too."""
+    """Read one piece of a file; also runs in other processes."""
     from phm.review.sources import SOURCES
 
     source = next(each for each in SOURCES if each.name == name)

@@ -31,18 +31,18 @@ class GroundRun:
     numbers: Cover = field(default_factory=lambda: Cover(1.0))
     clock: list[tuple[float, float]] = field(default_factory=list)
     presence: list[tuple[float, int, str, float]] = field(default_factory=list)
-    """(mono, agent, presence, silent_s)"""
+    """Entries (mono, agent, presence, silent_s)."""
     levels: list[tuple[float, int, str]] = field(default_factory=list)
-    """(mono, agent, worst level of its slots)"""
+    """Entries (mono, agent, worst level of its slots)."""
     texts: list[tuple[float, int, int, str, str]] = field(default_factory=list)
     """(mono, agent, slot, word, brief) of PHM's lines about changes."""
     armed: list[tuple[float, int, bool]] = field(default_factory=list)
     bytes_of: dict[int, int] = field(default_factory=dict)
-    """Lines of text received from each agent."""
+    """Bytes of the lines of text received from each agent."""
     received: list[tuple[float, int, int]] = field(default_factory=list)
-    """(mono, agent, bytes) of these lines."""
+    """Entries (mono, agent, bytes) of these lines."""
     untimed: int = 0
-    """Lines that are not among them."""
+    """Number of these lines without an entry."""
     names: dict[int, str] = field(default_factory=dict)
     series: dict[str, Series] = field(default_factory=dict)
 

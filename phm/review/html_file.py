@@ -29,7 +29,7 @@ def render(template: str, code: str, data: Any, **values: Any) -> str:
 
 
 def _inert(data: Any) -> str:
-    """As JSON that cannot end its element."""
+    """The value as JSON that cannot end its HTML element."""
     text = json.dumps(data, separators=(",", ":"))
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 

@@ -95,7 +95,7 @@ def gaps(record: Record, agent: int) -> list[Span]:
 
 
 def seconds(segments: Iterable[Segment], begin: float, end: float) -> dict[str, float]:
-    """Seconds in each level between begin and end."""
+    """The seconds in each level between begin and end."""
     found: dict[str, float] = {}
     for first, last, level in segments:
         length = min(last, end) - max(first, begin)

@@ -81,7 +81,7 @@ def _lines(stream: IO[bytes], piece: Piece, problems: Problems) -> Iterator[byte
 
 
 def _skip(stream: IO[bytes]) -> int:
-    """Read to the end of the line; how many bytes."""
+    """Read to the end of the line; return the number of bytes."""
     skipped = 0
     while part := stream.readline(BLOCK):
         skipped += len(part)

@@ -89,7 +89,7 @@ class _Shown:
     runs: bool = False
 
     def apply(self, t: float, what: str, body: Any) -> list[Status]:
-        """The statuses that changed."""
+        """Take over statuses; return those that changed."""
         if what == "level":
             self.level, self.runs = body, True
             return [self.summary()]

@@ -24,7 +24,7 @@ MAGIC = b"\x89MCAP0\r\n"
 MOST_CHUNK = 64 << 20
 """Bytes of a chunk, packed or unpacked. Recorders begin a new one after 1 to 4 MB, but one message may be larger."""
 MOST_RECORD = 1 << 20
-"""Bytes of a description."""
+"""Maximum number of bytes of a description."""
 MOST_SCHEMAS = 10_000
 BLOCK = 1 << 20
 _HEAD = struct.Struct("<BQ")
@@ -37,7 +37,7 @@ Problem = Callable[[str], None]
 
 
 class ChannelRow(NamedTuple):
-    """kind: name of the schema; empty: none."""
+    """A channel of the file. kind: name of its schema; empty: none."""
 
     number: int
     topic: str
@@ -158,7 +158,7 @@ def _chunk(state: _State, body: memoryview) -> Iterator[ChannelRow | MessageRow]
 
 
 def _records(state: _State, data: memoryview) -> Iterator[ChannelRow | MessageRow]:
-    """Those in an unpacked chunk or in the summary."""
+    """The records in an unpacked chunk or in the summary."""
     at = 0
     while at + _HEAD.size <= len(data):
         opcode, length = _HEAD.unpack_from(data, at)
@@ -195,7 +195,7 @@ def _read(stream: IO[bytes], count: int) -> bytes:
 
 
 def _skip(stream: IO[bytes], count: int) -> bool:
-    """Whether there were so many bytes."""
+    """Skip bytes; return whether the file had so many."""
     while count:
         part = stream.read(min(count, BLOCK))
         if not part:

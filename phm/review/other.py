@@ -18,7 +18,7 @@ KINDS = frozenset(("mode", "arming", "error", "failsafe", "statustext")) | RECOR
 """`event` of such an event; those of recordings of ROS 2 may have the system 0, not known."""
 LEVELS = frozenset((*WORDS.values(), "STALE"))
 MOST = 50_000
-"""Of all files; more are counted and left out."""
+"""Maximum number of entries of all files; more are counted and left out."""
 MOST_SYSTEMS = 256
 MOST_TEXT, MOST_BY = 200, 20
 EARLIEST_S = 946_684_800.0
@@ -42,7 +42,7 @@ class Other(NamedTuple):
 
     @classmethod
     def of(cls, event: Event, file: str) -> Other | None:
-        """None: it has no possible time or system."""
+        """The entry; None: it has no possible time or system."""
         least = 0 if event.event in RECORDED else 1
         if not EARLIEST_S < event.utc_s < LATEST_S or event.system is None or not least <= event.system < MOST_SYSTEMS:
             return None

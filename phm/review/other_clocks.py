@@ -101,7 +101,7 @@ def _paired(theirs: Sequence[float], ours: Sequence[float], offset_s: float) -> 
 
 
 def _said(runs: Sequence[tuple[Run, RunClock]]) -> Iterator[tuple[Key, float]]:
-    """When PHM had which lines to say, by its log."""
+    """The times at which PHM wrote its lines, by its log."""
     for run, clock in runs:
         for change in run.changes:
             if change.text_only:

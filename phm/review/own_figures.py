@@ -13,7 +13,7 @@ Json = dict[str, Any]
 EDGE_S = 0.001
 """UTC and monotonic time differ by rounding: a line at the edge of the window is in it."""
 Runs = Sequence[tuple[Run, float, float]]
-"""Runs with the window on their own clocks."""
+"""Runs, each with the window on its own clock."""
 
 
 def build(record: Record, uptimes: dict[str, float], begin: float, end: float, *, whole: bool) -> Json:

@@ -9,13 +9,13 @@ from phm.wire.report import clock_text
 
 Json = dict[str, Any]
 MOST_FAULTS = 3000
-"""Rows of the table; the JSON document has all."""
+"""Maximum number of rows of the table; the JSON document has all faults."""
 MOST_OTHER = 5000
-"""Marks of other records."""
+"""Maximum number of marks of other records."""
 
 
 def render(document: Json) -> str:
-    """The page. Needs jinja2."""
+    """The page as HTML. Needs jinja2."""
     return html_file.render(
         "page.html",
         "page.js",

@@ -38,12 +38,12 @@ PLOTTED = (
 )
 """Beginnings of the names of values that are plotted."""
 MEASURED = frozenset(("host", "radio", "link", "rates", "autopilot"))
-"""Checks with such values."""
+"""Checks whose values are measurements."""
 TOO_EARLY = "times before the year 2000, left out: the clock was never set, or the time is simulated (use_sim_time)"
 
 
 class Part:
-    """Takes events in the order of the file."""
+    """A part of a record; takes events in the order of the file."""
 
     def __init__(self) -> None:
         self.runs: dict[tuple[str, str], Run] = {}

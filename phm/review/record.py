@@ -51,7 +51,7 @@ class AgentRecord:
 
     @property
     def vehicle(self) -> bool:
-        """False: a recording alone."""
+        """Whether the agent is a vehicle; False: it is only a recording."""
         return bool(self.id or self.runs)
 
 
@@ -227,7 +227,7 @@ def _armed_by_others(agent: AgentRecord, others: list[Other]) -> None:
 
 
 def _flying(edges: Sequence[tuple[float, bool, Any]]) -> bool:
-    """Whether the last of them is an arming."""
+    """Whether the last of these changes is an arming."""
     return bool(edges) and max(edges, key=lambda edge: edge[0])[1]
 
 

@@ -28,7 +28,7 @@ ERROR, FATAL = 40, 50
 MOST_TOPICS = 1000
 MOST_STATUSES = 5000
 MOST_MESSAGE = 4_000_000
-"""Bytes of a message that is decoded."""
+"""Maximum number of bytes of a message that is decoded."""
 MOST_NAME = 120
 SAME_S = 10.0
 """The same line of the same node within this time is shown once."""

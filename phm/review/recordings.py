@@ -14,11 +14,11 @@ from phm.review.run import Run
 OURS = "phm/"
 """Names of PHM's own diagnostics begin with this."""
 MOST_FOLDERS = 8
-"""In the name of a recording."""
+"""Maximum number of folders in the name of a recording."""
 
 
 class RecordedAgent(Protocol):
-    """`record.AgentRecord`, which needs this module."""
+    """The interface of `record.AgentRecord`, whose module imports this one."""
 
     id: int
     runs: list[tuple[Run, RunClock]]

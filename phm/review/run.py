@@ -30,7 +30,7 @@ class Change:
     fault: str
     text_only: bool
     values: dict[str, Any]
-    """Of an ERROR alone."""
+    """The values of the result; only kept for ERROR."""
 
 
 @dataclass
@@ -52,7 +52,7 @@ class Run:
     agent_id: int
     boot_id: str
     folders: set[str] = field(default_factory=set)
-    """Of its files."""
+    """The folders of its files."""
     version: str = ""
     interval_s: float = 0.0
     started: float | None = None
@@ -72,7 +72,7 @@ class Run:
     reports: array[float] = field(default_factory=lambda: array("d"))
     took_at: array[float] = field(default_factory=lambda: array("d"))
     took_s: array[float] = field(default_factory=lambda: array("d"))
-    """How long the report at this time took."""
+    """How long the report at this time took, in seconds."""
     check_ms: dict[str, list[float]] = field(default_factory=dict)
     """Of each check: number of lines, sum and largest of `duration_ms`."""
     boots: dict[int, list[float]] = field(default_factory=dict)

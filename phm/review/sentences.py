@@ -1,4 +1,4 @@
-"""The record in five sentences."""
+"""Describes a record in five sentences."""
 
 from __future__ import annotations
 

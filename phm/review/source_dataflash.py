@@ -21,7 +21,7 @@ WEEK_S = 604_800
 FIX_3D = 3
 MOST_FIXES = 200
 ARMED, DISARMED = 10, 11
-"""Ids of EV, of firmware without ARM."""
+"""Ids of the message EV, for firmware without the message ARM."""
 
 
 def fits(path: Path, head: bytes) -> bool:
@@ -107,6 +107,6 @@ class _Log:
 
 
 def _number(row: dict[str, Any], column: str) -> float:
-    """0 when it is missing or not a number."""
+    """The number of a field; 0 if it is missing or not a number."""
     value = row.get(column, 0)
     return float(value) if isinstance(value, (int, float)) and abs(value) < 1e18 else 0.0

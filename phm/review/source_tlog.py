@@ -50,7 +50,7 @@ def read(piece: Piece, problems: Problems) -> Iterator[Event]:
 
 
 class _Log:
-    """What changed, of each sender."""
+    """Collects the changes of each sender."""
 
     def __init__(self) -> None:
         self._modes: dict[int, int] = {}
@@ -140,7 +140,7 @@ def _rest(buffer: bytes, path: str, problems: Problems) -> Iterator[tuple[float,
 
 
 def _next(buffer: bytes, at: int) -> int:
-    """Where the next stamp and frame may begin."""
+    """The place at which the next stamp and frame may begin."""
     found = MARKER.search(buffer, at + STAMP)
     return found.start() - STAMP if found else max(at, len(buffer) - STAMP)
 
@@ -151,7 +151,7 @@ def _stamp(data: bytes, at: int) -> float | None:
 
 
 def _length(data: bytes, at: int) -> int:
-    """Of the frame at this place; 0: there is none."""
+    """The length of the frame at this place; 0: there is none."""
     marker = data[at]
     if marker == V1:
         return data[at + 1] + 8

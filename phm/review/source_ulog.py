@@ -18,7 +18,7 @@ STATUS, FIXES = "vehicle_status", ("vehicle_gps_position", "sensor_gps")
 WANTED = frozenset((STATUS, *FIXES))
 LABELS = frozenset(("timestamp", "arming_state", "nav_state", "failsafe", "time_utc_usec"))
 ARMED = 2
-"""ARMING_STATE_ARMED"""
+"""The value of ARMING_STATE_ARMED."""
 MOST_FIXES = 200
 
 

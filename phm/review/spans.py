@@ -28,7 +28,7 @@ class Cover:
         self.spans = joined([*self.spans, *other.spans], self.tolerance)
 
     def gaps(self) -> list[Span]:
-        """Between the intervals, ascending."""
+        """The gaps between the intervals, ascending."""
         self.spans = joined(self.spans, self.tolerance)
         return [[before[1], after[0]] for before, after in zip(self.spans, self.spans[1:], strict=False)]
 
@@ -45,7 +45,7 @@ def joined(spans: Iterable[Sequence[float]], tolerance: float = 0.0) -> list[Spa
 
 
 def clipped(spans: Iterable[Sequence[float]], begin: float, end: float) -> list[Span]:
-    """What of them is between begin and end."""
+    """The parts of the spans between begin and end."""
     cut = ([max(span[0], begin), min(span[1], end)] for span in spans)
     return [span for span in cut if span[0] < span[1]]
 

@@ -32,7 +32,7 @@ PAPER = {
 def build(
     agents: Sequence[AgentRecord], faults: Sequence[Json], uptime: Mapping[str, float], begin: float, end: float
 ) -> Json | None:
-    """None when nothing was injected."""
+    """Table 2 of the record; None if nothing was injected."""
     injected: list[Json] = []
     for agent in agents:
         moments = [

@@ -14,12 +14,12 @@ from phm.wire.text import one_line
 
 Json = dict[str, Any]
 Table = tuple[str, tuple[str, ...], list[tuple[str, ...]]]
-"""Title, head, rows."""
+"""A table: its title, its header and its rows."""
 COLUMNS = (
     "agent", "fault", "unit", "check", "slot", "layer", "condition", "target", "opened", "closed", "lasted_s", "acted_after_s",
     "outcome", "by", "brief", "summary", "consequences", "blocks", "suspects",
 )  # fmt: skip
-"""Of the CSV file: one row for each fault."""
+"""The columns of the CSV file, which has one row for each fault."""
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """A spreadsheet takes a cell that begins so for a formula; such cells of text begin with an apostrophe."""
 MOST_ROWS = 30
@@ -77,7 +77,7 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
 
 
 def markdown(document: Json) -> str:
-    """For an issue or a wiki."""
+    """The report as Markdown, for an issue or a wiki."""
     missing = document["clocks"]["missing"]
     said = [*document["sentences"], *([f"Times: {missing}."] if missing else [])]
     return markdown_of("Flight report", said, tables(document, most=10_000))
@@ -209,7 +209,7 @@ def _percent(value: float | None, digits: int) -> str:
 
 
 def _cell(text: str) -> str:
-    """Text from a log is not Markdown."""
+    """A cell of Markdown; text from a log is escaped."""
     escaped = one_line(text)
     for sign in "\\`*_[]<>|#":
         escaped = escaped.replace(sign, f"\\{sign}" if sign not in "<>" else {"<": "&lt;", ">": "&gt;"}[sign])

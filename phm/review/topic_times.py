@@ -11,7 +11,7 @@ GAP_PERIODS = 5.0
 """A gap is longer than so many median periods of its own topic."""
 LEAST_GAP_S = 0.5
 MOST_GAPS = 50
-"""Of one topic: the longest."""
+"""Maximum number of gaps of one topic; the longest are kept."""
 LEAST_PERIODS = 20
 REGULAR = 2.0
 """A topic has gaps only if it is regular: 9 of 10 periods are at most so many medians. Others are sent when there is something."""
@@ -26,11 +26,11 @@ class TopicTimes:
     first: float = 0.0
     last: float = 0.0
     early: int = 0
-    """Messages that are older than one before them."""
+    """Number of messages that are older than one before them."""
     _periods: array[float] = field(default_factory=lambda: array("d"))
     _stride: int = 1
     _longest: list[tuple[float, float]] = field(default_factory=list)
-    """A heap of (period, its begin)."""
+    """A heap of entries (period, its begin)."""
 
     def add(self, t: float) -> None:
         self.count += 1

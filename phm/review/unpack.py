@@ -22,11 +22,11 @@ tenth."""
 
 
 class TooLarge(ValueError):
-    """More than allowed would come out."""
+    """The unpacked data would be larger than allowed."""
 
 
 def zstd(data: bytes, most: int) -> bytes:
-    """Raises ValueError (TooLarge, or damaged)."""
+    """The unpacked data. Raises ValueError: TooLarge, or the data are damaged."""
     module = importlib.import_module("zstandard")
     unpacker = module.ZstdDecompressor(max_window_size=WINDOW_BYTES)
     try:
@@ -37,7 +37,7 @@ def zstd(data: bytes, most: int) -> bytes:
 
 
 def lz4(data: bytes, most: int) -> bytes:
-    """Raises ValueError (TooLarge, or damaged)."""
+    """The unpacked data. Raises ValueError: TooLarge, or the data are damaged."""
     module: Any = importlib.import_module("lz4.frame")
     try:
         return _limited(module.LZ4FrameDecompressor().decompress(data, max_length=most + 1), most)
@@ -92,13 +92,13 @@ def damages() -> tuple[type[Exception], ...]:
 
 
 class _Limited:
-    """A stream that unpacks, up to so many bytes."""
+    """A stream that unpacks at most so many bytes."""
 
     def __init__(self, stream: Any, most: int) -> None:
         self._stream, self._left = stream, most
 
     def read(self, count: int) -> bytes:
-        """Raises ValueError: more would come."""
+        """Read unpacked bytes. Raises ValueError if there are more than allowed."""
         data = bytes(self._stream.read(count))
         self._left -= len(data)
         if self._left < 0:

@@ -22,7 +22,7 @@ CSRF = "X-PHM-CSRF"
 MAX_BODY, MOST_BODY = 65_536, 1_048_576
 MAX_URL = 4096
 BODY_S = 10.0
-"""A body must be here within this time."""
+"""The complete body of a request must arrive within this time."""
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; font-src 'self'; "
     "manifest-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
@@ -50,19 +50,19 @@ class HttpProblem(Exception):
 
 
 def public(handler: Handler) -> Handler:
-    """Everyone who reaches the server: nothing of the swarm."""
+    """Allow everyone who reaches the server: the response has nothing of the swarm."""
     handler.phm_role = ""  # type: ignore[attr-defined]
     return handler
 
 
 def view(handler: Handler) -> Handler:
-    """The roles view and operate."""
+    """Allow the roles view and operate."""
     handler.phm_role = VIEW  # type: ignore[attr-defined]
     return handler
 
 
 def operate(handler: Handler) -> Handler:
-    """The role operate."""
+    """Allow the role operate alone."""
     handler.phm_role = OPERATE  # type: ignore[attr-defined]
     return handler
 
@@ -89,7 +89,7 @@ async def read_json(request: web.Request, limit: int = MAX_BODY) -> dict[str, An
 
 
 def answer(body: object, status: int = 200) -> web.Response:
-    """A JSON response."""
+    """A response with `body` as JSON."""
     return web.Response(
         text=json.dumps(body, separators=(",", ":"), allow_nan=False, default=str),
         status=status,
@@ -98,14 +98,14 @@ def answer(body: object, status: int = 200) -> web.Response:
 
 
 class Gate:
-    """Checks requests; `middleware` is aiohttp's."""
+    """Checks every request before its handler; `middleware` is called by aiohttp."""
 
     def __init__(self, options: ListenOptions, port: int, clock: Clock) -> None:
-        """port: where it listens."""
+        """port: the port on which the server listens."""
         self.options, self._clock = options, clock
         self.sessions = Sessions(options.tokens)
         self.cookie = f"phm_session_{port}"
-        """Cookies of one host are common to all its ports."""
+        """Has the port in its name: a browser sends the cookies of a host to all its ports."""
 
     @web.middleware
     async def middleware(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -128,7 +128,7 @@ class Gate:
             return answer({"error": "internal error: see the server's log"}, 500)
 
     async def headers(self, request: web.Request, response: web.StreamResponse) -> None:
-        """Added to every response."""
+        """Add the security headers to a response."""
         for name, value in HEADERS.items():
             response.headers.setdefault(name, value)
         response.headers[hdrs.SERVER] = "phm"

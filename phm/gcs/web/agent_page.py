@@ -18,7 +18,7 @@ from phm.gcs.web.view import View
 logger = logging.getLogger(__name__)
 
 READ_S = 0.5
-"""The status file is read so often; the daemon writes it on each change."""
+"""Seconds between two reads of the status file; the daemon writes it on each change."""
 CLOSE_LIMIT_S = 3.0
 NO_REQUESTS = (
     "this page only shows: use `phm hold`, `phm release` and `phm approve` on this computer, or a ground station"
@@ -29,7 +29,7 @@ Look = Callable[[], tuple[dict[str, Any], str]]
 
 
 class AgentPage:
-    """Listens from the start. Raises OSError when it cannot."""
+    """Listens once it is constructed. Raises OSError if the address cannot be used."""
 
     def __init__(self, look: Look, options: ListenOptions, clock: Clock) -> None:
         self._look, self._clock, self._view = look, clock, View(clock)
@@ -48,7 +48,7 @@ class AgentPage:
         self.server.start()
 
     def read(self) -> None:
-        """Take over what the daemon wrote."""
+        """Read the status file and show what the daemon wrote."""
         document, problem = self._look()
         self._view.run = agent_row.text(document.get("boot_id", ""))
         row = {agent_row.name(document): agent_row.row(document, problem)}

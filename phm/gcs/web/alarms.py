@@ -16,7 +16,7 @@ MAX_AGENTS = 600
 
 @dataclass(slots=True)
 class _Alarm:
-    """at: monotonic, of the first line that is not acknowledged."""
+    """at: monotonic seconds of the first line that is not acknowledged."""
 
     count: int = 0
     at: float = 0.0
@@ -24,7 +24,7 @@ class _Alarm:
 
 
 class AlarmBook:
-    """By name of the agent."""
+    """Holds the alarm of each agent, by its name."""
 
     def __init__(self) -> None:
         self._alarms: dict[str, _Alarm] = {}
@@ -34,7 +34,7 @@ class AlarmBook:
         """Agents whose alarm has changed since this was emptied; empty name: all."""
 
     def take(self, event: GcsEvent, name: str) -> None:
-        """Take an event; name: of the agent that it is about."""
+        """Count an event if it is an alarm. name: the agent that it is about."""
         body = event.body
         if event.event != "text" or not body["phm"] or body["repeat"] or body["severity"] > CRITICAL or not name:
             return
@@ -47,7 +47,7 @@ class AlarmBook:
             self.changed.add(name)
 
     def row(self, name: str, now: float) -> dict[str, Any] | None:
-        """For the row of an agent; None: no alarm, and not silenced."""
+        """The alarm in an agent's row; None: it has no alarm and is not silenced."""
         with self._lock:
             alarm = self._alarms.get(name) or _Alarm()
             until = max(alarm.silent_until, self._all_silent_until)
@@ -76,7 +76,7 @@ class AlarmBook:
             self.changed.add(name or "")
 
     def clear(self) -> None:
-        """Forget all alarms: the time has jumped."""
+        """Forget all alarms, because the time has jumped."""
         with self._lock:
             self._alarms.clear()
             self._all_silent_until = 0.0

@@ -17,7 +17,7 @@ _DECIDES = "The agent decides: it refuses what its configuration does not allow,
 
 
 def choices(agent: Mapping[str, Any]) -> list[Json]:
-    """agent: a row."""
+    """All requests that an agent can receive now. agent: its row."""
     name = agent["name"]
     found = [_choice("check", "run all checks", f"{name} runs all its checks now. Nothing is changed.", confirm=False)]
     for one in agent["advice"]:
@@ -98,7 +98,7 @@ def _number(value: object, name: str, least: int, most: int) -> int:
 
 
 def _seconds(value: object) -> float:
-    """Whole seconds, as the command has them."""
+    """A duration in whole seconds, as in the command. Raises ValueError."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not SHORTEST_S <= value <= LONGEST_S:
         raise ValueError(f"for_s must be {SHORTEST_S:g} to {LONGEST_S:g} seconds")
     return float(round(value))

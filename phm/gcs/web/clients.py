@@ -27,14 +27,14 @@ LOOK_S = 0.5
 
 
 class StreamClient:
-    """seen: number of the last message that it has."""
+    """One connected client. seen: number of the last message that it has received."""
 
     def __init__(self, request: web.Request, seen: int, now: float) -> None:
         self.request, self.seen = request, seen
         self._waiting: deque[bytes] = deque()
         self.bytes = 0
         self.moved = now
-        """When it last took data, or none waited."""
+        """When the client last read data, or no data waited for it."""
         self._ready = asyncio.Event()
         self.over = False
 
@@ -48,7 +48,7 @@ class StreamClient:
         self._ready.set()
 
     def end(self) -> None:
-        """Let `run` return."""
+        """Make `run` return."""
         self.over = True
         self._ready.set()
 
@@ -86,7 +86,7 @@ class Clients:
         self._clock, self._on_change, self._lasts = clock, on_change or (lambda count, dropped: None), lasts
         self._clients: set[StreamClient] = set()
         self.dropped = 0
-        """Clients that did not keep up."""
+        """Number of clients that were dropped because they did not keep up."""
 
     def __len__(self) -> int:
         return len(self._clients)

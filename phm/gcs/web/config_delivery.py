@@ -35,7 +35,7 @@ class ConfigDelivery:
         self._lock = threading.Lock()
 
     def targets(self) -> dict[str, str]:
-        """Where the agent of each file listens."""
+        """The address at which the agent of each file listens, by the file's name."""
         return {name: str(target) for name, target in self._targets.items()}
 
     def deliver(self, name: str, text: str, base: str | None) -> dict[str, Any]:

@@ -43,10 +43,10 @@ class ConfigEditor:
         # A link that is changed later does not lead to another file.
         self._files = {name: Path(name).resolve() for name in files}
         self._lock = threading.Lock()
-        """One check at a time: it keeps a core busy."""
+        """Allows one check at a time, because a check keeps a core busy."""
 
     def files(self) -> list[str]:
-        """Their names as they were given."""
+        """The names of the files, as given on the command line."""
         return list(self._files)
 
     def schema(self) -> Json:

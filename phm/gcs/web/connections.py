@@ -24,20 +24,20 @@ class Connections:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._limits: dict[Any, float] = {}
-        """By transport: when it is closed unless it goes on."""
+        """The moment at which each connection is closed unless it makes progress, by its transport."""
         self._waiting: dict[Any, int] = {}
-        """Bytes that wait to be read, as seen last."""
+        """Bytes of a response that the client has not read yet, at the last look."""
         self.refused = 0
 
     def __len__(self) -> int:
         return len(self._limits)
 
     def served(self, transport: Any) -> None:
-        """A complete request came on this connection."""
+        """Note that a complete request arrived on this connection."""
         self._limits[transport] = _NEVER
 
     def look(self, transports: Iterable[Any]) -> None:
-        """transports: of all open connections. To be called often."""
+        """Close connections that exceed a limit; call it often. transports: those of all open connections."""
         now, found = self._clock.mono(), [one for one in transports if one is not None and not one.is_closing()]
         for gone in self._limits.keys() - set(found):
             self._forget(gone)

@@ -14,7 +14,7 @@ from phm.wire.status_line import agent_name
 
 Json = dict[str, Any]
 GRADES = ("info", "ok", "warn", "error", "critical")
-"""Rising."""
+"""Grades of an event, from harmless to critical."""
 _HEAD = frozenset(("v", "run", "seq", "utc", "utc_s", "mono", "event"))
 _LEVELS = {"OK": "ok", "WARN": "warn", "ERROR": "error"}
 
@@ -30,7 +30,7 @@ def from_line(line: bytes | Mapping[str, Any]) -> Json:
 
 
 def who(event: GcsEvent) -> str:
-    """Name of the agent that it is about; empty: none."""
+    """Name of the agent that the event is about; empty: it is about none."""
     body = event.body
     if "name" in body:
         return str(body["name"])
@@ -46,7 +46,7 @@ def who(event: GcsEvent) -> str:
 
 
 def grade(event: GcsEvent) -> str:
-    """How grave it is: one of GRADES."""
+    """How severe the event is: one of GRADES."""
     body = event.body
     match event.event:
         case "text":

@@ -26,11 +26,11 @@ from phm.gcs.web.view import View
 logger = logging.getLogger(__name__)
 
 FLUSH_S = 0.1
-"""At most so often there is a message: changes in between go together."""
+"""Seconds between two messages to the page; changes in between are sent together."""
 ALL_S = 1.0
 MAX_FRAMES = 8192
 MAX_EVENTS = 500
-"""Events of one message."""
+"""Maximum number of events in one message."""
 CLOSE_LIMIT_S = 3.0
 SLOTS = {str(int(slot)): slot.short for slot in Slot}
 
@@ -54,11 +54,11 @@ class Taker(Protocol):
     def frame(self, received: Received) -> None: ...
     def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None: ...
     def turn(self, now: float) -> None:
-        """Called often."""
+        """Do what is due now. Called several times a second."""
 
 
 class StationFeed:
-    """takers: the history and the requests."""
+    """Reads the queues of the station in its own thread. takers: receive every frame and event, e.g. the history."""
 
     def __init__(
         self, station: Station, view: View, clock: Clock, alarms: AlarmBook, takers: Collection[Taker] = ()
@@ -72,7 +72,7 @@ class StationFeed:
         self._values: dict[int, Json] = {}
         self._all_at = float("-inf")
         self.ground: Callable[[], Json] = dict
-        """Further keys of the ground."""
+        """Returns further keys of the ground's state."""
         self._turning = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-web-feed", daemon=True)
@@ -90,7 +90,7 @@ class StationFeed:
         threads.join(self._thread, CLOSE_LIMIT_S)
 
     def turn(self) -> None:
-        """Take over what has arrived."""
+        """Take over the frames and events that have arrived."""
         with self._turning:
             self._turn()
 
@@ -125,7 +125,7 @@ class StationFeed:
             self._view.replace({**ground, **self.ground()}, agents)
 
     def refresh(self) -> None:
-        """Something of the ground has changed."""
+        """Publish the ground's state again, because it has changed."""
         with self._turning:
             self._put(None)
 
@@ -180,7 +180,7 @@ class StationFeed:
         return rows.row(agent, **more, values=self._values.get(agent["agent"], {}))
 
     def _about(self) -> Json:
-        """What does not change."""
+        """The keys of the ground that do not change."""
         return {
             "page": "gcs",
             "version": __version__,

@@ -1,4 +1,4 @@
-"""Where the page is served, and who may use it."""
+"""Options of the page's server: its address, its tokens and its TLS files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 MIN_TOKEN = 16
-"""Characters of a token."""
+"""Least number of characters of a token."""
 MAX_FILE = 10_000
 VIEW, OPERATE = "view", "operate"
 
@@ -21,7 +21,7 @@ class OptionError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Tokens:
-    """Empty: no such token."""
+    """The tokens of both roles; empty: there is no such token."""
 
     view: str = ""
     operate: str = ""
@@ -29,7 +29,7 @@ class Tokens:
 
 @dataclass(frozen=True, slots=True)
 class ListenOptions:
-    """`check` raises OptionError. behind_proxy: a proxy in front of it ends TLS."""
+    """Where the server listens; call `check` before use. behind_proxy: a proxy in front of the server ends TLS."""
 
     host: str = "127.0.0.1"
     port: int = 8080
@@ -42,7 +42,7 @@ class ListenOptions:
         return is_loopback(self.host)
 
     def check(self) -> ListenOptions:
-        """Itself, if it is safe."""
+        """Return these options if they are safe. Raises OptionError."""
         where = f"{self.host}:{self.port}"
         if not self.loopback and self.tokens is None:
             raise OptionError(
@@ -89,7 +89,7 @@ def read_tokens(path: str) -> Tokens:
 
 
 def tls_context(cert: str | None, key: str | None) -> ssl.SSLContext | None:
-    """None without files. Raises OptionError."""
+    """The TLS context of these files, None without files. Raises OptionError."""
     if cert is None and key is None:
         return None
     if cert is None or key is None:

@@ -22,8 +22,8 @@ from phm.gcs.web.view import View
 
 
 class GroundPage:
-    """Listens from the start. Raises OSError when it cannot. history: its file, None: it ends with the program. extra: see
-    `Site`."""
+    """Listens once it is constructed. Raises OSError if it cannot. history: the file; None: it ends with the program.
+    extra: see `Site`."""
 
     def __init__(
         self,

@@ -23,7 +23,7 @@ from phm.gcs.web.view import View
 Json = dict[str, Any]
 KEPT = 50
 LATE_S = 60.0
-"""For so long after it was given up, an answer still counts."""
+"""Seconds after a request was given up in which an answer still counts."""
 MAX_OPEN = 32
 
 
@@ -65,7 +65,7 @@ class _Sent:
 
 
 class RequestDesk:
-    """Thread-safe."""
+    """Sends requests and keeps the last ones with their answers. Thread-safe."""
 
     def __init__(self, station: GroundStation, view: View, clock: Clock) -> None:
         self._station, self._view, self._clock = station, view, clock
@@ -80,7 +80,7 @@ class RequestDesk:
         return {"choices": choices(row) if not note else [], "note": note}
 
     def submit(self, body: Mapping[str, Any], by: str) -> Json:
-        """Send it. Raises RequestRefused, and ValueError for a body that is none."""
+        """Send a request. Raises RequestRefused, and ValueError for an invalid body."""
         name = body.get("agent")
         if not isinstance(name, str):
             raise ValueError("agent must be the name of an agent")
@@ -108,7 +108,7 @@ class RequestDesk:
     # ------------------------------------------------------------ the thread of the feed
 
     def frame(self, received: Received) -> None:
-        """Frames are no answers: those are events."""
+        """Ignore frames: answers arrive as events."""
 
     def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None:
         now = self._clock.mono()
@@ -168,7 +168,7 @@ class RequestDesk:
         return row
 
     def _problem(self, row: Json) -> str:
-        """Why nothing can be sent to it, else empty."""
+        """Why no request can be sent to this agent, else empty."""
         if self._station.silent:
             return "phm gcs --silent sends nothing"
         return "" if row["presence"] in ("alive", "late") else f"the agent is {row['presence']}"

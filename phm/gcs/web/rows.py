@@ -9,9 +9,9 @@ from phm.core.model import Level, Slot
 
 Json = dict[str, Any]
 RANKS = ("ERROR", "LOST", "WARN", "UNKNOWN", "STALE", "HOLD", "BOOT", "LEFT", "OK")
-"""The worst first, as in the table of the terminal."""
+"""States of an agent, the worst first, as in the table of the terminal."""
 HOPS = ("ground", "radio", "computer", "container", "node", "autopilot")
-"""The path of a command."""
+"""The hops on the path of a command."""
 _PLACES = {
     "ground link": "ground",
     "GCS": "ground",
@@ -24,13 +24,13 @@ _PLACES = {
     "application": "container",
     "autopilot": "autopilot",
 }
-"""Where on the path the names of broken hops are."""
+"""The hop on the page for each name of a broken hop."""
 _SLOT_OF = {"container": Slot.CONTAINER, "node": Slot.NODES, "autopilot": Slot.AUTOPILOT, "radio": Slot.RADIO}
 _STATES = {Level.OK.name: "ok", Level.WARN.name: "ok", Level.ERROR.name: "broken"}
 
 
 def row(agent: Mapping[str, Any], **more: Any) -> Json:
-    """agent: of a snapshot with moments. more: keys that only the page has."""
+    """The row of an agent. agent: its part of a snapshot with moments. more: keys that only the page has."""
     how = str(agent["how"])
     rank = RANKS.index(how) if how in RANKS else 0
     found = {"rank": rank, "checks": None, **agent, "hops": path(agent), **more}

@@ -35,7 +35,7 @@ AddRoutes = Callable[[Site], Sequence[web.RouteDef]]
 
 
 def all_routes(site: Site) -> list[web.RouteDef]:
-    """Those of every module of `phm.gcs.web.routes`."""
+    """The routes of every module of `phm.gcs.web.routes`."""
     found: list[web.RouteDef] = []
     for module in pkgutil.iter_modules(routes.__path__):
         found += importlib.import_module(f"{routes.__name__}.{module.name}").routes(site)
@@ -43,7 +43,7 @@ def all_routes(site: Site) -> list[web.RouteDef]:
 
 
 class WebServer:
-    """Listens from the start. Raises OSError when it cannot. options: checked by the caller (`ListenOptions.check`)."""
+    """Listens once it is constructed. Raises OSError if it cannot. options: checked (`ListenOptions.check`)."""
 
     def __init__(self, site: Site, options: ListenOptions, add_routes: AddRoutes = all_routes) -> None:
         self._site, self._options = site, options
@@ -73,17 +73,17 @@ class WebServer:
         threads.start(self._thread)
 
     def about(self) -> str:
-        """Its address and its clients."""
+        """A sentence with the server's address and its number of clients."""
         count, dropped = len(self.clients), self.clients.dropped
         lost = f", {dropped} disconnected because they did not read" if dropped else ""
         return f"page at {self.url}, {count} {'client' if count == 1 else 'clients'}{lost}"
 
     def send_live(self, number: int, data: bytes) -> None:
-        """From any thread: a message for the page."""
+        """Send a message to the page. May be called by any thread."""
         self.send("/api/live", number, data)
 
     def send(self, path: str, number: int | None, data: bytes) -> None:
-        """From any thread: data for all clients of the stream with this path."""
+        """Send data to all clients of the stream with this path. May be called by any thread."""
         if self._loop is not None and len(self.clients):
             with contextlib.suppress(RuntimeError):  # it has ended
                 self._loop.call_soon_threadsafe(self.clients.send, path, number, data)

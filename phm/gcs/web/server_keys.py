@@ -1,4 +1,4 @@
-"""What a handler finds in its application."""
+"""Keys of the objects that a handler finds in its aiohttp application."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ MAX_ADDRESSES = 1000
 
 @dataclass(slots=True)
 class Session:
-    """csrf: to be sent with each change. address: where it began, as `network` gives it."""
+    """csrf: to be sent with each change. address: where the session began, as `network` returns it."""
 
     role: str
     csrf: str
@@ -31,7 +31,7 @@ class Session:
 
 
 class Sessions:
-    """tokens: None where no login is needed."""
+    """Holds the sessions and the wrong tokens of each address. tokens: None where no login is needed."""
 
     def __init__(self, tokens: Tokens | None) -> None:
         self.tokens = tokens
@@ -40,7 +40,7 @@ class Sessions:
         self._failed_all: deque[float] = deque(maxlen=FAILURES_ALL)
 
     def begin(self, role: str, now: float, address: str) -> tuple[str, Session]:
-        """A new session with its secret."""
+        """Begin a session; return its secret and the session."""
         key = secrets.token_urlsafe(32)
         session = Session(role, secrets.token_urlsafe(32), now, network(address))
         self._sessions[key] = session
@@ -63,7 +63,7 @@ class Sessions:
         self._sessions.pop(key, None)
 
     def role_of(self, token: str) -> str:
-        """Empty for a wrong token. Takes as long whatever is wrong with it."""
+        """The role of a token, empty for a wrong one. Takes the same time for every token."""
         if self.tokens is None:
             return ""
         said = token.encode("utf-8", "surrogateescape")
@@ -81,7 +81,7 @@ class Sessions:
         return recent_all >= FAILURES_ALL and not self._known(address, now)
 
     def _known(self, address: str, now: float) -> bool:
-        """Whether somebody is logged in from there."""
+        """Whether a session exists for this address."""
         return any(each.address == address and now - each.used <= IDLE_S for each in self._sessions.values())
 
     def failed(self, address: str, now: float) -> None:
@@ -94,7 +94,7 @@ class Sessions:
 
 
 def network(address: str) -> str:
-    """An address as its wrong tokens are counted."""
+    """The network of an address, for which its wrong tokens are counted."""
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -107,5 +107,5 @@ def network(address: str) -> str:
 
 
 def _equal(said: bytes, token: str) -> bool:
-    """In constant time; an empty token equals nothing."""
+    """Whether both are equal, in constant time; an empty token equals nothing."""
     return hmac.compare_digest(said, token.encode("ascii")) and bool(token)

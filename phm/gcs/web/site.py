@@ -1,4 +1,4 @@
-"""What the routes of the page work with."""
+"""The objects that the routes of the page work with."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ class Requests(Protocol):
         """What can be requested of an agent. Raises RequestRefused."""
 
     def submit(self, body: Mapping[str, Any], by: str) -> Json:
-        """Send it; the request as JSON. Raises RequestRefused, and ValueError for a body that is none."""
+        """Send a request and return it as JSON. Raises RequestRefused, and ValueError for an invalid body."""
 
     def recent(self) -> list[Json]:
-        """The last ones, oldest first."""
+        """The last requests, oldest first."""
 
 
 class ReplayControl(Protocol):
     """Controls a replay (`phm.gcs.web.replay.player.Player`). Thread-safe."""
 
     def control(self, body: Mapping[str, Any]) -> None:
-        """Raises ValueError for what is not possible."""
+        """Apply a control of the page, such as pause. Raises ValueError for an invalid one."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,6 @@ class Site:
     stream: GroundStation | None = None
     extra: Mapping[str, object] = field(default_factory=dict)
     no_requests: str = "requests are not possible here"
-    """Why there are none."""
+    """Why the page takes no requests."""
     on_clients: Callable[[int, int], None] | None = None
     """Takes how many clients there are, and how many were dropped, when that changes."""

@@ -31,7 +31,7 @@ class StaticFile:
 
 
 def load() -> dict[str, StaticFile]:
-    """By path below `static`, with slashes."""
+    """All files of the page, by their path below `static`, with slashes."""
     return dict(_walk(Path(__file__).parent / "static", "", MAX_DEPTH))
 
 

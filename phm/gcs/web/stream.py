@@ -25,7 +25,7 @@ LINES, NOT_YET = "application/x-ndjson", 2**62
 
 
 class LineTap(SubscriberQueue):
-    """Hands each event to the clients of a path at once, and keeps none."""
+    """Hands each event to the clients of a path immediately, and keeps none."""
 
     def __init__(self, clock: Clock, server: WebServer, path: str) -> None:
         super().__init__(clock, 1)
@@ -37,7 +37,7 @@ class LineTap(SubscriberQueue):
 
 
 def handlers(station: GroundStation, clock: Clock) -> tuple[Handler, Handler]:
-    """Of the stream (a snapshot, then every event, and `alive` every ALIVE_S) and of a single snapshot."""
+    """The handlers of the stream (a snapshot, then every event, `alive` every ALIVE_S) and of a single snapshot."""
 
     async def stream(request: web.Request) -> web.StreamResponse:
         with request.app[CLIENTS].admit(request, NOT_YET) as client:

@@ -18,26 +18,26 @@ Listener = Callable[[int, bytes], None]
 
 
 def dumps(value: object) -> str:
-    """ASCII without line ends: a name from the air stays a string of JSON."""
+    """JSON in ASCII without line ends: a name received by radio stays a string."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False, default=str)
 
 
 def message(kind: str, body: object) -> bytes:
-    """A server-sent event."""
+    """A server-sent event as bytes."""
     return f"event: {kind}\ndata: {dumps(body)}\n\n".encode("ascii")
 
 
 class View:
-    """run: id of the run whose data this is."""
+    """Holds the state that the page shows. run: id of the run whose data this is."""
 
     def __init__(self, clock: Clock, run: str = "") -> None:
         self._clock, self.run = clock, run
         self._ground: Json = {}
         self._agents: dict[str, Json] = {}
         self._number = 0
-        """Of the last message."""
+        """The number of the last message."""
         self._seq = 0
-        """Of the last event."""
+        """The number of the last event."""
         self._listeners: tuple[Listener, ...] = ()
         self._full: tuple[int, bytes] | None = None
         self._lock = threading.Lock()
@@ -86,19 +86,19 @@ class View:
             self._publish("full", self._state())
 
     def add_events(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """New events, in order."""
+        """Publish new events, in order."""
         if events:
             with self._lock:
                 self._seq = max(self._seq, int(events[-1].get("seq", 0)))
                 self._publish("events", {"events": list(events)})
 
     def publish(self, kind: str, body: Mapping[str, Any]) -> None:
-        """A message that is not part of the state."""
+        """Publish a message that is not part of the state."""
         with self._lock:
             self._publish(kind, body)
 
     def state(self) -> Json:
-        """The complete state."""
+        """A copy of the complete state."""
         with self._lock:
             return json.loads(dumps(self._state()))  # type: ignore[no-any-return]
 

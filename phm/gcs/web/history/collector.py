@@ -22,12 +22,12 @@ from phm.wire.status_line import agent_name
 RATE_S, LEVEL_S = 10.0, 10.0
 MAX_SENDERS = 1024
 LEVELS = {Level.OK: 1, Level.WARN: 2, Level.ERROR: 3}
-"""As numbers of the series `level`; 0: unknown or lost."""
+"""The levels as numbers of the series `level`; 0: unknown or lost."""
 RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
 
 
 class Collector:
-    """book: with the faults that are open. A `Taker` of the feed."""
+    """A `Taker` of the feed. book: has the open faults."""
 
     def __init__(self, store: HistoryStore, book: FaultBook) -> None:
         self._store, self._book = store, book
@@ -62,18 +62,18 @@ class Collector:
             )
 
     def radio(self, frame: RadioStatus, link: str, utc: float) -> None:
-        """What the ground's own radio says of a link."""
+        """Store what the ground's own radio reports about a link."""
         for kind in RADIO:
             self._store.put(HistorySample(f"link:{link}"[:100], kind, utc, getattr(frame, kind)))
 
     def presence(self, line: Mapping[str, Any]) -> None:
-        """An agent that is not there has no level."""
+        """Interrupt the series `level` of an agent that is lost."""
         if line["event"] == "presence" and line["presence"] != "alive":
             self._store.put(HistorySample(line["name"], "level", line["utc_s"], 0.0))
             self._levels.pop(line["name"], None)
 
     def turn(self, now: float) -> None:
-        """Nothing is due without a frame."""
+        """Do nothing: samples are stored when a frame arrives."""
 
     def _beat(self, beat: Heartbeat, mono: float, utc: float) -> None:
         name = sender_name(beat.system, beat.component)
@@ -87,7 +87,7 @@ class Collector:
         self.level(name, beat.custom_mode, mono, utc)
 
     def level(self, name: str, word: int, mono: float, utc: float) -> None:
-        """An agent's status word."""
+        """Store the worst level of an agent's status word."""
         try:
             levels = status_word.decode(word).values()
         except ValueError:
@@ -99,7 +99,7 @@ class Collector:
             self._store.put(HistorySample(name, "level", utc, float(level)))
 
     def _count(self, system: int, mono: float, utc: float) -> None:
-        """Frames a second, over RATE_S."""
+        """Store the frames per second, over RATE_S."""
         if self._rate_from is None:
             self._rate_from = (mono, utc)
         self._frames[system] = self._frames.get(system, 0) + 1
@@ -113,10 +113,10 @@ class Collector:
 
 
 def sender_name(system: int, component: int) -> str:
-    """As the ground calls the agent."""
+    """The name of an agent on the ground, such as A07."""
     return agent_name(system) if component == PHM_COMPONENT else f"{agent_name(system)}/{component}"
 
 
 def _repeats(line: Mapping[str, Any]) -> bool:
-    """Whether it says nothing new: repeated lines and digests would fill the disk."""
+    """Whether the line is a repetition; repeated lines and digests would fill the disk."""
     return bool(line.get("repeat")) or line["event"] == "words" or line.get("changed") is False

@@ -19,7 +19,7 @@ from phm.gcs.statustext_parser import LineKind, ParsedLine, matches
 Json = dict[str, Any]
 MAX_OPEN, MAX_STEPS, MAX_QUIET = 2000, 40, 200
 LINE_S = 60.0
-"""For so long the line about an end may come after the heartbeat that shows it."""
+"""Seconds by which the line about an end may follow the heartbeat that shows this end."""
 BY_HEARTBEAT = "by its heartbeat"
 _SINCE = re.compile(r"since ([0-9]{2}):([0-9]{2}):([0-9]{2}) UTC")
 _ENDED = re.compile(r"(?:cleared|recovered): |\S+ recovered$")
@@ -62,7 +62,7 @@ class FaultEntry:
 
 
 def from_json(body: Mapping[str, Any]) -> FaultEntry:
-    """Raises KeyError, TypeError and ValueError for another JSON."""
+    """The entry of a stored object. Raises KeyError, TypeError and ValueError for another object."""
     return FaultEntry(
         str(body["key"]),
         str(body["agent"]),
@@ -77,16 +77,16 @@ def from_json(body: Mapping[str, Any]) -> FaultEntry:
 
 
 class FaultBook:
-    """Open faults. `take` returns those that have changed."""
+    """Holds the open faults. `take` returns those that have changed."""
 
     def __init__(self, known: Iterable[FaultEntry] = ()) -> None:
-        """known: those that were open when the ground stopped."""
+        """known: the faults that were open when the ground stopped."""
         self._open: OrderedDict[str, FaultEntry] = OrderedDict((fault.key, fault) for fault in known)
         self._quiet: deque[tuple[float, FaultEntry]] = deque(maxlen=MAX_QUIET)
-        """Those that ended by a heartbeat: their line may still come."""
+        """Faults that ended by a heartbeat; their line may still arrive."""
 
     def take(self, line: Mapping[str, Any]) -> list[FaultEntry]:
-        """line: of `phm.gcs.web.events.from_line`."""
+        """The faults that a line has opened, changed or ended. line: made by `phm.gcs.web.events.from_line`."""
         who, utc_s = str(line["who"]), float(line["utc_s"])
         match line["event"]:
             case "text" if line["phm"] and line.get("kind") in (LineKind.CHANGE.value, LineKind.REFRESH.value):

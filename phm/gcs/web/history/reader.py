@@ -18,7 +18,7 @@ Json = dict[str, Any]
 QUERY_S = 5.0
 MAX_POINTS, MAX_EVENTS, MAX_FAULTS = 2000, 500, 200
 SILENT_S = 30.0
-"""A longer time without samples is a gap of a line."""
+"""A longer time without samples interrupts the line of a plot."""
 KINDS = {
     "gap": ("s", "heartbeat gap"),
     "level": ("", "worst level (0 unknown, 1 OK, 2 WARN, 3 ERROR)"),
@@ -40,7 +40,7 @@ class HistoryError(Exception):
 
 
 class HistoryReader:
-    """Thread-safe."""
+    """Reads the history's file. Thread-safe."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -73,7 +73,7 @@ class HistoryReader:
     def events(
         self, *, who: str, event: str, text: str, grade: str, before: int | None, until: float | None, limit: int
     ) -> Json:
-        """Newest first. text: in the words or the keys. grade: at least this grave. before: id. until: UTC seconds."""
+        """Events, newest first. text: in the words or keys. grade: the least. before: an id. until: UTC seconds."""
         limit = max(1, min(limit, MAX_EVENTS))
         wheres, values = ["1"], list[object]()
         least = GRADES.index(grade) if grade in GRADES else 0
@@ -96,7 +96,7 @@ class HistoryReader:
         return {"events": found, "more": len(rows) > limit}
 
     def faults(self, who: str, *, only_open: bool, until: float | None = None) -> Json:
-        """Newest first. until: UTC seconds."""
+        """Faults, newest first. until: UTC seconds."""
         with self._open() as connection:
             rows = connection.execute(
                 "SELECT body FROM fault WHERE (? = '' OR who = ?) AND open >= ? AND at <= ? ORDER BY at DESC LIMIT ?",

@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 MAX_BYTES, MAX_AGE_S = 200_000_000, 30 * 86_400.0
 MAX_WAITING = 50_000
-"""Rows between the receiver and the disk."""
+"""Maximum number of rows that wait to be written."""
 MAX_SERIES = 20_000
 COMMIT_S, PRUNE_S, RETRY_S, OPEN_S = 1.0, 60.0, 10.0, 2.0
 CLOSE_LIMIT_S = 5.0
@@ -101,7 +101,7 @@ class HistoryStore:
         self._thread = threading.Thread(target=self._loop, name="phm-gcs-history", daemon=True)
 
     def start(self) -> None:
-        """Waits a moment until the file was opened, or cannot be."""
+        """Start the writer, and wait a moment until the file was opened or has failed to open."""
         if threads.start(self._thread):
             self._clock.wait(self._tried, OPEN_S)
 
@@ -116,7 +116,7 @@ class HistoryStore:
     room = MAX_WAITING - 1
 
     def problem(self) -> str:
-        """A sentence while something is missing, else empty."""
+        """A sentence while entries are missing, else empty."""
         dropped = self._queue.dropped + self._unusable
         lost = f"{dropped} entries of the history are missing" if dropped else ""
         return "; ".join(filter(None, (self._problem, self._aside, lost)))
@@ -198,7 +198,7 @@ class HistoryStore:
             connection.execute(SAMPLE, (key, row.at, row.value))
 
     def _key(self, connection: sqlite3.Connection, row: HistorySample) -> int | None:
-        """None: there are too many."""
+        """The id of a sample's series; None: there are too many series."""
         name = (row.who, row.kind)
         if name not in self._series:
             if len(self._series) >= MAX_SERIES:
@@ -267,7 +267,7 @@ class HistoryStore:
 
 
 def _check_owner(connection: sqlite3.Connection) -> None:
-    """Only reads. Raises _NotOurs, and DatabaseError for a file of another version of PHM."""
+    """Read whose file it is. Raises _NotOurs, and DatabaseError for a file of another version of PHM."""
     found, version, tables = (
         connection.execute(query).fetchone()[0]
         for query in ("PRAGMA application_id", "PRAGMA user_version", "SELECT count(*) FROM sqlite_master")
@@ -280,6 +280,6 @@ def _check_owner(connection: sqlite3.Connection) -> None:
 
 
 def default_path() -> Path:
-    """In the state folder of the user."""
+    """The default file: in the state folder of the user."""
     base = os.environ.get("XDG_STATE_HOME") or os.path.join(os.path.expanduser("~"), ".local", "state")
     return Path(base) / "phm" / "gcs-history.db"

@@ -1,4 +1,4 @@
-"""The page of a record."""
+"""The page of `phm gcs --replay`: shows a record."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from phm.gcs.web.view import View, dumps
 NO_REQUESTS = "a record is replayed: there is no agent to ask"
 WRITE_LIMIT_S = 60.0
 SAMPLES = 1000
-"""A line has fewer samples."""
+"""One line of a record gives fewer samples than this."""
 
 
 class ReplayPage:
-    """Listens from the start. Raises OSError when it cannot."""
+    """Listens once it is constructed. Raises OSError if the address cannot be used."""
 
     def __init__(self, record: GroundRecord, options: ListenOptions, clock: Clock, speed: float = 1.0) -> None:
         self._record, self._clock = record, clock

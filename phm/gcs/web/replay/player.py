@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 STEP_S = 0.05
 SLOWEST, FASTEST = 0.1, 1000.0
 RECENT_S = 60.0
-"""After a jump, older heartbeats are not needed."""
+"""After a jump, heartbeats that are older than this are not replayed."""
 TICK_S = 0.2
 CLOSE_LIMIT_S = 3.0
 _HEAD = frozenset(("v", "run", "seq", "utc", "utc_s", "mono", "event"))
@@ -105,7 +105,7 @@ class Player:
         threads.join(self._thread, CLOSE_LIMIT_S)
 
     def state(self) -> Json:
-        """Keys of the ground for the page."""
+        """The keys of the ground that describe the replay."""
         with self._lock:
             record, speed = self._record, self._speed
             replay = {
@@ -118,7 +118,7 @@ class Player:
             return {"page": "replay", "replay": replay, "rate": speed if self._playing else 0}
 
     def control(self, body: Mapping[str, Any]) -> None:
-        """play, pause, seek to `utc`, speed. Raises ValueError."""
+        """Play, pause, seek to `utc`, or set the speed. Raises ValueError for anything else."""
         changed = self.on_change
         with self._lock:
             match body.get("do"):
@@ -206,7 +206,7 @@ class Player:
             self._store.tick(Stamp(self._record.utc(at), at))
 
     def _jump(self, at: float) -> None:
-        """To a moment: the state is made from all lines before it."""
+        """Jump to a moment: the state is built from all lines before it."""
         self._store, self._ticked = FleetState((), self._record.ids), 0.0
         self._next = bisect_right(self._record.times, at)
         for entry in self._record.entries[: self._next]:

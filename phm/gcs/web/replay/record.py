@@ -24,11 +24,11 @@ from phm.wire.tunnel import PAYLOAD_TYPE, PeerState, PeerView, SwarmDigest, Tunn
 
 Json = Mapping[str, Any]
 Ids = tuple[int, int]
-"""MAVLink system and component."""
+"""MAVLink system id and component id."""
 MAX_LINES = 2_000_000
 """Also of the heartbeats that are filled in: 2 million need about 0.5 GB."""
 MAX_FILLED = 200_000
-"""Heartbeats in a row of one sender."""
+"""Maximum number of heartbeats of one sender that are filled in without a break."""
 LATEST_S = 1e10
 """No moment of a record is later: UTC seconds of the year 2286."""
 MAX_SEQ, MAX_RADIOS = 2**53, 64
@@ -82,14 +82,14 @@ class GroundRecord:
         return run.utc + at - run.at
 
     def at(self, utc: float) -> float:
-        """The moment on the timeline; limited to it."""
+        """The moment of a UTC time on the timeline, limited to its ends."""
         starts = [run.utc for run in self.runs]
         run = self.runs[max(0, bisect_right(starts, utc) - 1)]
         return min(max(0.0, run.at + utc - run.utc), self.end)
 
 
 def load(path: str | Path) -> GroundRecord:
-    """Raises RecordError."""
+    """Read a record. Raises RecordError."""
     if not Path(path).is_file():
         raise RecordError(f"{path}: there is no such file")
     entries, runs, ids = list[Entry](), list[RecordedRun](), (254, 190)
@@ -216,7 +216,7 @@ class _Filler:
         self._last, self._run = 0.0, ""
 
     def take(self, entry: Entry) -> None:
-        """The next line of the record."""
+        """Take the next line of the record."""
         line = entry.line or {}
         run = str(line.get("run"))
         if run != self._run or line.get("event") == "end":
@@ -234,7 +234,7 @@ class _Filler:
             self._fill(key, entry.at - silent_s, inclusive=True)
 
     def end(self, at: float) -> None:
-        """No more heartbeats from here on."""
+        """End all heartbeats at this moment."""
         for key in list(self._open):
             self._fill(key, at)
 
@@ -246,7 +246,7 @@ class _Filler:
             self._open[key] = (at, frame, link)
 
     def _fill(self, key: Ids, end: float, *, inclusive: bool = False) -> None:
-        """inclusive: the last one is exactly at `end`."""
+        """Add a sender's heartbeats up to `end`. inclusive: the last one is exactly at `end`."""
         begun = self._open.pop(key, None)
         if begun is None:
             return
@@ -262,7 +262,7 @@ class _Filler:
 
 
 def _fill_in(entries: Iterable[Entry], path: str | Path) -> list[Entry]:
-    """Raises RecordError."""
+    """The entries with the heartbeats filled in. Raises RecordError."""
     filler, last = _Filler(path), 0.0
     for entry in entries:
         with suppress(*_DAMAGED):

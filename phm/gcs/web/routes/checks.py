@@ -16,9 +16,9 @@ from phm.gcs.web.config_editor import ConfigEditor, NotSaved
 from phm.gcs.web.site import Site
 
 EXTRA = "checks"
-"""Key of the `ConfigEditor` in `Site.extra`."""
+"""The key of the `ConfigEditor` in `Site.extra`."""
 DELIVERY = "delivery"
-"""Key of the `ConfigDelivery` in `Site.extra`, if there is one."""
+"""The key of the `ConfigDelivery` in `Site.extra`, if there is one."""
 
 
 def routes(site: Site) -> Sequence[web.RouteDef]:

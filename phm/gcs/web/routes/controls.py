@@ -1,4 +1,4 @@
-"""What an operator acknowledges or silences, and the controls of a replay."""
+"""Routes to acknowledge and silence alarms, and to control a replay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Series, events and faults of the past."""
+"""Routes for series, events and faults of the past."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 DEFAULT_S = 600.0
 MAX_TEXT = 200
 MAX_QUERIES, MAX_WAITING = 2, 64
-"""Queries at once, so that there are always threads for requests of an operator; and with those that wait."""
+"""Simultaneous queries, so that requests of an operator always find a thread; and these with those that wait."""
 
 
 def routes(site: Site) -> Sequence[web.RouteDef]:

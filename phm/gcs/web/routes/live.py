@@ -1,4 +1,4 @@
-"""The state of all agents, and what changes: server-sent events."""
+"""Routes for the state of all agents and its changes, as server-sent events."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`/metrics` for Prometheus."""
+"""The route `/metrics` for Prometheus."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MISSING = "/metrics needs prometheus-client: pip install 'phm-sidecar[metrics]'"
 
 
 class _Page:
-    """The handler; counts from the start of the server on."""
+    """The handler; its counters begin at the start of the server."""
 
     def __init__(self, site: Site, station: MeasuredStation) -> None:
         self._clock, self._ground = site.clock, GroundMetrics(station, site.clock)

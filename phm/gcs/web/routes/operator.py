@@ -1,4 +1,4 @@
-"""What an operator requests of an agent."""
+"""Routes for requests of an operator to an agent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files of the page, and who uses it."""
+"""Routes for the files of the page, and for log-in and log-out."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
 
 
 def _response(request: web.Request, file: StaticFile) -> web.Response:
-    """no-cache: the browser asks each time, and a new version of PHM is used at once."""
+    """no-cache: the browser asks each time, so a new version of PHM is used immediately."""
     headers = {hdrs.ETAG: f'"{file.etag}"', hdrs.CACHE_CONTROL: "no-cache"}
     if request.headers.get(hdrs.IF_NONE_MATCH) == headers[hdrs.ETAG]:
         return web.Response(status=304, headers=headers)

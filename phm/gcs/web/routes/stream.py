@@ -1,4 +1,4 @@
-"""The stream of `--serve` at the page's address."""
+"""Routes for the stream of `--serve`, at the page's address."""
 
 from __future__ import annotations
 
