@@ -89,7 +89,7 @@ class _Shown:
     runs: bool = False
 
     def apply(self, t: float, what: str, body: Any) -> list[Status]:
-        """Take over statuses; return those that changed."""
+        """Apply a change of the agent; return the statuses that changed."""
         if what == "level":
             self.level, self.runs = body, True
             return [self.summary()]
