@@ -49,6 +49,19 @@ def turned_s(node: str, fact: api.RosFact) -> float:
     return min(ages, default=float("inf"))
 
 
+def ran_s(node: str, fact: api.RosFact, now_s: float) -> float:
+    """Upper bound of the time in which the node's executor ran at least twice, by its number of turns, or published on another topic;
+    infinite if unknown. now_s: monotonic seconds.
+
+    Its own report of how late it is does not count a time in which the entire process got no CPU, so it does not prove that it ran.
+    """
+    ages = [silent_s + LOOK_S for silent_s in _flows(node, fact)]
+    beacon = fact.beacons.get(node)
+    if beacon is not None and beacon.ran_since is not None:
+        ages.append(max(0.0, now_s - beacon.ran_since))
+    return min(ages, default=float("inf"))
+
+
 def _flows(node: str, fact: api.RosFact) -> Iterable[float]:
     """Seconds since the last observed data on each topic that only this node publishes."""
     for topic in fact.topics.values():

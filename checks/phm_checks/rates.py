@@ -9,7 +9,7 @@ from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
 from phm_checks._limit_forecast import LimitForecast
-from phm_checks._node_activity import FRESH_S, turned_s
+from phm_checks._node_activity import FRESH_S, ran_s, turned_s
 from phm_checks._text import StableNumber, brief, clean, last, span
 
 CONFIRM_S = 0.9
@@ -27,7 +27,8 @@ MEASURED_S = 1.0
 """A silence is detected at most this much after its limit: the sampler and the check run once a second."""
 _BLOCKS = "a firewall, or shared memory without a shared /dev/shm: set FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
 RAN_S = 2.0
-"""A publisher whose executor ran this long after a message was due, and did not send it, is not just waiting for a CPU."""
+"""A publisher whose executor ran twice, this long after a message was due, and did not send it, is not just waiting for a CPU: the
+timer of the message was due before the first turn, so it was called before the second."""
 LATE_S = 0.1
 """An executor with a larger delay is waiting for the CPU."""
 DOUBTS = 2.5
@@ -135,12 +136,12 @@ class Rates(api.Check):
             return self._never(case, seen, fact, world)
         if hz == 0.0:
             memory.off_since = None
-            return self._silent(case, silent_s, seen, fact)
+            return self._silent(case, silent_s, seen, fact, world.clock.mono())
         if hz is None:
             return api.stale(f"{name} is received; measuring its rate", brief="", **values)
         return self._rate(case, hz, seen, fact, memory, world.clock.mono())
 
-    def _silent(self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact) -> api.Result:
+    def _silent(self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact, now: float) -> api.Result:
         assert seen.rate is not None
         limit_s = seen.rate.limit_s
         limit = "" if limit_s is None else f" and no gap over {span(limit_s)}"
@@ -159,7 +160,7 @@ class Rates(api.Check):
             f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}; check that node's log",
             case,
         )
-        ran = turns and _all_turned(seen, fact, due_s - RAN_S)
+        ran = turns and all(ran_s(node, fact, now) <= due_s - RAN_S for node in _nodes(seen))
         result = result.with_evidence(api.Evidence(conclusive=ran and _inputs_flow(seen, fact)))
         settle_s = GAP_PERIODS / case.rate - (limit_s or 0.0)
         return replace(result, settle_s=min(SETTLE_S, max(0.0, settle_s))) if turns else result

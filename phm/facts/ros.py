@@ -167,6 +167,8 @@ class BeaconFact:
     full:       its list of neighbours had no space for more: a node that `views` does not contain may be received.
     turns:      number of turns of its executor since the node started, as of the same time; 0: none yet, or the executor
                 is not watched, and late_s means nothing.
+    ran_since:  its executor has run at least twice since this time (monotonic seconds), as their number shows. None: unknown. Unlike
+                late_s, which a process that gets no CPU does not count, it is never too new.
     witness:    the process that sends the beacon; all nodes of a process receive as one.
     rivals:     number of other processes that send heartbeats under the same name. Each rival, and this process, must have
                 sent several since the rival began.
@@ -187,6 +189,7 @@ class BeaconFact:
     not_counted_s: float = 0.0
     """The part of age_s in which the ROS child did not run."""
     full: bool = False
+    ran_since: float | None = None
 
     @property
     def silent_s(self) -> float:

@@ -55,7 +55,7 @@ _VIEWS = Explanation("the neighbours' beacons are late, or read late")
 EXPLAINED: Mapping[str, Explanation] = {
     "rate_low": _SLOW,
     "jitter_rising": _SLOW,
-    "silent": Explanation(f"{_SLOW.evidence}; not where its executor ran 2 s after a message was due"),
+    "silent": Explanation(f"{_SLOW.evidence}; not where its executor ran twice 2 s after a message was due"),
     "data_stamp": Explanation("messages wait before they are published; not where stamps differ by more than 10 s"),
     "data_gaps": Explanation("its publisher does not read its input in time"),
     "not_received": Explanation("a publisher that is starved from its start has not sent yet"),

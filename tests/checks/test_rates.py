@@ -161,14 +161,27 @@ def test_the_sampler_decides_what_is_silent() -> None:
     assert "Silent for 1.8 s, expected 1 Hz and no gap over 1.5 s" in result.summary
 
 
-@pytest.mark.parametrize(("silent_s", "late_s", "conclusive"), [(5.0, 0.0, True), (3.5, 0.0, False), (5.0, 2.0, False)])
+@pytest.mark.parametrize(("silent_s", "ran_s", "conclusive"), [(5.0, 1.9, True), (5.0, 2.1, False), (3.5, 1.9, False)])
 def test_silence_of_a_running_executor_is_not_explained_by_starvation(
-    silent_s: float, late_s: float, conclusive: bool
+    silent_s: float, ran_s: float, conclusive: bool
 ) -> None:
-    """The node's executor ran 2 s after a message was due: it had the CPU, and did not publish."""
-    beacon = api.BeaconFact(0.1, 1.0, late_s, turns=20)
-    result = Bench().evaluate(0.0, silent_s, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
+    """The node's executor ran twice, 2 s after a message was due: it had the CPU, and did not publish."""
+    bench = Bench()
+    beacon = api.BeaconFact(0.1, 1.0, turns=20, ran_since=bench.clock.mono() - ran_s)
+    result = bench.evaluate(0.0, silent_s, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
     assert (result.condition, result.evidence.conclusive) == ("silent", conclusive)
+
+
+@pytest.mark.parametrize("ran_since", [None, 10.0])
+def test_an_executor_that_is_in_time_by_the_account_of_a_starved_process_may_not_have_run(
+    ran_since: float | None,
+) -> None:
+    """A process without CPU does not count this time as lateness of its executor; the number of turns shows that it did not run."""
+    bench = Bench()
+    bench.clock.advance(100.0)
+    beacon = api.BeaconFact(0.1, 1.0, late_s=0.0, turns=20, ran_since=ran_since)
+    result = bench.evaluate(0.0, 30.0, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
+    assert result.condition == "silent" and not result.evidence.conclusive
 
 
 @pytest.mark.parametrize(("input_hz", "conclusive"), [(10.0, True), (0.0, False), (None, False)])
@@ -180,7 +193,8 @@ def test_silence_behind_an_input_without_data_may_follow_from_starvation(
     silent = api.RateFact(0.0, 5.0, WINDOW_S, samples=5, limit_s=1.5, publishers=1, error_hz=0.0)
     source = api.TopicFact((), TALKER, api.RateFact(input_hz, 0.1, WINDOW_S, samples=5, publishers=1))
     topics = {NAME: api.TopicFact(TALKER, (), silent), "/agent_1/in": source}
-    bench.ros.change(topics=topics, nodes={node: 1}, beacons={node: api.BeaconFact(0.1, 1.0, turns=20)})
+    beacon = api.BeaconFact(0.1, 1.0, turns=20, ran_since=bench.clock.mono() - 1.0)
+    bench.ros.change(topics=topics, nodes={node: 1}, beacons={node: beacon})
     results = bench.check.run(testing.world(clock=bench.clock, ros=bench.ros))
     assert not isinstance(results, api.Result)
     assert results[UNIT].evidence.conclusive is conclusive

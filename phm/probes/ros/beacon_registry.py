@@ -44,7 +44,7 @@ class _Rival:
 class _NodeBeacon:
     """The newest beacon of one node, when it arrived (monotonic), and how much of its silence has been reported.
 
-    rivals: by witness. copied_by: who used its identity last, and when.
+    rivals: by witness. copied_by: who used its identity last, and when. turned_since: its executor has run since then.
     """
 
     fact: BeaconFact
@@ -52,6 +52,18 @@ class _NodeBeacon:
     doubt: int = 0
     rivals: dict[str, _Rival] = field(default_factory=dict)
     copied_by: tuple[str, float] = ("", 0.0)
+    turned_since: float | None = None
+
+    def follow(self, last: _NodeBeacon) -> None:
+        """Take over from the last beacon of the same process what this one does not contain."""
+        self.rivals, self.copied_by, self.turned_since = last.rivals, last.copied_by, last.turned_since
+        ran_since, turns = last.fact.ran_since, self.fact.turns - last.fact.turns
+        if last.fact.birth != self.fact.birth:
+            ran_since = self.turned_since = None
+        elif turns > 0:
+            # Turns that the last beacon did not count came after it.
+            ran_since, self.turned_since = last.at_s if turns > 1 else last.turned_since, last.at_s
+        self.fact = replace(self.fact, ran_since=ran_since)
 
     def now(self, now_s: float) -> BeaconFact:
         who, at_s = self.copied_by
@@ -195,7 +207,7 @@ class BeaconRegistry:
         self._received.add(name)
         new = self._beacons[name] = _NodeBeacon(fact, at_s)
         if known is not None:
-            new.rivals, new.copied_by = known.rivals, known.copied_by
+            new.follow(known)
 
 
 def _differs(old: BeaconFact, new: BeaconFact) -> bool:
