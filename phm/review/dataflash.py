@@ -1,7 +1,7 @@
 """ArduPilot's DataFlash log as records: each type of message is described by an FMT message before it.
 
-Not by pymavlink's DFReader: it never ends on an FMT message with a length of 0, keeps the place of every message in memory, and
-reads no compressed file.
+Not by pymavlink's DFReader: without its compiled index it never ends on an FMT message with a length of 0, it keeps the place of
+every message in memory, and it reads no compressed file.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ def test_long_texts_are_put_together(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("length", [0, 1, 2, 4])
 def test_an_impossible_length_does_not_hold_the_reader(tmp_path: Path, length: int) -> None:
-    """A hostile FMT message with a length of 0 has no end for pymavlink's reader."""
+    """A hostile FMT message with a length of 0 has no end for pymavlink's index in Python."""
     plain = bytearray(gzip.decompress(DATAFLASH.read_bytes()))
     place = next(at for at in range(0, len(plain), 89) if plain[at + 5 : at + 8] == b"MSG")
     plain[place + 4] = length
