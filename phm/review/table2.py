@@ -17,6 +17,9 @@ from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 INJECT = re.compile(r"inject\b", re.IGNORECASE)
+LATE_S, TOGETHER = 30.0, 8
+"""Of injections that follow each other, a fault that a note names may open so long after the next note; and so many notes before and after
+it are looked at."""
 STEPS = ("advised", "refused", "done", "failed", "verified", "escalated")
 """Phases with which a step of PHM's response to a fault is complete."""
 PAPER = {
@@ -42,11 +45,10 @@ def build(
         ]
         mine = sorted(
             (fault for fault in counted(faults) if fault["agent"] == agent.name),
-            key=lambda fault: float(fault["opened"]),
+            key=_opened,
         )
         for place, (t, text) in enumerate(moments):
-            until = moments[place + 1][0] if place + 1 < len(moments) else math.inf
-            injected.append(_injection(agent, t, text, _caused(mine, text, t, until)))
+            injected.append(_injection(agent, t, text, _caused(mine, moments, place)))
     if not injected:
         return None
     known = [one for one in injected if one["fault"] is not None]
@@ -65,11 +67,41 @@ def build(
     }
 
 
-def _caused(faults: Sequence[Json], text: str, t: float, until: float) -> Json | None:
-    """The first fault after an injection and before the next one; one whose subject the text names goes first."""
-    after = [fault for fault in faults if t <= fault["opened"] < until]
-    named = [fault for fault in after if _names(text, fault["unit"].partition("/")[2] or fault["unit"])]
-    return next(iter(named or after), None)
+def _caused(faults: Sequence[Json], moments: Sequence[tuple[float, str]], place: int) -> Json | None:
+    """The fault of one of an agent's injections: the first that its note claims, or else the first before the next injection that no
+    note before claims.
+    """
+    t, until = moments[place][0], _next(moments, place)
+    first, last = (bisect_left(faults, at, key=_opened) for at in (t, until + LATE_S))
+    near, before = faults[first:last], range(max(0, place - TOGETHER), place)
+    for fault in near:
+        if _claims(moments, place, fault):
+            return fault
+    for fault in near:
+        if fault["opened"] < until and not any(_claims(moments, each, fault) for each in before):
+            return fault
+    return None
+
+
+def _claims(moments: Sequence[tuple[float, str]], place: int, fault: Json) -> bool:
+    """Whether this note is the last before the fault that names its subject, and the next note is not long before it."""
+    (t, text), opened = moments[place], fault["opened"]
+    if not t <= opened < _next(moments, place) + LATE_S or not _names(text, _subject(fault)):
+        return False
+    later = moments[place + 1 : place + 1 + TOGETHER]
+    return not any(at <= opened and _names(other, _subject(fault)) for at, other in later)
+
+
+def _next(moments: Sequence[tuple[float, str]], place: int) -> float:
+    return moments[place + 1][0] if place + 1 < len(moments) else math.inf
+
+
+def _opened(fault: Json) -> float:
+    return float(fault["opened"])
+
+
+def _subject(fault: Json) -> str:
+    return str(fault["unit"].partition("/")[2] or fault["unit"])
 
 
 def _names(text: str, subject: str) -> bool:

@@ -52,6 +52,11 @@ def _what(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--nominal", type=float, default=60.0, metavar="S", help="seconds of each seed with nothing injected (60)"
     )
+    group.add_argument(
+        "--note",
+        action="store_true",
+        help="have PHM note each injection in its own log, for `phm report`; it costs PHM CPU time, so the result cannot be published",
+    )
     group.add_argument("--plan", action="store_true", help="only print what would be injected, and how often")
 
 

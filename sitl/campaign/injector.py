@@ -15,14 +15,21 @@ from sitl.faults.base import Agent, Fault
 
 Wait = Callable[[Sequence[Future[None]]], object]
 IsBad = Callable[[int, str], bool]
+Note = Callable[[Fault, Agent], object]
 
 
 class Injector:
-    """is_bad: whether a unit of an agent already has an open fault."""
+    """is_bad: whether a unit of an agent already has an open fault. note: called just before each injection."""
 
     def __init__(
-        self, faults: Mapping[str, Fault], agents: Mapping[int, Agent], profile: Profile, is_bad: IsBad
+        self,
+        faults: Mapping[str, Fault],
+        agents: Mapping[int, Agent],
+        profile: Profile,
+        is_bad: IsBad,
+        note: Note | None = None,
     ) -> None:
+        self._note = note
         self._faults, self._agents, self._profile, self._is_bad = faults, agents, profile, is_bad
         self._world = WorldObserver(faults, agents)
 
@@ -69,8 +76,11 @@ class Injector:
 
     def _inject_all(self, mine: Sequence[Injection]) -> None:
         for each in mine:
+            fault, agent = self._faults[each.fault], self._agents[each.agent]
+            if self._note is not None:
+                self._note(fault, agent)
             each.asked = time.monotonic()
             try:
-                each.moment = self._faults[each.fault].inject(self._agents[each.agent])
+                each.moment = fault.inject(agent)
             except Exception as error:  # one that cannot be injected is reported, and does not end the campaign
                 each.error = f"{type(error).__name__}: {error}"

@@ -32,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         file = asked.record or Path(default_record(to_do.commit, asked.seed))
         if asked.markdown and asked.seed is not None:
             raise ValueError(f"--seed {asked.seed} cannot be published with --markdown: it was chosen by hand")
+        if asked.markdown and asked.note:
+            raise ValueError("--note cannot be published with --markdown: the notes cost PHM CPU time")
         if asked.markdown:
             check_commit(to_do.commit)
         if not asked.report_only and not asked.plan:

@@ -13,6 +13,7 @@ from sitl.campaign import seeds
 from sitl.campaign.groups import Group, groups
 from sitl.campaign.progress import progress
 from sitl.campaign.report import as_markdown, between_marks, wrapped
+from sitl.campaign.schedule import NOTED
 from sitl.campaign.targets import percent
 from sitl.campaign.trial import Trial, load
 from sitl.harness.compose_stack import ROOT
@@ -48,6 +49,8 @@ def check(trials: Sequence[Trial], root: Path = ROOT) -> None:
     for commit in sorted(commits):
         check_commit(commit, root)
     for trial in trials:
+        if trial.setting.get(NOTED):
+            raise ValueError("not published: PHM noted the injections in its log (--note), which costs CPU time")
         seed, index = trial.setting.get("seed"), trial.setting.get("index")
         if index is None or seed != seeds.seed_of(str(trial.setting.get("commit", "")), index):
             raise ValueError(

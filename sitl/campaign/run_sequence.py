@@ -20,7 +20,8 @@ from sitl.campaign.runner import NotOk, Runner
 from sitl.campaign.schedule import Schedule
 from sitl.campaign.scoring import judge
 from sitl.campaign.trial import BUSY, NOMINAL, OFF, TRIAL, Trial, append, load
-from sitl.faults import all_faults
+from sitl.faults import _inject_note, all_faults
+from sitl.faults.base import Agent, Fault
 from sitl.swarm import startup
 from sitl.swarm.options import Options
 from sitl.swarm.swarm import Swarm
@@ -36,10 +37,14 @@ def play(asked: argparse.Namespace, to_do: Schedule, file: Path, console: Consol
     def progress(words: str) -> None:
         console.print(words, highlight=False, soft_wrap=True)
 
+    def note(fault: Fault, agent: Agent) -> None:
+        if why_not := _inject_note.write(fault, agent):
+            progress(f"  A{agent.number:02d}: PHM's log has no note of {fault.name}: {why_not}")
+
     try:
         swarm, ours = _swarm(asked, to_do, progress)
         busy = BusyLoad(swarm) if to_do.load == BUSY else None
-        runner = Runner(swarm, all_faults(), to_do.profile, progress, busy)
+        runner = Runner(swarm, all_faults(), to_do.profile, progress, busy, note if asked.note else None)
         if not ours:
             runner.resume(each for each in load(file) if each.campaign[0] == to_do.profile.name)
         try:

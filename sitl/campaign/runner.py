@@ -16,7 +16,7 @@ from sitl.campaign.busy import BusyLoad
 from sitl.campaign.cost_meter import CostMeter
 from sitl.campaign.differences import environment_of, of_fault
 from sitl.campaign.fault_catalog import LEFT_ALONE, OFF as RECOVERY_OFF
-from sitl.campaign.injector import Injector
+from sitl.campaign.injector import Injector, Note
 from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
 from sitl.campaign.plan import Draw, TrialPlan
 from sitl.campaign.profiles import Profile
@@ -56,7 +56,7 @@ def heartbeat_s(agents: int) -> float:
 class Runner:
     """Runs trials. `progress` is called with status lines. `busy`: a load to keep up meanwhile. `setting` is recorded in
     each trial and may be changed between them. `on_end` is called with each trial as soon as it is complete, before the
-    swarm is made ready for the next one.
+    swarm is made ready for the next one. `note`: called just before each injection.
     """
 
     def __init__(
@@ -66,6 +66,7 @@ class Runner:
         profile: Profile,
         progress: Progress,
         busy: BusyLoad | None = None,
+        note: Note | None = None,
     ) -> None:
         self.swarm, self.faults, self.profile, self.progress, self.busy = swarm, faults, profile, progress, busy
         self.setting: dict[str, Any] = {}
@@ -75,7 +76,9 @@ class Runner:
         records = {number: agent.record for number, agent in self.agents.items()}
         self.watch = SwarmWatcher(records, GroundListener(swarm.ground_url), busy=busy is not None)
         self.meter = CostMeter(self.agents)
-        self.injector = Injector(faults, self.agents, profile, lambda agent, unit: self.watch.levels[agent].bad(unit))
+        self.injector = Injector(
+            faults, self.agents, profile, lambda agent, unit: self.watch.levels[agent].bad(unit), note
+        )
         self._pacing = Pacing(profile.actions)
 
     def start(self) -> None:

@@ -21,8 +21,10 @@ from sitl.faults.base import Fault
 from sitl.harness.machine import machine
 
 LEAST_TRIALS = 20
+NOTED = "note"
+"""Setting of trials whose injections PHM has noted in its log; others do not have it."""
 NOT_NAMED = "it is not among the faults given with --only"
-SAME = ("agents", "autopilot", "interval_s", "faults")
+SAME = ("agents", "autopilot", "interval_s", "faults", NOTED)
 """Settings that trials of one profile and load must share."""
 
 
@@ -94,6 +96,7 @@ def schedule(asked: argparse.Namespace) -> Schedule:
             "faults": hashlib.sha256(",".join(sorted(faults)).encode()).hexdigest()[:12],
             "machine": machine(),
             "day": datetime.now(timezone.utc).date().isoformat(),
+            **({NOTED: True} if asked.note else {}),
         },
     )
 
@@ -108,7 +111,7 @@ def check_record(done: Sequence[Trial], to_do: Schedule, file: Path) -> None:
             )
         if trial.campaign[:2] != (to_do.profile.name, to_do.load):
             continue
-        other = [key for key in SAME if trial.setting.get(key) != to_do.common[key]]
+        other = [key for key in SAME if trial.setting.get(key) != to_do.common.get(key)]
         if other or not _planned(trial, to_do):
             what = f"other {', '.join(other)}" if other else "another number of seeds or trials"
             raise ValueError(

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from sitl.faults import all_faults
+from sitl.faults import _inject_note, all_faults
 from sitl.faults.base import Fault
 from sitl.swarm.swarm import Swarm
 
 
-def inject(swarm: Swarm, number: int, name: str) -> Fault:
-    """Inject one fault into one agent. LookupError names what is not there."""
+def inject(swarm: Swarm, number: int, name: str) -> tuple[Fault, str]:
+    """Inject one fault into one agent, with a note in its log: the fault, and why there is no note (empty: there is one).
+
+    LookupError names what is not there.
+    """
     faults = all_faults()
     if name not in faults:
         raise LookupError(f"there is no fault {name!r}: `python -m sitl inject` lists them")
@@ -25,9 +28,10 @@ def inject(swarm: Swarm, number: int, name: str) -> Fault:
         swarm.configure(agent, changes)
         swarm.wait_well()
     _write(swarm, [*_read(swarm), {"fault": name, "agent": number, "knows": {}, "configured": bool(changes)}])
+    no_note = _inject_note.write(fault, agent)
     fault.inject(agent)
     _write(swarm, [*_read(swarm)[:-1], {**_read(swarm)[-1], "knows": _plain(vars(fault))}])
-    return fault
+    return fault, no_note
 
 
 def clear(swarm: Swarm, number: int | None = None) -> list[str]:

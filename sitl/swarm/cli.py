@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     logs.add_argument("--service", choices=("phm", "ros_app", "air"), help="the output of this container instead")
     logs.add_argument("-n", "--lines", type=int, default=40, help="how many of the last lines (40)")
     logs.add_argument("-f", "--follow", action="store_true", help="go on as lines come")
-    inject = _verb(verbs, "inject", _inject, "inject a fault; without one, list them")
+    inject = _verb(verbs, "inject", _inject, "inject a fault, with a note in PHM's log; without one, list them")
     inject.add_argument("fault", nargs="?", help="name of the fault")
     inject.add_argument("--agent", type=int, default=1, metavar="K", help="into this agent (1)")
     clear = _verb(verbs, "clear", _clear, "undo what was injected")
@@ -207,9 +207,11 @@ def _inject(chosen: argparse.Namespace) -> int:
             print(f"{fault.layer:10} {name:24} {fault.title}")
         return 0
     swarm = Swarm.load(chosen.name)
-    fault = active_faults.inject(swarm, chosen.agent, chosen.fault)
+    fault, no_note = active_faults.inject(swarm, chosen.agent, chosen.fault)
     where = ", ".join(fault.places(swarm.agents[chosen.agent - 1])) or "no fault"
     print(f"{fault.title}: injected into agent {chosen.agent}; expected of PHM: {fault.condition} at {where}")
+    if no_note:
+        print(f"sitl: PHM's log has no note of it: {no_note}", file=sys.stderr)
     return 0
 
 
