@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sitl.faults import _docker_proxy as door
+from sitl.faults import _docker_proxy
 from tests.fakes.until import until
 
 LIMIT_S = 20.0
@@ -59,8 +59,8 @@ def response(path: Path) -> bytes:
 
 def test_the_proxy_forwards_until_it_is_closed_and_reopened(tmp_path: Path, engine: Path) -> None:
     """Open: transparent. Closed: existing and new connections are cut. Reopened: as before."""
-    path = tmp_path / "door"
-    made = door.Proxy(path, str(engine))
+    path = tmp_path / "docker.sock"
+    made = _docker_proxy.Proxy(path, str(engine))
     thread = threading.Thread(target=made.serve)
     thread.start()
     with socket.socket(socket.AF_UNIX) as lasting:
@@ -68,11 +68,11 @@ def test_the_proxy_forwards_until_it_is_closed_and_reopened(tmp_path: Path, engi
         lasting.connect(str(path))
         lasting.sendall(b"a")
         assert lasting.recv(1) == b"a"
-        door.block(path, 600.0)
+        _docker_proxy.block(path, 600.0)
         assert lasting.recv(1) == b""
         assert response(path) == b""
-    door.block(path, 0.0)
-    until(lambda: response(path) == b"ping", "the door being open again")
+    _docker_proxy.block(path, 0.0)
+    until(lambda: response(path) == b"ping", "an answer of the engine")
     path.unlink()
     thread.join(LIMIT_S)
     assert not thread.is_alive()
@@ -80,12 +80,12 @@ def test_the_proxy_forwards_until_it_is_closed_and_reopened(tmp_path: Path, engi
 
 def test_the_proxy_is_a_separate_process_until_it_is_removed(tmp_path: Path) -> None:
     """Starting it twice gives one process; after removal nothing is left."""
-    path = tmp_path / "door"
-    door.start(path)
-    pid = door._pid(path)
-    door.start(path)
-    assert door._pid(path) == pid > 0
-    door.stop(path)
+    path = tmp_path / "docker.sock"
+    _docker_proxy.start(path)
+    pid = _docker_proxy._pid(path)
+    _docker_proxy.start(path)
+    assert _docker_proxy._pid(path) == pid > 0
+    _docker_proxy.stop(path)
     os.waitpid(pid, 0)
-    door.stop(path)
+    _docker_proxy.stop(path)
     assert list(tmp_path.iterdir()) == []

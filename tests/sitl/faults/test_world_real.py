@@ -92,7 +92,7 @@ def agent() -> Iterator[Agent]:
 
 @pytest.fixture(autouse=True)
 def _without_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The small containers have no nodes; tests/sitl/test_application_faults_real.py is about those."""
+    """The small containers have no nodes; tests/sitl/faults/test_application_faults_real.py is about those."""
     monkeypatch.setattr(_world, "works", lambda agent: True)
 
 
