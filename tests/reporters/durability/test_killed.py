@@ -11,8 +11,10 @@ import pytest
 
 from tests.reporters.durability._writer import Writer, events, events_in, numbers_in, of_run
 
-TIMES = int(os.environ.get("PHM_KILLS", "100"))
-"""With rotations every 60 events. `PHM_KILLS=1000` in the environment makes it a long test."""
+USUAL = 100
+TIMES = int(os.environ.get("PHM_KILLS", USUAL))
+"""With rotations every 60 events. `PHM_KILLS=1000` in the environment makes it a long test (docs/reference/logs.md)."""
+KILLS = pytest.param(TIMES, marks=[pytest.mark.long] if TIMES > USUAL else [], id=f"{TIMES} kills")
 
 
 def killed(directory: Path, run: int, draw: random.Random, **sizes: int) -> Writer:
@@ -24,10 +26,11 @@ def killed(directory: Path, run: int, draw: random.Random, **sizes: int) -> Writ
     return made
 
 
-def test_no_accepted_event_is_lost(tmp_path: Path) -> None:
+@pytest.mark.parametrize("times", [KILLS])
+def test_no_accepted_event_is_lost(tmp_path: Path, times: int) -> None:
     """All runs write into the same files, as restarts of PHM do; `seq` has no gap, and nothing is there twice."""
     draw = random.Random(17)
-    for run in range(1, TIMES + 1):
+    for run in range(1, times + 1):
         # All files together hold more than one run writes, so none of it is removed before it is compared.
         made = killed(tmp_path, run, draw, max_size=20_000, files=100)
         lines = of_run(tmp_path, run)
