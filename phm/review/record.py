@@ -10,15 +10,15 @@ from typing import Any
 from phm.review import recordings
 from phm.review.clocks import (
     RunClock,
-    align,
-    align_together,
     continue_by_autopilot,
     follow_machine,
     ground_clock,
     ordered_clock,
     own_clocks,
 )
+from phm.review.ground_clocks import align
 from phm.review.ground_part import GroundRun
+from phm.review.heard_clocks import align_together
 from phm.review.other import Other
 from phm.review.other_clocks import OtherClock, align_others
 from phm.review.part import Part
@@ -90,8 +90,9 @@ def build(part: Part) -> Record:
     runs = list(part.runs.values())
     for run in runs:
         _once(run)
-    for run, clock in zip(runs, own_clocks(runs), strict=True):
-        align(run, clock, grounds)
+    placed = list(zip(runs, own_clocks(runs), strict=True))
+    align(placed, grounds)
+    for run, clock in placed:
         agents.setdefault((run.agent, run.agent_id), AgentRecord(run.agent, run.agent_id)).runs.append((run, clock))
     align_together([one for agent in agents.values() for one in agent.runs])
     for agent in agents.values():

@@ -63,3 +63,18 @@ def without(spans: Iterable[Sequence[float]], holes: Iterable[Sequence[float]]) 
             cut += clipped([span], float("-inf"), begin) + clipped([span], end, float("inf"))
         rest = cut
     return rest
+
+
+def both(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> list[Span]:
+    """What is in both of two lists of joined spans."""
+    found: list[Span] = []
+    mine = theirs = 0
+    while mine < len(one) and theirs < len(other):
+        begin, end = max(one[mine][0], other[theirs][0]), min(one[mine][1], other[theirs][1])
+        if begin < end:
+            found.append([begin, end])
+        if one[mine][1] < other[theirs][1]:
+            mine += 1
+        else:
+            theirs += 1
+    return found

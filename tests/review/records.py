@@ -55,6 +55,7 @@ class Flown:
         wrong_s: float = 0.0,
         start: float = 0.0,
         mono: float = 50.0,
+        machine_boot: str = "",
     ) -> None:
         self.folder, self.number, self.wrong_s, self.armed = folder, number, wrong_s, False
         self.clock = FakeClock(mono + start, T0 + start + wrong_s)
@@ -71,6 +72,7 @@ class Flown:
             context(settings, clock=self.clock),
             armed=lambda: self.armed,
             boot_id=boot,
+            machine_boot=machine_boot,
             mavlink=cast(MavlinkSender, SimpleNamespace(listen=lambda callback, ids: self._listeners.append(callback))),
         )
         self.prefix = f"{boot[-4:]}-"

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from phm.review.clocks import own_clock, vote
+from phm.review.clocks import own_clock
+from phm.review.votes import vote
 from tests.review.records import T0, Flown, Ground, report
 
 

@@ -19,6 +19,8 @@ from tests.review.records import T0, Flown, report
 from tests.review.test_autopilot_records import DATAFLASH, stamped
 
 PHM_LOG = FOLDER / "streams_phm.jsonl.gz"
+OTHER_SESSION = FOLDER / "hang_reboot_ground.tlog.gz"
+"""Recorded five minutes before it, with one failure that says the same."""
 UNITS = {"nodes/node_1": 6, "container/ros_app": 2, "rates/topic_1": 8}
 
 
@@ -32,9 +34,9 @@ def heard(at: float, text: str, agent: int = 1) -> bytes:
     return stamped(T0 + at, bytes(mavlink.MAVLink_statustext_message(4, text.encode()).pack(link)))
 
 
-def flown(folder: Path, number: int = 1, *, times: dict[float, str]) -> list[tuple[float, str]]:
+def flown(folder: Path, number: int = 1, *, times: dict[float, str], start: float = 0.0) -> list[tuple[float, str]]:
     """An agent of which these units fail at these times; the lines that PHM sent, by true seconds since T0."""
-    made, lines = Flown(folder, number), list[tuple[float, str]]()
+    made, lines = Flown(folder, number, start=start), list[tuple[float, str]]()
     for at, unit in times.items():
         made.until(at)
         slot = Slot(UNITS[unit])
@@ -123,7 +125,7 @@ def test_two_offsets_with_as_many_lines_decide_nothing(tmp_path: Path) -> None:
     file = tmp_path / "ground.tlog"
     file.write_bytes(b"".join(heard(at + 60.0, text) for at, text in lines[:6]))
     clock = clock_of(report(tmp_path), file)
-    assert (clock["applied"], clock["offset_s"]) == (False, None)
+    assert (clock["applied"], clock["offset_s"]) == (False, None) and clock["by"].endswith("fit several offsets")
 
 
 def test_records_with_the_same_name_have_clocks_of_their_own(tmp_path: Path) -> None:
@@ -162,10 +164,53 @@ def test_a_log_of_the_end_of_a_long_record_is_compared_with_that_end(tmp_path: P
     """The other way round: the record is of the entire day, and the first runs of PHM were not collected."""
     draw = random.Random(5)
     times = [5000.0 + 50.0 * at + draw.uniform(0, 30) for at in range(10)]
-    lines = flown(tmp_path / "log", times=dict.fromkeys(times, "nodes/node_1"))
+    lines = flown(tmp_path / "log", times=dict.fromkeys(times, "nodes/node_1"), start=4900.0)
     before = [(30.0 * at + draw.uniform(0, 20), lines[at % 2][1]) for at in range(150)]
     file = tmp_path / "ground.tlog"
     file.write_bytes(b"".join(heard(at + 20.0, text) for at, text in [*before, *lines]))
     clock = clock_of(report(tmp_path), file)
     assert (clock["applied"], clock["lines"]) == (True, 20)
     assert clock["offset_s"] == pytest.approx(-20.0, abs=0.01)
+
+
+def test_a_recorded_log_of_another_session_stays_where_it_was(tmp_path: Path) -> None:
+    """One failure of both sessions says the same: failure, recovery and a regular line. The flight before is not moved into this one."""
+    for file in (PHM_LOG, OTHER_SESSION):
+        shutil.copy(file, tmp_path / file.name)
+    made = report(tmp_path)
+    clock = clock_of(made, OTHER_SESSION)
+    assert (clock["applied"], clock["offset_s"]) == (False, None)
+    assert clock["by"] == (
+        "its own clock: of the lines about changes that PHM's log has, too, 2 agree at +305.2 s, "
+        "but of 5 that both could have at least half must"
+    )
+    assert not made["other"]["rows"] and made["other"]["outside"] > 20
+
+
+def test_lines_of_another_day_do_not_agree_often_enough(tmp_path: Path) -> None:
+    """Three failures at the same distances, but PHM's log has none of the others that the record has in this time."""
+    lines = flown(tmp_path / "log", times=THREE)
+    more = [status_line.failing(1, Level.ERROR, Slot.NODES, f"nodes/node_{number} gone") for number in range(2, 12)]
+    file = tmp_path / "ground.tlog"
+    theirs = sorted([*lines, *((110.0 + 15 * place, text) for place, text in enumerate(more))])
+    file.write_bytes(b"".join(heard(at + 86_400.0, text) for at, text in theirs))
+    clock = clock_of(report(tmp_path), file)
+    assert not clock["applied"]
+    assert clock["by"].endswith("6 agree at -86400.0 s, but of 16 that both could have at least half must")
+
+
+def test_repeated_lines_about_what_still_fails_are_no_evidence_against_an_offset(tmp_path: Path) -> None:
+    """What fails is sent again to a ground station that comes back, with other words."""
+    made, lines = Flown(tmp_path / "log"), list[tuple[float, str]]()
+    for at, unit in THREE.items():
+        made.until(at)
+        lines.append((at, status_line.failing(1, Level.ERROR, Slot(UNITS[unit]), f"{unit} gone")))
+        again = status_line.failing(1, Level.ERROR, Slot(UNITS[unit]), f"{unit} gone for long")
+        lines += [(at + wait, again) for wait in (10.0, 17.0, 23.0)]
+        made.fail(unit, lasts=30.0)
+    made.until(400.0)
+    made.close()
+    file = tmp_path / "ground.tlog"
+    file.write_bytes(b"".join(heard(at + 3600.0, text) for at, text in lines))
+    clock = clock_of(report(tmp_path), file)
+    assert clock["applied"] and clock["offset_s"] == pytest.approx(-3600.0, abs=0.01)
