@@ -162,7 +162,7 @@ def as_markdown(trials: Sequence[Trial]) -> str:
         lines += ["", f"## {section.title}", ""]
         lines += [wrapped(section.words), ""] if section.words else []
         if section.head:
-            lines += _rows(section.head, section.rows) if section.rows else ["Nothing."]
+            lines += markdown_rows(section.head, section.rows) if section.rows else ["Nothing."]
         else:
             lines += [wrapped(each, "- ") for each in section.sentences or ["nothing"]]
     return "\n".join(lines)
@@ -193,6 +193,7 @@ def _cell(text: str) -> str:
     return text.replace("|", "/").replace("\n", " ").replace("<", "&lt;")
 
 
-def _rows(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def markdown_rows(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of a table."""
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     return lines + [f"| {' | '.join(_cell(cell) for cell in row)} |" for row in rows]

@@ -17,7 +17,8 @@ from pathlib import Path
 from statistics import median
 
 from phm.review.statistics import rate_limits
-from sitl.campaign.trial import Trial, Warned, load
+from sitl.campaign.trial import Trial, Warned
+from sitl.soak.runner import load
 
 LIMITED = ("disk_filling", "memory_filling", "radio_fading", "jitter_rising")
 UNLIMITED = ("restarts_rising",)

@@ -18,7 +18,7 @@ from rich.table import Table
 
 from sitl.campaign import seeds
 from sitl.harness.machine import machine
-from sitl.soak import report
+from sitl.soak import publication, report
 from sitl.soak.runner import PROFILE, Plan, Soak, load, observed_s
 from sitl.soak.sample import load as load_samples
 from sitl.swarm import startup
@@ -63,6 +63,11 @@ def parser() -> argparse.ArgumentParser:
     )
     words.add_argument("--no-build", action="store_true", help="use the images that exist")
     words.add_argument("--report-only", action="store_true", help="only make the reports from the record")
+    words.add_argument(
+        "--markdown",
+        action="store_true",
+        help=f"publish: write the record and its figures into {publication.PAGE.parent}",
+    )
     words.add_argument("--json", action="store_true", help="print the figures as JSON")
     return words
 
@@ -84,6 +89,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _play(asked, plan, console)
     found = _reported(asked.out, setting)
     _print(found, asked.out, as_json=asked.json)
+    if asked.markdown:
+        try:
+            samples, trials = load_samples(_recorded(asked.out, SAMPLES)), load(_recorded(asked.out, TRIALS))
+            publication.publish(samples, trials, setting)
+        except (ValueError, OSError) as error:
+            console.print(f"scripts/soak: {error}", highlight=False, soft_wrap=True, style="red")
+            return INVALID
     return COMPLETE if found["observed_s"] >= plan.seconds - 2 * plan.period_s else STOPPED
 
 
@@ -194,9 +206,15 @@ def _keep_logs(swarm: Swarm, folder: Path) -> None:
         shutil.copytree(swarm.folder / LOGS, folder / str(os.getpid()), dirs_exist_ok=True)
 
 
+def _recorded(folder: Path, name: str) -> Path:
+    """A file of the record; of a published one, which is compressed, too."""
+    packed = folder / f"{name}.gz"
+    return packed if packed.exists() and not (folder / name).exists() else folder / name
+
+
 def _reported(folder: Path, setting: dict[str, Any]) -> dict[str, Any]:
     """Write document and page."""
-    samples, trials = load_samples(folder / SAMPLES), load(folder / TRIALS)
+    samples, trials = load_samples(_recorded(folder, SAMPLES)), load(_recorded(folder, TRIALS))
     found = report.document(samples, trials, setting)
     (folder / DOCUMENT).write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
     (folder / PAGE).write_text(report.page(found, samples, trials), "utf-8")

@@ -79,16 +79,20 @@ def table(found: Json) -> list[tuple[str, ...]]:
     return made
 
 
+def complete(found: Json) -> bool:
+    """Whether all the time that was asked for was observed."""
+    return bool(found["observed_s"] >= 0.99 * found["setting"]["seconds"])
+
+
 def sentences(found: Json) -> list[str]:
     """What there is beside the table."""
     alarms, setting = found["alarms"], found["setting"]
     rate = "-" if alarms["per_agent_hour"] is None else f"{alarms['per_agent_hour']:.3g}"
     limits = "" if alarms["high"] is None else f" (95 % limits {alarms['low']:.3g} to {alarms['high']:.3g})"
     missed = f" ({', '.join(alarms['not_seen'])})" if alarms["not_seen"] else ""
-    whole = found["observed_s"] >= 0.99 * setting["seconds"]
     return [
         f"{len(found['agents'])} agents, {found['observed_s'] / 3600:.2f} of {setting['seconds'] / 3600:.2f} h observed"
-        f"{'' if whole else ': NOT COMPLETE'}; {setting['machine']}, commit {setting['commit']}.",
+        f"{'' if complete(found) else ': NOT COMPLETE'}; {setting['machine']}, commit {setting['commit']}.",
         f"{alarms['false']} false alarms in {alarms['agent_hours']:.2f} agent hours: {rate} per agent hour{limits}.",
         f"{alarms['injected']} faults injected, {alarms['missed']} missed{missed}, {alarms['by_action']} ended by an action of PHM.",
         f"PHM was started again {found['restarts']} times; slopes are of the longest run of each agent.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import random
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -59,9 +60,11 @@ def draws(names: Collection[str], agents: int, seed: int) -> Iterator[Draw]:
 
 
 def load(path: Path) -> list[Trial]:
-    """All runs of the record, interrupted ones too. A line that was truncated by a kill is skipped; a missing file has none."""
+    """All runs of the record (``.gz``: compressed), interrupted ones too. A line that was truncated by a kill is skipped; a missing file
+    has none."""
     found = []
-    for line in path.read_bytes().splitlines() if path.exists() else ():
+    content = path.read_bytes() if path.exists() else b""
+    for line in (gzip.decompress(content) if path.suffix == ".gz" else content).splitlines():
         try:
             found.append(from_json(line))
         except ValueError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
@@ -50,10 +51,10 @@ def from_json(line: str | bytes) -> Sample:
 
 
 def load(path: Path) -> list[Sample]:
-    """All samples of a file, in its order. A line that was truncated by a kill is skipped; a missing file has none."""
+    """All samples of a file (``.gz``: compressed), in its order. A line that was truncated by a kill is skipped; a missing file has none."""
 
     def known() -> Iterator[Sample]:
-        with path.open("rb") as stream:
+        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as stream:
             for line in stream:
                 try:
                     yield from_json(line)
