@@ -19,8 +19,8 @@ from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
 A, B = "/agent_1/a", "/agent_1/b"
 
 
-def node(birth: str = "w.1", late_s: float = 0.0, beats: int = 5, turns: int = 3) -> dict[str, Any]:
-    return {"birth": birth, "beats": beats, "turns": turns, "late_s": late_s}
+def node(birth: str = "w.1", late_s: float = 0.0, beats: int = 5) -> dict[str, Any]:
+    return {"birth": birth, "beats": beats, "turns": 3, "late_s": late_s}
 
 
 def text(nodes: dict[str, Any] | None = None, *, witness: str = "w", views: object = None) -> str:
@@ -61,29 +61,6 @@ def test_a_full_list_of_neighbours_is_known_also_after_those_of_others_are_dropp
     book.add(BEACON_FORMAT, text(), 2.2)
     fact = registered(book, 2.2).beacons[A]
     assert fact.full and not fact.views
-
-
-def ran_since(book: BeaconRegistry, at_s: float, turns: int, birth: str = "w.1") -> float | None:
-    """What is known of A after a beacon with this number of turns. It lists neighbours, so all of it is reported."""
-    book.add(BEACON_FORMAT, text({A: node(birth, turns=turns)}, views=VIEWS), at_s)
-    return registered(book, at_s).beacons[A].ran_since
-
-
-def test_the_number_of_turns_shows_since_when_an_executor_has_run_twice() -> None:
-    """A turn that a beacon counts first came after the beacon before it."""
-    book = ledger(A)
-    seen = [
-        ran_since(book, at_s, turns) for at_s, turns in ((1.0, 3), (2.0, 4), (3.0, 4), (4.0, 5), (5.0, 6), (9.0, 8))
-    ]
-    assert seen == [None, None, None, 1.0, 3.0, 5.0]
-
-
-def test_an_executor_that_does_not_run_gets_no_newer_time() -> None:
-    """However punctual its process says that it is; a new process begins again."""
-    book = ledger(A)
-    assert [ran_since(book, at_s, turns) for at_s, turns in ((1.0, 3), (2.0, 5), (3.0, 5), (30.0, 5))][1:] == [1.0] * 3
-    assert ran_since(book, 31.0, 1, birth="w.2") is None
-    assert ran_since(book, 32.0, 2, birth="w.2") is None
 
 
 def greet(neighbours: _Neighbours, *names: str, at_s: float = 1.0) -> None:
