@@ -1,4 +1,5 @@
-"""How the time of `phm report` grows with the size of the record: time, CPU, memory and rate for each size.
+"""How the time of `phm report` grows with the size of the record: time, CPU, memory and rate for each size. With --flights and --page:
+what a dataset of many flights and the page of many agents cost.
 
 The records are generated (`sitl.bench.report_records`), and removed after each measurement. The command is that of a user, with all its
 processes; memory is the most that they used together (proportional set size, asked five times a second). The files were written just
@@ -9,28 +10,23 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import resource
 import shutil
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import psutil
-
-from sitl.bench import report_records
+from sitl.bench import report_outputs, report_records
+from sitl.bench.report_run import run
 from sitl.harness.machine import machine
 
 GB = 1_000_000_000
 RESERVE = 2 * GB
 """So much of the disk stays free."""
-LIMIT_S = 7200.0
-LOOK_S = 0.2
-ROOT = Path(__file__).resolve().parents[2]
+MOST = 100_000
+"""Flights of a dataset, agents of a page."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +55,7 @@ def measure(form: str, size: int, agents: int, made: list[report_records.Line], 
         files = [path for path in folder.rglob("*") if path.is_file()]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         with (Path(name) / "report.json").open("w+b") as output:
-            time_s, memory = _run(folder, output.fileno())
+            time_s, memory = run([str(folder), "--json"], output.fileno())
             output.seek(0)
             said = json.load(output)["files"]
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -68,41 +64,6 @@ def measure(form: str, size: int, agents: int, made: list[report_records.Line], 
             raise SystemExit(f"the report could not read what was generated: {said['problems'][:3]}")
         disk = sum(path.stat().st_size for path in files)
         return Row(form, size, disk, len(files), said["lines"], time_s, cpu_s, memory)
-
-
-def _run(folder: Path, output: int) -> tuple[float, int]:
-    """Seconds, and the most memory."""
-    paths = os.pathsep.join((str(ROOT), str(ROOT / "checks")))
-    argv = [sys.executable, "-m", "phm.cli", "report", str(folder), "--json"]
-    began, most = time.monotonic(), 0
-    process = subprocess.Popen(argv, stdout=output, env={**os.environ, "PYTHONPATH": paths})
-    try:
-        while process.poll() is None:
-            most = max(most, _memory(process.pid))
-            if time.monotonic() - began > LIMIT_S:
-                raise SystemExit(f"phm report took more than {LIMIT_S:g} s")
-            try:
-                process.wait(LOOK_S)
-            except subprocess.TimeoutExpired:
-                continue
-    finally:
-        process.kill()
-        process.wait()
-    if process.returncode:
-        raise SystemExit(f"phm report ended with {process.returncode}")
-    return time.monotonic() - began, most
-
-
-def _memory(pid: int) -> int:
-    """Of the process and its children, in bytes."""
-    total = 0
-    try:
-        parent = psutil.Process(pid)
-        for each in [parent, *parent.children(recursive=True)]:
-            total += each.memory_full_info().pss
-    except (psutil.Error, OSError):
-        pass  # one has just ended
-    return total
 
 
 def markdown(rows: Sequence[Row]) -> str:
@@ -132,8 +93,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--folder", type=Path, default=Path(tempfile.gettempdir()), help="where the records are written"
     )
+    parser.add_argument(
+        "--flights",
+        type=int,
+        default=0,
+        help="instead of --sizes: MTBF over a dataset of so many flights, such as 1000",
+    )
+    parser.add_argument(
+        "--page",
+        metavar="AGENTS",
+        type=int,
+        default=0,
+        help="instead of --sizes: the page of an hour of so many agents",
+    )
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
+    if min(given.flights, given.page) < 0 or max(given.flights, given.page) > MOST:
+        parser.error(f"--flights and --page are from 1 to {MOST}")
+    if given.flights or given.page:
+        _outputs(given.flights, given.page, given.folder, given.json)
+        return
     needed, free = int(max(given.sizes) * GB) + RESERVE, shutil.disk_usage(given.folder).free
     if free < needed:
         parser.error(
@@ -149,6 +128,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(json.dumps({"machine": machine(), "rows": [{**asdict(row), "mb_s": row.mb_s} for row in rows]}, indent=2))
     else:
         print(f"{machine()}\n\n{markdown(rows)}")
+
+
+def _outputs(flights: int, agents: int, where: Path, as_json: bool) -> None:
+    found: dict[str, report_outputs.Dataset | report_outputs.Page] = {}
+    if flights:
+        found["dataset"] = report_outputs.dataset(flights, report_records.pattern(report_outputs.FLIGHT_S), where)
+    if agents:
+        found["page"] = report_outputs.page(agents, report_records.pattern(report_outputs.PAGE_S), where)
+    if as_json:
+        print(json.dumps({"machine": machine(), **{key: asdict(row) for key, row in found.items()}}, indent=2))
+    else:
+        print("\n".join((machine(), "", *map(report_outputs.text, found.values()))))
 
 
 def _sizes(text: str) -> list[float]:

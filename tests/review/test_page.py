@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -102,4 +103,76 @@ def test_entries_of_other_records_are_marks_with_their_text(tmp_path: Path, brow
     tab.mouse.move(box["x"] + 150 + share * (box["width"] - 158), box["y"] + 36)
     tab.wait_for_function("text => document.getElementById('tip').textContent.includes(text)", arg=f"mode: {EVIL}")
     assert tab.evaluate("window.hit") is None
+    tab.close()
+
+
+def fleet(folder: Path, agents: int) -> dict[str, Any]:
+    """An hour of so many agents, with a report every 20 s and two faults each. The log of the first one is that of all."""
+    one = Flown(folder / "1")
+    one.until(60)
+    one.arm(True)
+    for at in (900, 2400):
+        one.until(at)
+        one.fail("nodes/node_1")
+    one.until(3500)
+    one.arm(False)
+    one.until(3600)
+    text = one.close().read_text("utf-8")
+    head = '"agent":"agent_1","agent_id":1,"boot_id":"boot0001"'
+    assert head in text
+    for number in range(2, agents + 1):
+        other = folder / str(number)
+        other.mkdir()
+        own = f'"agent":"agent_{number}","agent_id":{number},"boot_id":"boot{number:04d}"'
+        (other / "phm.jsonl").write_text(text.replace(head, own), "utf-8")
+    return report(folder)
+
+
+def test_a_page_of_fifty_agents_and_an_hour_has_all_of_them(tmp_path: Path) -> None:
+    """Each agent, each fault and the whole hour are in its data."""
+    made = fleet(tmp_path, 50)
+    data = json.loads(
+        re.findall(r'<script type="application/json" id="data">(.*?)</script>', page.render(made), re.DOTALL)[0]
+    )
+    assert [agent["agent"] for agent in data["agents"]] == [f"agent_{number}" for number in range(1, 51)]
+    assert len({plot["agent"] for plot in data["plots"]}) == 50
+    assert len(data["faults"]) == 100 and data["window"]["duration_s"] == 3600.0
+
+
+@pytest.mark.browser
+def test_a_browser_shows_fifty_agents_and_an_hour(tmp_path: Path, browser: Any) -> None:
+    """Each agent has its row on the canvas and in the tables, each fault its row and mark; nothing went wrong meanwhile."""
+    file = tmp_path / "page.html"
+    file.write_text(page.render(fleet(tmp_path / "logs", 50)), "utf-8")
+    tab = browser.new_page(viewport={"width": 1300, "height": 900})
+    said: list[str] = []
+    tab.on("console", lambda message: said.append(message.text))
+    tab.on("pageerror", lambda error: said.append(str(error)))
+    tab.goto(file.as_uri())
+    tab.wait_for_selector("html[data-ready=yes]", state="attached")
+    assert tab.locator("#faults tbody tr.row").count() == 100
+    assert tab.locator("#count").inner_text() == "100 of 100"
+    assert tab.locator("#range").inner_text() == "12:00:00 to 13:00:00 UTC, 1 h 00 min"
+    assert {f"agent_{number}" for number in range(1, 51)} <= set(
+        re.findall(r"agent_\d+", tab.locator("main").inner_text())
+    )
+    assert tab.locator("#choose option").count() == 51
+    assert said == []
+    # 24 px above the rows, and 17 px for each if there are more than 24: the level OK fills a line of pixels from 8 to 13.
+    height, levels = tab.evaluate(
+        """() => {
+          const canvas = document.getElementById("time"), ratio = devicePixelRatio, wide = canvas.width - 158 * ratio;
+          const ok = getComputedStyle(document.documentElement).getPropertyValue("--ok").trim().slice(1);
+          const { data } = canvas.getContext("2d").getImageData(150 * ratio, 0, wide, canvas.height);
+          const share = (y) => {
+            let found = 0;
+            for (let at = 4 * y * wide; at < 4 * (y + 1) * wide; at += 4)
+              found += [0, 1, 2].every((place) => data[at + place] === parseInt(ok.slice(2 * place, 2 * place + 2), 16));
+            return found / wide;
+          };
+          return [canvas.height / ratio, Array.from({ length: 50 }, (_, row) => share((24 + 17 * row + 11) * ratio))];
+        }"""
+    )
+    assert height == 24 + 17 * 50 + 6
+    assert min(levels) > 0.9, "a row is not filled by its level"
     tab.close()
