@@ -36,9 +36,9 @@ def command(ctx: click.Context, as_graph: bool, config: str | None, as_json: boo
     if as_json:
         click.echo(json.dumps(rows, indent=2))
     else:
-        from phm.cli import render
+        from phm.cli import terminal
 
-        render.checks(rows)
+        terminal.checks(rows)
     if not rows:
         click.echo("No checks are installed: install the package phm-sidecar.", err=True)
     ctx.exit(0 if rows and not any(row["problem"] for row in rows) else 1)

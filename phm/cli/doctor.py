@@ -59,9 +59,9 @@ def surroundings(config: str | None) -> Surroundings:
 
 
 def _show(found: Mapping[str, Sequence[Row]]) -> None:
-    from phm.cli import render
+    from phm.cli import terminal
 
-    render.doctor(
+    terminal.doctor(
         [
             (group if row is rows[0] else "", row.name, row.state, row.text, row.remedy)
             for group, rows in found.items()

@@ -56,12 +56,12 @@ def command(
     if as_json:
         click.echo(json.dumps({"running": running, "faults": found}, indent=2))
         return
-    from phm.cli import render
+    from phm.cli import terminal
 
     if fault is not None:
-        render.timeline(found[0], running)
+        terminal.timeline(found[0], running)
     else:
-        render.faults(found, running)
+        terminal.faults(found, running)
 
 
 def _open_now(run_dir: str) -> tuple[list[dict[str, Any]], bool]:

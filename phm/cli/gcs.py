@@ -157,7 +157,7 @@ def command(
     Exit code 0; 1: a port is in use, or the record is incomplete; with --once also when an agent is in ERROR, lost or never
     heard, or no agent was found.
     """
-    from phm.cli import render
+    from phm.cli import terminal
     from phm.core.clock import SystemClock
     from phm.gcs.console import ConsoleView
     from phm.gcs.live import LiveView
@@ -189,7 +189,7 @@ def command(
 
     good = True
     with _ending() as stop:
-        show, console = ConsoleView(station, clock, _patient(stop), notes, warn), render.console()
+        show, console = ConsoleView(station, clock, _patient(stop), notes, warn), terminal.console()
         with _running(station, parts):
             check_ports(station)
             limit_s = seconds if seconds is not None else ONCE_S if once else None

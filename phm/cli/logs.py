@@ -202,11 +202,11 @@ class _Printer:
     """Prints events for people, with a line where numbers are missing."""
 
     def __init__(self, brief: bool, several: bool) -> None:
-        from phm.cli import render
+        from phm.cli import terminal
         from phm.logs.line_explainer import Explainer
 
         self._brief, self._several = brief, several
-        self._explainer, self._console = Explainer(), render.console()
+        self._explainer, self._console = Explainer(), terminal.console()
 
     def show(self, event: Json, wanted: bool) -> None:
         from rich.text import Text

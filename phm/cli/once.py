@@ -29,7 +29,7 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(report, indent=2))
     else:
-        from phm.cli import render
+        from phm.cli import terminal
 
-        render.report(report)
+        terminal.report(report)
     ctx.exit(1 if any(check["level"] == "ERROR" for check in report["checks"]) else 0)

@@ -196,9 +196,9 @@ def _print(sentences: list[str], shown: list[Table]) -> None:
     from rich import table
     from rich.text import Text
 
-    from phm.cli import render
+    from phm.cli import terminal
 
-    target = render.console()
+    target = terminal.console()
     for sentence in sentences:
         target.print(Text(sentence))
     for title, head, rows in shown:

@@ -50,9 +50,9 @@ def command(
     elif as_json:
         click.echo(json.dumps({**document, "healthy": not problem, "problem": problem}, indent=2))
     elif document:
-        from phm.cli import render
+        from phm.cli import terminal
 
-        render.status(document, problem)
+        terminal.status(document, problem)
     else:
         click.echo(problem, err=True)
     ctx.exit(1 if problem else 0)
@@ -75,10 +75,10 @@ def _complete(run_dir: str) -> dict[str, Any]:
 
 
 def _watch(run_dir: str) -> None:
-    from phm.cli import render
+    from phm.cli import terminal
 
     try:
-        render.watch(lambda: _look(run_dir))
+        terminal.watch(lambda: _look(run_dir))
     except KeyboardInterrupt:
         return
 

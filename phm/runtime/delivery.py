@@ -23,7 +23,7 @@ from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.runtime.configuration import read_text
 from phm.runtime.daemon import Daemon
-from phm.runtime.reload import FIXED
+from phm.runtime.reloader import FIXED
 from phm.transport.mavlink_signing import InvalidKey, read_key
 from phm.wire.delivery import DeliveryAnswer, version_of
 

@@ -18,7 +18,7 @@ from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.configuration import Configuration
 from phm.runtime.daemon import STALLED_END_S, SUPERVISE_S, Daemon
 from phm.runtime.delivery import Delivery, open_server
-from phm.runtime.reload import HandoverFailed, ReadAgain, Reloader
+from phm.runtime.reloader import HandoverFailed, ReadAgain, Reloader
 
 logger = logging.getLogger(__name__)
 

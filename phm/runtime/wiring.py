@@ -52,7 +52,7 @@ class Components:
     watchdog:          the watchdog process, if one is used.
     problems:          what else may be wrong with this process; each gives a sentence or an empty text.
     reload:            reloads the configuration for `phm reload`; the outcome as JSON.
-    since, hub, control: of the daemon that this one replaces (`phm.runtime.reload`); they stay open.
+    since, hub, control: of the daemon that this one replaces (`phm.runtime.reloader`); they stay open.
     """
 
     def __init__(

@@ -21,7 +21,7 @@ from typing import Any
 from click.testing import CliRunner
 from rich.console import Console
 
-from phm.cli import group, init, render
+from phm.cli import group, init, terminal
 from phm.core.model import Level, Slot
 from phm.gcs import table
 from phm.wire import fault_timeline
@@ -42,11 +42,11 @@ def _console(width: int) -> Console:
 
 def _shown(target: Console, show: Callable[[], object]) -> None:
     """Redirect the output of `phm` to `target`."""
-    before, render.console = render.console, lambda: target
+    before, terminal.console = terminal.console, lambda: target
     try:
         show()
     finally:
-        render.console = before
+        terminal.console = before
 
 
 @contextlib.contextmanager
@@ -143,7 +143,7 @@ def _gcs() -> str:
 
 def _timeline() -> str:
     (fault,) = _faults()
-    return _text(lambda: render.timeline(fault, True), f"phm faults {fault['fault']}")
+    return _text(lambda: terminal.timeline(fault, True), f"phm faults {fault['fault']}")
 
 
 EXAMPLES: dict[str, Callable[[], str]] = {
@@ -152,10 +152,10 @@ EXAMPLES: dict[str, Callable[[], str]] = {
     "graph": lambda: _run("phm checks --graph -c config/phm.yaml"),
     "init": _init,
     "help": lambda: _run("phm --help"),
-    "once": lambda: _text(lambda: render.report(play().during), "phm once"),
+    "once": lambda: _text(lambda: terminal.report(play().during), "phm once"),
     "once-json": _once_json,
-    "status": lambda: _text(lambda: render.status(play().during, ""), "phm status"),
-    "faults": lambda: _text(lambda: render.faults(_faults(), True), "phm faults"),
+    "status": lambda: _text(lambda: terminal.status(play().during, ""), "phm status"),
+    "faults": lambda: _text(lambda: terminal.faults(_faults(), True), "phm faults"),
     "timeline": _timeline,
     "gcs": _gcs,
     "log": _log,
@@ -176,7 +176,7 @@ def _picture(title: str, show: Callable[[Console], object], width: int) -> str:
 def _status_picture() -> str:
     """Slots 1 to 8 only, so that the picture is small."""
     during = {**play().during, "checks": [check for check in play().during["checks"] if check["slot"] <= 8]}
-    return _picture("phm status", lambda target: _shown(target, lambda: render.status(during, "")), 116)
+    return _picture("phm status", lambda target: _shown(target, lambda: terminal.status(during, "")), 116)
 
 
 SHOWN: dict[str, Callable[[], str]] = {

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from phm.cli import render
+from phm.cli import terminal
 from phm.core.model import Level, Outcome, Report, Slot, UnitState
 from phm.core.settings import Settings
 from phm.reporters.fleet import AGAIN_S, ALONG_S, FleetReporter
@@ -174,11 +174,11 @@ def test_phm_status_shows_the_connection(capsys: Any) -> None:
     """Whether it is connected, otherwise the reason."""
     bench = Bench()
     document = {"agent": "agent_3", "checks": [], "health": {"reporters": {"fleet": bench.fleet.report()}}}
-    render.status(document, "")
+    terminal.status(document, "")
     assert "fleet north: connected (3 published, 900 bytes)" in capsys.readouterr().out
     bench.link.state = replace(CONNECTED, connected=False, error="no connection to tcp/r:7447")
     document["health"] = {"reporters": {"fleet": bench.fleet.report()}}
-    render.status(document, "")
+    terminal.status(document, "")
     assert "fleet north: not connected: no connection to tcp/r:7447" in capsys.readouterr().out
 
 

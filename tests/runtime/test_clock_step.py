@@ -12,7 +12,7 @@ from phm.wire import json_log
 from sitl.faults import _wall_clock
 from tests.fakes.until import until
 from tests.review.records import report
-from tests.runtime.test_reload import Agent, agent as agent
+from tests.runtime.test_reloader import Agent, agent as agent
 
 
 def lines(folder: Path) -> list[dict[str, Any]]:

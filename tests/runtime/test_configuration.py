@@ -18,7 +18,7 @@ from phm.core.dependency_graph import DependencyGraph
 from phm.core.signals import Signals
 from phm.core.systemd import SystemdNotifier
 from phm.runtime import service
-from phm.runtime.reload import Reloader
+from phm.runtime.reloader import Reloader
 
 ONCE = Counter({"file": 1, "graph": 1, "checks": len(registry.checks())})
 

@@ -21,7 +21,7 @@ from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.runtime.configuration import read
 from phm.runtime.daemon import Daemon
 from phm.runtime.delivery import Delivery, open_server
-from phm.runtime.reload import ReloadOutcome
+from phm.runtime.reloader import ReloadOutcome
 from phm.testing import settings
 from phm.wire.delivery import DeliveryAnswer, version_of
 from tests.fakes.until import until
