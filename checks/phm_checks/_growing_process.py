@@ -16,8 +16,9 @@ STEP_BYTES = 4 << 20
 """The processes are listed again once the container should have grown by this, which is far more than the kernel's counters of memory
 lag behind, but LEAST_S later at the earliest and MOST_S later at the latest. Each time this takes twice as long as before."""
 LEAST_S, MOST_S = 5.0, 60.0
-LEAST_BYTES = 1 << 20
-"""A container that has grown by less since the first list shows nothing yet."""
+LEAST_BYTES, TYPICAL = 1 << 20, 2.0
+"""Lists are compared once the container has grown by this since the first one, and by half to twice of what is forecast: what comes and
+goes is not the leak."""
 MOST_OF_IT, MORE_THAN_IT = 0.5, 2.0
 """A process is named if it alone has grown by more than MOST_OF_IT of what its container has grown by. Two such processes share memory;
 one that has grown by MORE_THAN_IT maps a file, which is page cache and no leak. The engine's statistics, where PHM has no cgroups, are
@@ -34,8 +35,9 @@ class Grower:
 
 @dataclass(frozen=True, slots=True)
 class _Reading:
-    """The container's memory in bytes, and its processes by their numbers at about the same time."""
+    """The container's memory in bytes, and its processes by their numbers at about the same time (monotonic seconds)."""
 
+    at: float
     used: int
     processes: Mapping[int, api.ProcessFact]
 
@@ -74,10 +76,10 @@ class GrowingProcess:
             return self._found
         finally:
             self._due_at = world.clock.mono() + self._wait_s
-        newest = _Reading(used, {fact.pid: fact for fact in listed_now if fact.memory_bytes is not None})
+        newest = _Reading(now, used, {fact.pid: fact for fact in listed_now if fact.memory_bytes is not None})
         if self._first is None:
             self._first = newest
-        elif newest.used - self._first.used >= LEAST_BYTES:
+        elif _is_typical(self._first, newest, slope):
             self._compare(self._first, newest, listed_now)
         return self._found
 
@@ -102,6 +104,12 @@ class GrowingProcess:
         return Grower(
             f"{what} {listed(names, 3)} (process {process.pid})", last(names[0]) if len(names) == 1 else program
         )
+
+
+def _is_typical(first: _Reading, newest: _Reading, slope: float) -> bool:
+    """Whether the container has grown enough between the two, and about as fast as forecast."""
+    grown, forecast = newest.used - first.used, slope * (newest.at - first.at)
+    return grown >= LEAST_BYTES and forecast / TYPICAL <= grown <= forecast * TYPICAL
 
 
 def _growth(first: _Reading, newest: _Reading) -> dict[int, int]:
