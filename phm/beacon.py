@@ -145,7 +145,7 @@ class _NodeBeacon:
 
 
 class _Neighbours:
-    """Who was heard greeting. What comes in is from outside: anything that is not a greeting is passed over."""
+    """The nodes whose greetings were received. Messages come from outside: anything that is not a greeting is ignored."""
 
     def __init__(self, witness: str) -> None:
         self._witness = witness

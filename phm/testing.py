@@ -434,7 +434,7 @@ class FakeEnvironment(_Fake):
 
 
 class FakeLinks(_Fake):
-    """What was heard on the MAVLink endpoints. `busy` holds the programs that have a serial port open, by its path."""
+    """What was received on the MAVLink endpoints. `busy` holds the programs that have a serial port open, by its path."""
 
     def __init__(
         self,

@@ -74,7 +74,10 @@ class WithRequests(click.Command):
     help="Count as the pilot's ground station: agents report it as lost when it falls silent.",
 )
 @click.option(
-    "--expect", metavar="IDS", callback=_agents, help="Agents to report as missing even if never heard, e.g. 1,2,5-8."
+    "--expect",
+    metavar="IDS",
+    callback=_agents,
+    help="Agents to report as missing even if never received, e.g. 1,2,5-8.",
 )
 @click.option("--record", type=click.Path(dir_okay=False), help="Append every event to this file as JSON lines.")
 @click.option("--serve", metavar="[HOST:]PORT", callback=address, help="Serve the events to other programs by HTTP.")

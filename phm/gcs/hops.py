@@ -64,7 +64,7 @@ def _silent(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
     if around.pilot:
         return BrokenHop("companion", f"PHM {since}, autopilot received")
     if around.heard_by:
-        return BrokenHop("radio", f"{since} here, heard by {' '.join(map(agent_name, around.heard_by))}")
+        return BrokenHop("radio", f"{since} here, received by {' '.join(map(agent_name, around.heard_by))}")
     if around.all_silent and around.radio:
         return BrokenHop("radio", "all agents are silent, the ground's radio answers", certain=False)
     if around.all_silent:

@@ -19,7 +19,7 @@ LONGEST_S = 150.0
 
 
 class PresenceState(str, Enum):
-    NEVER = "never heard"
+    NEVER = "never received"
     ALIVE = "alive"
     LATE = "late"
     LOST = "lost"

@@ -103,7 +103,7 @@ def test_a_line_before_the_first_heartbeat_is_not_lost(ground: Ground) -> None:
     assert (agent["line"]["text"], agent["how"], agent["presence"]) == (
         "A07 FAIL 6 node_1 dead",
         "UNKNOWN",
-        "never heard",
+        "never received",
     )
 
 

@@ -37,7 +37,7 @@ def test_unreported_state_is_unknown() -> None:
     """An expected agent that was never received, one that has not reported its slots, and slots that it omits."""
     ground = Ground(expected=(3,))
     agent = ground.agent(3)
-    assert (agent["how"], agent["presence"], agent["slots"], agent["age_s"]) == ("UNKNOWN", "never heard", {}, None)
+    assert (agent["how"], agent["presence"], agent["slots"], agent["age_s"]) == ("UNKNOWN", "never received", {}, None)
     assert (agent["line"], agent["pilot"], agent["hears_ground"], agent["period_s"]) == (None, None, None, None)
     ground.hear(Heartbeat(3, 193, 18, 8, 0, 1 << 30, 4))
     assert (ground.agent(3)["how"], ground.agent(3)["slots"]) == ("UNKNOWN", {})
@@ -231,7 +231,7 @@ def test_forged_agents_do_not_displace_real_ones() -> None:
     ground.clock.advance(300)
     ground.hear(phm_heartbeat(150))
     assert ground.agent(150)["how"] == "OK"
-    assert ground.agent(100)["presence"] == "never heard"
+    assert ground.agent(100)["presence"] == "never received"
 
 
 def test_memory_is_bounded(ground: Ground) -> None:

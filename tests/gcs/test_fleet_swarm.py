@@ -26,7 +26,7 @@ def test_views_list_which_agents_receive_an_agent(ground: Ground) -> None:
     ground.wait(20, phm_heartbeat(1), phm_heartbeat(2))
     agent = ground.agent(3)
     assert (agent["heard_by"], agent["not_heard_by"]) == ([1], [2])
-    assert agent["hop"] == {"name": "radio", "evidence": "silent 20 s here, heard by A01", "certain": True}
+    assert agent["hop"] == {"name": "radio", "evidence": "silent 20 s here, received by A01", "certain": True}
     ground.wait(20, phm_heartbeat(2))
     assert ground.agent(3)["heard_by"] == []
 
@@ -51,7 +51,7 @@ def test_the_leader_reports_agents_never_received_here(ground: Ground) -> None:
 
 def test_an_agent_without_a_radio_is_reported_by_a_relay(ground: Ground) -> None:
     """Its last line is the relay's report, with the relay's name."""
-    ground.hear(phm_heartbeat(1), text_frame(1, "A03 no GCS radio, heard by A01 A02: 2 ERROR"))
+    ground.hear(phm_heartbeat(1), text_frame(1, "A03 no GCS radio, received by A01 A02: 2 ERROR"))
     agent = ground.agent(3)
     assert (agent["line"]["via"], agent["hears_ground"], agent["how"]) == (1, False, "UNKNOWN")
 
@@ -59,7 +59,7 @@ def test_an_agent_without_a_radio_is_reported_by_a_relay(ground: Ground) -> None
 def test_a_relay_is_over_when_the_swarm_is_ok(ground: Ground) -> None:
     """By a swarm line without the agent, or by the agent's own line; a truncated swarm line proves nothing."""
     for line in (text_frame(1, "SWARM 3/3 OK", 6), text_frame(3, "A03 OK 1 recovered: GCS: no heartbeat 10 s", 5)):
-        ground.hear(phm_heartbeat(1), phm_heartbeat(3), text_frame(1, "A03 no GCS radio, heard by A01 A02: 2 ERROR"))
+        ground.hear(phm_heartbeat(1), phm_heartbeat(3), text_frame(1, "A03 no GCS radio, received by A01 A02: 2 ERROR"))
         ground.hear(text_frame(1, "SWARM 1/9 FAIL A04:lost +3", 6), text_frame(1, "SWARM 2/3 WARN A03:no-GCS", 6))
         assert ground.agent(3)["hop"]["name"] == "radio"
         ground.hear(line)

@@ -30,7 +30,7 @@ HEARTBEATS = st.builds(
     BYTE,
 )
 LINES = st.from_regex(
-    r"(A[0-9]{2,3}|SWARM) (FAIL|OK|WARN|1/2|no GCS radio, heard by A01:) [0-9]{1,9}.{0,20}", fullmatch=True
+    r"(A[0-9]{2,3}|SWARM) (FAIL|OK|WARN|1/2|no GCS radio, received by A01:) [0-9]{1,9}.{0,20}", fullmatch=True
 )
 TEXTS = st.builds(
     lambda words, severity: mavlink.MAVLink_statustext_message(severity, words),

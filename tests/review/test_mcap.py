@@ -122,7 +122,7 @@ def test_an_agent_that_does_not_run_is_stale(tmp_path: Path) -> None:
     second.until(300)
     second.close()
     ground = Ground(tmp_path / "ground.jsonl")
-    ground.event(20, "presence", agent=3, name="agent_3", presence="alive", was="never heard", silent_s=None)
+    ground.event(20, "presence", agent=3, name="agent_3", presence="alive", was="never received", silent_s=None)
     ground.close()
     read = with_rosbags(export(tmp_path))
     last = read[-1][2]

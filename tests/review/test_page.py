@@ -29,7 +29,7 @@ def swarm(folder: Path) -> dict[str, Any]:
     second.until(500)
     second.close()
     ground = Ground(folder / "ground.jsonl")
-    ground.event(50, "presence", agent=1, name=EVIL, presence="alive", was="never heard", silent_s=None)
+    ground.event(50, "presence", agent=1, name=EVIL, presence="alive", was="never received", silent_s=None)
     ground.event(200, "presence", agent=1, name=EVIL, presence="lost", was="alive", silent_s=6.0)
     ground.event(260, "presence", agent=1, name=EVIL, presence="alive", was="lost", silent_s=None)
     ground.close()

@@ -206,7 +206,7 @@ def moved_by(file: Path, seconds: float) -> list[bags.Message]:
 def test_an_agent_that_only_the_ground_received_keeps_its_diagnostics(tmp_path: Path) -> None:
     """They are all that is there of it: only a log says the same."""
     ground = Ground(tmp_path / "ground.jsonl")
-    ground.event(0, "presence", agent=7, name="agent_7", presence="alive", was="never heard", silent_s=None)
+    ground.event(0, "presence", agent=7, name="agent_7", presence="alive", was="never received", silent_s=None)
     ground.event(100, "presence", agent=7, name="agent_7", presence="lost", was="alive", silent_s=1.0)
     ground.close()
     messages = [

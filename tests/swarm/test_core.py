@@ -401,8 +401,8 @@ def test_a_lost_gcs_does_not_hide_other_failures() -> None:
         dict.fromkeys(list(Slot)[:8], Level.OK) | way | more for more in ({}, {Slot.CONTAINER: Level.ERROR})
     )
     words = [status_word.encode(levels) for levels in (well, broken)]
-    assert digest.relay_line(3, [1, 2], words[0]) == "A03 no GCS radio, heard by A01 A02: OK"
-    assert digest.relay_line(3, [1, 2], words[1]) == "A03 no GCS radio, heard by A01 A02: 2 ERROR"
+    assert digest.relay_line(3, [1, 2], words[0]) == "A03 no GCS radio, received by A01 A02: OK"
+    assert digest.relay_line(3, [1, 2], words[1]) == "A03 no GCS radio, received by A01 A02: 2 ERROR"
     assert [int(digest.relay_severity(word)) for word in words] == [4, 2]
     statuses = {agent: MemberStatus(MemberState.ALIVE, gcs=False, word=word) for agent, word in enumerate(words, 2)}
     assert (

@@ -131,7 +131,7 @@ def test_an_agent_that_the_ground_does_not_reach_is_reported_by_its_peers(fleet:
     """Its own messages do not arrive; the leader reports which agents receive it and its state."""
     fleet.mesh.no_gcs = frozenset({"a3"})
     fleet.until(lambda: fleet.sees("a1").no_gcs == (3,), "the agent without a GCS")
-    fleet.until(lambda: fleet.read("A03 no GCS radio, heard by A01 A02 A04 A05: OK", by=1), "the relayed line")
+    fleet.until(lambda: fleet.read("A03 no GCS radio, received by A01 A02 A04 A05: OK", by=1), "the relayed line")
 
 
 def test_both_sides_of_a_split_detect_it_and_it_ends(fleet: Fleet) -> None:

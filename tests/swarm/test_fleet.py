@@ -35,10 +35,10 @@ def test_an_agent_without_its_ground_radio_is_reported_by_its_peers() -> None:
     fleet = Fleet(4)
     fleet.no_gcs = {3}
     fleet.run(60)
-    assert "A03 no GCS radio, heard by A01 A02 A04: OK" in fleet.lines(4)
+    assert "A03 no GCS radio, received by A01 A02 A04: OK" in fleet.lines(4)
     fleet.agents[3].become("container/app", Level.ERROR, "app exited")
     fleet.run(20)
-    assert fleet.lines(3) == ["A03 no GCS radio, heard by A01 A02 A04: 2 ERROR"]
+    assert fleet.lines(3) == ["A03 no GCS radio, received by A01 A02 A04: 2 ERROR"]
     fleet.run(60)
     assert fleet.lines(4) == []
 
@@ -78,7 +78,7 @@ def test_a_new_ground_station_receives_relayed_agents_again() -> None:
         for number in (1, 2, 4):
             fleet.agents[number].port.hear([hello])
         fleet.run(5)
-    assert fleet.lines(4) == ["A03 no GCS radio, heard by A01 A02 A04: OK"]
+    assert fleet.lines(4) == ["A03 no GCS radio, received by A01 A02 A04: OK"]
 
 
 def test_an_agent_at_the_edge_of_radio_range_is_not_reported_each_time() -> None:
@@ -208,7 +208,7 @@ def test_a_hundred_agents_agree_and_stay_within_six_percent() -> None:
     assert living == {97}
     lines = fleet.lines()
     assert "SWARM 96/100 FAIL A05:lost A50:lost A95:lost +1" in lines
-    assert any(line.startswith("A07 no GCS radio, heard by A01 A02") for line in lines)
+    assert any(line.startswith("A07 no GCS radio, received by A01 A02") for line in lines)
 
 
 def bytes_s(fleet: Fleet, seconds: float) -> float:

@@ -21,7 +21,7 @@ PERIOD_S = 2.0
 """The daemon writes its status so often (`phm.reporters.status`)."""
 MAX_TEXT = 500
 _RANK = {level: rank for rank, level in enumerate(("OK", Level.STALE.name, Level.WARN.name, Level.ERROR.name))}
-_ALIVE, _LOST, _NEVER = "alive", "lost", "never heard"
+_ALIVE, _LOST, _NEVER = "alive", "lost", "never received"
 
 
 def ground(document: Mapping[str, Any], problem: str) -> Json:

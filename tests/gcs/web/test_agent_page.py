@@ -173,7 +173,7 @@ def test_a_damaged_moment_is_unknown(here: Written, moment: str) -> None:
 def test_without_a_status_there_is_a_reason(tmp_path: Path) -> None:
     """A page can be started before the daemon."""
     row = agent_row.row({}, "there is no /run/phm/status.json")
-    assert (row["how"], row["presence"], row["checks"], row["slots"]) == ("UNKNOWN", "never heard", [], {})
+    assert (row["how"], row["presence"], row["checks"], row["slots"]) == ("UNKNOWN", "never received", [], {})
     assert "status.json" in row["problem"]
     assert agent_row.ground({}, "gone")["problems"] == ["gone"]
 
@@ -231,7 +231,7 @@ def test_a_real_daemon_is_shown_until_it_ends(tmp_path: Path) -> None:
         until(lambda: any(one["unit"] == "host/memory" for one in row().get("checks") or ()), "the checks", row)
         assert row()["name"] == "A07" and row()["presence"] == "alive"
         daemon.send_signal(signal.SIGTERM)
-        until(lambda: row().get("presence") == "never heard", "the end of the daemon", row)
+        until(lambda: row().get("presence") == "never received", "the end of the daemon", row)
         page.send_signal(signal.SIGTERM)
         assert page.wait(30) == 0
     finally:

@@ -268,7 +268,7 @@ def test_a_failed_injection_is_not_scored() -> None:
         ("A03 OK 6 node_1 restarted", 3, False),
         ("A03 OK 11111111", 3, False),
         ("A04 FAIL 6 node_1 dead", 4, False),
-        ("A03 no GCS radio, heard by A01 A02: 2 ERROR", 1, False),
+        ("A03 no GCS radio, received by A01 A02: 2 ERROR", 1, False),
     ],
 )
 def test_a_line_is_matched_to_its_fault(text: str, system: int, reported: bool) -> None:
@@ -279,7 +279,7 @@ def test_a_line_is_matched_to_its_fault(text: str, system: int, reported: bool) 
 
 def test_a_lost_radio_is_reported_by_other_agents() -> None:
     """Neighbours report a link fault, since the agent itself cannot."""
-    assert by_others(line(1.0, "A03 no GCS radio, heard by A01 A02: 2 ERROR", 1), injection(layer="link"))
+    assert by_others(line(1.0, "A03 no GCS radio, received by A01 A02: 2 ERROR", 1), injection(layer="link"))
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ export function stateClass(how) {
 }
 
 export const PRESENCE = {
-  alive: "received", late: "late", lost: "not received any more", left: "stopped on purpose", "never heard": "never received",
+  alive: "received", late: "late", lost: "not received any more", left: "stopped on purpose", "never received": "never received",
 };
 
 /** `3 s`, `12 min`, `5 h`, `9 d`; `?` when it is not known. */
