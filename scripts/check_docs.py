@@ -36,7 +36,7 @@ HISTORY = "CHANGELOG.md"
 MAX_TEST_LINES = 500
 UNFORMATTED = re.compile(r"# fmt: (?:skip|off)$", re.MULTILINE)
 MAX_UNFORMATTED = 48
-"""Statements that the formatter leaves as they are: tables in code. The number may only fall."""
+"""Statements that the formatter leaves unchanged: tables in code. The number may only fall."""
 
 
 def tracked() -> list[Path]:

@@ -1,4 +1,4 @@
-"""Detects that discovery works between PHM and a container but no data arrives: several nodes at once, with nothing received from any
+"""Detects that discovery works between PHM and a container but no data arrives: several nodes together, with nothing received from any
 of them. Pure, except that it queries the world.
 
 One silent node may be hung. When all nodes of a container fall silent at the same moment, while discovery lists them and their

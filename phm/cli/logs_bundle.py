@@ -105,7 +105,7 @@ class _Known:
         self._containers()
 
     def _key(self, path: str | None) -> None:
-        """The signing key, as it is in its file, in hexadecimal digits, and as text."""
+        """The signing key, as in its file, in hexadecimal digits, and as text."""
         from phm.logs.deadline import Late
 
         try:

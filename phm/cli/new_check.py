@@ -1,4 +1,4 @@
-"""`phm new-check`: writes the package of a check that can be installed and tested as it is."""
+"""`phm new-check`: writes the package of a check that can be installed and tested without changes."""
 
 from __future__ import annotations
 

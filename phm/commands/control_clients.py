@@ -34,7 +34,7 @@ class ControlClients:
         self._closed = asyncio.Event()
 
     def serve(self, listener: socket.socket, closing: threading.Event) -> None:
-        """Until `close`, or at once if `closing` is set by now."""
+        """Until `close`; returns immediately if `closing` is set by now."""
         run(self._serve(listener, closing))
 
     def close(self) -> None:

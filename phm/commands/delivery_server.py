@@ -29,7 +29,7 @@ REQUEST_S, BODY_S, ANSWER_S = 5.0, 30.0, 5.0
 MAX_CLIENTS, MAX_SAME = 16, 2
 """Connections together, and of one address."""
 RATE, BURST, MAX_ADDRESSES = 1 / 6, 10.0, 1024
-"""Connections of one address: a second, and at once."""
+"""Connections of one address: per second, and in a burst."""
 NOTE_RATE, NOTE_BURST = 1 / 60, 3.0
 """Lines in the log about refused senders."""
 RETRY_S, CLOSING_S = 5.0, 1.0

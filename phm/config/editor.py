@@ -1,6 +1,6 @@
 """Edits of a configuration by place, as a form makes them: text in, text out, with comments kept.
 
-The values of a form are those of the file before variables are replaced: `${PHM_AGENT}` stays as it is.
+The values of a form are those of the file before variables are replaced: `${PHM_AGENT}` stays unchanged.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Edit:
 
 
 class _AsWritten(Expander):
-    """Leaves variables as they are."""
+    """Returns the text with its variables unchanged."""
 
     def __init__(self) -> None:
         super().__init__({})

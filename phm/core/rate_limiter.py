@@ -28,7 +28,7 @@ class TokenBucket:
 
 
 class RateLimiter:
-    """`rate` events per second for each key, and `burst` at once. Not thread-safe.
+    """`rate` events per second for each key, and bursts of up to `burst`. Not thread-safe.
 
     At most `max_keys` are remembered; the least recently used one is forgotten first, and starts with a full bucket.
     """

@@ -6,9 +6,9 @@ from phm.core.duplicate_filter import DuplicateFilter
 from phm.core.rate_limiter import RateLimiter
 
 RATE, BURST = 50.0, 200.0
-"""Frames a second of one sender, and at once: an agent sends one or two, and its full state in one go."""
+"""Frames of one sender, per second and in a burst: an agent sends one or two, and its full state in one go."""
 NEW_RATE, NEW_BURST = 20.0, 300.0
-"""New senders a second, and at once: a swarm of 250 may appear together, but not repeatedly."""
+"""New senders, per second and in a burst: a swarm of 250 may appear together, but not repeatedly."""
 MAX_SENDERS = 1024
 COPY_S = 5.0
 MAX_COPIES = 2048

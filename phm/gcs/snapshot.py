@@ -26,7 +26,7 @@ _RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """How moments are given: as seconds before `now` (`age_s`), or, for a page that counts up itself, as they are (`at`). All are
+    """How moments are given: as seconds before `now` (`age_s`), or, for a page that counts up itself, unchanged (`at`). All are
     monotonic seconds of the ground."""
 
     now: float

@@ -38,7 +38,7 @@ def write(path: Path, text: str, baseline: Baseline) -> list[Path]:
 
 
 def _replace(path: Path, data: bytes) -> None:
-    """Replace the file at once, so that no reader finds half of it. A file that is mounted by itself can only be written to."""
+    """Replace the file atomically, so that no reader finds half of it. A file that is mounted by itself can only be written to."""
     mode = path.stat().st_mode & 0o777 if path.exists() else 0o644
     number, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:

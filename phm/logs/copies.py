@@ -1,4 +1,4 @@
-"""Copies of one log, in a folder and under the names that rotation would give them, so that every reader of logs takes them as they are.
+"""Copies of one log, in a folder and under the names that rotation would give them, so that every reader of logs can read them.
 
 At its source a file is renamed at each rotation, compressed, and in the end removed. Here nothing is removed: what the source no longer
 has keeps its place behind the newer files. Files are recognized by their first line, as everywhere in PHM.

@@ -123,7 +123,7 @@ class Docker:
         """Invalidate earlier responses. Called with each Docker event and after each action of PHM."""
         self._generation = next(self._generations)
 
-    # ------------------------------------------------------------ one question for all who ask at once
+    # ------------------------------------------------------------ one request for all concurrent callers
 
     def _shared(
         self, key: str, ask: Callable[[TimeBudget], ContainerFact | None], young_s: float

@@ -24,7 +24,7 @@ from phm.wire.manifest import MAX_FILES
 
 MAX_DEPTH = 64
 MAX_ENTRIES = 2 * MAX_FILES
-"""Names that are read in one walk, with those that are ignored: all of a folder are in memory at once."""
+"""Names that are read in one walk, with those that are ignored: all of a folder are in memory together."""
 LOOK_BYTES = 64 << 20
 """Read in one look; the rest of a large folder follows in the next looks."""
 LOOK_S = 1.5

@@ -68,7 +68,7 @@ class ReporterContext:
     restored: faults that were open, and were reported, before PHM restarted.
     links: what is received on the MAVLink endpoints. queues: how many events wait for each subscriber of the bus, and were dropped.
     machine_boot: id of this start of the machine, in which the monotonic clock goes on; empty: unknown.
-    open_faults, given_up: faults as they are now, also of units that recovery has given up on and that have not been OK since.
+    open_faults, given_up: the current faults, also of units that recovery has given up on and that have not been OK since.
     """
 
     settings: Settings

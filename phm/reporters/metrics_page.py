@@ -26,7 +26,7 @@ _PERCENT: Mapping[str, Metric] = {
     "memory_stalled_percent": metrics.MEMORY_STALLED,
     "io_stalled_percent": metrics.IO_STALLED,
 }
-"""Values of the units `host/...`, as ratios; below as they are."""
+"""Values of the units `host/...`, as ratios; below unchanged."""
 _HOST: Mapping[str, Metric] = {
     "load_per_core": metrics.LOAD,
     "memory_available_bytes": metrics.MEMORY_FREE,

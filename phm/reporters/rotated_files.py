@@ -151,7 +151,7 @@ class CompressedFiles(RotatedFiles):
                 for path in reversed(self._newest_first()):
                     if not path.endswith(COMPRESSED):
                         self._compress(path)
-            except OSError:  # a full disk, a file that is gone: the file remains as it is, and is tried again after the next rotation
+            except OSError:  # a full disk, a file that is gone: the file remains unchanged, and is tried again after the next rotation
                 _remove(self._temporary)
             self._wake.wait()
 

@@ -109,7 +109,7 @@ def _outer(cover: Sequence[Span]) -> tuple[float, float]:
 
 
 def _cut(segments: Iterable[Segment], cover: Sequence[Span]) -> list[Segment]:
-    """Without the times in which PHM did not run. Both ascend, so that each span is looked at once."""
+    """Without the times in which PHM did not run. Both ascend, so that each span is looked at one time."""
     result: list[Segment] = []
     place = 0
     for begin, end, level in sorted(segments):

@@ -186,7 +186,7 @@ def _unpacked(chunk: Chunk) -> bytes:
 
 
 def _read(stream: IO[bytes], count: int) -> bytes:
-    """So many bytes, fewer at the end: a stream that unpacks may return less at once. Memory grows with what is there."""
+    """So many bytes, fewer at the end: a stream that unpacks may return less per read. Memory grows with what is there."""
     parts, left = list[bytes](), count
     while left and (part := stream.read(min(left, BLOCK))):
         parts.append(part)

@@ -47,7 +47,7 @@ class Other(NamedTuple):
         if not EARLIEST_S < event.utc_s < LATEST_S or event.system is None or not least <= event.system < MOST_SYSTEMS:
             return None
         text = one_line(event.text[:MOST_TEXT])
-        # A hostile line of JSON comes here too: none of its texts is kept as it is.
+        # A hostile line of JSON comes here too: none of its texts is kept unchanged.
         level = event.level if event.level in LEVELS else ""
         by = one_line(str(event.by)[:MOST_BY])
         return cls(event.utc_s, event.system, event.event, text, level, by, file, event.began)

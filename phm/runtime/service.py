@@ -101,6 +101,6 @@ def _serve(running: _Running, signals: Signals, reloader: Reloader, systemd: Sys
 
 
 def _exit() -> NoReturn:
-    """At once: an orderly stop would wait for what hangs."""
+    """End the process immediately: an orderly stop would wait for what hangs."""
     logging.shutdown()
     os._exit(os.EX_SOFTWARE)

@@ -51,7 +51,7 @@ def write_new(folder: Path, texts: Mapping[str, str]) -> None:
 
 def make_log_folder(path: Path) -> None:
     """Make a folder that PHM's user may write to: its own where this process may say so, else one that everyone may write
-    to, as /tmp. A folder that exists stays as it is. Raises OSError."""
+    to, as /tmp. A folder that exists stays unchanged. Raises OSError."""
     if path.is_dir():
         return
     path.mkdir(parents=True)

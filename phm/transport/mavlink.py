@@ -117,7 +117,7 @@ class MavlinkHub:
         to other agents gets just HEARTBEATs unless it is named: agents read no other broadcast.
 
         kind, urgency: what leaves first where the link's budget makes others wait. key: a newer message with the same
-        key replaces this one while it waits. HEARTBEATs leave at once. The caller must not change the message after.
+        key replaces this one while it waits. HEARTBEATs leave immediately. The caller must not change the message after.
         """
         for endpoint in self._endpoints:
             for_all = not link and (not endpoint.to_peers or message.get_msgId() == HEARTBEAT)

@@ -21,7 +21,7 @@ def config_options(settings: FleetSettings) -> dict[str, Any]:
         "mode": settings.mode,
         "connect/endpoints": list(settings.connect),
         # A client tries each endpoint once, and the thread that opened it tries again: with a limit here Zenoh 1.10 would
-        # spend all of it on the first. A peer is open at once, and goes on trying by itself.
+        # spend all of it on the first. A peer is open immediately and continues to connect in the background.
         "connect/timeout_ms": 0 if settings.mode == "client" else -1,
         "connect/exit_on_failure": settings.mode == "client",
         "connect/retry": {"period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1]},

@@ -21,7 +21,7 @@ COLUMNS = ("mode", "fault", "alarms", "named", "seen after", "action", "healed a
 class Row:
     """One fault in one mode. Seconds count from the moment the fault was there; None: it did not happen.
 
-    `also` are the units of further faults that were caused at once; seconds are then those of the last of all.
+    `also` are the units of further faults that were caused together; seconds are then those of the last of all.
     """
 
     mode: str

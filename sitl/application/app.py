@@ -31,7 +31,7 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD, signal.SIGUSR1, signa
 NODE = (sys.executable, "-m", "sitl.application.node")
 _FAREWELL_S = 3.0
 _BITE = 8 * 2**20
-"""Bytes taken at once by a process that leaks."""
+"""Bytes that a leaking process takes in one step."""
 _APPETITE = 2**30
 """Bytes after which it stops leaking, should nothing limit it."""
 

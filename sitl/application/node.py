@@ -2,7 +2,7 @@
 
     python -m sitl.application.node --name node_1 --namespace /agent_1 --publish topic_1:10 --subscribe topic_3
 
-Signals change what it does, and a second one of the same kind changes it back; the process stays as it is. SIGUSR1 silences its
+Signals change what it does, and a second one of the same kind changes it back; the process stays the same. SIGUSR1 silences its
 topics, SIGUSR2 halves their rate, SIGHUP makes it give up its subscriptions, and SIGRTMIN+1 offer its topics as best
 effort, which a reliable subscription does not take; `sitl.application.behaviour` has the others. What it receives is in a file, see
 `sitl.application.received`.

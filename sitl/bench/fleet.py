@@ -81,7 +81,7 @@ class Bench:
         self.ground.statuses.clear()
 
     def start(self) -> Iterator[Figure]:
-        """All processes at once, until the ground knows all agents and their presence."""
+        """Start all processes together, until the ground knows all agents and their presence."""
         share, began = self._agents // PROCESSES, time.monotonic()
         for number in range(PROCESSES):
             count = share if number else self._agents - share * (PROCESSES - 1)
@@ -89,7 +89,7 @@ class Bench:
             self._stack.callback(crowd.kill)
             self._crowds.append(crowd)
         self.ground.wait(self._all, LIMIT_S)
-        yield Figure("all start at once: until all are known", "s", time.monotonic() - began, 30.0)
+        yield Figure("all start together: until all are known", "s", time.monotonic() - began, 30.0)
         for crowd in self._crowds:
             crowd.ready()
 
@@ -122,7 +122,7 @@ class Bench:
         yield Figure("idle: each agent, RSS", "MB", sum(report["rss"] for report in reports) / 1e6 / self._agents)
 
     def changes(self) -> Iterator[Figure]:
-        """Single agents break one after another, in all processes; then all the others at once."""
+        """Single agents break one after another, in all processes; then all the others together."""
         few = CHANGES // PROCESSES
         self._latencies.clear()
         for crowd in self._crowds:
@@ -135,7 +135,7 @@ class Bench:
             crowd.turn(numbers)
         count = sum(map(len, rest))
         self._wait_for(count)
-        yield from self._quantiles(f"{count} changes at once", 5.0)
+        yield from self._quantiles(f"{count} changes together", 5.0)
 
     def router_again(self) -> Iterator[Figure]:
         """The router is killed, and a new one is there after five seconds."""
@@ -235,7 +235,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     if chosen.agents < MIN_AGENTS:
         parser.error(
-            f"at least {MIN_AGENTS} agents are needed: {CHANGES} change one after another, and the others at once"
+            f"at least {MIN_AGENTS} agents are needed: {CHANGES} change one after another, and the others together"
         )
     console = Console(stderr=chosen.json)
     figures = measure(chosen.agents, chosen.seconds, console)

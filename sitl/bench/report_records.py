@@ -1,6 +1,6 @@
 """Records of any size for the bench of the report: what the real log reporter writes in one flight day, with the heads of other runs.
 
-Each agent has a folder as `phm logs collect` leaves it: `phm.jsonl`, with its rotated files as they are, or compressed.
+Each agent has a folder as `phm logs collect` leaves it: `phm.jsonl`, with its rotated files, compressed or not.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ from sitl.harness.machine import machine
 LIMIT_S = 60.0
 WARM_S = 5.0
 AT_ONCE, NEW_S = 250, 15
-"""So many senders the ground accepts at once, and so many a second after that (`phm.gcs.ingress_filter`), with a margin."""
+"""The senders that the ground accepts in a burst, and per second after that (`phm.gcs.ingress_filter`), with a margin."""
 IDS = 250
 WELL = status_word.encode(dict.fromkeys(list(Slot)[:9], Level.OK))
 

@@ -146,7 +146,7 @@ class _Sequence:
         return True
 
     def _made(self, trial: Trial) -> None:
-        """Record a complete run at once: what follows it may fail."""
+        """Record a complete run immediately: what follows it may fail."""
         append(self._file, trial)
         self._done.add((trial.setting["seed"], trial.kind, trial.number))
         if trial.kind == TRIAL:

@@ -37,7 +37,7 @@ class Proxy:
         self._socket.settimeout(TICK_S)
 
     def serve(self) -> None:
-        """Until the socket's file is gone. While it is shut, connections are cut within a moment and new ones at once."""
+        """Until the socket's file is gone. While it is shut, connections are cut within a moment and new ones immediately."""
         with self._socket:
             while self._path.exists():
                 with contextlib.suppress(TimeoutError):

@@ -25,7 +25,7 @@ _LOAD, _DYNAMIC, _STRTAB, _SYMTAB = 1, 2, 5, 6
 
 
 def shift(pid: int, offset_s: int, proc: Path = PROC) -> None:
-    """Have the process see the wall clock `offset_s` ahead; 0: as it is.
+    """Have the process see the wall clock `offset_s` ahead; 0: unchanged.
 
     LookupError on a machine where that cannot be done, TimeoutError when it runs without a pause.
     """

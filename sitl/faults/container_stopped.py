@@ -7,7 +7,7 @@ from sitl.faults.base import Agent, Fault, died
 
 
 class Injection(Fault):
-    """SIGUSR2 to its first process, which ends at once; `docker stop` would be an operator's wish (`recovery.on_manual_stop`) and
+    """SIGUSR2 to its first process, which ends immediately; `docker stop` would be an operator's wish (`recovery.on_manual_stop`) and
     no fault. Were its nodes ended first, they would be missing while the container still runs, for seconds on a busy machine.
 
     The fault is there when the process has ended, by the engine's own stamp.

@@ -12,7 +12,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Disconnects both from the application's first network through the engine, by two clients at once. To PHM the loss of its own
+    """Disconnects both from the application's first network through the engine, by two clients together. To PHM the loss of its own
     connection must not hide that of the application, nor become an alarm of its own."""
 
     name, title, unit = "network_lost_together", "PHM and application lose the network", "network/ros_app"

@@ -31,7 +31,7 @@ class Injection(Fault):
             put(copy, LEFT_OUT, b"node_1\n")
             moment = time.monotonic()
             copy.start()
-            # Two names cannot be changed at once. PHM looks within milliseconds, and would rightly report a missing container.
+            # Two names cannot be changed in one step. PHM looks within milliseconds, and would rightly report a missing container.
             sidecar = agent.sidecar
             freeze(sidecar)
         except Exception:

@@ -17,7 +17,7 @@ DOWN_LIMIT_S = 10.0
 
 class Injection(Fault):
     """SIGKILL to all processes of the companion computer's containers in one moment: PHM, the application and the router. Volumes
-    stay as they are. Then the engine's restart policy starts PHM, as at a boot; the router is started as if it had such a policy, the
+    stay unchanged. Then the engine's restart policy starts PHM, as at a boot; the router is started as if it had such a policy, the
     application, which has none, is PHM's to start. What is only in memory (tmpfs) is lost. The page cache is not: this machine
     goes on."""
 
@@ -30,7 +30,7 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         containers = list(_on_board(agent))
         with contextlib.ExitStack() as stack:
-            # Of each container at once: asking the engine for the next one takes time.
+            # The processes of all containers first: asking the engine for the next one takes time.
             found = [each for container in containers for each in stack.enter_context(held(_pids(container)))]
             moment = time.monotonic()
             for each in found:

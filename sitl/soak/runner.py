@@ -77,7 +77,7 @@ def observed_s(trials: Collection[Trial]) -> float:
 
 
 class Soak:
-    """One session. What it learns is in the two files at once, so it may be interrupted at any time."""
+    """One session. What it learns is in the two files immediately, so it may be interrupted at any time."""
 
     def __init__(self, swarm: Swarm, plan: Plan, record: Path, samples: Path, progress: Progress) -> None:
         self._plan, self._record, self._progress = plan, record, progress

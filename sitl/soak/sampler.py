@@ -1,4 +1,4 @@
-"""Takes a sample of every agent again and again, in a thread, and writes it to the file at once."""
+"""Takes a sample of every agent again and again, in a thread, and writes it to the file immediately."""
 
 from __future__ import annotations
 

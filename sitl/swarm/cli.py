@@ -60,7 +60,7 @@ def _parser() -> argparse.ArgumentParser:
         help="how much is configured for PHM, in it and in the application: docs/development/campaign.md (tuned)",
     )
     up.add_argument("--seed", type=int, default=0, help="of losses that are drawn at random (0)")
-    up.add_argument("--no-build", action="store_true", help="take the images as they are")
+    up.add_argument("--no-build", action="store_true", help="use the present images")
     down = _verb(verbs, "down", _down, "remove everything that belongs to a swarm")
     down.add_argument("--keep-logs", action="store_true", help="leave the folder with PHM's logs")
     status = _verb(verbs, "status", _status, "how each agent is; exit code 0 when all are well")

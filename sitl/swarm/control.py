@@ -1,7 +1,7 @@
 """The control client of the air process (`sitl.simulation.link_emulator`): commands for radios, routers and autopilots of a swarm.
 
 One JSON object a line goes there, one comes back, over a TCP connection of its own for each call: any number of
-programs may do it at once, and one that was killed leaves nothing behind.
+programs may do it together, and one that was killed leaves nothing behind.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class LinkEmulatorClient:
         self.address = address
 
     def set(self, agent: int, link: str, **how: Any) -> None:
-        """Change what one link of one agent is like; what is not named stays as it is.
+        """Change what one link of one agent is like; what is not named stays unchanged.
 
         ``ground`` is the pair of telemetry radios to the ground, ``peers`` the agent's radio on the network between agents:
           cut          True: nothing passes either way; the radio itself is there, and a ground radio goes on with RADIO_STATUS
@@ -64,7 +64,7 @@ class LinkEmulatorClient:
 
     def state(self) -> dict[str, Any]:
         """``{"agents": {K: {"ground": {...}, "peers": {...}, "router": {...}, "autopilot": {...}}}, "groups": [...]}``:
-        all of `set` as it is now, ``connected`` of the router (PHM's connections), ``armed``, ``hung``, ``rebooting``."""
+        the current values of all of `set`, ``connected`` of the router (PHM's connections), ``armed``, ``hung``, ``rebooting``."""
         found = self._ask("state")["state"]
         return {**found, "agents": {int(agent): state for agent, state in found["agents"].items()}}
 

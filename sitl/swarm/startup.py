@@ -1,4 +1,4 @@
-"""Bringing a swarm up: in phases, few agents at once, each step begun when the one before is known to be done."""
+"""Bringing a swarm up: in phases, few agents at a time, each step begun when the one before is known to be done."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def _started(container: Container) -> None:
 
 
 def _staggered(agents: Iterable[SwarmAgent], at_once: int, work: Callable[[SwarmAgent, Event], None]) -> None:
-    """All of them, few at once. When one fails or the user interrupts, none is begun any more and those at work end soon."""
+    """All of them, few at a time. When one fails or the user interrupts, none is begun any more and those at work end soon."""
     stop = Event()
     with ThreadPoolExecutor(at_once) as pool:
         waiting = [pool.submit(work, agent, stop) for agent in agents]

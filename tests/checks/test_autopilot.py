@@ -181,7 +181,7 @@ def test_a_reboot_while_armed_ends_no_fault() -> None:
 
 
 def test_a_commanded_reboot_is_not_a_loss() -> None:
-    """Known at once where PHM receives the acknowledgement, also while the link is closed."""
+    """Known immediately where PHM receives the acknowledgement, also while the link is closed."""
     one = check()
     for link in (OPEN, api.LinkFact("fc", open=False)):
         result = run(one, changed(age_s=5.0, rebooting_s=5.2), link)

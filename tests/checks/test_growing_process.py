@@ -214,7 +214,7 @@ def test_a_proxy_that_refuses_is_asked_once() -> None:
 
 
 def test_a_fast_leak_is_named_within_seconds() -> None:
-    """4 MB grow at once then."""
+    """4 MB grow in one step then."""
     bench = Bench(lambda second: {ONE: 20 + 0.9 * second})
     bench.run(70)
     assert bench.listed_at[1] - bench.listed_at[0] == LEAST_S

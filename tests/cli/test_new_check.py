@@ -43,7 +43,7 @@ def test_a_name_that_cannot_be_used_is_refused(tmp_path: Path, name: str, reason
 
 
 def test_what_exists_is_never_written_to(tmp_path: Path) -> None:
-    """A file, a folder and a link that leads nowhere stay as they are."""
+    """A file, a folder and a link that leads nowhere stay unchanged."""
     (tmp_path / "one").write_text("mine")
     (tmp_path / "two").mkdir()
     (tmp_path / "three").symlink_to(tmp_path / "nowhere")

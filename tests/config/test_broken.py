@@ -340,7 +340,7 @@ BROKEN = [
     Broken("same disk", "host:\n  disks: [/, /data, /data/]\n", 2, "host.disks[2]", ("disk '/data' is defined twice",)),
     Broken("room", "host:\n  free_disk:\n  - {path: /bags, files: [run/*.mcap]}\n", 3, "host.free_disk[0].files[0]",
            ("is 'run/*.mcap'", "without '/'")),
-    Broken("all may go at once", "host:\n  free_disk:\n  - {path: /bags, files: ['*'], older_than: 1s}\n", 3,
+    Broken("all may go together", "host:\n  free_disk:\n  - {path: /bags, files: ['*'], older_than: 1s}\n", 3,
            "host.free_disk[0].older_than", ("is 1", "10 or more")),
     Broken("link to no container", ONE + "mavlink:\n  endpoints:\n  - {url: 'tcp:a:5760', container: rooter}\n", 5,
            "mavlink.endpoints[0].container", ("unknown container 'rooter'",)),

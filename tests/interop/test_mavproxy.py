@@ -225,7 +225,7 @@ def test_two_ground_stations_behind_it_do_not_receive_each_other(
         until(lambda: both <= vehicle.senders(), "both heartbeats at PHM", lambda: vehicle.senders())
         for ground in grounds:
             before = len(ground.lines)
-            until(lambda: len(ground.lines) > before, "the refresh")  # noqa: B023 - called at once
+            until(lambda: len(ground.lines) > before, "the refresh")  # noqa: B023 - called immediately
             assert not both & set(ground.heartbeats)
     finally:
         for ground in grounds:

@@ -118,7 +118,7 @@ def test_anything_but_a_request_is_refused(bench: Bench, request_bytes: bytes, s
 
 
 def test_slow_clients_do_not_keep_prometheus_waiting(bench: Bench) -> None:
-    """More of them than are served at once send half a request: the next one gets its page, and the oldest are dropped."""
+    """More of them than are served together send half a request: the next one gets its page, and the oldest are dropped."""
     slow = [bench.connect() for _ in range(MAX_CLIENTS + 4)]
     try:
         for client in slow:

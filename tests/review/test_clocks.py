@@ -44,7 +44,7 @@ def test_a_wrong_clock_is_corrected_by_what_the_ground_received_too(tmp_path: Pa
 
 
 def test_an_offset_within_its_error_is_shown_and_not_applied(tmp_path: Path) -> None:
-    """A clock that is right stays as it is: the delay of the radio is not its error."""
+    """A clock that is right stays unchanged: the delay of the radio is not its error."""
     swarm(tmp_path, 0.0)
     made = report(tmp_path)
     clock = made["clocks"]["runs"][0]

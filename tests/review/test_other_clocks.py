@@ -85,7 +85,7 @@ def test_the_offset_is_right_within_its_error(tmp_path: Path, wrong_s: float) ->
 
 
 def test_lines_that_waited_for_the_link_do_not_move_it(tmp_path: Path) -> None:
-    """A queue of old lines that arrives at once is outside of the window, and does not count."""
+    """A queue of old lines that arrives together is outside of the window, and does not count."""
     lines = flown(tmp_path / "log", times=THREE)
     late = {2: 40.0, 3: 36.0}
     frames = [heard(at + late.get(place, 0.2) + 60.0, text) for place, (at, text) in enumerate(lines)]

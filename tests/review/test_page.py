@@ -1,4 +1,4 @@
-"""The page is one file that needs no network, executes nothing of a record, and shows the swarm at once."""
+"""The page is one file that needs no network, executes nothing of a record, and shows the swarm immediately."""
 
 from __future__ import annotations
 

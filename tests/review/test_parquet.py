@@ -1,4 +1,4 @@
-"""A dataset of many flights is read by others as it is, and gives MTBF and MTTR by one query."""
+"""A dataset of many flights is read by other programs without conversion, and gives MTBF and MTTR by one query."""
 
 from __future__ import annotations
 

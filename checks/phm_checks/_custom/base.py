@@ -44,7 +44,7 @@ def bad(text: str, short: str, **values: api.Value) -> Finding:
 class CustomCheck(api.Check):
     """Base of the types. A type overrides `look`, and `container` if it concerns one.
 
-    `look` returns what it found, or raises CannotTell. Text from outside may be passed on as it is: it is cleaned here.
+    `look` returns what it found, or raises CannotTell. Text from outside may be passed on unchanged: it is cleaned here.
     """
 
     name, slot, layer = "custom", Slot.USER_1, Layer.CUSTOM

@@ -102,7 +102,7 @@ class MavlinkSettings(Section):
     """An autopilot that was received and is silent for longer is reported as lost, and no longer as disarmed. It sends one
     HEARTBEAT a second."""
     request_boot_time: bool = False
-    """True: PHM requests SYSTEM_TIME once a second from an autopilot that sends no time since boot, to distinguish at once
+    """True: PHM requests SYSTEM_TIME once a second from an autopilot that sends no time since boot, to distinguish immediately
     whether it hung, rebooted, or only the link was stuck. False: PHM does not request it."""
     radio_timeout: Annotated[Seconds, Field(ge=2, le=120)] = 5.0
     """A radio without RADIO_STATUS for longer, and for longer than 2.5 of its own periods, is reported as lost."""

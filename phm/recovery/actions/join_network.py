@@ -20,7 +20,7 @@ class JoinNetwork(Action):
     starts = False
     on_phm_itself = True
 
-    # A network that PHM's container is on is there at once.
+    # A network that PHM's container is on is there immediately.
     still_bad_after_s = 1.0
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:

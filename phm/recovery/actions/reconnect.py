@@ -33,7 +33,7 @@ class Reconnect(Action):
     deadline_s = Restart.deadline_s
     # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
     verify_after_s = 2.0
-    # The kernel of an attached interface answers at once; one whose address is silent now stays so.
+    # The kernel of an attached interface answers immediately; one whose address is silent now stays so.
     still_bad_after_s: float | None = 1.0
     # Its processes go on and find each other by the next announcement, 3 s apart by Fast DDS's default, or not at all: a socket
     # keeps its multicast membership on the interface that is gone.

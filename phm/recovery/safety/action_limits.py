@@ -9,7 +9,7 @@ from phm.recovery.safety.flight_critical import FlightCriticalGuard
 
 
 class ActionLimits:
-    """Of the target of this name, as they are at the time of each call."""
+    """The limits of the target of this name, at the time of each call."""
 
     def __init__(
         self, target: str, catalog: ActionCatalog, holds: HoldRegistry, guard: FlightCriticalGuard, clock: Clock

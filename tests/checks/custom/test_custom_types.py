@@ -232,7 +232,7 @@ def test_a_check_needs_the_container_it_looks_into_and_the_one_that_recovery_res
 
 
 def test_a_number_that_fluctuates_does_not_change_the_line_for_the_operator_each_time() -> None:
-    """The ground receives each change, and six within a minute would be called flapping. Other words are shown at once."""
+    """The ground receives each change, and six within a minute would be called flapping. Other words are shown immediately."""
     clock, programs = testing.FakeClock(), testing.FakePrograms()
     check = build(type="command", command=["check"])
 

@@ -211,7 +211,7 @@ for number, _ in enumerate(sys.stdin, 1):
 
 
 def test_the_clock_of_a_process_that_writes_is_set(tmp_path: Path) -> None:
-    """Of a real process, by hours ahead and back, while it writes and rotates; the clocks of the machine stay as they are."""
+    """Of a real process, by hours ahead and back, while it writes and rotates; the clocks of the machine stay unchanged."""
     writer = subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stdin=subprocess.PIPE)
     assert writer.stdin is not None
 

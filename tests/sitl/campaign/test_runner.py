@@ -58,7 +58,7 @@ def steps() -> Steps:
 
 @pytest.fixture
 def runner(tmp_path: Path, steps: Steps, monkeypatch: pytest.MonkeyPatch) -> Runner:
-    """One agent, all is well at once, and no wait lasts."""
+    """One agent, all is OK immediately, and no wait lasts."""
     agent = Mock(number=1, record=tmp_path / "phm.jsonl")
     agent.name = "agent_1"
     swarm = Mock(agents=[agent], ground_url="udpin:127.0.0.1:0")

@@ -96,7 +96,7 @@ def test_a_restart_does_not_hide_a_leak() -> None:
 
 
 def test_few_samples_have_no_slope() -> None:
-    """A soak that was interrupted at once says so, and one without samples has a report, too."""
+    """A soak that was interrupted immediately says so, and one without samples has a report, too."""
     few = samples(lambda agent, at_s: 60.0, hours=0.01)
     assert {each.all.verdict for each in rows(few)} == {"too short"}
     for taken in ([], few):

@@ -1,4 +1,4 @@
-"""The page says at once that its server is gone, trusts nothing meanwhile, and returns by itself."""
+"""The page says immediately that its server is gone, trusts nothing meanwhile, and returns by itself."""
 
 from __future__ import annotations
 

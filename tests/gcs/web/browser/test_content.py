@@ -130,7 +130,7 @@ def test_events_can_be_searched_and_filtered(page: Page, agents: Fleet) -> None:
 
 
 def test_text_from_the_air_is_never_markup(page: Page, agents: Fleet) -> None:
-    """Markup is shown as it is, a text from right to left stays in its own place, and a long one does not widen the page."""
+    """Markup is shown as text, a text from right to left stays in its own place, and a long one does not widen the page."""
     agents.levels[3] = {Slot.NODES: ERROR}
     agents.say(3, f"A03 FAIL 11111011 6 {HOSTILE}"[:50])
     agents.say(10, f"A10 WARN 9 {RTL} evil", 4)
