@@ -192,7 +192,7 @@ class Unit:
             target, no unit with that target opens a fault.
     settle_s: how long a bad result must last before it is reported, for evidence that arrives before that of
             its cause (a topic falls silent before discovery notices that its node is dead). A result that knows
-            better has a `settle_s` of its own.
+            better has its own `settle_s`.
     grace_s: how long a bad result counts as `not known yet` after PHM's start, after a dependency recovered, after a
             start of the target and after an action on it (discovery needs seconds to fill the graph).
     memory_s: how long its check may still report OK after the subject is gone (a topic counts as silent only after a while).

@@ -96,7 +96,7 @@ class Network(PerContainer):
         return replace(found, evidence=api.Evidence(never_ok=never), target=target)
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
-        """The result for network modes in which a container has no network of its own; None for other modes."""
+        """The result for network modes in which a container has no network itself; None for other modes."""
         mode, names = fact.network_mode, listed(self.entry.networks)
         if mode == "host":
             return api.bypass(

@@ -148,7 +148,7 @@ class Pressure(PerContainer):
         limit = _reached_limit(fact)
         if limit is None:
             words = (
-                f"{self.key} {waits}{reads}, not because of a limit of its own: the computer has too little memory, see "
+                f"{self.key} {waits}{reads}, not because of its own limit: the computer has too little memory, see "
                 "`docker stats`, and stop or limit what uses most"
             )
             return self._bad(level, words, "waits for memory", "memory_pressure")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class GroundPart(Protocol):
-    """A part of `phm gcs` with a thread of its own. about: a note for the operator, empty for none."""
+    """A part of `phm gcs` with a separate thread. about: a note for the operator, empty for none."""
 
     def start(self) -> None: ...
     def close(self) -> None: ...

@@ -1,7 +1,7 @@
 """The agent's end of `phm deliver`: a TCP port that takes a configuration from a sender that has the key (`phm.wire.delivery`).
 
 A sender without the key makes it read at most one short line, and cannot hold a place: connections are limited in time, number
-and rate. One delivery is executed at a time, in a thread of its own, because it validates, writes and reloads.
+and rate. One delivery is executed at a time, in a separate thread, because it validates, writes and reloads.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ def _remove_behind_dash(text: str, place: Place, last: int) -> str:
 
 
 def is_block(node: yaml.Node) -> bool:
-    """A collection with entries on lines of their own."""
+    """A collection with entries on separate lines."""
     return isinstance(node, yaml.CollectionNode) and bool(node.value) and not _is_flow(node)
 
 

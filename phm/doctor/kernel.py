@@ -48,7 +48,7 @@ def _pressure(proc: Path) -> Row:
 
 
 def _sandbox() -> Row:
-    """Tried in a process of its own, since it cannot be undone."""
+    """Tried in a separate process, since it cannot be undone."""
     try:
         done = subprocess.run(
             [sys.executable, "-c", _SANDBOX], capture_output=True, text=True, timeout=CHILD_LIMIT_S, check=True

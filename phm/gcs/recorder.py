@@ -1,6 +1,6 @@
 """Records every event on disk, rotated and capped, with a snapshot every minute.
 
-Stamps are of the ground's clocks alone. A line torn by a power cut stays on a line of its own, and readers skip it
+Stamps are of the ground's clocks alone. A line torn by a power cut stays on a separate line, and readers skip it
 (`phm.wire.json_log.read`).
 """
 

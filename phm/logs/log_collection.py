@@ -1,4 +1,4 @@
-"""One folder with the logs of many agents, each in a folder of its own, that is brought up to date in each run."""
+"""One folder with the logs of many agents, each in a separate folder, that is brought up to date in each run."""
 
 from __future__ import annotations
 

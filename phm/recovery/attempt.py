@@ -271,7 +271,7 @@ class Attempt:
 
     @contextlib.contextmanager
     def _hold_dependent(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
-        """Lock a dependent; meanwhile it raises no faults of its own, and its new generation is PHM's doing."""
+        """Lock a dependent; meanwhile it raises no separate faults, and its new generation is PHM's doing."""
         name = self._target.name
         with self._locks.locked_dependent(key, self, at_most_s):
             if self._abandoned:

@@ -171,7 +171,7 @@ class RotatingFile:
         self._size = 0
         if self._regular():
             self._size = os.fstat(self._fd).st_size
-            # The torn piece stays on a line of its own: it may contain the last data before the power cut.
+            # The torn piece stays on a separate line: it may contain the last data before the power cut.
             self._torn = self._size > 0 and _last_byte(self._fd, self._size) != b"\n"
             with self._rotated.lock:
                 self._rotated.prune()

@@ -1,4 +1,4 @@
-"""Whose a recording of ROS 2 is: it has no MAVLink system of its own."""
+"""Finds the agent of a recording of ROS 2, which has no MAVLink system."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def blocked(context: RuleContext) -> Decision | None:
 
     An open fault of the unit is closed as reattributed. If the cause is not published yet, because it is in grace or may follow
     from starvation, only once that is decided. Dependencies that are bad by starvation alone are handled by rule 5. A network
-    does not explain that a process has ended: that is a fault of its own, also behind a lost network.
+    does not explain that a process has ended: that is a separate fault, also behind a lost network.
     """
     cause = _cause(context)
     if not cause:

@@ -84,7 +84,7 @@ class Tracker:
         return any(self._units[name].failing and self._units[name].started >= mono for name in self._below(record))
 
     def _below(self, record: UnitRecord) -> list[str]:
-        """Dependents of the same target without a fault of their own. Not its pressure unit: a recovery cannot end that."""
+        """Dependents of the same target without a separate fault. Not its pressure unit: a recovery cannot end that."""
         return [
             other.id
             for other in self._view.downstream(record.id)
@@ -95,7 +95,7 @@ class Tracker:
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         """Dependents of `unit` in the same target that no run since `mono` has found free of ERROR.
 
-        Those with a fault of their own are not counted: they do not wait for this recovery.
+        Those with a separate fault are not counted: they do not wait for this recovery.
         """
         below = (self._units[name] for name in self._below(self._units[unit]))
         return tuple(record.id for record in below if record.failing or record.started < mono)

@@ -10,7 +10,7 @@ _NET = "/sys/class/net"
 
 
 def is_private(net: str = _NET, marks: tuple[str, ...] = _MARKS) -> bool:
-    """Whether PHM runs in a container with a network namespace of its own, where 127.0.0.1 is not the host.
+    """Whether PHM runs in a container with its own network namespace, where 127.0.0.1 is not the host.
 
     There, every interface but `lo` is one end of a pair (its peer, `iflink`, is another interface); the host also has real
     ones. A namespace that is shared with another container counts as private.

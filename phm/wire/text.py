@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def one_line(text: str) -> str:
-    """`text` with everything that could begin a line of its own, hide, or steer a terminal, written as an escape.
+    """`text` with everything that could begin a separate line, hide, or steer a terminal, written as an escape.
 
     Names of containers, outputs of health checks and paths come from outside. Line breaks of every kind,
     escape sequences, direction overrides and invisible characters are not printable; they come out as

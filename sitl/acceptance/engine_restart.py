@@ -1,6 +1,6 @@
 """The Docker Engine restarted for real, below a running agent: `scripts/proof-engine`.
 
-One agent with the shipped images runs on an engine of its own, which is stopped or killed and started again, with `live-restore` and
+One agent with the shipped images runs on a separate engine, which is stopped or killed and started again, with `live-restore` and
 without. Exit 0 only when each row holds.
 """
 

@@ -25,7 +25,7 @@ HANDED_OVER = 'exec 3<&0 </dev/null; export LISTEN_FDS=1 LISTEN_PID=$$; exec doc
 
 
 class OwnEngine:
-    """folder: its data and its log. Needs root and namespaces of its own for mounts, network and processes (scripts/proof-engine)."""
+    """folder: its data and its log. Needs root and separate namespaces for mounts, network and processes (scripts/proof-engine)."""
 
     def __init__(self, folder: Path) -> None:
         if SOCKET.exists():

@@ -18,7 +18,7 @@ ORDER = (
 )  # fmt: skip
 """Neighbours break different units, so that no fault is taken for the return of the one before it."""
 APART = ("netns_owner_killed",)
-"""Each needs a configuration of its own: played after the others, alone."""
+"""Each needs its own configuration: played after the others, alone."""
 CAMPAIGN = (
     "autopilot_reboot", "autopilot_silent", "callback_blocked", "clock_stepped", "cpu_hog", "data_frozen", "disk_full",
     "engine_restarted", "executor_deadlocked", "gcs_radio_cut", "healthcheck_hangs", "log_read_only", "memory_full",

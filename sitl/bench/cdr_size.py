@@ -1,6 +1,6 @@
 """Bytes of the DiagnosticArray that PHM's ROS child makes of the statuses on standard input; nothing where ROS is not installed.
 
-A process of its own, because only the ROS child imports rclpy. No participant is made, so nothing is sent.
+A separate process, because only the ROS child imports rclpy. No participant is made, so nothing is sent.
 """
 
 from __future__ import annotations

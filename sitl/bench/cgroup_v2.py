@@ -1,6 +1,6 @@
 """PHM's pressure check on a kernel with cgroup v2 alone: real limits, real processes, no engine.
 
-`scripts/test-kernel` runs it as root in a virtual machine of its own; it changes limits below /sys/fs/cgroup, and needs a disk
+`scripts/test-kernel` runs it as root in a separate virtual machine; it changes limits below /sys/fs/cgroup, and needs a disk
 /dev/vda that may be overwritten. Exit 0 only if each row is what the kernel was made to do.
 """
 

@@ -1,6 +1,6 @@
 """PHM's pressure check on containers of a real Docker Engine that has cgroup v2 alone.
 
-`scripts/test-kernel` runs it as root in a virtual machine of its own. It starts an engine without networks, and makes an image
+`scripts/test-kernel` runs it as root in a separate virtual machine. It starts an engine without networks, and makes an image
 that holds nothing but busybox. Exit 0 only if each row shows the limit that was set.
 """
 

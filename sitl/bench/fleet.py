@@ -1,7 +1,7 @@
 """What a fleet over Zenoh costs and how soon the ground knows: many simulated agents, one router, one machine.
 
-``scripts/bench fleet`` starts the agents in a few processes, each agent with the real reporter and a Zenoh session of its
-own, the router (a session in mode router, with a higher limit of sessions) in another, and reads as any client would.
+``scripts/bench fleet`` starts the agents in a few processes, each agent with the real reporter and its own Zenoh
+session, the router (a session in mode router, with a higher limit of sessions) in another, and reads as any client would.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Bench:
         self._crowds: list[Crowd] = []
 
     def alone(self, seconds: float) -> Iterator[Figure]:
-        """One agent in a process of its own: what the fleet adds to a PHM."""
+        """One agent in a separate process: what the fleet adds to a PHM."""
         crowd = Crowd(self._router.endpoint, FLEET, 1_000_000, 1)
         try:
             self.ground.wait(lambda ground: len(ground.statuses) == 1 and len(ground.tokens) == 1)

@@ -1,7 +1,7 @@
 """Where PHM's memory, CPU time and wake-ups go, for each process, thread and import.
 
 `scripts/bench footprint` measures every PHM that runs on this machine, in containers too, and changes nothing. With several agents
-the figures are means of one agent. `scripts/bench footprint imports` measures imports in processes of their own.
+the figures are means of one agent. `scripts/bench footprint imports` measures imports in separate processes.
 """
 
 from __future__ import annotations

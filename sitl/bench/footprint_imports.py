@@ -1,6 +1,6 @@
 """What each package costs when a process imports it: memory that is not shared, CPU time, modules.
 
-Run in a process of its own: `python -m sitl.bench.footprint_imports MODULE...` prints one JSON object by package. A package is
+Run in a separate process: `python -m sitl.bench.footprint_imports MODULE...` prints one JSON object by package. A package is
 charged what its own modules take, without the modules of other packages that they import.
 """
 

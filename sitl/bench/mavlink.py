@@ -1,6 +1,6 @@
 """What PHM's reports cost on the link to the ground: as PHM sends them, and the same reports as JSON and as DiagnosticArray.
 
-``scripts/bench mavlink`` runs whole swarms, each agent with the real reporters, budget and codec, on a clock of their own, so
+``scripts/bench mavlink`` runs entire swarms, each agent with the real reporters, budget and codec, on its own clock, so
 the figures are the same on every machine. Whenever an agent reports its state (the refresh, or a change), the same report is
 measured in the other forms, too: complete, as JSON or diagnostics are sent. Not measured with these are the heartbeats,
 which carry the status word every few seconds, and what JSON or DDS put around a message.

@@ -1,6 +1,6 @@
 """What `Beacon(node)` costs a node: the same nodes with and without it, at the same time, with PHM's ROS child listening.
 
-``scripts/bench beacon`` starts each number of nodes twice, in two ROS domains: each node a process of its own that publishes
+``scripts/bench beacon`` starts each number of nodes twice, in two ROS domains: each node a separate process that publishes
 10 Hz and listens to its neighbour. The cost is the difference of the CPU time of both, by the kernel's own count in
 nanoseconds; the median of slices of a few seconds, since what else the machine does strikes the two unequally.
 """
@@ -47,7 +47,7 @@ class BeaconCost:
 
 
 class Group:
-    """Nodes in a ROS domain of their own, and the ROS child that looks at them. Ended with `stack`."""
+    """Nodes in their own ROS domain, and the ROS child that looks at them. Ended with `stack`."""
 
     def __init__(self, nodes: int, domain: int, stack: ExitStack, *, beacons: bool) -> None:
         environ = {

@@ -144,7 +144,7 @@ def _covers(events: list[Event]) -> bool:
 
 
 def run(names: list[str], project: str, console: Console) -> list[Row]:
-    """A row for each fault, each with an agent of its own."""
+    """A row for each fault, each with its own agent."""
     rows, faults = [], {Nothing.name: Nothing(), **all_faults()}
     config = write(overridden({}))
     for name in names:

@@ -88,7 +88,7 @@ def class_of(fault: Fault) -> Class:
     """As the plan needs it. A fault of the application that nothing on board can end has no partners: theirs could not end."""
     found = kind(fault)
     lasting = found in ("container", "network", "nodes", "topics", "health") and not (fault.healable or fault.passes)
-    # A fault that brings containers or nodes of its own changes what its partners would be.
+    # A fault that adds containers or nodes changes what its partners would be.
     entangled = ("configuration" in fault.needs and found not in ("engine", "host")) or fault.name in _SOLE
     partners = frozenset() if lasting or entangled or fault.others else _partners(found)
     return Class(fault.name, found, partners, "alone" in fault.needs or bool(fault.others), _RANK.get(found, 0))

@@ -62,7 +62,7 @@ def _rejected(error: Exception) -> int:
 
 
 def default_record(commit: str, seed: int | None) -> str:
-    """Name of the record. A seed that was chosen by hand has a record of its own."""
+    """Name of the record. A seed that was chosen by hand has a separate record."""
     return f"campaign-{commit[:8]}{'' if seed is None else f'-seed-{seed}'}.jsonl"
 
 

@@ -1,6 +1,6 @@
 """A proxy before the Docker Engine's socket: closed, the engine is unreachable for one agent alone.
 
-``python -m sitl.faults._docker_proxy PATH`` listens at PATH and passes everything on. It is a process of its own, so that the injector
+``python -m sitl.faults._docker_proxy PATH`` listens at PATH and passes everything on. It is a separate process, so that the injector
 a fault may end meanwhile. `PATH.shut` holds until when it is shut, in seconds since the epoch; `PATH.pid` its process id. It ends
 when it gets a signal, or when its folder is gone.
 """

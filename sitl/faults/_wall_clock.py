@@ -2,8 +2,8 @@
 
 The kernel has no wall clock for each container: a time namespace has its own monotonic clock and shares this one. Programs read it
 through the vDSO, code that the kernel maps into each process. Here the functions of that code are replaced in the memory of the given
-processes by ones that ask the kernel and add an offset; other processes, the kernel, its file stamps and all other clocks stay as
-they are. A program that such a process starts has the clock of the machine again.
+processes by ones that ask the kernel and add an offset; other processes, the kernel, its file stamps and all other clocks are
+unchanged. A program that such a process starts has the clock of the machine again.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def shift(pid: int, offset_s: int, proc: Path = PROC) -> None:
         for at, code in codes.items():
             memory.seek(at)
             present = memory.read(len(code))
-            # First what is there already: the kernel then gives the process a page of its own, which takes longer than the change.
+            # First what is there already: the kernel then gives the process a separate page, which takes longer than the change.
             for written in (present, code):
                 memory.seek(at)
                 memory.write(written)

@@ -82,7 +82,7 @@ class Agent:
 
     @property
     def router(self) -> Container:
-        """The MAVLink router on board; LookupError when it has none of its own."""
+        """The MAVLink router on board; LookupError when it has none."""
         return self.container("router")
 
     @property
@@ -177,7 +177,7 @@ class Fault(ABC):
     level: ``ERROR``, for which a fault is opened, or ``WARN``, a transition.
     others: unit at which all other agents of its swarm must see it, too, and others_condition as what; empty: nowhere.
     earlier: condition of the fault that is opened at `unit` before `condition` is known; empty: none.
-    also: units of further faults that it causes, independent of the first, each with an alarm of its own.
+    also: units of further faults that it causes, independent of the first, each with a separate alarm.
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
     prepared: what `prepare` adds to the agent, in words; empty: nothing.
     needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
@@ -239,7 +239,7 @@ class Fault(ABC):
     def restored(self, agent: Agent) -> bool | None:
         """Whether the world is as before the injection, observed without PHM. None: this fault cannot be observed so.
 
-        Read-only and quick (at most 2 s): it is called repeatedly during a trial, from a thread of its own. Exceptions of
+        Read-only and quick (at most 2 s): it is called repeatedly during a trial, from a separate thread. Exceptions of
         Docker mean "not now".
         """
         return None

@@ -15,7 +15,7 @@ class Injection(Fault):
     name, title, unit = "crash_loop", "container ends at every start", "container/ros_app"
     condition = "exited"
     layer = "container"
-    cause = "the application ends at every start, for a cause of its own"
+    cause = "the application itself ends at every start"
     healable = False
     evidence, evidence_s = "the engine's event that the container has ended", 0.1
 

@@ -32,7 +32,7 @@ ENOUGH = 0.1
 
 
 class Injection(Fault):
-    """Fills PHM's own /tmp, a disk in memory of 32 MB of its own, down to 3 %: half of it with recordings of an
+    """Fills PHM's own /tmp, a separate disk of 32 MB in memory, down to 3 %: half of it with recordings of an
     hour ago, which PHM is configured to remove, the rest with a file of this moment, which it may not."""
 
     name, title, unit = "disk_full", "disk full", "host/disk"

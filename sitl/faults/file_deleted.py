@@ -33,7 +33,7 @@ class Injection(Fault):
         put_back(agent)
 
     def restored(self, agent: Agent) -> bool | None:
-        return critical_file_is_whole(agent)
+        return critical_file_is_intact(agent)
 
 
 def put_back(agent: Agent) -> None:
@@ -41,7 +41,7 @@ def put_back(agent: Agent) -> None:
     agent.write_in_app(CRITICAL, CONTENT, 0o755)
 
 
-def critical_file_is_whole(agent: Agent) -> bool:
+def critical_file_is_intact(agent: Agent) -> bool:
     """Whether the critical file has its content and its execute bits."""
     try:
         stream, _ = agent.app.get_archive(CRITICAL)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from sitl.faults.base import Agent, Fault
-from sitl.faults.file_deleted import CRITICAL, critical_file_is_whole, put_back
+from sitl.faults.file_deleted import CRITICAL, critical_file_is_intact, put_back
 
 
 class Injection(Fault):
@@ -26,4 +26,4 @@ class Injection(Fault):
         put_back(agent)
 
     def restored(self, agent: Agent) -> bool | None:
-        return critical_file_is_whole(agent)
+        return critical_file_is_intact(agent)

@@ -17,7 +17,7 @@ class Injection(Fault):
     """`docker kill` of the application while a container beside it has `network_mode: container:...`.
 
     Started again, the application has a new namespace, and its dependant one without an interface: PHM must restart it, too,
-    and what breaks in it meanwhile is not an alarm of its own. A ROS node in the dependant shows that.
+    and what breaks in it meanwhile is not a separate alarm. A ROS node in the dependant shows that.
     """
 
     name, title = "netns_owner_killed", "container killed, another shares its network"

@@ -13,7 +13,7 @@ from sitl.faults.base import Agent, Fault
 
 class Injection(Fault):
     """Disconnects both from the application's first network through the engine, by two clients together. To PHM the loss of its own
-    connection must not hide that of the application, nor become an alarm of its own."""
+    connection must not hide that of the application, nor become a separate alarm."""
 
     name, title, unit = "network_lost_together", "PHM and application lose the network", "network/ros_app"
     condition = "disconnected"
@@ -41,7 +41,7 @@ class Injection(Fault):
 
 
 def _disconnect(network: str, container: str) -> None:
-    """With a client of its own, since one belongs to one thread."""
+    """With a separate client, since one belongs to one thread."""
     client = DockerClient.from_env()
     try:
         client.networks.get(network).disconnect(container, force=True)

@@ -22,7 +22,7 @@ class Injection(Fault):
     layer = "companion"
     healable = False
     passes = True
-    cause = "PHM hangs as a whole: stopped, or held by a library that never returns"
+    cause = "the entire daemon hangs: stopped, or held by a library that never returns"
     evidence, evidence_s = "the kernel's state of the process, as its watchdog reads it every 0.25 s", 0.25
     evidence_period_s = 0.25
 

@@ -49,7 +49,7 @@ class Injection(Fault):
 
 
 def _on_board(agent: Agent) -> list[Container]:
-    """PHM, the application and, if there is one, the router. An autopilot is a computer of its own."""
+    """PHM, the application and, if there is one, the router. An autopilot is a separate computer."""
     found = [agent.sidecar, agent.app]
     with contextlib.suppress(LookupError):
         found.append(agent.router)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault
-from sitl.faults.file_deleted import CRITICAL, critical_file_is_whole, put_back
+from sitl.faults.file_deleted import CRITICAL, critical_file_is_intact, put_back
 
 
 class Injection(Fault):
@@ -29,4 +29,4 @@ class Injection(Fault):
         agent.renew_app(self._generation)
 
     def restored(self, agent: Agent) -> bool | None:
-        return critical_file_is_whole(agent) and app_runs(agent)
+        return critical_file_is_intact(agent) and app_runs(agent)

@@ -7,7 +7,7 @@ import sys
 from rich.console import Console
 
 WIDTH = 132
-"""Columns of what goes into a file or another program: of its own accord rich would take 80, and break the tables."""
+"""Columns of what goes into a file or another program: by default rich would take 80, and break the tables."""
 
 
 def make_console(*, json: bool) -> Console:

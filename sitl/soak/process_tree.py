@@ -83,7 +83,7 @@ class Wakeups:
         """Count again; the number of threads."""
         now = {(pid, thread): count for pid in pids for thread, count in _switches(pid, proc).items()}
         if self._last:
-            # What a thread did before it was first seen, or after it was last seen, is not known in whole.
+            # What a thread did before it was first seen, or after it was last seen, is not completely known.
             self.total += sum(max(0, count - self._last.get(key, 0)) for key, count in now.items())
         self._last = now
         return len(now)

@@ -58,7 +58,7 @@ def endpoints(options: Options, number: int) -> list[dict[str, Any]]:
     ]
     serial = external_autopilots.serial_port(options, number)
     if serial is not None:
-        # On a cable of its own, as beside a real flight controller, and not limited as a radio is.
+        # On a separate cable, as beside a real flight controller, and not limited as a radio is.
         url = f"tcp:{AIR_HOST}:{serial}"
         found.append({"url": url, "name": "autopilot", "leads_to": "autopilot", "radio": "off", "budget": 0})
     return found

@@ -1,6 +1,6 @@
 """The control client of the air process (`sitl.simulation.link_emulator`): commands for radios, routers and autopilots of a swarm.
 
-One JSON object a line goes there, one comes back, over a TCP connection of its own for each call: any number of
+One JSON object a line goes there, one comes back, over a separate TCP connection for each call: any number of
 programs may do it together, and one that was killed leaves nothing behind.
 """
 
@@ -47,7 +47,7 @@ class LinkEmulatorClient:
         self._ask("reset", agent=agent)
 
     def split(self, groups: Sequence[Sequence[int]]) -> None:
-        """The peers' network falls apart: agents hear those of their own group alone. ``[]``: it is whole again. Agents
+        """Split the peers' network: agents receive only those of their own group. ``[]``: join it again. Agents
         that are in no group receive nothing."""
         self._ask("split", groups=[list(group) for group in groups])
 

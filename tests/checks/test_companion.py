@@ -37,7 +37,7 @@ def test_problems_of_phm_itself_are_warnings() -> None:
 
 
 def test_lost_links_are_not_reported_here() -> None:
-    """A closed link and a lost ground station have checks of their own, which report them once."""
+    """A closed link and a lost ground station have their own checks, which report them once."""
     links = testing.FakeLinks(gcs_age_s=60.0, links=(api.LinkFact("radio", False, "no such device"),))
     assert run(check(), testing.world(links=links)).level is api.Level.OK
 

@@ -177,7 +177,7 @@ def test_a_number_that_was_given_to_another_process_is_not_compared() -> None:
 
 
 def test_a_restart_of_the_container_forgets_the_process() -> None:
-    """And starts with a trend of its own."""
+    """And starts with its own trend."""
     bench = Bench(leak())
     assert "node_1" in bench.run(KNOWN_S).summary
     bench.generation = "b"

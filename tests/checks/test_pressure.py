@@ -152,7 +152,7 @@ def test_the_throttled_share_is_correct_for_any_number_of_cpus() -> None:
 
 
 def test_a_container_without_cpu_time_names_the_processes_that_use_it() -> None:
-    """It has no limit of its own that could be the cause."""
+    """The container itself has no limit that could be the cause."""
     bench = Bench(replace(FACT, cpu_limit=None))
     bench.calm()
     assert bench.pressure.consumers_asked == 0

@@ -161,7 +161,7 @@ def test_names_of_secrets_are_recognized(name: str, secret: bool) -> None:
 
 
 def test_inspect_output_is_cleaned_by_its_structure() -> None:
-    """Variables, options with a value of their own, labels, and keys of several lines."""
+    """Variables, options with their own value, labels, and keys of several lines."""
     tree = {
         "Config": {"Env": ["DB_PASSWORD=a b", "PATH=/bin"], "Cmd": ["run", "--token", "xyz", "--port", "1"]},
         "Labels": {

@@ -80,7 +80,7 @@ def test_the_last_one_leaves_an_empty_list() -> None:
 
 
 def test_collections_in_brackets_are_written_again() -> None:
-    """What changes inside keeps them; with a new key the entries get lines of their own."""
+    """What changes inside keeps them; with a new key the entries get separate lines."""
     text = "containers: [{name: app, networks: [a, b]}]\n"
     assert edited(text, ("remove", ("containers", 0, "networks", 0))) == "containers: [{name: app, networks: [b]}]\n"
     assert edited(text, ("set", ("containers", 0, "networks", 1), "${X}")) == text.replace(" b]", ' "${X}"]')

@@ -215,8 +215,8 @@ def test_the_schema_describes_every_key() -> None:
     made = schema.schema()
     for section in [made, *made["$defs"].values()]:
         for name, value in section.get("properties", {}).items():
-            section_of_its_own = made["$defs"].get(value.get("$ref", "").rpartition("/")[2], {})
-            assert value.get("description") or section_of_its_own.get("description"), name
+            own_section = made["$defs"].get(value.get("$ref", "").rpartition("/")[2], {})
+            assert value.get("description") or own_section.get("description"), name
 
 
 def test_the_schema_file_is_up_to_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

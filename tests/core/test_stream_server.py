@@ -1,4 +1,4 @@
-"""Clients of a listening socket: each is served by a task of its own, and disconnected when that ends."""
+"""Clients of a listening socket: each is served by a separate task, and disconnected when that ends."""
 
 from __future__ import annotations
 

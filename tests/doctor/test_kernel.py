@@ -22,7 +22,7 @@ def kernel_of(folder: Path, *, watches: int = 65536, instances: int = 128, psi: 
 
 
 def test_a_current_kernel_is_ok(tmp_path: Path) -> None:
-    """The restriction of the ROS child is tried for real, in a process of its own."""
+    """The restriction of the ROS child is tried for real, in a separate process."""
     there = surroundings(tmp_path)
     kernel_of(there.proc)
     (tmp_path / "cgroup").mkdir()

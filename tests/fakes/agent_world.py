@@ -67,7 +67,7 @@ CAUSES = {
 LINKS = (("autopilot", "autopilot_silent"), ("gcs", "gcs_lost"), ("link/ground", "link_silent"))
 STARVING = frozenset({"starved", "overload"})
 HIDDEN = frozenset({"unhealthy", "quorum", *(kind for kind in CAUSES if kind.startswith("silent"))})
-"""What cannot be known while the container is starved: it would look the same without a cause of its own."""
+"""What cannot be known while the container is starved: it would look the same without its own cause."""
 FIXES = {
     "start": {"container"},
     "unpause": {"paused"},

@@ -3,8 +3,8 @@
     python tests/fakes/ros_beaconed.py NAME... [--executor single|multi] [--hello TOPIC] [--hang callback|own] ...
 
 SIGUSR1 hangs a callback of the first node permanently, asleep (`--hang own`: in its own callback group); SIGUSR2
-destroys the first node and creates it again. `--hello` has the process announce itself, and listen, on a topic of its
-own: PHM receives it and its neighbours do not.
+destroys the first node and creates it again. `--hello` has the process announce itself, and listen, on a separate
+topic: PHM receives it and its neighbours do not.
 """
 
 from __future__ import annotations

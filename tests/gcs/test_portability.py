@@ -16,7 +16,7 @@ from tests.fakes.until import LIMIT_S
 ROOT = Path(phm.__file__).parents[1]
 
 WITHOUT = '''
-"""Takes from this Linux what another platform lacks. Libraries of others are imported before: they have branches of their own."""
+"""Takes from this Linux what another platform lacks. Libraries of others are imported before: they have their own branches."""
 import asyncio, importlib.abc, os, queue, select, selectors, signal, socket, sys, types
 import click, docker, psutil, pydantic, pymavlink.dialects.v20.ardupilotmega, rich.live, rich.table, serial, urllib3.connection, yaml
 import importlib.metadata, multiprocessing, pathlib, subprocess, sysconfig, tempfile, zoneinfo

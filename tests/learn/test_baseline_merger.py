@@ -74,7 +74,7 @@ def test_a_changed_rate_is_replaced_and_its_comment_stays() -> None:
     assert loads(new, environ={}).ros.topics[0].tolerance == 20
 
 
-def test_a_mapping_in_braces_gets_lines_of_its_own_for_a_comment() -> None:
+def test_a_mapping_in_braces_gets_separate_lines_for_a_comment() -> None:
     """Without a comment it stays in braces, and so do others."""
     text = "agent: {name: a, id: 1}\nmavlink:\n  endpoints: [{url: udpin:0.0.0.0:1}]   # radio\n"
     new = merge(text, Baseline(agent=Learned({"id": 7}, {"id": "was 1"}), mavlink=Learned({"autopilot": True})), {})
@@ -114,7 +114,7 @@ def test_the_shipped_configuration_keeps_every_comment() -> None:
 
 
 def test_hostile_names_stay_text() -> None:
-    """What a network or a container is called cannot become YAML of its own, a variable or another line."""
+    """The name of a network or a container cannot become additional YAML, a variable or another line."""
     name = 'a: {b}\n# ${HOME} "x"'
     new = merge("", Baseline(containers=(Learned({"name": "app", "networks": [name]}, {"name": f"was {name}"}),)), {})
     tree = YAML(typ="safe").load(new)

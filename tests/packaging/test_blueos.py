@@ -113,7 +113,7 @@ def test_the_page_says_to_blueos_what_it_is(tmp_path: Path) -> None:
         found = client.get("/register_service")
         jsonschema.validate(found, SERVICE)
         assert found["version"] == __version__
-        assert found["new_page"], "another page may not frame this one, so BlueOS must open it as a page of its own"
+        assert found["new_page"], "another page may not frame this one, so BlueOS must open it as a separate page"
         assert client.ask("GET", "/")[2].headers["X-Frame-Options"] == "DENY"
     finally:
         page.close()

@@ -209,7 +209,7 @@ FORBIDDEN = {
     "a question": ("GET", f"{API}/containers/<other>/json?x=/containers/<app>/json", b""),
     "parameters of a path": ("GET", f"{API}/containers/<app>;<other>/json", b""),
     "another method": ("OPTIONS", f"{API}/containers/<app>/json", b""),
-    "a method of its own": ("get", f"{API}/containers/<app>/json", b""),
+    "a separate method": ("get", f"{API}/containers/<app>/json", b""),
 }  # fmt: skip
 
 

@@ -94,7 +94,7 @@ def test_entries_belong_to_the_agent_with_this_system_and_to_its_time(tmp_path: 
 
 
 def test_the_terminal_and_markdown_show_them() -> None:
-    """A table of its own, and texts without a level only where there is room."""
+    """A separate table, and texts without a level only where there is room."""
     shown = CliRunner().invoke(group, ["report", str(DATAFLASH)], env={"COLUMNS": "200"})
     assert shown.exit_code == 0 and "Records of others" in shown.output
     assert "1/193: A01 WARN 9 CPU 100 %" in shown.output and "GUIDED" in shown.output

@@ -69,7 +69,7 @@ def test_a_recorded_dataflash_log_gets_the_time_of_the_phm_beside_it(tmp_path: P
 
 @pytest.mark.parametrize("wrong_s", [-86_400.0, -7.5, 0.0, 3600.0])
 def test_the_offset_is_right_within_its_error(tmp_path: Path, wrong_s: float) -> None:
-    """The recorder's clock is wrong, and each line came with a delay of its own; entries without a line move, too."""
+    """The recorder's clock is wrong, and each line came with its own delay; entries without a line move, too."""
     lines = flown(tmp_path / "log", times=THREE)
     delays = (0.1, 0.9, 0.2, 0.4, 0.3, 0.2)
     frames = [heard(at + delay + wrong_s, text) for (at, text), delay in zip(lines, delays, strict=True)]
@@ -128,7 +128,7 @@ def test_two_offsets_with_as_many_lines_decide_nothing(tmp_path: Path) -> None:
     assert (clock["applied"], clock["offset_s"]) == (False, None) and clock["by"].endswith("fit several offsets")
 
 
-def test_records_with_the_same_name_have_clocks_of_their_own(tmp_path: Path) -> None:
+def test_records_with_the_same_name_have_separate_clocks(tmp_path: Path) -> None:
     """Autopilots number their logs: 00000001.BIN of two vehicles are two records."""
     for number, wrong_s in ((1, 30.0), (2, -45.0)):
         folder = tmp_path / f"agent_{number}"

@@ -140,7 +140,7 @@ def test_the_export_beside_the_logs_says_nothing_twice(tmp_path: Path) -> None:
 
 
 def test_a_recording_belongs_to_the_agent_of_its_folder(tmp_path: Path) -> None:
-    """To the agent with logs in the nearest folder; where that is not one agent it has a row of its own, and does not count as an agent."""
+    """To the agent with logs in the nearest folder; where that is not one agent it has a separate row, and does not count as an agent."""
     for number in (1, 2):
         made = Flown(tmp_path / f"agent_{number}", number)
         made.until(100)
@@ -234,7 +234,7 @@ def test_an_independent_reader_counts_the_same(tmp_path: Path, storage: StorageP
     assert {(topic, count, first[topic], t) for topic, (t, count) in last.items()} == expected
 
 
-def test_recordings_with_the_same_name_have_rows_of_their_own(tmp_path: Path) -> None:
+def test_recordings_with_the_same_name_have_separate_rows(tmp_path: Path) -> None:
     """Two vehicles with the same folders: the names are as long as it needs to distinguish them."""
     for number in (1, 2):
         folder = tmp_path / f"uav{number}" / "bags"

@@ -209,7 +209,7 @@ def test_another_database_is_not_a_recording(tmp_path: Path) -> None:
 
 
 def test_names_of_a_recording_are_text(tmp_path: Path) -> None:
-    """Escape sequences and lines of their own neither reach the terminal nor make entries longer than others."""
+    """Escape sequences and additional lines neither reach the terminal nor make entries longer than others."""
     evil = "\x1b[2J\nERROR\u202e" + "x" * 500
     messages = [bags.scan(1.0, topic="/" + evil), bags.diagnostics(2.0, evil, 2, evil), bags.log(3.0, evil, 40, evil)]
     rows = report(bags.mcap(tmp_path / "x.mcap", messages))["other"]["rows"]

@@ -17,7 +17,7 @@ OWN_MEMORY = (
     "--mount",
     *("sh", "-c", 'mount -t tmpfs tmpfs /dev/shm && exec "$@"', "sh"),
 )
-"""Starts a program with a /dev/shm of its own, as in another container."""
+"""Starts a program with its own /dev/shm, as in another container."""
 
 
 def all_seen(fact: RosFact) -> bool:

@@ -118,7 +118,7 @@ def test_a_node_that_is_not_ready_is_one_fault_and_a_dead_one_another(bench: Ben
     node.process.kill()
     agent.until("nodes", Level.ERROR, "is no longer running")
     agent.until("node_ready", Level.STALE, "blocked by nodes/agent_1/planner")
-    until(lambda: len(agent.faults) == 2, "both faults")  # the bus delivers in a thread of its own
+    until(lambda: len(agent.faults) == 2, "both faults")  # the bus delivers in a separate thread
     assert [event.fault.unit for event in agent.faults if isinstance(event, FaultOpened)] == [
         "node_ready/agent_1/planner", "nodes/agent_1/planner",
     ]  # fmt: skip

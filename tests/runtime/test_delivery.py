@@ -239,7 +239,7 @@ def test_a_link_stays_a_link(agent: Agent, tmp_path: Path) -> None:
 @pytest.fixture
 def mounted(tmp_path: Path) -> Iterator[Callable[..., None]]:
     """Mounts; all of it is unmounted at the end."""
-    assert os.geteuid() == 0, "these tests mount a file system of their own: run them as root"
+    assert os.geteuid() == 0, "these tests mount their own file system: run them as root"
     places: list[str] = []
 
     def mount(*words: str) -> None:

@@ -2,7 +2,7 @@
 
     ROS_DOMAIN_ID=7 python -m phm.probes.ros.graph_listing 4
 
-Started as a process of its own, since the middleware may hang or crash. Exit code 3: rclpy cannot be imported.
+Started as a separate process, since the middleware may hang or crash. Exit code 3: rclpy cannot be imported.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Prints the ROS installation that PHM would use, as JSON, for `phm doctor`: `python -m phm.probes.ros.installation`.
 
-A process of its own, since loading the middleware may hang or crash. Fails with ImportError where there is no rclpy.
+A separate process, since loading the middleware may hang or crash. Fails with ImportError where there is no rclpy.
 """
 
 from __future__ import annotations

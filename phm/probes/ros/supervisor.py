@@ -144,7 +144,7 @@ class RosSupervisor:
 
     @property
     def restarts(self) -> int:
-        """How often the child was replaced because of its own fault; not counted: `renew`, no rclpy."""
+        """How often the child was replaced because it failed itself; not counted: `renew`, no rclpy."""
         return self._restarts
 
     @property

@@ -35,7 +35,7 @@ def not_there(names: Iterable[str]) -> str:
 
 
 def has_its_own(fact: ContainerFact) -> bool:
-    """Whether the container has a network namespace of its own, which can be connected to networks."""
+    """Whether the container has its own network namespace, which can be connected to networks."""
     return fact.network_mode not in ("host", "none") and not fact.network_mode.startswith("container:")
 
 

@@ -1,6 +1,6 @@
 """One action at a time on each container, however recoveries overlap.
 
-Two containers may share a dependent, and a dependent has a worker and faults of its own. An attempt locks each container
+Two containers may share a dependent, and a dependent has its own worker and faults. An attempt locks each container
 that it acts on, its own target and the dependents that it restarts. The action hold, by which the tracker knows which
 faults follow from an action, belongs to the attempt that acted last; only that attempt ends it.
 

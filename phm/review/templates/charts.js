@@ -1,5 +1,5 @@
 
-// A block of its own: uPlot before it has names of its own.
+// A separate block: uPlot before it has its own names.
 {
 const charts = JSON.parse(document.getElementById("data").textContent);
 const place = document.getElementById("plots");

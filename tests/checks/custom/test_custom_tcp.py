@@ -67,6 +67,6 @@ def test_the_frame_of_an_entry_becomes_that_of_its_check() -> None:
 
 
 def test_text_from_the_server_is_one_printable_line() -> None:
-    """A server cannot write lines of its own into the log, or long ones."""
+    """A server cannot write additional lines into the log, or long ones."""
     result = evaluate(build(expect="SSH"), received="\x1b[2J\n2026 SUCCESS " * 200)
     assert result.summary.isprintable() and len(result.summary) < 500

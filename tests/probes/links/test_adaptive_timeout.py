@@ -96,7 +96,7 @@ def test_no_limit_is_below_the_minimum() -> None:
     assert cadence.overdue(last + 5.1)
 
 
-def test_a_sender_that_was_not_received_for_long_has_no_limit_of_its_own() -> None:
+def test_a_sender_that_was_not_received_for_long_has_no_separate_limit() -> None:
     """Only the configured timeout applies."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence, int(LEARN_S) - 5)

@@ -25,7 +25,7 @@ class Disk:
         _run("mkfs.ext4", "-q", "-F", str(self.image))
 
     def mount(self, options: str = "") -> None:
-        assert os.geteuid() == 0, "these tests mount a file system of their own: run them as root"
+        assert os.geteuid() == 0, "these tests mount their own file system: run them as root"
         self.path.mkdir(exist_ok=True)
         _run("mount", "-o", ",".join(filter(None, ("loop", options))), str(self.image), str(self.path))
 

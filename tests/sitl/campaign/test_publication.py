@@ -124,7 +124,7 @@ def test_a_record_of_a_commit_outside_the_history_is_not_published(root: Path) -
     assert not (root / publication.RECORD).exists()
 
 
-def test_a_seed_chosen_by_hand_has_a_record_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_seed_chosen_by_hand_has_a_separate_record(capsys: pytest.CaptureFixture[str]) -> None:
     """So a try does not enter the record of the campaign, and is not published."""
     assert default_record(COMMIT, None) == "campaign-01234567.jsonl"
     assert default_record(COMMIT, 7) == "campaign-01234567-seed-7.jsonl"

@@ -116,7 +116,7 @@ def test_a_trial_whose_agents_must_wait_lets_the_others_pass(tmp_path: Path) -> 
     assert order[-len(late) :] == late
 
 
-def test_another_profile_has_trials_of_its_own(tmp_path: Path) -> None:
+def test_another_profile_has_separate_trials(tmp_path: Path) -> None:
     """In the same record, with the same seeds."""
     file = tmp_path / "trials.jsonl"
     run(file, Runner())
@@ -149,7 +149,7 @@ def test_a_trial_is_recorded_before_the_swarm_is_made_ready_again(tmp_path: Path
 
 
 def test_an_aborted_run_is_recorded_and_counted(tmp_path: Path) -> None:
-    """Each attempt has a line of its own; none is in a figure."""
+    """Each attempt has a separate line; none is in a figure."""
     file = tmp_path / "trials.jsonl"
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):

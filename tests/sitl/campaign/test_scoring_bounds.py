@@ -117,7 +117,7 @@ def test_a_warning_does_not_report_an_error() -> None:
 
 
 def test_a_missing_alarm_does_not_compensate_for_one_too_many() -> None:
-    """The excess is of each fault; alarms that were not raised have a row and a remark of their own."""
+    """The excess is of each fault; alarms that were not raised have a row and a separate remark."""
     both = injection(also=["files/ros_app"])
     lacking = trial(number=1, injections=[both])
     chain = trial(number=2, alarms=[alarm(0.4), alarm(0.6, "rates/agent_3/topic_1")])

@@ -64,7 +64,7 @@ def test_restored_counts_from_the_last_unbroken_series() -> None:
 
 
 def test_the_world_is_observed_from_the_injection_on() -> None:
-    """Not before it begins; with a Docker client of its own; until the observer is stopped. An error of Docker is not an answer."""
+    """Not before it begins; with a separate Docker client; until the observer is stopped. An error of Docker is not an answer."""
     fault, clients = Observed(False, APIError("busy"), True), [Mock(), Mock()]
     agent = Agent("p", "agent_3", docker=Mock(), number=3)
     observer = WorldObserver({"observed": fault}, {3: agent}, iter(clients).__next__)
@@ -127,7 +127,7 @@ def test_an_unexpected_error_ends_no_observation() -> None:
 
 
 def test_a_cause_that_was_not_injected_explains_nothing() -> None:
-    """Then the fault beside it must be reported by an alarm of its own."""
+    """Then the fault beside it must be reported by a separate alarm."""
 
     class Killed(Observed):
         name, unit = "killed", "container/ros_app"

@@ -14,7 +14,7 @@ from docker.errors import NotFound
 
 from sitl.faults import _docker_proxy, _volumes, _world
 from sitl.faults.base import Agent
-from sitl.faults.file_deleted import CONTENT, critical_file_is_whole
+from sitl.faults.file_deleted import CONTENT, critical_file_is_intact
 
 RUNNING = {"Running": True, "Paused": False, "Restarting": False}
 
@@ -52,14 +52,14 @@ def test_the_critical_file_has_its_content_and_mode(content: bytes, mode: int, w
         archive.addfile(entry, io.BytesIO(content))
     app = container()
     app.get_archive.return_value = ([packed.getvalue()], {})
-    assert critical_file_is_whole(mock.Mock(app=app)) is whole
+    assert critical_file_is_intact(mock.Mock(app=app)) is whole
 
 
 def test_a_missing_file_is_not_whole() -> None:
     """The engine says 404."""
     app = container()
     app.get_archive.side_effect = NotFound("no such file")
-    assert not critical_file_is_whole(mock.Mock(app=app))
+    assert not critical_file_is_intact(mock.Mock(app=app))
     assert not _world.exists(app, "/tmp/unhealthy")
 
 

@@ -26,7 +26,7 @@ _AGAIN_S = 20.0
 _BIRTHS_S = 10.0
 """Within this time one new line is a restarted publisher; more mean that samples were assigned wrongly."""
 GONE_S = 1.0
-"""A publisher is gone when another was received this much later, or GONE_PERIODS of its own if longer."""
+"""A publisher is gone when another was received this much later, or GONE_PERIODS of its own periods if that is longer."""
 GONE_PERIODS = 6
 NEW_S = 5.0
 """A publisher whose first sequence number covers at most this many seconds has just begun: discovery finds it by then.

@@ -18,7 +18,7 @@ export function scalarField(make) {
   return field(make, control);
 }
 
-/** A field for a value without a form of its own: JSON. */
+/** A field for a value without its own form: JSON. */
 export function jsonField(make) {
   const control = el("textarea", { rows: 2, spellcheck: "false" });
   control.value = make.value === undefined ? "" : JSON.stringify(make.value);
