@@ -126,7 +126,7 @@ def test_what_the_ground_could_not_receive_counts_not_as_evidence_against_an_off
     """Ten failures while the agent was lost for the ground; the same ones count against the offset if it was not."""
     for name in ("lost", "there"):
         agent, ground = Flown(tmp_path / name, wrong_s=-3600.0), Ground(tmp_path / name / "ground.jsonl")
-        ground.event(0.0, "presence", agent=1, presence="alive", was="never heard", silent_s=0.0)
+        ground.event(0.0, "presence", agent=1, presence="alive", was="never received", silent_s=0.0)
         units = [(200.0 + 20.0 * place, "rates/topic_1") for place in range(10)]
         kept = [(100.0, "nodes/node_1"), (150.0, "container/ros_app"), (500.0, "nodes/node_1")]
         for moment, unit in sorted([*units, *kept]):

@@ -58,7 +58,7 @@ class Recorded(Fault):
 
 @pytest.fixture(autouse=True)
 def world_not_observed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The observer of the world has a client of the engine of its own."""
+    """The observer of the world has a separate client of the engine."""
     monkeypatch.setattr(injector, "WorldObserver", Mock())
 
 
