@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from phm.review.ground_part import GroundRun
 from phm.review.part import STEP_S
 from phm.review.run import Run
-from phm.review.votes import OWN_ERROR_S
+from phm.review.spans import both, joined, total
+from phm.review.votes import SAME_S
 
 REFERENCE = "reference of the other agents"
 
@@ -96,23 +97,14 @@ def follow_machine(runs: Sequence[tuple[Run, RunClock]]) -> None:
             clock.applied, clock.by = best.applied, "another run of the same start of the machine"
 
 
-def continue_by_autopilot(before: tuple[Run, RunClock], run: Run, clock: RunClock) -> None:
-    """Place a later run of the same agent by the autopilot, which went on while PHM restarted.
-
-    Only where the two clocks disagree by more than their error although the autopilot has not rebooted: its time since boot has
-    grown.
-    """
-    earlier, its = before
-    if clock.offset_s is not None or not earlier.boots or not run.boots:
-        return
-    last, first = earlier.boots[max(earlier.boots)], run.boots[min(run.boots)]
-    went_on = (begin_of(run.cover.spans) - first[1]) >= (end_of(earlier.cover.spans) - last[1])
-    offset, error = its.t(last[1]) - clock.t(first[1]), (last[2] - last[1] + first[2] - first[1]) / 2 + OWN_ERROR_S
-    if not went_on or abs(offset) <= error:
-        return
-    clock.offset_s, clock.error_s, clock.votes = offset, error, int(min(last[0], first[0]))
-    clock.by, clock.applied = "the autopilot's time since boot, as in the run before", True
-    clock.shift += offset
+def taken(run: Run, clock: RunClock, offset_s: float, runs: Sequence[tuple[Run, RunClock]]) -> bool:
+    """Whether another run of this agent is where the offset would move this one."""
+    there = joined([clock.t(begin) + offset_s, clock.t(end) + offset_s] for begin, end in run.cover.spans)
+    mine = [one for one in runs if (one[0].agent, one[0].agent_id) == (run.agent, run.agent_id) and one[0] is not run]
+    return any(
+        total(both(there, joined([its.t(begin), its.t(end)] for begin, end in other.cover.spans))) > SAME_S
+        for other, its in mine
+    )
 
 
 def begin_of(spans: Sequence[Sequence[float]]) -> float:

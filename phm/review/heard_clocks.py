@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from phm.review.clocks import REFERENCE, RunClock, begin_of, end_of
+from phm.review.clocks import REFERENCE, RunClock, begin_of, end_of, taken
 from phm.review.run import Run
-from phm.review.spans import both, joined, total
-from phm.review.votes import MOST_EACH, MOST_OTHER, NEAR_S, SAME_S, vote
+from phm.review.votes import MOST_EACH, MOST_OTHER, NEAR_S, vote
 
 WIDTH_HEARD_S, HEARD_ERROR_S = 0.6, 0.2
 """As the window and the error of votes: heartbeats that two agents received differ by delays of the links only."""
@@ -36,7 +35,7 @@ def align_together(runs: Sequence[tuple[Run, RunClock]]) -> None:
         agreed = vote(list(_heard_by_both(run, clock, others)), WIDTH_HEARD_S, HEARD_ERROR_S, most_other=MOST_OTHER)
         if agreed is None or agreed[2] < max(LEAST_HEARD, SHARE_HEARD * _expected(run, clock, others, agreed[0])):
             continue
-        if abs(agreed[0]) > NEAR_S and _taken(run, clock, agreed[0], runs):
+        if abs(agreed[0]) > NEAR_S and taken(run, clock, agreed[0], runs):
             clock.by = f"its own clock: {agreed[2]} heartbeats agree at {agreed[0]:+.1f} s, but another run of this agent is there"
             continue
         clock.offset_s, clock.error_s, clock.votes = agreed
@@ -46,16 +45,6 @@ def align_together(runs: Sequence[tuple[Run, RunClock]]) -> None:
             clock.shift += agreed[0]
         if chosen is not None:
             chosen[1].by = REFERENCE
-
-
-def _taken(run: Run, clock: RunClock, offset_s: float, runs: Sequence[tuple[Run, RunClock]]) -> bool:
-    """Whether another run of this agent is where the offset would move this one."""
-    there = joined([clock.t(begin) + offset_s, clock.t(end) + offset_s] for begin, end in run.cover.spans)
-    mine = [one for one in runs if (one[0].agent, one[0].agent_id) == (run.agent, run.agent_id) and one[0] is not run]
-    return any(
-        total(both(there, joined([its.t(begin), its.t(end)] for begin, end in other.cover.spans))) > SAME_S
-        for other, its in mine
-    )
 
 
 def _expected(run: Run, clock: RunClock, placed: Sequence[tuple[Run, RunClock]], offset_s: float) -> int:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phm.review import recordings
+from phm.review.boot_clocks import continue_by_autopilot
 from phm.review.clocks import (
     RunClock,
-    continue_by_autopilot,
     follow_machine,
     ground_clock,
     ordered_clock,
@@ -142,8 +142,7 @@ def _once(run: Run) -> None:
 
 def _join(agent: AgentRecord) -> None:
     agent.runs.sort(key=lambda one: one[1].t(one[0].cover.spans[0][0]) if one[0].cover.spans else 0.0)
-    for before, (run, clock) in zip(agent.runs, agent.runs[1:], strict=False):
-        continue_by_autopilot(before, run, clock)
+    continue_by_autopilot(agent.runs)
     agent.runs.sort(key=lambda one: one[1].t(one[0].cover.spans[0][0]) if one[0].cover.spans else 0.0)
     spans: list[Span] = []
     for run, clock in agent.runs:

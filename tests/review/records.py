@@ -62,6 +62,7 @@ class Flown:
         self.now = start
         self.states = {name: self._state(name, Level.OK) for name in UNITS}
         self.reports, self.faults = 0, 0
+        self.booted: float | None = None
         settings = Settings(
             agent=AgentSettings(id=number, name=f"agent_{number}"),
             log=LogSettings(directory=str(folder)),
@@ -109,7 +110,15 @@ class Flown:
     def report(self) -> None:
         self.reports += 1
         self.log.handle(ReportStarted(self.at, self.reports))
-        self.log.handle(Report(self.at, self.reports, self.at, tuple(self.states.values())))
+        states = list(self.states.values())
+        if self.booted is not None:
+            values = {"boot_s": round(self.now - self.booted, 1), "reboots": 0}
+            states.append(unit("autopilot", Slot.AUTOPILOT, layer=Layer.LINK, values=values))
+        self.log.handle(Report(self.at, self.reports, self.at, tuple(states)))
+
+    def autopilot(self, booted: float) -> None:
+        """From now on reports have an autopilot that booted so many true seconds after T0, to the tenth of a second."""
+        self.booted = booted
 
     def fail(self, name: str, *, lasts: float | None = 4.0, by: str = "restart", brief: str = "") -> str:
         """A fault that opens now and, unless it stays open, ends after `lasts` seconds. Returns its id."""
