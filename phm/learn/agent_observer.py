@@ -59,9 +59,9 @@ class AgentObserver:
     def run(self) -> Observations:
         """Raises ObservationFailed. Returns after `request.for_s`, and the time to read folders."""
         engine = DockerEngine(self.settings.docker.socket, self.settings.docker.timeout, self.clock)
-        ros = RosObserver(self.settings, self.clock) if self.request.ros else None
+        ros = RosObserver(self.settings.ros, self.settings.agent.name, self.clock) if self.request.ros else None
         pilot = (
-            AutopilotObserver(self.settings, self.clock)
+            AutopilotObserver(self.settings.mavlink, self.settings.agent.id, self.clock)
             if self.request.links and self.settings.mavlink.endpoints
             else None
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from phm.core.clock import Clock
-from phm.core.settings import Settings
+from phm.core.settings import MavlinkSettings
 from phm.learn.observations import Observations, ObservedAutopilot
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
@@ -28,15 +28,15 @@ class _Heartbeats:
 class AutopilotObserver:
     """Call `start`, then `into` at the end."""
 
-    def __init__(self, settings: Settings, clock: Clock) -> None:
+    def __init__(self, settings: MavlinkSettings, agent_id: int, clock: Clock) -> None:
         self._clock = clock
-        self._urls = {entry.key: entry.url for entry in settings.mavlink.endpoints}
+        self._urls = {entry.key: entry.url for entry in settings.endpoints}
         self._lock = threading.Lock()
         self._received: dict[int, _Heartbeats] = {}
         self._problem = ""
         self._hub: MavlinkHub | None = None
         try:
-            self._hub = MavlinkHub(settings.mavlink, settings.agent.id, clock)
+            self._hub = MavlinkHub(settings, agent_id, clock)
             self._hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
         except InvalidKey as error:
             self._problem = f"MAVLink was not watched: {error}"

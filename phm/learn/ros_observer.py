@@ -6,7 +6,7 @@ import threading
 from dataclasses import dataclass, field, replace
 
 from phm.core.clock import Clock
-from phm.core.settings import DiagnosticsSettings, NodeSettings, RosSettings, Settings, TopicSettings
+from phm.core.settings import DiagnosticsSettings, NodeSettings, RosSettings, TopicSettings
 from phm.facts import CannotTell, EndpointFact, RosFact
 from phm.learn.observations import Observations, ObservedTopic
 from phm.probes.ros.supervisor import RosSupervisor
@@ -39,8 +39,9 @@ class _Samples:
 class RosObserver:
     """Call `discover`, then `turn` a few times a second, then `into`."""
 
-    def __init__(self, settings: Settings, clock: Clock) -> None:
-        self._settings, self._clock = settings, clock
+    def __init__(self, settings: RosSettings, agent: str, clock: Clock) -> None:
+        """agent: its name."""
+        self._settings, self._agent, self._clock = settings, agent, clock
         self._probe: RosSupervisor | None = None
         self._problems: list[str] = []
         self._nodes: dict[str, bool] = {}
@@ -149,7 +150,7 @@ class RosObserver:
                 shown = (sorted(fact.nodes), dict(fact.others))
                 if shown != known:
                     known, since_s = shown, now_s
-                if now_s - since_s >= STABLE_S and fact.up_s >= self._settings.ros.grace:
+                if now_s - since_s >= STABLE_S and fact.up_s >= self._settings.grace:
                     return fact
             self._clock.wait(pause, _TURN_S)
         if fact is None:
@@ -169,7 +170,7 @@ class RosObserver:
                 fact = self._probe.look()
                 rates = [topic.rate for topic in fact.topics.values()]
                 waits = [rate for rate in rates if rate is None or (rate.hz is None and rate.samples)]
-                if len(rates) == len(self._topics) and not waits and fact.up_s >= self._settings.ros.grace:
+                if len(rates) == len(self._topics) and not waits and fact.up_s >= self._settings.grace:
                     return
             except CannotTell:
                 pass
@@ -177,14 +178,14 @@ class RosObserver:
 
     def _start(self, topics: list[str], nodes: list[str]) -> None:
         self.close()
-        ros: RosSettings = self._settings.ros.model_copy(
+        ros = self._settings.model_copy(
             update={
                 "topics": [TopicSettings(name=name, rate=WINDOW_HZ, silence=60.0) for name in topics],
                 "nodes": [NodeSettings(name=name) for name in nodes],
                 "diagnostics": DiagnosticsSettings(publish=False, listen=[]),
             }
         )
-        name = f"{self._settings.agent.name}_learn"
+        name = f"{self._agent}_learn"
         self._probe = RosSupervisor(ros, name, self._clock, lambda: None, lambda text: None)
         self._probe.start()
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 from phm.core.clock import Clock
-from phm.core.settings import MavlinkCheckSettings, Settings
+from phm.core.settings import CustomCheckSettings, EndpointSettings, MavlinkCheckSettings
 from phm.facts import AutopilotFact, MessageValue
 from phm.probes.mavlink_values import not_known
 from phm.transport.dialect import mavlink, message_class
@@ -41,13 +41,19 @@ class MavlinkMessages:
     """A `phm.facts.MessageProbe`. Nothing is decoded or kept that no check names."""
 
     def __init__(
-        self, hub: MavlinkHub, settings: Settings, clock: Clock, autopilot: Callable[[], AutopilotFact | None]
+        self,
+        hub: MavlinkHub,
+        agent_id: int,
+        endpoints: Sequence[EndpointSettings],
+        custom: Sequence[CustomCheckSettings],
+        clock: Clock,
+        autopilot: Callable[[], AutopilotFact | None],
     ) -> None:
         """autopilot: the newest state of the autopilot, to which requests are sent."""
         self._hub, self._clock, self._autopilot = hub, clock, autopilot
-        self._system = settings.agent.id
-        self._links = frozenset(entry.key for entry in settings.mavlink.endpoints if entry.to_autopilot)
-        checks = [entry for entry in settings.custom if isinstance(entry, MavlinkCheckSettings)]
+        self._system = agent_id
+        self._links = frozenset(entry.key for entry in endpoints if entry.to_autopilot)
+        checks = [entry for entry in custom if isinstance(entry, MavlinkCheckSettings)]
         self._classes = {
             entry.message: found for entry in checks if (found := message_class(entry.message)) is not None
         }

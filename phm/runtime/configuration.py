@@ -14,6 +14,15 @@ from phm.core.dependency_graph import DependencyCycle
 from phm.core.settings import Settings
 from phm.recovery.base import Action
 
+FIXED = ("agent", "mavlink", "process", "state_dir", "run_dir", "delivery")
+"""Sections that need a restart: the agent's identity, its links, its priority, the directories that are locked, and the port for
+configurations."""
+
+
+def fixed_sections(settings: Settings) -> dict[str, object]:
+    """The sections that need a restart, by name."""
+    return {name: getattr(settings, name) for name in FIXED}
+
 
 @dataclass(frozen=True, slots=True)
 class Configuration:

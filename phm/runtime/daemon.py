@@ -1,29 +1,24 @@
-"""The daemon: starts what `phm.runtime.wiring` has built, supervises it, hands over to a new configuration, and stops in order."""
+"""The daemon: starts what `phm.runtime.wiring` has built, supervises it, hands over to its successor, and stops in order."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from functools import partial
 
 from phm.api import Check
 from phm.checking import registry
-from phm.checking.plan import CheckPlan
-from phm.commands.services import no_reload
 from phm.core import threads
-from phm.core.clock import Clock, SystemClock
 from phm.core.closing import ShutdownSequence
-from phm.core.settings import Settings
-from phm.core.watchdog import DaemonWatchdog
 from phm.probes.logs import Logs
 from phm.recovery.base import Action
 from phm.recovery.executor import Executor
 from phm.recovery.persistence.state import PersistedState
 from phm.reporters.base import Reporter
-from phm.runtime.network_join import join_all_networks
+from phm.runtime.components import Components
 from phm.runtime.shutdown_marker import ShutdownMarker
-from phm.runtime.wiring import Components
 
 SUPERVISE_S = 1.0
 """How often `supervise` is to be called."""
@@ -42,59 +37,22 @@ class Daemon:
     endpoints do, so that its farewell HEARTBEAT is sent.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        clock: Clock | None = None,
-        watchdog: DaemonWatchdog | None = None,
-        *,
-        plan: CheckPlan | None = None,
-        problems: Sequence[Callable[[], str]] = (threads.problem,),
-        reload: Callable[[], str] = no_reload,
-        previous: Daemon | None = None,
-    ) -> None:
-        """previous: the daemon that this one replaces in `start`, after a reload; plan, problems, reload: see `Components`."""
-        self.settings, self.clock = settings, clock or SystemClock()
-        self._watchdog, self._problems, self._reload, self._previous = watchdog, problems, reload, previous
-        self._marker = ShutdownMarker(settings.state_dir)
+    def __init__(self, components: Components, marker: ShutdownMarker, previous: Daemon | None = None) -> None:
+        """previous: the daemon that this one replaces in `start`, after a reload."""
+        self.components, self.marker, self._previous = components, marker, previous
+        self.clock, self.pipeline = components.clock, components.pipeline
+        self._watchdog = components.process.watchdog
         self._subscribers: tuple[object, ...] = ()
         self._logs: Logs | None = None
         """Where the checks of logs were, for the successor."""
-        before: Components | None = previous.components if previous is not None else None
-        if previous is not None:
-            previous._note_subscribers()
-        self.components: Components = Components(
-            settings,
-            self.clock,
-            plan=plan,
-            watchdog=watchdog,
-            problems=problems,
-            reload=reload,
-            since=before.health.since if before is not None else None,
-            hub=before.probes.mavlink if before is not None else None,
-            control=before.control if before is not None else None,
-        )
-        self.pipeline = self.components.pipeline
         self._supervised = self._stalled = 0
-
-    def successor(self, settings: Settings, plan: CheckPlan | None = None) -> Daemon:
-        """A daemon for another configuration; it replaces this one in its `start`. plan: see `Components`."""
-        return Daemon(
-            settings,
-            self.clock,
-            self._watchdog,
-            plan=plan,
-            problems=self._problems,
-            reload=self._reload,
-            previous=self,
-        )
 
     # ------------------------------------------------------------ start
 
     def start(self) -> None:
         parts, previous, self._previous = self.components, self._previous, None
         if previous is None:
-            parts.health.crashed_before = self._marker.begin()
+            parts.health.crashed_before = self.marker.begin()
         parts.memory.restore(previous._hand_over() if previous is not None else None)
         if previous is not None and previous._logs is not None:
             parts.probes.logs.resume(previous._logs)
@@ -116,12 +74,12 @@ class Daemon:
         parts, executor, relief = self.components, self.components.executor, self.components.relief
         parts.memory.resume(executor)
         parts.bus.subscribe("recovery", executor.handle, kinds=Executor.kinds, key=Executor.key)
-        if self.settings.recovery.relieve or relief.kept():
+        if parts.may_relieve or relief.kept():
             parts.bus.subscribe("relief", relief.handle, kinds=relief.kinds, tick=relief.tick, period_s=relief.period_s)
         parts.holds.start()
 
     def _join_networks(self) -> None:
-        join_all_networks(self.settings.containers, self.components.action_context, self.pipeline.note)
+        self.components.join_networks()
         self.components.probes.start_ros()
 
     def _report_unusable_plugins(self) -> None:
@@ -169,7 +127,7 @@ class Daemon:
         """End every part in order, within STOP_S altogether; the names of those that hang."""
         parts, closing = self.components, ShutdownSequence(self.clock, STOP_S)
         parts.loop.stop()
-        closing.step("marker", self._marker.end, 0.5)  # first: the stop was requested, whatever hangs after this
+        closing.step("marker", self.marker.end, 0.5)  # first: the stop was requested, whatever hangs after this
         if self._watchdog is not None:
             closing.step("watchdog", self._watchdog.close, 0.5)
         self.pipeline.note("PHM", "PHM is stopping")
@@ -218,13 +176,15 @@ class Daemon:
             parts.probes.mavlink.forget(self._subscribers)
         return state
 
-    def _note_subscribers(self) -> None:
-        """The present subscribers of the links are this daemon's, those from now on its successor's."""
-        if self.components.probes.mavlink is not None:
-            self._subscribers = self.components.probes.mavlink.subscribers()
-
-    def cancel_handover(self) -> None:
-        """The successor could not be built: remove its subscribers from the links."""
+    @contextlib.contextmanager
+    def handover(self) -> Iterator[None]:
+        """While the successor is built: subscribers of the links that are added meanwhile are the successor's. If it cannot be built,
+        they are removed."""
         hub = self.components.probes.mavlink
-        if hub is not None:
-            hub.forget(each for each in hub.subscribers() if each not in self._subscribers)
+        self._subscribers = hub.subscribers() if hub is not None else ()
+        try:
+            yield
+        except BaseException:
+            if hub is not None:
+                hub.forget(each for each in hub.subscribers() if each not in self._subscribers)
+            raise

@@ -20,10 +20,9 @@ from phm.config import ConfigError, Problem
 from phm.config.atomic_write import replace
 from phm.config.loader import read_file
 from phm.core.clock import Clock
-from phm.core.settings import Settings
-from phm.runtime.configuration import read_text
+from phm.core.settings import DeliverySettings
+from phm.runtime.configuration import fixed_sections, read_text
 from phm.runtime.daemon import Daemon
-from phm.runtime.reloader import FIXED
 from phm.transport.mavlink_signing import InvalidKey, read_key
 from phm.wire.delivery import DeliveryAnswer, version_of
 
@@ -47,18 +46,18 @@ class _Refused(Exception):
 
 
 class Delivery:
-    """file: the configuration of the running daemon. running: its settings when it started. daemon: the one that runs now.
+    """file: the configuration of the running daemon. fixed: its `fixed_sections` when it started. daemon: the one that runs now.
     reload: reloads, as `phm reload`; the outcome as JSON. environ: for `${VAR}`. One call of `execute` at a time."""
 
     def __init__(
         self,
         file: str,
-        running: Settings,
+        fixed: Mapping[str, object],
         daemon: Callable[[], Daemon],
         reload: Callable[[], str],
         environ: Mapping[str, str] | None = None,
     ) -> None:
-        self._file, self._running, self._daemon, self._reload = file, running, daemon, reload
+        self._file, self._fixed, self._daemon, self._reload = file, fixed, daemon, reload
         self._environ = os.environ if environ is None else environ
 
     def note(self, text: str) -> None:
@@ -160,7 +159,7 @@ class Delivery:
             raise _Refused(words, tuple(self._without_values(each, text) for each in error.problems)) from None
         # All but `delivery` apply after a restart, and a reload does not show whether PHM starts with them; without that one, nothing
         # could be delivered any more.
-        fixed = [name for name in FIXED if getattr(wanted, name) != getattr(self._running, name)]
+        fixed = [name for name, section in fixed_sections(wanted).items() if section != self._fixed[name]]
         if fixed:
             raise _Refused(
                 f"{', '.join(fixed)}: cannot be changed by a delivery, because a reload does not apply it: change it on the agent, "
@@ -186,15 +185,18 @@ class Delivery:
             return ""
 
 
-def open_server(delivery: Delivery, settings: Settings, clock: Clock) -> tuple[DeliveryServer | None, str]:
-    """A server that is not started yet, or None; a sentence when it is wanted and cannot be used."""
-    wanted = settings.delivery
+def open_server(
+    delivery: Delivery, wanted: DeliverySettings, signing_key: str | None, agent: str, clock: Clock
+) -> tuple[DeliveryServer | None, str]:
+    """A server that is not started yet, or None; a sentence when it is wanted and cannot be used.
+
+    signing_key: `mavlink.signing.key`, which must be another key. agent: its name.
+    """
     if wanted.listen is None or wanted.key is None:
         return None, ""
     try:
         key = read_key(wanted.key, "delivery.key")
-        signing = settings.mavlink.signing.key
-        if signing is not None and read_key(signing) == key:
+        if signing_key is not None and read_key(signing_key) == key:
             raise InvalidKey(
                 "delivery.key: it is the key of mavlink.signing, which every ground station and autopilot has: make another one"
             )
@@ -202,7 +204,7 @@ def open_server(delivery: Delivery, settings: Settings, clock: Clock) -> tuple[D
         return None, f"{error}; `phm deliver` does not work"
     from phm.commands.delivery_server import DeliveryServer  # with an event loop, 1.3 MB: only where it is configured
 
-    return DeliveryServer(wanted.address, key, settings.agent.name, clock, delivery.execute, delivery.note), ""
+    return DeliveryServer(wanted.address, key, agent, clock, delivery.execute, delivery.note), ""
 
 
 def _put_back(path: Path, before: bytes) -> None:

@@ -240,7 +240,9 @@ def build_probes(
         pressure=Pressure(engine, docker, settings.containers, settings.pressure, clock),
         environment=RosEnvironments(docker, settings.ros, clock),
         sockets=sockets,
-        messages=MavlinkMessages(hub, settings, clock, links.autopilot),
+        messages=MavlinkMessages(
+            hub, settings.agent.id, settings.mavlink.endpoints, settings.custom, clock, links.autopilot
+        ),
         serial=serial,
         programs=programs,
         logs=logs,

@@ -17,14 +17,12 @@ from dataclasses import asdict, dataclass, field
 from phm.checking.plan import CheckPlan
 from phm.config import ConfigError, Problem
 from phm.core.dependency_graph import DependencyCycle
-from phm.runtime.configuration import Configuration
+from phm.runtime.configuration import FIXED, Configuration, fixed_sections
 from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_successor
 
 logger = logging.getLogger(__name__)
 
-FIXED = ("agent", "mavlink", "process", "state_dir", "run_dir", "delivery")
-"""Sections that need a restart: the agent's identity, its links, its priority, the directories that are locked, and the port for
-configurations."""
 ANSWER_S = 30.0
 MAX_PROBLEMS = 100
 
@@ -112,7 +110,7 @@ class Reloader:
             wanted = self._read()
         except ConfigError as error:
             return daemon, ReloadOutcome(False, problems=error.problems)
-        old = daemon.settings
+        old = daemon.components.settings
         sections = [name for name in type(old).model_fields if getattr(old, name) != getattr(wanted.settings, name)]
         restart = tuple(name for name in sections if name in FIXED)
         changed = tuple(name for name in sections if name not in FIXED)
@@ -125,15 +123,13 @@ class Reloader:
         usable = wanted.settings
         plan: CheckPlan | None = wanted.plan
         if restart:  # the checks of the file are those after the restart: others are built for what applies now
-            usable, plan = usable.model_copy(update={name: getattr(old, name) for name in FIXED}), None
+            usable, plan = usable.model_copy(update=fixed_sections(old)), None
         try:
-            new = daemon.successor(usable, plan)
-        except DependencyCycle as error:
-            daemon.cancel_handover()
+            new = build_successor(daemon, usable, plan)
+        except (
+            DependencyCycle
+        ) as error:  # after any other error, a defect, the present daemon goes on as well: `run` reports it
             return daemon, ReloadOutcome(False, why=f"checks: {error}")
-        except Exception:  # a defect: the present daemon goes on, and `run` reports the failure
-            daemon.cancel_handover()
-            raise
         try:
             new.start()
         except Exception as error:  # a defect, or no memory for another thread

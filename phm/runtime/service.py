@@ -17,8 +17,8 @@ from phm.core.systemd import SystemdNotifier
 from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.configuration import Configuration
 from phm.runtime.daemon import STALLED_END_S, SUPERVISE_S, Daemon
-from phm.runtime.delivery import Delivery, open_server
 from phm.runtime.reloader import HandoverFailed, ReadAgain, Reloader
+from phm.runtime.wiring import build_daemon, build_delivery
 
 logger = logging.getLogger(__name__)
 
@@ -46,8 +46,7 @@ def run(configuration: Configuration, read: ReadAgain) -> int:
     clock.measure()
     systemd = SystemdNotifier(clock)
     reloader = Reloader(read)
-    delivery = Delivery(configuration.file, settings, lambda: running.daemon, reloader.request)
-    server, unusable = open_server(delivery, settings, clock)
+    server, unusable = build_delivery(configuration, clock, lambda: running.daemon, reloader.request)
     problems = (
         threads.problem,
         lambda: lock.problem,
@@ -55,7 +54,7 @@ def run(configuration: Configuration, read: ReadAgain) -> int:
         server.problem if server else lambda: unusable,
     )
     running = _Running(
-        Daemon(settings, clock, watchdog, plan=configuration.plan, problems=problems, reload=reloader.request)
+        build_daemon(settings, clock, watchdog, plan=configuration.plan, problems=problems, reload=reloader.request)
     )
     with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:
         running.daemon.start()

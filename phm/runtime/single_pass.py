@@ -7,8 +7,8 @@ import threading
 from phm.core import threads
 from phm.core.clock import Clock, SystemClock
 from phm.core.model import UnitState
+from phm.runtime.components import Components, ProcessParts
 from phm.runtime.configuration import Configuration
-from phm.runtime.wiring import Components
 
 
 def run_once(configuration: Configuration, clock: Clock | None = None) -> tuple[UnitState, ...]:
@@ -17,7 +17,7 @@ def run_once(configuration: Configuration, clock: Clock | None = None) -> tuple[
     configuration: read without links.
     """
     clock = clock or SystemClock()
-    components = Components(configuration.settings, clock, plan=configuration.plan)
+    components = Components(configuration.settings, ProcessParts(clock), plan=configuration.plan)
     plan, scheduler, pipeline = components.plan, components.scheduler, components.pipeline
     longest_s = max((entry.unit.grace_s + entry.unit.settle_s for entry in plan.tracked), default=0.0)
     end = clock.mono() + longest_s + plan.pass_limit_s

@@ -11,7 +11,7 @@ import pytest
 from pymavlink import mavutil
 
 from phm.core.model import Event, Note
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_signing import NAME
@@ -47,7 +47,7 @@ class Agent:
             },
         )
         self.folder, self.events = folder, list[Event]()
-        self.daemon = Daemon(made)
+        self.daemon = build_daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
         self.ground: Any = mavutil.mavlink_connection(

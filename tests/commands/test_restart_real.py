@@ -9,7 +9,7 @@ from typing import Any
 from pymavlink import mavutil
 
 from phm.core.model import ActionEvent, Event, FaultOpened, Level
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from tests.fakes.mavlink import free_port, heartbeat
@@ -42,7 +42,7 @@ class Agent:
         )
         self.events: list[Event] = []
         self.lines: list[tuple[int, str]] = []
-        self.daemon = Daemon(made)
+        self.daemon = build_daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
         self.ground: Any = mavutil.mavlink_connection(

@@ -18,7 +18,7 @@ from phm.core.model import Event, Note, Phase, Stamp
 from phm.core.watchdog import DaemonWatchdog
 from phm.facts import CannotTell
 from phm.probes.blocking_call import BlockingCallWorker
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.dns import Resolver
 from tests.checking.test_scheduler import Scripted
@@ -181,7 +181,7 @@ def quiet(tmp_path: Path, **more: Any) -> Any:
 def test_a_daemon_that_starts_at_the_limit_becomes_complete(limit: Full, tmp_path: Path) -> None:
     """Every thread starts when possible, the companion unit reports what is missing, and the stop is orderly."""
     limit.full = True
-    daemon = Daemon(quiet(tmp_path))
+    daemon = build_daemon(quiet(tmp_path))
     daemon.start()
     assert "threads cannot be started" in " ".join(daemon.components.health.document()["problems"])
     limit.full = False
@@ -195,7 +195,7 @@ def test_ros_is_started_whatever_the_result_of_joining_a_network(
 ) -> None:
     """An unexpected response of the engine is logged, and the ROS child is started nevertheless."""
     app = {"name": "app", "networks": ["n"]}
-    daemon = Daemon(quiet(tmp_path, containers=[app]))
+    daemon = build_daemon(quiet(tmp_path, containers=[app]))
     started, notes = threading.Event(), list[str]()
 
     def odd(target: object, context: object) -> str:

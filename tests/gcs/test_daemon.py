@@ -21,6 +21,7 @@ from phm.gcs.recorder import Recorder
 from phm.gcs.station import COMPONENT, GroundStation
 from phm.gcs.subscriber_queue import SubscriberQueue
 from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.simulation.autopilot import SimulatedAutopilot
 from phm.testing import settings
 from phm.transport.dialect import mavlink
@@ -68,7 +69,7 @@ def agent(
         },
         **docker,
     )
-    return Daemon(made, SlowClock())
+    return build_daemon(made, SlowClock())
 
 
 def endpoints(*urls: str, key: Path | None = None) -> MavlinkSettings:

@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 from phm.core.model import worst_by_slot
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.simulation.autopilot import SimulatedAutopilot
 from phm.testing import settings
 from phm.wire import status_word
@@ -71,7 +71,7 @@ class Vehicle:
                 **_signed(folder, passphrase),
             },
         )
-        self.daemon = Daemon(made)
+        self.daemon = build_daemon(made)
         self.daemon.start()
 
     def break_container(self) -> None:

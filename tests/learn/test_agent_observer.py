@@ -162,7 +162,7 @@ def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     monkeypatch.setattr(ros_observer, "RosSupervisor", Supervisor)
     clock = PassingClock()
-    seen = RosObserver(testing.settings(), clock)
+    seen = RosObserver(testing.settings().ros, "agent_1", clock)
     seen.discover(10.0)
     for _ in range(10):
         clock.advance(1.0)

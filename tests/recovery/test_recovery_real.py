@@ -11,6 +11,7 @@ import pytest
 
 from phm.core.model import ActionEvent, Event, FaultOpened, Level, Note, Phase
 from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from tests.fakes.until import until
 from tests.proxy.haproxy import EngineAccess
@@ -58,7 +59,7 @@ class Phm:
             checks={"host": {"enabled": False}},
         )
         engine_access.open(made)
-        self.daemon = Daemon(made)
+        self.daemon = build_daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
 
     def start(self) -> None:

@@ -91,7 +91,7 @@ def test_run_and_reload_read_and_build_once(
         before, running.daemon = running.daemon, reloader.run(running.daemon)
         seen.append(counts.copy())
         assert running.daemon is not before
-        assert running.daemon.settings.agent.id == 3
+        assert running.daemon.components.settings.agent.id == 3
 
     monkeypatch.setattr(service, "_serve", serve)
     result = CliRunner().invoke(group, ["run", "-c", str(file)])

@@ -15,10 +15,12 @@ from typing import Any, cast
 
 import pytest
 
+from phm.commands.delivery_server import DeliveryServer
 from phm.config.atomic_write import replace
 from phm.core.clock import SystemClock
+from phm.core.settings import Settings
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.runtime.configuration import read
+from phm.runtime.configuration import fixed_sections, read
 from phm.runtime.daemon import Daemon
 from phm.runtime.delivery import Delivery, open_server
 from phm.runtime.reloader import ReloadOutcome
@@ -44,7 +46,7 @@ class Agent:
         self.meanwhile: Callable[[], object] = lambda: None
         self.notes: list[str] = []
         found = read(str(self.file), ON_BOARD)
-        self.delivery = Delivery(str(self.file), found.settings, self._daemon, self._reload, ON_BOARD)
+        self.delivery = Delivery(str(self.file), fixed_sections(found.settings), self._daemon, self._reload, ON_BOARD)
 
     def _daemon(self) -> Daemon:
         made = SimpleNamespace(
@@ -384,6 +386,10 @@ def test_a_file_is_replaced_in_one_step(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- the port
 
 
+def opened(delivery: Delivery, made: Settings) -> tuple[DeliveryServer | None, str]:
+    return open_server(delivery, made.delivery, made.mavlink.signing.key, made.agent.name, SystemClock())
+
+
 def test_the_key_of_mavlink_is_not_accepted(tmp_path: Path) -> None:
     """Every ground station and autopilot of the swarm has it, and with a configuration one can run programs."""
     key, same = tmp_path / "mavlink.key", tmp_path / "delivery.key"
@@ -392,18 +398,18 @@ def test_the_key_of_mavlink_is_not_accepted(tmp_path: Path) -> None:
         each.chmod(0o600)
     delivery = cast(Any, SimpleNamespace(execute=None, note=None))
     wanted = settings(mavlink={"signing": {"key": str(key)}}, delivery={"listen": "127.0.0.1:9465", "key": str(same)})
-    server, problem = open_server(delivery, wanted, SystemClock())
+    server, problem = opened(delivery, wanted)
     assert server is None and "key of mavlink.signing" in problem
     same.write_text("cd" * 32)
-    assert open_server(delivery, wanted, SystemClock())[1] == ""
+    assert opened(delivery, wanted)[1] == ""
     same.chmod(0o644)
-    server, problem = open_server(delivery, wanted, SystemClock())
+    server, problem = opened(delivery, wanted)
     assert server is None and "chmod 600" in problem and problem.startswith("delivery.key: ")
 
 
 def test_nothing_listens_by_default() -> None:
     """Delivery is for those who want it."""
-    assert open_server(cast(Any, None), settings(), SystemClock()) == (None, "")
+    assert opened(cast(Any, None), settings()) == (None, "")
 
 
 def test_an_answer_is_never_larger_than_its_reader_takes() -> None:

@@ -14,6 +14,7 @@ from phm.core.model import UnitState
 from phm.core.watchdog import DaemonWatchdog
 from phm.runtime.daemon import Daemon
 from phm.runtime.main_loop import IDLE_S
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from tests.fakes.until import until
 
@@ -46,7 +47,7 @@ def daemon(tmp_path: Path) -> Iterator[tuple[Daemon, FakeWatchdog]]:
         containers=[],
         ros={"nodes": [], "topics": []},
     )
-    daemon = Daemon(made, watchdog=guard)
+    daemon = build_daemon(made, watchdog=guard)
     daemon.start()
     yield daemon, guard
     daemon.stop()

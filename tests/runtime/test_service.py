@@ -20,8 +20,8 @@ from phm.core.clock import SystemClock
 from phm.core.closing import ShutdownSequence
 from phm.core.instance_lock import NAME, AlreadyRunning, InstanceLock
 from phm.core.signals import Signals
-from phm.runtime.daemon import Daemon
 from phm.runtime.shutdown_marker import NAME as MARKER
+from phm.runtime.wiring import build_daemon
 from phm.testing import FakeClock, settings
 from phm.wire import control
 from tests.fakes.until import until
@@ -264,7 +264,7 @@ def test_an_intended_shutdown_is_marked_before_anything_can_hang(tmp_path: Path)
     """A disk that hangs during the shutdown is named, uses only its own time limit, and does not count as a crash at
     the next start.
     """
-    daemon = Daemon(
+    daemon = build_daemon(
         settings(
             state_dir=str(tmp_path / "state"),
             run_dir=str(tmp_path / "run"),

@@ -12,6 +12,7 @@ import pytest
 
 from phm.facts.swarm import SwarmFact
 from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.wire import tunnel
 from tests.fakes.mesh import Mesh
@@ -49,7 +50,7 @@ class Fleet:
                 "gcs_timeout": 2,
             },
         )
-        self.daemons[name] = Daemon(made)
+        self.daemons[name] = build_daemon(made)
         self.daemons[name].start()
 
     def stop(self, name: str) -> None:

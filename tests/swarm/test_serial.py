@@ -15,7 +15,7 @@ import pytest
 
 from phm.core.settings import Settings
 from phm.facts.swarm import SwarmFact
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.simulation.mavlink_port import Pty
 from phm.testing import settings
 from tests.fakes.until import until
@@ -62,7 +62,7 @@ class Pair:
     def __init__(self, folder: Path) -> None:
         paths = [str(folder / f"ttyXB{number}") for number in (1, 2)]
         self.air = Air(paths)
-        self.daemons = [Daemon(_settings(folder, number, path)) for number, path in enumerate(paths, 1)]
+        self.daemons = [build_daemon(_settings(folder, number, path)) for number, path in enumerate(paths, 1)]
         for daemon in self.daemons:
             daemon.start()
 

@@ -19,7 +19,7 @@ import pytest
 from phm.core.clock import SystemClock
 from phm.core.model import ActionEvent, Event, FaultClosed, FaultOpened, Phase
 from phm.facts import AutopilotFact
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
@@ -172,7 +172,7 @@ class Agent:
             },
             recovery=recovery,
         )
-        self.daemon = Daemon(made)
+        self.daemon = build_daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 

@@ -13,6 +13,7 @@ from phm.core.clock import SystemClock
 from phm.probes.container_watcher import ContainerWatcher
 from phm.probes.docker_event import DockerEvent
 from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, container
@@ -99,7 +100,7 @@ def daemon(fake: FakeEngine, tmp_path: Path) -> Iterator[Daemon]:
         ros={"nodes": [], "topics": []},
         recovery={"mode": "off"},
     )
-    daemon = Daemon(made)
+    daemon = build_daemon(made)
     daemon.start()
     yield daemon
     daemon.stop()

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from phm.core.model import ActionEvent, Event, FaultClosed, FaultOpened, Level, Phase
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.simulation.autopilot import SimulatedAutopilot
 from phm.testing import settings
 from sitl.simulation.ground import Ground
@@ -52,7 +52,7 @@ class Flight:
             },
         )
         self.events: list[Event] = []
-        self.daemon = Daemon(made)
+        self.daemon = build_daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 

@@ -13,7 +13,7 @@ from phm.core.model import Level
 from phm.facts import AutopilotFact, MessageValue
 from phm.probes.mavlink_messages import AGAIN_S, MOST_INSTANCES, MavlinkMessages
 from phm.probes.mavlink_values import INVALID, not_known
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.simulation.autopilot import SimulatedAutopilot
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink, message_class
@@ -42,7 +42,9 @@ class Scene:
         self.sent: list[tuple[Any, str]] = []
         self.hub.send = lambda message, *_, link="", **__: self.sent.append((message, link))  # type: ignore[method-assign]
         self.pilot: AutopilotFact | None = AutopilotFact(0.5, False, link="fc")
-        self.probe = MavlinkMessages(self.hub, chosen, self.clock, lambda: self.pilot)
+        self.probe = MavlinkMessages(
+            self.hub, chosen.agent.id, chosen.mavlink.endpoints, chosen.custom, self.clock, lambda: self.pilot
+        )
         self._parser = self.hub._endpoints[0].codec.parser()
 
     def receive(self, frame: bytes, link: str = "fc") -> None:
@@ -200,7 +202,7 @@ class Vehicle:
         self._thread = threading.Thread(target=self.pilot.run, daemon=True)
         self._thread.start()
         position = {"period": 0.5, "failures": 1, "max_age": 3, "message": "GLOBAL_POSITION_INT", "type": "mavlink"}
-        self.daemon = Daemon(
+        self.daemon = build_daemon(
             settings(
                 agent={"id": 7},
                 interval=2,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from phm.core.model import ActionEvent, Event, FaultClosed, Level, Phase, Transition
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.simulation.autopilot import SimulatedAutopilot
 from phm.simulation.mavlink_port import mavlink
 from phm.testing import settings
@@ -29,7 +29,7 @@ class Vehicle:
         self.ground = Ground(f"tcp:127.0.0.1:{ground}")
         self.ground.start()
         self.events: list[Event] = []
-        self.daemon = Daemon(
+        self.daemon = build_daemon(
             settings(
                 agent={"id": 7},
                 interval=2,

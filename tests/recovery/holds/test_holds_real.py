@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from phm.cli import group
 from phm.core.model import ActionEvent, Event, FaultOpened, HoldChanged, Level, Phase
 from phm.probes.docker_event import FILTERS
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.docker import EngineNotConnected
 from tests.fakes.until import until
@@ -40,7 +40,7 @@ class Phm:
             checks={"host": {"enabled": False}},
         )
         self.unit = f"container/{container}"
-        self.daemon = Daemon(made)
+        self.daemon = build_daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 
@@ -61,7 +61,7 @@ class Phm:
 
     def verb(self, *words: str) -> str:
         """The output of a CLI verb that queries this daemon."""
-        result = CliRunner().invoke(group, [*words, "--run-dir", self.daemon.settings.run_dir])
+        result = CliRunner().invoke(group, [*words, "--run-dir", self.daemon.components.settings.run_dir])
         assert result.exit_code == 0, result.output
         return result.output
 

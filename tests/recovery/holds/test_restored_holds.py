@@ -16,7 +16,7 @@ from phm.recovery.holds.hold_service import HoldInputs, HoldService
 from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.persistence.state_codec import InvalidState, decode, encode
 from phm.recovery.safety.armed_state import ArmedState as ArmedState, ArmedStatus, LastArmedState
-from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from tests.recovery.holds.scene import BY, PATIENT, Scene, stopped
 
@@ -182,7 +182,7 @@ def test_a_damaged_hold_does_not_last_longer(body: dict[str, Any]) -> None:
 def test_a_signal_that_does_not_end_the_container_is_not_a_stop(tmp_path: Path) -> None:
     """`docker kill -s HUP` makes it reload its configuration; SIGTERM may begin a stop."""
     made = settings(containers=[{"name": "app"}], state_dir=str(tmp_path / "state"), run_dir=str(tmp_path / "run"))
-    daemon = Daemon(made)
+    daemon = build_daemon(made)
     for number, end_s, undecided in (("1", 0.0, frozenset()), ("15", 121.0, frozenset({"app"}))):
         event = DockerEvent("container", "app", "kill", f"signal {number}", daemon.clock.stamp(), end_s=end_s)
         daemon.components.docker_events.apply(event)

@@ -12,6 +12,7 @@ import pytest
 
 from phm.core.model import ActionEvent, Event, Phase
 from phm.runtime.daemon import Daemon
+from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.wire import control
@@ -95,7 +96,7 @@ class Vehicle:
         if not self._opened:
             self._engine_access.open(made)
             self._opened = True
-        self.daemon = Daemon(made)
+        self.daemon = build_daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 

@@ -1,0 +1,269 @@
+"""The parts of one daemon, built in the order of the data flow: probes, scheduler, tracker, recovery, health, reporters, operator
+commands.
+
+Building opens nothing and starts no thread; `phm.runtime.daemon` starts and stops what is built here. What flows back (a probe
+that wakes a check, an action that restarts ROS) is passed as a function, since its receiver is built later.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from phm.checking import registry
+from phm.checking.pipeline import Pipeline
+from phm.checking.plan import CheckPlan, build_plan
+from phm.checking.scheduler import CheckRun, CheckScheduler
+from phm.commands.control_server import ControlServer
+from phm.commands.handler import CommandHandler
+from phm.commands.mavlink_commands import MavlinkCommands
+from phm.commands.services import CommandServices, no_reload
+from phm.core.bus import Bus
+from phm.core.clock import Clock
+from phm.core.model import ActionEvent, Event, Phase
+from phm.core.settings import Settings
+from phm.core.watchdog import DaemonWatchdog
+from phm.facts import SelfFact
+from phm.probes.docker_event import DockerEvent
+from phm.recovery.actions.join_network import JOINED
+from phm.recovery.base import Action, ActionContext
+from phm.recovery.containers.cpu_weights import CpuWeights
+from phm.recovery.executor import Executor, NotNow
+from phm.recovery.holds.hold_registry import HoldRegistry
+from phm.recovery.holds.hold_service import HoldInputs, HoldService
+from phm.recovery.persistence.persistence_service import PersistenceService
+from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState
+from phm.recovery.safety.flight_critical import critical_containers
+from phm.reporters.base import ReporterContext
+from phm.reporters.reporter_manager import ReporterManager
+from phm.runtime.docker_events import DockerEventRouter
+from phm.runtime.health import DaemonHealth
+from phm.runtime.main_loop import MainLoop
+from phm.runtime.network_join import join_all_networks
+from phm.runtime.probe_set import ProbeSet, build_probes
+from phm.tracker import Tracker
+from phm.wire.status_file import place
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessParts:
+    """The parts of the process, which outlive a daemon when the configuration is reloaded.
+
+    watchdog: the watchdog process, if one is used.
+    problems: what else may be wrong with this process; each gives a sentence or an empty text.
+    reload:   reloads the configuration for `phm reload`; the outcome as JSON.
+    """
+
+    clock: Clock
+    watchdog: DaemonWatchdog | None = None
+    problems: Sequence[Callable[[], str]] = ()
+    reload: Callable[[], str] = no_reload
+
+
+class Components:
+    """Everything that one daemon consists of.
+
+    plan:     the checks and their dependency graph, if they are built already (`phm.runtime.configuration`).
+    previous: of the daemon that this one replaces (`phm.runtime.reloader`): its links and its control socket stay open.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        process: ProcessParts,
+        *,
+        plan: CheckPlan | None = None,
+        previous: Components | None = None,
+    ) -> None:
+        self.settings, self.process = settings, process
+        clock, watchdog = process.clock, process.watchdog
+        self.clock, self.boot_id = clock, uuid.uuid4().hex[:12]
+        started = clock.stamp()
+        self.plan = plan or build_plan(settings, registry.checks())
+        self.bus = Bus(clock)
+        tracker = Tracker(self.plan.tracked, self.plan.graph, started, fault_prefix=f"{self.boot_id[:4]}-")
+        self.pipeline = Pipeline(tracker, self.bus, clock, self.plan.pass_limit_s)
+        self.probes: ProbeSet = build_probes(
+            settings,
+            clock,
+            wake=self._wake,
+            docker_event=self._docker_event,
+            note=lambda text: self.pipeline.note("PHM", text),
+            read_self=self._self_fact,
+            hub=previous.probes.mavlink if previous is not None else None,
+        )
+        self.scheduler = CheckScheduler(self.plan.scheduled, self.probes.world, clock, self._observe)
+        self.loop = MainLoop(
+            settings.interval,
+            clock,
+            self.scheduler,
+            self.pipeline,
+            self.probes.caught_up,
+            lambda: self._wake("myself"),
+            watchdog,
+        )
+        self.pipeline.attach(self.scheduler.wake_units, self.loop.wake)
+        self._build_recovery(settings)
+        self.docker_events = DockerEventRouter(self.pipeline, self.scheduler, self.holds, self.probes.container_started)
+        self.control: ControlServer = previous.control if previous is not None else ControlServer(settings.run_dir)
+        self.reporters = ReporterManager(self.bus)
+        own = (
+            self.memory.problem,
+            self.control.problem,
+            *((self.probes.mavlink.problem,) if self.probes.mavlink else ()),
+        )
+        guard = (lambda: watchdog.problem,) if watchdog is not None else ()
+        self.health: DaemonHealth = DaemonHealth(
+            previous.health.since if previous is not None else started,
+            clock,
+            self.loop,
+            self.scheduler,
+            self.pipeline,
+            self.bus,
+            self.probes,
+            self.reporters,
+            self.armed,
+            critical_containers(settings.containers),
+            (*own, *guard, *process.problems),
+        )
+        self.reporter_context = self._reporter_context(settings)
+        self._build_commands(settings, process.reload)
+
+    # ------------------------------------------------------------ recovery
+
+    def _build_recovery(self, settings: Settings) -> None:
+        pipeline, clock, docker = self.pipeline, self.clock, self.probes.world.docker
+        self.armed = ArmedMonitor(self.probes.world.links.autopilot, settings.mavlink.autopilot_timeout, clock)
+        held = HoldRegistry()
+        world = HoldInputs(self.armed.now, docker.container, self._acting_on, self.probes.event_stream)
+        self.holds = HoldService(settings.recovery, settings.containers, held, pipeline, self.bus.publish, clock, world)
+        self.relief = CpuWeights(self.probes.engine, docker.container, pipeline, clock)
+        self.may_relieve = bool(settings.recovery.relieve)
+        self.memory = PersistenceService(
+            settings.state_dir, settings.recovery.window, pipeline, self.bus, clock, self.armed
+        )
+        self.action_context = ActionContext(
+            self.probes.engine,
+            settings,
+            docker.container,
+            docker.myself,
+            self.probes.remembered,
+            listed_nodes=lambda: self.probes.world.ros.look().nodes,
+            link=self.probes.link,
+            autopilot=self.probes.world.links.autopilot,
+            clock=clock,
+            reopen=self.probes.reopen,
+            on_hold=lambda key: held.why_not_start(key, clock.stamp()),
+            relief=self.relief,
+        )
+        graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
+        self.executor = Executor(
+            pipeline,
+            self._publish_action,
+            clock,
+            registry.usable(registry.find(registry.ACTIONS, Action)),
+            self.action_context,
+            self.armed.now,
+            lambda unit: graces.get(unit, 0.0),
+            self.plan.below,
+            held,
+        )
+
+    def join_networks(self) -> None:
+        """Join the networks of the configured containers. Never raises."""
+        join_all_networks(self.settings.containers, self.action_context, self.pipeline.note)
+
+    # ------------------------------------------------------------ what flows back
+
+    def _wake(self, subject: str) -> None:
+        """During a reload the links stay open, so a probe may call this before the scheduler is built; its start runs all checks."""
+        scheduler: CheckScheduler | None = getattr(self, "scheduler", None)
+        if scheduler is not None:
+            scheduler.wake_subject(subject)
+
+    def _docker_event(self, event: DockerEvent) -> None:
+        self.docker_events.apply(event)
+
+    def _self_fact(self) -> SelfFact:
+        return self.health.fact()
+
+    def _acting_on(self, container: str) -> bool:
+        return self.executor.action_on(container)
+
+    def _publish_action(self, event: Event) -> None:
+        self.bus.publish(event)
+        if isinstance(event, ActionEvent) and event.phase is Phase.DONE and JOINED in event.detail:
+            self.probes.restart_ros("PHM joined a network")
+
+    def _observe(self, batch: CheckRun) -> None:
+        """Docker events that arrived before these results are applied first, because they may explain them."""
+        if not batch.overdue:  # an overdue check's STALE comes from the main loop, which must not wait
+            self.probes.catch_up()
+        self.pipeline.observe(dict(batch.units), batch.started, batch.duration_s, overdue=batch.overdue)
+
+    # ------------------------------------------------------------ reporters
+
+    def _reporter_context(self, settings: Settings) -> ReporterContext:
+        links, pipeline, mavlink = self.probes.world.links, self.pipeline, settings.mavlink
+
+        def autopilot_received() -> bool:
+            pilot = links.autopilot()
+            return pilot is not None and pilot.silent_s <= mavlink.autopilot_timeout
+
+        def radio_received() -> bool:  # by the same rule as the radio check: 2.5 of the radio's own periods
+            return any(radio.silent_s <= max(mavlink.radio_timeout, 2.5 * radio.due_s) for radio in links.radios())
+
+        return ReporterContext(
+            settings,
+            self.clock,
+            self.boot_id,
+            pipeline.states,
+            self.health.alive,
+            self.health.document,
+            self.probes.mavlink,
+            ros=self.probes.ros,
+            swarm=self.probes.world.swarm,
+            pilot=autopilot_received,
+            armed=self._known_armed,
+            radio=radio_received,
+            open_faults=pipeline.open_faults,
+            given_up=pipeline.given_up,
+            newest=pipeline.newest,
+            links=links,
+            queues=self.bus.queues,
+            machine_boot=place()["machine_boot"],
+            holds=self.holds.snapshot,
+        )
+
+    def _known_armed(self) -> bool | None:
+        """Whether the autopilot is armed; None: unknown."""
+        return {ArmedState.ARMED: True, ArmedState.DISARMED: False}.get(self.armed.now().state)
+
+    # ------------------------------------------------------------ operator commands
+
+    def _build_commands(self, settings: Settings, reload: Callable[[], str]) -> None:
+        """MAVLink and the control socket lead to one handler."""
+        hub, pipeline = self.probes.mavlink, self.pipeline
+        services = CommandServices(
+            pipeline.states,
+            pipeline.open_faults,
+            pipeline.recent_faults,
+            lambda: pipeline.complete,
+            self.health.alive,
+            run_checks=lambda: pipeline.recheck(*(state.unit for state in pipeline.states())),
+            approve=self.executor.approve,
+            restart=self.executor.restart,
+            note=pipeline.note,
+            later=NotNow,
+            holds=self.holds,
+            reload=reload,
+        )
+        if hub is not None:
+            services = replace(services, remember=hub.remember, clock_problem=hub.clock_problem)
+        self.handler = CommandHandler(services, [entry.key for entry in settings.containers], self.clock)
+        self.mavlink_commands: MavlinkCommands | None = None
+        if hub is not None:
+            self.mavlink_commands = MavlinkCommands(
+                hub, self.handler, services, settings.mavlink, settings.agent.id, self.clock
+            )
