@@ -52,7 +52,7 @@ def test_without_ros_it_cannot_be_known() -> None:
     assert evaluate(age_s=60.0).level is api.Level.STALE
 
 
-def test_what_it_consists_of_is_the_cause() -> None:
+def test_a_container_is_ready_only_if_its_health_and_nodes_are() -> None:
     """Its health, its nodes and their readiness come first; another container's nodes do not matter."""
     (unit,) = build().units
     assert unit.needs == (

@@ -50,7 +50,7 @@ def test_a_hostile_name_cannot_break_the_text() -> None:
         (api.TreeFact(100, 1, unreadable=("private",)), "private"),
     ],
 )
-def test_what_is_not_read_is_not_ok(tree: api.TreeFact, word: str) -> None:
+def test_files_that_were_not_read_are_not_ok(tree: api.TreeFact, word: str) -> None:
     result = judge(tree)
     assert result.level is api.Level.STALE and word in result.summary
 
@@ -63,5 +63,5 @@ def test_a_missing_folder_is_an_error() -> None:
     assert judge().condition == "file_missing"
 
 
-def test_what_cannot_be_seen_is_stale() -> None:
+def test_a_folder_outside_of_volumes_is_stale() -> None:
     assert judge(problem="not in a volume").level is api.Level.STALE

@@ -49,7 +49,7 @@ def test_json_has_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
     }
 
 
-def test_it_works_without_and_with_a_broken_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_works_without_and_with_a_broken_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A broken one is named, and the defaults are examined."""
     monkeypatch.chdir(tmp_path)
     assert not invoke(monkeypatch, [OK])[2][0].problem

@@ -63,7 +63,7 @@ def test_manifests_are_written_beside_the_file(tmp_path: Path, monkeypatch: pyte
     assert "  a\n" in (tmp_path / "new" / "app-ws.sha256").read_text()
 
 
-def test_json() -> None:
+def test_json_lists_the_learned_names() -> None:
     document = json.loads(invoke("--fresh", "--json").stdout)
     assert (document["nodes"], document["topics"], document["changed"]) == (["/a/lidar"], ["/a/scan"], True)
 
@@ -78,7 +78,7 @@ def test_json() -> None:
         (("--files", "app:/a/../b", "-o", "x"), "CONTAINER:/absolute/path"),
     ],
 )
-def test_bad_options(words: tuple[str, ...], problem: str) -> None:
+def test_invalid_options_are_refused_with_the_allowed_values(words: tuple[str, ...], problem: str) -> None:
     result = invoke(*words)
     assert result.exit_code == 2 and problem in result.output
 

@@ -58,7 +58,7 @@ def test_the_next_run_fetches_only_what_changed(tmp_path: Path, engine: FakeEngi
     assert texts(out / "agent_1") == list(range(1, agent.count + 1))
 
 
-def test_what_the_agent_removed_meanwhile_is_kept(tmp_path: Path, engine: FakeEngine, agent: Agent) -> None:
+def test_files_that_the_agent_has_removed_are_kept(tmp_path: Path, engine: FakeEngine, agent: Agent) -> None:
     """Runs at any distance give one record in order, under the names of rotated files."""
     out = tmp_path / "out"
     for _ in range(3):

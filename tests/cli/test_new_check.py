@@ -42,7 +42,7 @@ def test_a_name_that_cannot_be_used_is_refused(tmp_path: Path, name: str, reason
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_exists_is_never_written_to(tmp_path: Path) -> None:
+def test_existing_files_and_folders_are_never_written_to(tmp_path: Path) -> None:
     """A file, a folder and a link that leads nowhere stay unchanged."""
     (tmp_path / "one").write_text("mine")
     (tmp_path / "two").mkdir()

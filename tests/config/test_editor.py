@@ -62,7 +62,7 @@ def test_sections_on_the_way_are_created() -> None:
     assert "  - name: router\n    ready:\n      topics: [/t]\n" in made
 
 
-def test_what_is_removed_leaves_the_comments_of_others() -> None:
+def test_removing_a_key_keeps_the_comments_of_others() -> None:
     """A key of one line below its explanation becomes a comment, an entry goes with its own comments."""
     assert "    # Only on the bench.\n    #recover: true\n" in edited(SMALL, ("remove", ("containers", 0, "recover")))
     made = edited(SMALL, ("remove", ("containers", 0)))

@@ -32,7 +32,9 @@ def test_a_current_kernel_is_ok(tmp_path: Path) -> None:
     assert set(found.values()) == {"ok"}
 
 
-def test_what_an_old_kernel_lacks_is_limited_with_a_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_features_that_an_old_kernel_lacks_are_limited_with_a_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(kernel, "_SANDBOX", "print('files: no Landlock (not supported)')")
     there = surroundings(tmp_path)
     kernel_of(there.proc, watches=100, psi=False)

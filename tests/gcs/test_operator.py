@@ -57,7 +57,7 @@ def test_the_menu_offers_what_is_advised_and_each_container(ground: Ground) -> N
     ],
     ids=["approved", "given up", "recovered", "restarted"],
 )
-def test_advice_ends(ground: Ground, over: Any) -> None:
+def test_advice_ends_when_it_can_no_longer_be_approved(ground: Ground, over: Any) -> None:
     """What cannot be approved any more is not offered."""
     assert [one["fault"] for one in ground.agent(7)["advice"]] == [17]
     ground.hear(over)

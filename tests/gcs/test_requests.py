@@ -42,7 +42,7 @@ def test_a_check_is_accepted(ask: Ask) -> None:
     assert (result.exit_code, result.output) == (0, "A07 run all checks: accepted: running all checks\n")
 
 
-def test_what_is_not_permitted_is_refused_with_the_reason(ask: Ask) -> None:
+def test_a_request_without_permission_is_refused_with_the_reason(ask: Ask) -> None:
     """By the agent, in one sentence; --json for programs."""
     result = ask("approve", "7", "#17", "--json")
     assert result.exit_code == 1

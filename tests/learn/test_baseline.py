@@ -105,7 +105,7 @@ def test_the_container_of_a_node_is_known_by_its_process() -> None:
     assert learn(Observations(60.0, (one,), nodes=nodes)).nodes[0].values == {"name": "/a/hidden"}
 
 
-def test_a_container() -> None:
+def test_a_container_is_learned_as_observed() -> None:
     """Health check, networks and devices as observed."""
     one = container(
         health="healthy",
@@ -131,7 +131,7 @@ def test_a_device_that_phm_does_not_see_is_left_out() -> None:
     assert any("dev_root" in note for note in found.notes)
 
 
-def test_what_is_uncertain_about_a_container() -> None:
+def test_uncertain_values_of_a_container_have_notes() -> None:
     """No HEALTHCHECK, an address that does not answer, a restart."""
     net = (Attachment("net", "id", "172.20.0.2"),)
     one = container(healthcheck=None, network_mode="net", networks=net, answers={"net": False}, restarted=True)
@@ -171,7 +171,7 @@ def test_a_manifest_has_a_harmless_name() -> None:
     assert "/" not in name and " " not in name and name.startswith("app")
 
 
-def test_the_autopilot() -> None:
+def test_the_autopilot_sets_the_agents_id_and_its_timeout() -> None:
     """Its system id is the agent's; slow heartbeats lengthen the timeout."""
     found = learn(Observations(60.0, autopilots=(ObservedAutopilot(7, "fc", 60, 1.1),)), 1)
     assert (found.agent.values, found.mavlink.values) == ({"id": 7}, {"autopilot": True})

@@ -88,7 +88,7 @@ def test_names_with_variables_are_recognised() -> None:
     assert merge(FILE, baseline(), {"PHM_AGENT": "a"}).count("lidar") == FILE.count("lidar")
 
 
-def test_what_was_not_seen_is_kept_and_marked() -> None:
+def test_an_entry_that_was_not_seen_is_kept_and_marked() -> None:
     new = merge(FILE, Baseline(nodes=(Learned({"name": "/a/other"}),), seen=frozenset({"a/other"})), {})
     assert "  - name: /${PHM_AGENT:-a}/lidar # learned: not seen while watching\n  - name: /a/other\n" in new
 

@@ -154,7 +154,7 @@ def test_a_number_that_no_measurement_has_does_not_take_the_page_down() -> None:
     assert sum(name == "phm_custom_value" for name, _ in found) == 1
 
 
-def test_what_has_not_happened_yet_is_counted_as_0() -> None:
+def test_counters_of_events_that_never_happened_are_0() -> None:
     """`increase()` is blind for a series that begins at 1: the first alarm of a slot would be missed."""
     about = context()
     nothing = EventCounts(lambda unit: None)

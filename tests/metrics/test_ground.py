@@ -85,7 +85,7 @@ def test_every_metric_of_the_ground() -> None:
     assert values["phm_gcs_commands_sent_total", ()] == 3
 
 
-def test_what_has_not_happened_yet_is_counted_as_0() -> None:
+def test_counters_of_events_that_never_happened_are_0() -> None:
     """`increase()` is blind for a series that begins at 1; and a silent autopilot is neither armed nor disarmed."""
     fleet = Fleet()
     metrics = GroundMetrics(Station(fleet), FakeClock())

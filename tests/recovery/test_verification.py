@@ -106,7 +106,7 @@ def test_dependents_that_are_unknown_are_not_back(back: bool, expected: Verifica
     assert unseen.result_at(verification, 13.0) == expected
 
 
-def test_what_stays_unknown_restarts_nothing() -> None:
+def test_a_dependent_that_stays_unknown_restarts_nothing() -> None:
     """After `recovery.verify` the unit itself decides."""
     verification = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=6.0)
     unseen = Unseen(100.0, back=False)

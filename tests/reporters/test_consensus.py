@@ -72,7 +72,7 @@ def test_each_node_is_a_status_with_its_votes() -> None:
     }
 
 
-def test_it_is_published_on_change_and_every_few_seconds() -> None:
+def test_consensus_is_published_on_change_and_every_few_seconds() -> None:
     """A change of a unit of the nodes is looked at immediately."""
     scene = Scene(ALIVE)
     assert scene.tick() == 1
@@ -121,7 +121,7 @@ def test_a_hung_scheduler_publishes_nothing() -> None:
     assert scene.tick() == 0
 
 
-def test_it_can_be_switched_off() -> None:
+def test_publishing_of_consensus_can_be_switched_off() -> None:
     """By configuration, and there is nothing to report without nodes."""
     for ros in ({}, {**ROS, "consensus": {"publish": False}}):
         made = context(Settings.model_validate({"ros": ros}))

@@ -129,7 +129,7 @@ def test_a_command_gets_the_alert_as_json(tmp_path: Path) -> None:
         ({"urls": ["nothing://x"]}, "notify.urls[0] is not a URL that Apprise knows"),
     ],
 )
-def test_what_cannot_be_sent_is_a_problem_without_secrets(chosen: dict[str, Any], words: str) -> None:
+def test_an_alert_that_cannot_be_sent_is_a_problem_without_secrets(chosen: dict[str, Any], words: str) -> None:
     """Shown in `phm status`; it ends with the next alert that is sent."""
     reporter = make(**chosen)
     reporter.handle(FaultOpened(AT, FAULT))
@@ -180,7 +180,7 @@ def test_a_slow_service_delays_nothing_else() -> None:
     held.set()
 
 
-def test_it_is_off_by_default() -> None:
+def test_notifications_are_off_by_default() -> None:
     """Without urls and command there is no reporter."""
     context = ReporterContext(settings(), FakeClock(), "b", tuple, lambda: True, dict)
     assert NotifyReporter.build(context) is None

@@ -126,7 +126,7 @@ def test_the_writer_never_waits_for_the_compression(tmp_path: Path, monkeypatch:
     log.close()
 
 
-def test_what_is_not_a_file_of_the_log_is_left_alone(tmp_path: Path) -> None:
+def test_other_entries_of_the_log_folder_are_left_alone(tmp_path: Path) -> None:
     """A directory or a link with such a name is passed over; dates are names of operators."""
     (tmp_path / "phm.jsonl.1.gz").mkdir()
     (tmp_path / "phm.jsonl.2").symlink_to(tmp_path / "nowhere")

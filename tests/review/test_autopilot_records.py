@@ -52,7 +52,7 @@ def test_a_dataflash_log_has_modes_arming_errors_and_the_lines_of_phm() -> None:
     assert [round(flight["duration_s"]) for flight in made["flights"]] == [47]
 
 
-def test_its_times_and_texts_are_those_of_the_tool_of_the_autopilot(tmp_path: Path) -> None:
+def test_times_and_texts_of_a_dataflash_log_are_those_of_pymavlink(tmp_path: Path) -> None:
     """pymavlink's own reader, which shares no code, reads the same texts; its clock differs by the first GPS message alone."""
     file = tmp_path / "1.bin"
     file.write_bytes(gzip.decompress(DATAFLASH.read_bytes()))
@@ -208,7 +208,7 @@ def stamped(t: float, frame: bytes) -> bytes:
     return int(t * 1e6).to_bytes(8, "big") + frame
 
 
-def test_what_is_kept_of_an_entry_is_limited() -> None:
+def test_texts_of_an_entry_are_limited() -> None:
     """A line of JSON may claim to be one: its texts are cut, an unknown level is none."""
     made = Other.of(Event("mode", system=1, utc_s=T0, text="x" * 10_000, by="y" * 10_000, level="z" * 10_000), "file")
     assert made is not None and (len(made.text), len(made.by), made.level) == (200, 20, "")

@@ -122,7 +122,7 @@ def test_one_line_confirms_a_clock_that_is_nearly_right(tmp_path: Path) -> None:
     assert (clock["applied"], clock["votes"]) == (True, 1) and clock["offset_s"] == pytest.approx(-5.8)
 
 
-def test_what_the_ground_could_not_receive_counts_not_as_evidence_against_an_offset(tmp_path: Path) -> None:
+def test_faults_that_the_ground_could_not_receive_are_no_evidence_against_an_offset(tmp_path: Path) -> None:
     """Ten failures while the agent was lost for the ground; the same ones count against the offset if it was not."""
     for name in ("lost", "there"):
         agent, ground = Flown(tmp_path / name, wrong_s=-3600.0), Ground(tmp_path / name / "ground.jsonl")

@@ -71,7 +71,7 @@ def test_flights_are_compared_by_their_numbers(tmp_path: Path) -> None:
         ([], 2, "Missing argument"),
     ],
 )
-def test_what_is_wrong_is_said_in_a_sentence(
+def test_each_error_is_one_sentence_with_its_exit_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], code: int, text: str
 ) -> None:
     """With the exit code of the documents and no traceback."""

@@ -28,7 +28,7 @@ def rows(first: Path, second: Path) -> dict[str, dict[str, object]]:
     return {row["check"]: row for row in compare.build(report(first), report(second))["checks"]}
 
 
-def test_what_is_new_gone_worse_and_better_is_named(tmp_path: Path) -> None:
+def test_new_gone_worse_and_better_faults_are_named(tmp_path: Path) -> None:
     """By the rates of faults, with their numbers."""
     first = flight(tmp_path / "a", "nodes/node_1", "nodes/node_1", "container/ros_app")
     second = flight(tmp_path / "b", "nodes/node_1", "rates/topic_1")

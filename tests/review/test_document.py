@@ -160,7 +160,7 @@ def test_lines_that_the_log_counts_as_lost_are_not_missing_as_well(tmp_path: Pat
     assert (agent["lost_lines"], agent["missing_lines"]) == (11, 0)
 
 
-def test_what_was_not_known_is_listed_with_its_cause(tmp_path: Path) -> None:
+def test_unknown_times_of_a_unit_are_listed_with_their_cause(tmp_path: Path) -> None:
     """STALE because of a fault is another thing than not known at all."""
     made = Flown(tmp_path)
     made.until(40)
@@ -220,7 +220,7 @@ def test_the_document_is_json(tmp_path: Path) -> None:
     assert made["report"] == 1
 
 
-def test_what_phm_cost_is_the_difference_of_its_counters(tmp_path: Path) -> None:
+def test_the_cost_of_phm_is_the_difference_of_its_counters(tmp_path: Path) -> None:
     """CPU time and bytes count from the start of PHM, over reloads; memory is the most that was used."""
     line = {"v": 2, "agent": "a", "agent_id": 1, "boot_id": "b", "kind": "PHM", "event": "cost"}
     with open(tmp_path / "phm.jsonl", "w") as file:

@@ -74,7 +74,7 @@ def test_text_bytes_of_a_flight_are_those_that_the_ground_received_in_it(tmp_pat
     assert report(tmp_path, flight=1)["phm"]["agents"][0]["text_bytes"] == 2 * size
 
 
-def test_what_the_record_cannot_say_of_a_flight_is_not_known(tmp_path: Path) -> None:
+def test_figures_that_the_record_of_a_flight_lacks_are_unknown(tmp_path: Path) -> None:
     """A log without cost, and times of checks, which are sums of whole runs; the page says so in words."""
     recorded(tmp_path / "phm.jsonl")
     kept = [line for line in (tmp_path / "phm.jsonl").read_text().splitlines() if '"cost"' not in line]

@@ -132,7 +132,7 @@ def test_a_fault_that_stays_open_over_a_restart_is_one_fault_however_its_runs_ar
         assert sorted(rows(dataset, "faults", columns), key=str) == sorted(expected, key=str)
 
 
-def test_what_a_run_no_longer_says_leaves_the_dataset(tmp_path: Path) -> None:
+def test_rows_that_a_run_no_longer_has_leave_the_dataset(tmp_path: Path) -> None:
     """A clock that was put right moves the run to another day, and a fault that is not in the log any more goes."""
     made = Flown(tmp_path / "log", wrong_s=-86_400.0)
     made.until(50)

@@ -130,7 +130,7 @@ def _in_little_memory(content: bytes, answer: Any) -> None:
         ("whole file", "damaged or unreadable from here on: it unpacks to more than 100 times its size"),
     ],
 )
-def test_what_unpacks_to_more_than_it_may_is_left_out_and_named(name: str, said: str) -> None:
+def test_a_recording_that_unpacks_to_more_than_allowed_is_left_out_and_named(name: str, said: str) -> None:
     """In a process that has not the memory for it."""
     spawned = get_context("spawn")
     mine, theirs = spawned.Pipe(duplex=False)
@@ -217,7 +217,7 @@ def test_names_of_a_recording_are_text(tmp_path: Path) -> None:
     assert all(row["text"].isprintable() and len(row["text"]) < 300 for row in rows)
 
 
-def test_what_is_kept_is_limited() -> None:
+def test_topics_gaps_and_samples_of_a_recording_are_limited() -> None:
     """Topics, gaps and samples, whatever a file has."""
     found = Problems()
     made = Recording("x", found)

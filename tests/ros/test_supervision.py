@@ -188,7 +188,7 @@ def test_topics_are_requested_by_their_full_names() -> None:
     assert [(t.name, t.rate_hz, t.silence_s) for t in wanted(settings, "a").topics] == [("/a/b", 5, 2), ("/c", None, 2)]
 
 
-def test_what_readiness_needs_is_requested_once() -> None:
+def test_readiness_requests_each_service_topic_and_state_once() -> None:
     """Services and topics of nodes and containers, and the states of nodes with `lifecycle`."""
     nodes = [
         {"name": "a/b", "ready": {"lifecycle": "active", "services": ["/s"]}},

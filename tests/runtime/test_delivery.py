@@ -176,7 +176,7 @@ def test_a_value_of_the_agents_variables_is_not_in_the_answer(tmp_path: Path) ->
         "agent: {id: 7, name: A07}\nstate_dir: /tmp/elsewhere",
     ],
 )
-def test_what_a_reload_cannot_apply_is_refused(agent: Agent, line: str) -> None:
+def test_settings_that_a_reload_cannot_apply_are_refused(agent: Agent, line: str) -> None:
     """It would be unknown whether PHM starts with it; and an operator cannot lock himself out."""
     answer = agent.refused(f"{line}\n")
     assert "cannot be changed by a delivery" in answer.text

@@ -317,7 +317,7 @@ def test_a_fault_states_the_longest_earlier_pause_of_its_unit() -> None:
 
 
 @pytest.mark.parametrize("announced", [True, False])
-def test_what_a_restart_by_others_ended_was_no_pause(announced: bool) -> None:
+def test_a_failure_ended_by_a_restart_of_others_is_not_a_pause(announced: bool) -> None:
     """An operator, or the engine's restart policy: the unit did not return by itself. Known by the event or by a result."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app")])
 

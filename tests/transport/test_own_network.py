@@ -44,5 +44,5 @@ def test_outside_of_a_container_nothing_is_private(tmp_path: Path) -> None:
         ("/dev/ttyS0", False),
     ],
 )
-def test_loopback_endpoints(url: str, stays: bool) -> None:
+def test_only_loopback_urls_stay_on_the_machine(url: str, stays: bool) -> None:
     assert is_loopback(url) is stays

@@ -70,7 +70,7 @@ def test_data_must_arrive(line: str | None, fact: api.SerialFact, level: api.Lev
         (api.SerialFact(1.0), "no data received on /dev/serial/by-id/gps yet"),
     ],
 )
-def test_what_phm_may_not_read_is_not_known(fact: api.SerialFact, words: str) -> None:
+def test_a_port_that_phm_may_not_read_is_unknown(fact: api.SerialFact, words: str) -> None:
     """A port of another program is left alone."""
     with pytest.raises(api.CannotTell, match=words):
         evaluate(build(max_age=2.0), fact, PORT)

@@ -133,7 +133,7 @@ def test_messages_that_cannot_be_received_or_decoded_are_not_known() -> None:
         run(check, testing.FakeRos(age_s=9.0, topics={NAME: topic}))
 
 
-def test_it_needs_its_topic_and_the_container_that_it_comes_from() -> None:
+def test_a_value_depends_on_its_topic_and_the_container_of_its_publisher() -> None:
     """The only one by default; units that are not configured do not count. It has the grace of ROS; a change of the graph wakes it."""
     check = build(min=0.0, grace=1)
     (unit,) = check.units

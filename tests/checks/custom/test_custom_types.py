@@ -145,7 +145,7 @@ def test_performance_data_become_values_with_their_unit() -> None:
     assert len(performance(" ".join(f"v{number}=1" for number in range(1000)))) == MOST_VALUES
 
 
-def test_what_a_program_writes_is_clean_also_where_it_is_not_judged() -> None:
+def test_the_output_of_a_program_is_safe_to_print_also_in_a_stale_unit() -> None:
     """The reason of a STALE unit is shown, too."""
     with pytest.raises(api.CannotTell) as caught:
         command(9, "\x1b[2Jline" + "x" * 5000)

@@ -285,7 +285,7 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path) -> None:
         (("--history", "x"), "needs --web"),
     ],
 )
-def test_what_is_not_safe_does_not_start(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+def test_unsafe_options_are_refused_before_the_start(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
     """Before anything is opened, with what to add."""
     tokens = tmp_path / "tokens"
     tokens.write_text(f"operate: {OPERATE}\n")

@@ -120,7 +120,7 @@ def test_the_heads_of_the_units_are_whole_words_on_a_tablet(page: Page) -> None:
         assert box is not None and box["height"] < 40
 
 
-def test_what_is_in_the_file_is_text_never_markup(page: Page) -> None:
+def test_values_of_the_file_are_text_never_markup(page: Page) -> None:
     """Also in the preview, the changes and the messages; nothing runs."""
     section(page, "log").locator("summary").click()
     files = section(page, "log.files").locator("input")
@@ -163,7 +163,7 @@ def test_a_click_on_save_includes_the_field_that_it_leaves(page: Page, file: Pat
     assert file.read_text() == TEXT.replace("files: 3", "files: 5")
 
 
-def test_it_works_by_keyboard_alone(page: Page, file: Path) -> None:
+def test_the_form_works_by_keyboard_alone(page: Page, file: Path) -> None:
     """Open a section, change a value, undo it, change it again and save."""
     section(page, "log").locator("summary").focus()
     page.keyboard.press("Enter")

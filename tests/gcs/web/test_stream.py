@@ -149,7 +149,7 @@ def test_with_a_token_file_the_stream_needs_one(source: Source) -> None:
     made.close()
 
 
-def test_tls(tmp_path: Path) -> None:
+def test_the_page_is_served_by_https_alone_with_tls_files(tmp_path: Path) -> None:
     """The page by HTTPS: the cookie is sent over HTTPS alone, and plain HTTP gets nothing."""
     cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
     made = [

@@ -108,7 +108,7 @@ def test_a_jump_shows_the_state_of_that_moment(client: Client, live: Live) -> No
     assert how(live) == ["OK", "OK"]
 
 
-def test_it_plays_at_any_speed_and_stops_at_the_end(client: Client, live: Live) -> None:
+def test_a_replay_runs_at_any_speed_and_stops_at_the_end(client: Client, live: Live) -> None:
     """With the events of the record, at their own times."""
     client.post("/api/replay", {"do": "speed", "speed": 1000})
     client.post("/api/replay", {"do": "play"})

@@ -142,7 +142,7 @@ def test_a_large_folder_is_read_in_several_looks(folder: Folder, monkeypatch: py
     assert folder.read().sums == dict.fromkeys("abcd", total())
 
 
-def test_limits(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_files_or_nested_folders_are_refused(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Too many files, and too many folders in each other."""
     monkeypatch.setattr(file_tree, "MAX_FILES", 2)
     for name in "abc":
@@ -263,7 +263,7 @@ def test_a_large_file_that_changes_all_the_time_does_not_starve_the_others(
     assert {"b", "c", "d", "e", "f", "g"} <= set(listing.sums)
 
 
-def test_hostile_names(folder: Folder) -> None:
+def test_hostile_file_names_are_read_and_not_interpreted(folder: Folder) -> None:
     """Any byte may be in a name; nothing is interpreted."""
     for name in (b"\xff\xfe", b"line\nbreak", b"* ? [", b"-rf"):
         (folder.path / os.fsdecode(name)).write_text("text")
@@ -279,7 +279,7 @@ def test_the_comparison_names_what_differs() -> None:
     assert (fact.files, fact.size) == (3, 30)
 
 
-def test_what_could_not_be_read_is_not_missing() -> None:
+def test_files_that_could_not_be_read_are_not_missing() -> None:
     """A file that is pending, and one in a folder that PHM may not read."""
     found = TreeListing({}, {"pending"}, {"private"}, 0)
     fact = compare({"pending": "1", "private/key": "2"}, found, [])

@@ -57,7 +57,7 @@ def test_a_closed_port_is_refused(sockets: Sockets) -> None:
     assert sockets.connect("127.0.0.1", port, timeout_s=5).problem == "the connection was refused"
 
 
-def test_what_the_server_sends_first_is_read(sockets: Sockets, serve: Serve) -> None:
+def test_a_greeting_of_the_server_is_read(sockets: Sockets, serve: Serve) -> None:
     """Also in several parts, until it is what was expected."""
 
     def answer(connection: socket.socket) -> None:

@@ -31,7 +31,7 @@ def problems(case: Case, events: list[dict[str, Any]], *, same_run: bool, restor
 
 
 @pytest.mark.parametrize("case", [SURVIVED, ENDED])
-def test_what_is_expected_holds(case: Case) -> None:
+def test_a_run_as_expected_has_no_problems(case: Case) -> None:
     """One alarm at each expected unit, the expected action, and the time of the first alarm."""
     row = judged(case, GOOD[case], 100.0, same_run=case.survives, restored=True)
     assert row.problems == []

@@ -96,7 +96,7 @@ def test_several_faults_on_one_agent_are_independent_or_explained() -> None:
     assert [each.explained_by for each in found] == ["container_killed", "", "", ""]
 
 
-def test_what_the_ground_cannot_receive_is_blind() -> None:
+def test_faults_of_radio_and_router_blind_the_ground() -> None:
     """Faults of the radio and of the router hide the agent; one of its autopilot does not."""
     faults, agent = all_faults(), Agent("p", "agent_1", docker=Mock())
     blind = {name for name, fault in faults.items() if injection(fault, agent, TUNED).blinds}

@@ -295,7 +295,9 @@ def test_a_lost_radio_is_reported_by_other_agents() -> None:
         ({"world_broken": T0 + 0.1}, "restart", 3.5, ACTION),
     ],
 )
-def test_what_ended_a_fault(fault: dict[str, Any], by: str, world: float, ended_by: str) -> None:
+def test_a_fault_is_ended_by_an_action_or_by_its_world(
+    fault: dict[str, Any], by: str, world: float, ended_by: str
+) -> None:
     """Only an action counts as PHM's, and only if the world was not restored before any action began, and no timer of
     the injector was running.
     """

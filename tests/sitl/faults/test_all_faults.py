@@ -63,7 +63,7 @@ def test_a_fault_states_its_evidence_and_observes_the_world(name: str) -> None:
     assert type(fault).restored is not Fault.restored
 
 
-def test_titles_differ() -> None:
+def test_titles_of_faults_differ() -> None:
     """No two rows of a table have the same title."""
     titles = [fault.title for fault in faults.all_faults().values()]
     assert len(set(titles)) == len(titles)

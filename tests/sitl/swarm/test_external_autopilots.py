@@ -133,7 +133,7 @@ def test_ardupilot_has_its_conventional_ports_and_ids() -> None:
     assert len(config.endpoints(Options(), 3)) == 2
 
 
-def test_its_container_belongs_to_the_swarm_and_the_emulators_network(tmp_path: Path) -> None:
+def test_an_autopilots_container_belongs_to_the_swarm_and_the_emulators_network(tmp_path: Path) -> None:
     """So `down` finds it, and every instance has its conventional ports on one address."""
     (file,) = external_autopilots.write(ARDUPILOT, 2, tmp_path)
     made = yaml.safe_load(Path(file).read_text())["services"][external_autopilots.SERVICE]
