@@ -56,6 +56,7 @@ def test_a_unit_needs_the_rate_of_its_topic() -> None:
 
 
 def test_messages_within_their_limits_are_ok() -> None:
+    """The summary says what was checked."""
     result = Bench().see(age_s=0.012, lost_percent=0.0)
     assert result.level is api.Level.OK
     expected = "agent_1/odom: stamps 12 ms old, in order, content changes, 0 % lost, values within their ranges"

@@ -24,6 +24,7 @@ def judge(tree: api.TreeFact | None = None, problem: str = "") -> api.Result:
 
 
 def test_an_unaltered_folder_is_ok() -> None:
+    """A folder without differences is OK."""
     result = judge(api.TreeFact(4312, 10**8))
     assert result.level is api.Level.OK
 
@@ -60,8 +61,10 @@ def test_a_difference_counts_before_all_is_read() -> None:
 
 
 def test_a_missing_folder_is_an_error() -> None:
+    """Its condition is `file_missing`."""
     assert judge().condition == "file_missing"
 
 
 def test_a_folder_outside_of_volumes_is_stale() -> None:
+    """PHM cannot see its files, so it does not report them as missing."""
     assert judge(problem="not in a volume").level is api.Level.STALE

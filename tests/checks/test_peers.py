@@ -22,6 +22,7 @@ def evaluate(peers: dict[int, PeerFact], agents: tuple[int, ...] = (2, 3, 4), **
 
 
 def test_all_agents_alive_is_ok() -> None:
+    """The unit of the swarm counts this agent as well."""
     results = evaluate(dict.fromkeys((2, 3, 4), ALIVE))
     assert {result.level for result in results.values()} == {Level.OK}
     assert results[SWARM].summary == "4 of 4 agents of the swarm are alive"
@@ -116,11 +117,13 @@ def test_the_only_other_agent_lost_is_reported_as_lost() -> None:
 
 
 def test_a_duplicate_id_is_reported_first() -> None:
+    """Two agents with one id are named before anything else."""
     result = evaluate({2: ALIVE}, duplicate_ids=(2,))[SWARM]
     assert (result.condition, result.brief) == ("id_clash", "A02 id used twice")
 
 
 def test_without_configuration_received_agents_are_expected() -> None:
+    """An agent that was received once is expected from then on."""
     result = evaluate({2: ALIVE, 3: LOST}, ())[SWARM]
     assert (result.level, result.brief) == (Level.ERROR, "A03 lost")
 
@@ -145,6 +148,7 @@ def test_without_expected_agents_being_alone_is_ok() -> None:
 
 
 def test_without_links_no_check_is_built() -> None:
+    """Without an endpoint there is no check; with one, an agent that is named twice has one unit."""
     assert Peers.build(testing.settings()) == []
     (check,) = Peers.build(
         testing.settings(mavlink={"endpoints": [{"url": "udpout:127.0.0.1:1"}]}, swarm={"agents": [1, 2, 2, 3]})

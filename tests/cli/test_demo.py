@@ -61,6 +61,7 @@ def test_three_agents_report_to_the_ground_until_ctrl_c(tmp_path: Path, monkeypa
 
 
 def test_the_demo_ends_after_its_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With exit code 0, without processes or files left."""
     base = free_base()
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     done = subprocess.run(words(base, 1), capture_output=True, text=True, timeout=LIMIT_S, check=False)

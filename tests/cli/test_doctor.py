@@ -37,6 +37,7 @@ def test_a_missing_row_is_exit_code_1_and_shows_its_remedy(monkeypatch: pytest.M
 
 
 def test_json_has_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each row has its group, name, state, text and remedy; one that is missing makes `ok` false."""
     code, output, _ = invoke(monkeypatch, [OK, BAD], "--json")
     document = json.loads(output)
     assert (code, document["ok"]) == (1, False)

@@ -42,6 +42,7 @@ def test_yes_asks_nothing_and_the_result_is_valid(fake: FakeEngine, tmp_path: Pa
 
 
 def test_options_answer_the_questions(fake: FakeEngine, tmp_path: Path) -> None:
+    """`phm init` with options asks nothing and writes what they say."""
     options = ["--id", "9", "--container", "ros_app", "--recover", "--mavlink", "none", "--image", "phm:2"]
     done = init(fake, tmp_path, *options)
     assert done.exit_code == 0, done.output
@@ -72,6 +73,7 @@ def test_a_terminal_asks_until_the_answer_is_possible(
 
 
 def test_files_that_exist_are_kept(fake: FakeEngine, tmp_path: Path) -> None:
+    """`--force` replaces them."""
     (tmp_path / "phm.yaml").write_text("mine")
     done = init(fake, tmp_path, "--yes")
     assert done.exit_code == 1 and "--force replaces" in done.stderr

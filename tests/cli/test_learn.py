@@ -33,6 +33,7 @@ def seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_the_configuration_is_printed() -> None:
+    """Without `-o` the result goes to stdout, with a note about what was not watched."""
     result = invoke("--fresh")
     assert result.exit_code == 0
     assert "rate: 10" in result.stdout and "containers were not watched" in result.stdout
@@ -55,6 +56,7 @@ def test_differences_are_printed_and_nothing_is_written(tmp_path: Path) -> None:
 
 
 def test_manifests_are_written_beside_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--files` writes the sums of a container's folder."""
     folder = ObservedFolder("app", "/ws", {"a": "0" * 64}, 1)
     monkeypatch.setattr(
         agent_observer.AgentObserver, "run", lambda self: Observations(60.0, SEEN.containers, (folder,), SEEN.nodes)
@@ -64,6 +66,7 @@ def test_manifests_are_written_beside_the_file(tmp_path: Path, monkeypatch: pyte
 
 
 def test_json_lists_the_learned_names() -> None:
+    """`--json` has the names, and whether the configuration would change."""
     document = json.loads(invoke("--fresh", "--json").stdout)
     assert (document["nodes"], document["topics"], document["changed"]) == (["/a/lidar"], ["/a/scan"], True)
 
@@ -79,6 +82,7 @@ def test_json_lists_the_learned_names() -> None:
     ],
 )
 def test_invalid_options_are_refused_with_the_allowed_values(words: tuple[str, ...], problem: str) -> None:
+    """With exit code 2."""
     result = invoke(*words)
     assert result.exit_code == 2 and problem in result.output
 
@@ -90,6 +94,7 @@ def test_an_invalid_configuration_is_refused_with_its_line(tmp_path: Path) -> No
 
 
 def test_nothing_learned_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The exit code is 1, and the problem of each probe is named."""
     monkeypatch.setattr(
         agent_observer.AgentObserver,
         "run",

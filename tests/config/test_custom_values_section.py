@@ -45,6 +45,7 @@ def problems(*entries: str, where: str = "autopilot") -> list[str]:
     ],
 )
 def test_entries_are_accepted(entry: str) -> None:
+    """Each entry is valid as written."""
     assert problems(entry) == []
 
 

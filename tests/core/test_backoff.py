@@ -6,6 +6,7 @@ from phm.core.backoff import Backoff, pause_s
 
 
 def test_pauses_double_up_to_the_longest() -> None:
+    """Each failure doubles the pause, up to the maximum."""
     backoff = Backoff(0.5, 3.0)
     assert [backoff.next_s() for _ in range(5)] == [0.5, 1.0, 2.0, 3.0, 3.0]
 
@@ -19,6 +20,7 @@ def test_a_success_starts_with_the_first_pause_again() -> None:
 
 
 def test_many_failures_do_not_overflow() -> None:
+    """The pause stays at its maximum after any number of failures."""
     backoff = Backoff(0.1, 5.0)
     for _ in range(5000):
         backoff.next_s()

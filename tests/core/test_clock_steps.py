@@ -72,6 +72,7 @@ def test_a_step_after_a_long_gap_restarts_the_observation() -> None:
 
 @pytest.mark.parametrize("kept", [[(float("nan"), 1.0)], [(0.0, float("nan"))], [(0.0, -1e9)], [(0.0, 1e9)], []])
 def test_invalid_periods_are_ignored(kept: list[tuple[float, float]]) -> None:
+    """Damaged state of an earlier run does not change what is known about the clock."""
     clock = testing.FakeClock(mono=60.0, utc=60.0)
     clock.steps.resume(kept)
     assert clock.steps.known_since() == 60.0

@@ -42,6 +42,7 @@ def test_known_fields_pass(message: str, field: str, instance: bool) -> None:
     ],
 )  # fmt: skip
 def test_a_mistake_names_what_is_similar(message: str, field: str, number: bool, words: str) -> None:
+    """The error suggests names that are similar."""
     with pytest.raises(UnknownMavlinkField) as caught:
         demand_field(message, field, number=number)
     assert words in str(caught.value)

@@ -86,6 +86,7 @@ def test_a_damaged_module_has_no_fields(package: Path, text: str) -> None:
 
 
 def test_a_header_must_come_first() -> None:
+    """A message has a usable stamp only if its first field is a std_msgs/Header."""
     assert (has_header(FIX), has_header(STATUS), has_header("phm_test_msgs/msg/Empty")) == (True, False, False)
 
 

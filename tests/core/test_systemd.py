@@ -30,6 +30,7 @@ def test_each_notification_is_one_datagram_in_the_format_of_sd_notify(tmp_path: 
 
 
 def test_an_abstract_socket_is_reached() -> None:
+    """systemd writes the null byte of its name as `@`."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind("")  # the kernel chooses an abstract name
         systemd.settimeout(10)

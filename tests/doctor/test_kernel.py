@@ -47,5 +47,6 @@ def test_features_that_an_old_kernel_lacks_are_limited_with_a_remedy(
 
 
 def test_unmounted_cgroups_are_limited(tmp_path: Path) -> None:
+    """PHM then asks the engine for statistics."""
     there = surroundings(tmp_path)
     assert "engine for statistics" in row(list(kernel.rows(there)), "cgroups").text

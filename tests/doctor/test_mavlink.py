@@ -40,6 +40,7 @@ def test_the_loopback_of_a_bridged_container_leads_nowhere(tmp_path: Path, monke
 
 
 def test_a_serial_port_must_exist(tmp_path: Path) -> None:
+    """A missing port has the remedy to map the device into the container."""
     absent, _ = judged(tmp_path, str(tmp_path / "ttyACM0"))
     assert absent.state == "missing" and "devices:" in absent.remedy
     (tmp_path / "ttyACM0").touch()
@@ -47,5 +48,6 @@ def test_a_serial_port_must_exist(tmp_path: Path) -> None:
 
 
 def test_no_endpoint_is_said(tmp_path: Path) -> None:
+    """A configuration without endpoints is valid, and the row says so."""
     (only,) = rows(surroundings(tmp_path))
     assert only.state == "ok" and "none configured" in only.text

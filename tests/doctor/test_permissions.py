@@ -29,6 +29,7 @@ def test_a_socket_that_may_be_opened_is_ok(tmp_path: Path) -> None:
 
 
 def test_no_socket_is_missing(tmp_path: Path) -> None:
+    """A missing Unix socket is a defect; an engine over TCP needs none."""
     assert row(list(rows(surroundings(tmp_path))), "socket").state == "missing"
     remote = surroundings(tmp_path, docker={"socket": "tcp://10.0.0.1:2375"})
     assert row(list(rows(remote)), "socket").state == "ok"

@@ -12,6 +12,7 @@ from tests.doctor.places import row, states, surroundings
 
 
 def test_writable_folders_are_ok(tmp_path: Path) -> None:
+    """The folders of log and state need no remedy if PHM can write to them."""
     (tmp_path / "log").mkdir()
     (tmp_path / "state").mkdir()
     assert states(list(rows(surroundings(tmp_path)))) == {"log": "ok", "state": "ok"}

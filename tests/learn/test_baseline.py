@@ -61,10 +61,12 @@ def test_a_rate_that_is_too_irregular_is_not_learned() -> None:
 
 
 def test_a_short_watch_is_noted() -> None:
+    """A rate measured over a short time has a note."""
     assert "only" in learned_topic(watched_s=10.0).notes["rate"]
 
 
 def test_several_publishers_are_noted() -> None:
+    """All publishers of the topic are learned, with a note that there are several."""
     two = (EndpointFact("/a/lidar", TYPE), EndpointFact("/a/second", TYPE))
     found = learned_topic(publishers=two)
     assert found.values["publishers"] == ["/a/lidar", "/a/second"]

@@ -61,6 +61,7 @@ def test_nothing_new_changes_nothing_but_what_was_not_configured() -> None:
 
 
 def test_a_second_time_changes_nothing() -> None:
+    """Merging the same result again leaves the file unchanged."""
     one = Learned({"name": "/b/new", "rate": 7}, {"rate": "varied by 4 %"})
     more = Baseline(topics=(Learned(TOPIC), one), notes=("a note",), seen=frozenset({"a/scan", "b/new", "a/lidar"}))
     for text in (FILE, "", SHIPPED):

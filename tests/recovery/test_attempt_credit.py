@@ -41,9 +41,10 @@ def resolved(agent: Agent, behave: Callable[..., object]) -> tuple[str, str]:
 
 
 def test_an_effective_action_is_credited(agent: Agent) -> None:
+    """An action after which the unit is OK is named as the one that ended the fault."""
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "restart"
-    assert "not because of" not in said
+    assert "did not cause this" not in said
 
 
 def test_an_action_that_found_nothing_to_do_is_not_credited(agent: Agent) -> None:
@@ -79,7 +80,7 @@ def test_an_action_is_credited_when_no_thread_can_be_started_to_query_other_caus
     monkeypatch.setattr(threading.Thread, "start", start)
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "restart"
-    assert "not because of" not in said
+    assert "did not cause this" not in said
 
 
 # ---------------------------------------------------------------- a link
@@ -195,6 +196,7 @@ def test_a_reboot_without_a_time_since_boot_is_recognized() -> None:
 
 
 def test_another_links_autopilot_is_ignored() -> None:
+    """Only the autopilot of the reopened link shows whether it has rebooted."""
     made = Cable(pilot=replace(PILOT, link="other"), boots=lambda elapsed_s: {"boot_s": 1.0, "reboots": 1})
     assert made.act()[1] == ""
 

@@ -115,6 +115,7 @@ def test_an_application_of_another_domain_is_named() -> None:
 
 
 def test_another_middleware_needs_another_image() -> None:
+    """The environment file says so beside RMW_IMPLEMENTATION."""
     text = made(application("app", env={"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}))["agent.env"]
     assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in text and "image must have rmw_cyclonedds_cpp" in text
 

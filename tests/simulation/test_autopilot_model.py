@@ -109,6 +109,7 @@ def test_streams_can_be_requested_on_one_port() -> None:
 
 
 def test_one_message_can_be_requested() -> None:
+    """The simulated autopilot acknowledges MAV_CMD_REQUEST_MESSAGE and sends the message to the sender alone."""
     answers = AutopilotModel(3, 0.0).obey(5.0, command(mavlink.MAV_CMD_REQUEST_MESSAGE, 2))
     assert [messages(parser(), answer.frame)[0].get_type() for answer in answers] == ["COMMAND_ACK", "SYSTEM_TIME"]
     assert not any(answer.everyone for answer in answers)

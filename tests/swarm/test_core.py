@@ -376,6 +376,7 @@ def test_the_line_names_agents_that_are_not_ok(words: dict[int, int], lost: tupl
 
 @given(st.dictionaries(st.integers(1, 250), st.integers(0, 2**32 - 1), min_size=1), st.data())
 def test_the_line_always_fits(words: dict[int, int], data: st.DataObject) -> None:
+    """A digest line is ASCII of at most 50 characters, whatever the states of the swarm are."""
     own = data.draw(st.sampled_from(sorted(words)))
     lost = data.draw(st.sets(st.sampled_from(sorted(words)))) - {own}
     line = digest.digest_line(statuses_of(words, lost, own))

@@ -45,4 +45,5 @@ def test_outside_of_a_container_nothing_is_private(tmp_path: Path) -> None:
     ],
 )
 def test_only_loopback_urls_stay_on_the_machine(url: str, stays: bool) -> None:
+    """A destination on this machine is loopback; a listening port, another host or a serial port is not."""
     assert is_loopback(url) is stays

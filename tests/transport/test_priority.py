@@ -80,6 +80,7 @@ def test_a_fault_is_sent_before_repeated_messages() -> None:
 
 
 def test_heartbeats_use_the_common_budget() -> None:
+    """The observed bytes per second of heartbeats are subtracted from the rate of the link."""
     budget = LinkBudget(20.0, 0.0)
     for at in range(10):
         budget.heartbeat(12, float(at))
@@ -125,6 +126,7 @@ def test_an_unsent_message_returns_to_the_front() -> None:
 
 
 def test_outdated_messages_are_dropped() -> None:
+    """Those put before the limit are dropped and counted; newer ones are sent."""
     budget = LinkBudget(None, 0.0)
     budget.put(QueuedMessage("old", MessagePriority.TRANSITION, 40, None, put_at=1.0))
     budget.put(QueuedMessage("new", MessagePriority.TRANSITION, 40, None, put_at=9.0))

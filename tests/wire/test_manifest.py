@@ -24,6 +24,7 @@ def test_any_file_name_survives(files: dict[str, str]) -> None:
 
 
 def test_sha256sum_reads_it(tmp_path: Path) -> None:
+    """A manifest of PHM is valid for `sha256sum --strict`, whatever the names of the files are."""
     for name in ("plain", "back\\slash", "line\nbreak"):
         (tmp_path / name).write_text(name)
     sums = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in tmp_path.iterdir()}
@@ -50,5 +51,6 @@ def test_a_manifest_of_sha256sum_is_read(tmp_path: Path) -> None:
     ],
 )
 def test_invalid_manifests_are_refused(data: bytes, problem: str) -> None:
+    """The error names what is wrong."""
     with pytest.raises(ValueError, match=problem):
         manifest.decode(data)

@@ -43,6 +43,7 @@ def test_a_message_is_read_as_written(message: TunnelMessage) -> None:
 
 @given(st.integers(1, 250 - MAX_WORDS), st.lists(st.integers(1, 2**32 - 1), min_size=1, max_size=MAX_WORDS))
 def test_words_are_read_as_written(first: int, words: list[int]) -> None:
+    """Encoding and decoding give the same words, also if MAVLink cut trailing zeros."""
     message = StatusWords(dict(enumerate(words, first)))
     assert decode(encode(message)) == message
     assert decode(encode(message).rstrip(b"\0")) == message

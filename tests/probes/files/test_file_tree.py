@@ -273,6 +273,7 @@ def test_hostile_file_names_are_read_and_not_interpreted(folder: Folder) -> None
 
 
 def test_the_comparison_names_what_differs() -> None:
+    """Changed, missing and new files are named; ignored ones are not counted."""
     found = TreeListing({"same": "1", "altered": "2", "added": "3"}, set(), set(), 30)
     fact = compare({"same": "1", "altered": "0", "gone": "4", "skip.pyc": "5"}, found, ["*.pyc"])
     assert (fact.changed, fact.missing, fact.new, fact.differing) == (("altered",), ("gone",), ("added",), 3)
@@ -287,6 +288,7 @@ def test_files_that_could_not_be_read_are_not_missing() -> None:
 
 
 def test_names_are_limited_and_counted() -> None:
+    """All differences are counted, and a limited number is named."""
     found = TreeListing({f"f{number:03}": "1" for number in range(100)}, set(), set(), 0)
     fact = compare({}, found, [])
     assert fact.differing == 100 and len(fact.new) == fact.MAX_NAMED

@@ -180,6 +180,7 @@ def test_no_list_of_all_names_is_built(disk: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_unconfigured_and_recent_files_stay(disk: Path) -> None:
+    """Only files that match a pattern and are old enough are removed."""
     other, fresh = put(disk / "bags/map.db", 50_000), put(disk / "bags/now.mcap", 48_000, age_s=0.0)
     with pytest.raises(
         ActionFailed, match=r"removed 0 old files.*still at 98 %.*nothing else that host\.free_disk names"
@@ -225,6 +226,7 @@ def test_a_directory_that_was_replaced_meanwhile_is_not_entered(
 
 
 def test_a_missing_directory_is_reported(disk: Path) -> None:
+    """The result names the folder and the reason."""
     put(disk / "log.txt", 98_000)
     with pytest.raises(ActionFailed, match=r"bags: No such file or directory"):
         run(disk, {"files": ["*"]})
