@@ -372,7 +372,7 @@ def test_a_delivery_without_an_answer_may_have_been_applied(browser: Browser, fi
         expect(page.locator("#state")).to_contain_text("not changed, valid")
         page.locator("#box-deliver summary").click()
         page.locator("#deliver").click()
-        expect(page.locator("#delivered")).to_contain_text("whether the configuration was applied is not known")
+        expect(page.locator("#delivered")).to_contain_text("it is not known whether the configuration was applied")
 
 
 def test_without_an_agent_nothing_is_offered(page: Page) -> None:
