@@ -141,7 +141,7 @@ def command(
     criteria = LineFilter(units, frozenset(kinds), frozenset(levels), agents, since_s, reports)
     try:
         logs = log_paths.readers(given, awaited=follow)
-        gates = _take_offs(logs) if since == TAKE_OFF else [None] * len(logs)
+        gates = _take_offs(logs, awaited=follow) if since == TAKE_OFF else [None] * len(logs)
     except log_paths.NoLog as error:
         raise click.ClickException(str(error)) from None
     show = _show_json if as_json else _Printer(brief, several=len(logs) > 1).show
@@ -158,8 +158,11 @@ def command(
         click.echo("no line matches (regular reports are shown with --reports)", err=True)
 
 
-def _take_offs(logs: Sequence[LogReader]) -> list[TakeOff | None]:
-    """The gate of each log. Of a log without a flight nothing is shown; without any flight, raises NoLog."""
+def _take_offs(logs: Sequence[LogReader], *, awaited: bool) -> list[TakeOff | None]:
+    """The gate of each log. Of a log without a flight nothing is shown; without any flight, raises NoLog.
+
+    awaited: the logs are followed, so a log without a flight is shown from its first one on.
+    """
     from phm.logs import line_filter, log_paths
 
     found = []
@@ -167,6 +170,10 @@ def _take_offs(logs: Sequence[LogReader]) -> list[TakeOff | None]:
         first = log.again()
         found.append(line_filter.take_off(first))
         first.close()
+    if awaited:
+        if not any(found):
+            click.echo("there is no flight in the log yet: waiting for take-off", err=True)
+        return [gate or line_filter.TakeOff() for gate in found]
     if not any(found):
         raise log_paths.NoLog(
             "there is no flight in the log (the autopilot was not seen armed): leave out --since take-off"

@@ -56,16 +56,21 @@ class LineFilter:
 
 
 class TakeOff:
-    """Lets events through from the beginning of the last flight of a log on."""
+    """Lets events through from the beginning of a flight on. mark: boot_id and number of its line; None: the next one that begins."""
 
-    def __init__(self, mark: tuple[object, int]) -> None:
+    def __init__(self, mark: tuple[object, int] | None = None) -> None:
         self._mark, self._begun = mark, False
 
     def takes(self, event: Json) -> bool:
-        boot, seq = self._mark
-        if not self._begun and event.get("boot_id") == boot and _number(event.get("seq")) >= seq:
-            self._begun = True
+        if not self._begun:
+            self._begun = self._is_beginning(event)
         return self._begun
+
+    def _is_beginning(self, event: Json) -> bool:
+        if self._mark is None:
+            return _begins(event)
+        boot, seq = self._mark
+        return event.get("boot_id") == boot and _number(event.get("seq")) >= seq
 
 
 NOTHING = TakeOff((object(), 0))
@@ -80,11 +85,15 @@ def take_off(reader: LogReader) -> TakeOff | None:
     found: tuple[object, object, int] | None = None
     for line in reader.lines(last=True):
         event = json_log.parse(line) if _FLIGHT in line else None
-        if event is None or event.get("event") != "flight" or event.get("began") is not True:
+        if event is None or not _begins(event):
             continue
         if found is None or event.get("number") != found[0]:
             found = (event.get("number"), event.get("boot_id"), int(_number(event.get("seq"))))
     return None if found is None else TakeOff(found[1:])
+
+
+def _begins(event: Json) -> bool:
+    return event.get("event") == "flight" and event.get("began") is True
 
 
 def level(event: Json) -> str:

@@ -5,10 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from phm.review import check_rates, levels
+from phm.review.cuts import Cuts
 from phm.review.record import AgentRecord, Record
-from phm.review.spans import clipped, total, without
+from phm.review.spans import Span, clipped, total, without
 
 Json = dict[str, Any]
+MOST_SEGMENTS, LEAST_SEGMENTS = 100_000, 5000
+"""Of the levels of all agents together, but never less than the second number for one."""
+MOST_UNITS, LEAST_UNIT_SEGMENTS = 40, 500
+"""Units of one agent that are drawn, and segments that each may have at least."""
+MOST_ACTIONS, MOST_SPANS, MOST_RUNS = 2000, 2000, 200
+UNITS_CUT = "units in the timeline"
+PHASES = ("started", "verified", "failed", "escalated")
 
 
 def row(
@@ -18,71 +26,103 @@ def row(
     faults: list[Json],
     begin: float,
     end: float,
+    cuts: Cuts,
 ) -> Json:
     worst = levels.of_agent(units.values(), agent.cover) if agent.runs else levels.of_ground(record, agent.id)
     spent = levels.seconds(worst, begin, end)
-    first = max(begin, agent.cover[0][0]) if agent.cover else begin
-    # A log that ends while its autopilot is armed was not ended by anyone: PHM, or its computer, was lost.
-    flying = agent.flying and bool(agent.armed) and agent.armed[-1][1] >= agent.end - 1.0
-    last = end if flying else min(end, agent.end)
-    down = clipped(without([[first, last]], agent.cover), begin, end) if agent.runs and last > first else []
-    lost = sum(mark.body["lines"] for _, mark in agent.marks if mark.what == "lost")
-    # An event `lost` has the number of the last line that it counts; the others are a gap before it.
-    explained = sum(max(0, mark.body["lines"] - 1) for _, mark in agent.marks if mark.what == "lost")
-    gaps = sum(int(gap[1] - gap[0]) - 1 for run, _ in agent.runs for gap in run.numbers.gaps())
-    missing = max(0, gaps - explained)
+    most = max(LEAST_SEGMENTS, MOST_SEGMENTS // max(1, len(record.agents)))
+    segments, joined_s = levels.shortened(_clip(worst, begin, end), most)
+    shown, units_joined_s = _shown_units(agent, units, begin, end, cuts, max(LEAST_UNIT_SEGMENTS, most // MOST_UNITS))
+    down, ran_s = _down(agent, begin, end)
+    armed = clipped(agent.armed, begin, end)
+    lost, missing = _lost(agent)
+    runs = [
+        {
+            "boot_id": run.boot_id,
+            "begin": round(clock.t(run.cover.spans[0][0]), 3),
+            "end": round(clock.t(run.cover.spans[-1][1]), 3),
+        }
+        for run, clock in agent.runs
+        if run.cover.spans
+    ]
     return {
         "agent": agent.name,
         "agent_id": agent.id,
         "logged": bool(agent.runs),
         "versions": sorted({run.version for run, _ in agent.runs if run.version}),
-        "runs": [
-            {
-                "boot_id": run.boot_id,
-                "begin": round(clock.t(run.cover.spans[0][0]), 3),
-                "end": round(clock.t(run.cover.spans[-1][1]), 3),
-            }
-            for run, clock in agent.runs
-            if run.cover.spans
-        ][:200],
+        "runs": cuts.keep(agent.name, "runs of PHM", runs, MOST_RUNS),
         "faults": len(check_rates.opened(faults, round(begin, 3))),
         "error_s": round(spent.get("ERROR", 0.0), 3),
         "warn_s": round(spent.get("WARN", 0.0), 3),
         "unknown_s": round(spent.get("STALE", 0.0), 3),
-        "uptime": round(1 - total(down) / (last - first), 6) if agent.runs and last > first else None,
-        "down": _rounded(down),
-        "armed": _rounded(clipped(agent.armed, begin, end)),
-        "link_gaps": _rounded(clipped(levels.gaps(record, agent.id), begin, end)),
-        "levels": [[round(a, 2), round(b, 2), level] for a, b, level in _clip(worst, begin, end)],
-        "units": _shown_units(units, begin, end),
-        "actions": [
-            [round(t, 2), mark.body["action"], mark.body["phase"]]
-            for t, mark in agent.marks
-            if mark.what == "action"
-            and begin <= t <= end
-            and mark.body["phase"] in ("started", "verified", "failed", "escalated")
-        ][:2000],
+        "armed_s": round(total(armed), 3),
+        "uptime": round(1 - total(down) / ran_s, 6) if ran_s else None,
+        "down": _spans(agent, "times in which PHM did not run", down, cuts),
+        "armed": _spans(agent, "armed periods", armed, cuts),
+        "link_gaps": _spans(agent, "link gaps", clipped(levels.gaps(record, agent.id), begin, end), cuts),
+        "levels": _rounded(segments),
+        "joined_s": round(joined_s, 2),
+        "units": shown,
+        "units_joined_s": round(units_joined_s, 2),
+        "actions": cuts.keep(agent.name, "actions in the timeline", _actions(agent, begin, end), MOST_ACTIONS),
         "lost_lines": lost,
         "missing_lines": missing,
         "left_out": sum(run.left_out for run, _ in agent.runs),
     }
 
 
-def _shown_units(units: dict[str, list[levels.Segment]], begin: float, end: float) -> dict[str, list[list[Any]]]:
-    """Units that were not always well; the worst first."""
+def _down(agent: AgentRecord, begin: float, end: float) -> tuple[list[Span], float]:
+    """When PHM did not run, and of how many seconds that is said; 0: of none."""
+    first = max(begin, agent.cover[0][0]) if agent.cover else begin
+    # A log that ends while its autopilot is armed was not ended by anyone: PHM, or its computer, was lost.
+    flying = agent.flying and bool(agent.armed) and agent.armed[-1][1] >= agent.end - 1.0
+    last = end if flying else min(end, agent.end)
+    if not agent.runs or last <= first:
+        return [], 0.0
+    return clipped(without([[first, last]], agent.cover), begin, end), last - first
+
+
+def _lost(agent: AgentRecord) -> tuple[int, int]:
+    """Lines that PHM said it could not write, and those that are missing besides."""
+    lost = sum(mark.body["lines"] for _, mark in agent.marks if mark.what == "lost")
+    # An event `lost` has the number of the last line that it counts; the others are a gap before it.
+    explained = sum(max(0, mark.body["lines"] - 1) for _, mark in agent.marks if mark.what == "lost")
+    gaps = sum(int(gap[1] - gap[0]) - 1 for run, _ in agent.runs for gap in run.numbers.gaps())
+    return lost, max(0, gaps - explained)
+
+
+def _actions(agent: AgentRecord, begin: float, end: float) -> list[list[Any]]:
+    return [
+        [round(t, 2), mark.body["action"], mark.body["phase"]]
+        for t, mark in agent.marks
+        if mark.what == "action" and begin <= t <= end and mark.body["phase"] in PHASES
+    ]
+
+
+def _shown_units(
+    agent: AgentRecord, units: dict[str, list[levels.Segment]], begin: float, end: float, cuts: Cuts, most: int
+) -> tuple[dict[str, list[list[Any]]], float]:
+    """Units that were not always well, the worst first, and the seconds within which changes are joined."""
     spent = {unit: levels.seconds(segments, begin, end) for unit, segments in units.items()}
     bad = [unit for unit, by in spent.items() if any(by.get(level, 0.0) > 0.05 for level in ("ERROR", "WARN", "STALE"))]
     bad.sort(key=lambda unit: [-spent[unit].get(level, 0.0) for level in ("ERROR", "WARN", "STALE")])
-    return {
-        unit: [[round(a, 2), round(b, 2), level] for a, b, level in _clip(units[unit], begin, end)][:500]
-        for unit in bad[:40]
-    }
+    kept = cuts.keep(agent.name, UNITS_CUT, bad, MOST_UNITS)
+    shown = {unit: levels.shortened(_clip(units[unit], begin, end), most) for unit in kept}
+    return (
+        {unit: _rounded(segments) for unit, (segments, _) in shown.items()},
+        max((joined_s for _, joined_s in shown.values()), default=0.0),
+    )
 
 
 def _clip(segments: list[levels.Segment], begin: float, end: float) -> list[levels.Segment]:
     cut = [(max(a, begin), min(b, end), level) for a, b, level in segments]
-    return [one for one in cut if one[1] > one[0]][:5000]
+    return [one for one in cut if one[1] > one[0]]
 
 
-def _rounded(spans: list[list[float]]) -> list[list[float]]:
-    return [[round(span[0], 3), round(span[1], 3)] for span in spans][:2000]
+def _rounded(segments: list[levels.Segment]) -> list[list[Any]]:
+    return [[round(a, 2), round(b, 2), level] for a, b, level in segments]
+
+
+def _spans(agent: AgentRecord, what: str, spans: list[Span], cuts: Cuts) -> list[list[float]]:
+    kept = cuts.longest(agent.name, what, spans, MOST_SPANS)
+    return [[round(span[0], 3), round(span[1], 3)] for span in kept]

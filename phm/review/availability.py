@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from phm.review.cuts import Cuts
 from phm.review.levels import RANK, Segment, of_agent, seconds
 from phm.review.record import AgentRecord
 
@@ -19,10 +20,13 @@ KINDS = {
     "data": "topic",
 }
 """The kind of subject that the units of a check have."""
-MOST_ROWS = 400
+MOST_ROWS = 2000
+"""Of one agent."""
 
 
-def rows(agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
+def rows(
+    agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: float, end: float, cuts: Cuts
+) -> list[Json]:
     """One row for each layer, container, node and topic of the agent, and one for the agent (`kind` agent)."""
     about = {unit: body for run, _ in agent.runs for unit, body in run.units.items()}
     groups: dict[tuple[str, str], list[Sequence[Segment]]] = {("agent", agent.name): list(units.values())}
@@ -36,9 +40,8 @@ def rows(agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: floa
             groups.setdefault((kind, subject), []).append(segments)
     found = [_row(agent, kind, name, of_agent(each, agent.cover), begin, end) for (kind, name), each in groups.items()]
     order = ("agent", "layer", "container", "node", "topic")
-    return sorted((row for row in found if row is not None), key=lambda row: (order.index(row["kind"]), row["name"]))[
-        :MOST_ROWS
-    ]
+    ordered = sorted((row for row in found if row is not None), key=lambda row: (order.index(row["kind"]), row["name"]))
+    return cuts.keep(agent.name, "availability: layers, containers, nodes and topics", ordered, MOST_ROWS)
 
 
 def _row(
@@ -62,7 +65,7 @@ def _row(
 
 
 def unknown(agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
-    """Units that were STALE, the longest first: blocked by a known fault, or not known at all."""
+    """Units that were STALE: blocked by a known fault, or not known at all."""
     blocked: dict[str, list[tuple[float, str]]] = {}
     for t, change in agent.changes:
         blocked.setdefault(change.unit, []).append((t, change.blocked_by))
@@ -82,4 +85,4 @@ def unknown(agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: f
                 "unknown_s": round(spent[False], 3),
             }
             found.append(row)
-    return sorted(found, key=lambda row: (-row["unknown_s"], -row["blocked_s"]))[:100]
+    return found

@@ -8,6 +8,7 @@ from typing import Any
 from phm import __version__
 from phm.review import agent_row, availability, check_rates, fault_list, levels, own_figures, plots, sentences, table2
 from phm.review.clocks import REFERENCE
+from phm.review.cuts import Cuts
 from phm.review.flights import Flight, flights
 from phm.review.record import Record
 from phm.review.spans import clipped, total
@@ -16,6 +17,9 @@ Json = dict[str, Any]
 VERSION = 1
 """`report` of the object; raised when a key changes its meaning or is removed."""
 MOST_OTHER = 20_000
+MOST_UNKNOWN = 2000
+MOST_STEPS = 50
+"""Steps of the UTC of one run."""
 MARGIN_S = 2.0
 """A flight is shown with so much before and after it."""
 NO_GROUND = (
@@ -37,16 +41,17 @@ def build(record: Record, flight: int | None = None) -> Json:
     available: list[Json] = []
     unknown: list[Json] = []
     observed: dict[str, float] = {}
+    cuts = Cuts()
     for agent in record.agents:
         units = levels.of_units(agent)
-        mine = fault_list.rows(agent, begin, end)
+        mine = fault_list.rows(agent, begin, end, cuts)
         faults += mine
-        available += availability.rows(agent, units, begin, end)
+        available += availability.rows(agent, units, begin, end, cuts)
         unknown += availability.unknown(agent, units, begin, end)
         ran_s = total(clipped(agent.cover, begin, end))
         for check in {body["check"] for run, _ in agent.runs for body in run.units.values()}:
             observed[check] = observed.get(check, 0.0) + ran_s
-        rows.append(agent_row.row(record, agent, units, mine, begin, end))
+        rows.append(agent_row.row(record, agent, units, mine, begin, end, cuts))
     faults.sort(key=lambda fault: (fault["opened"], fault["agent"]))
     uptimes = {row["agent"]: row["uptime"] for row in rows if row["uptime"] is not None}
     document: Json = {
@@ -64,14 +69,15 @@ def build(record: Record, flight: int | None = None) -> Json:
         "faults": faults,
         "availability": available,
         "checks": check_rates.rows(check_rates.opened(faults, round(begin, 3)), observed),
-        "unknown": sorted(unknown, key=lambda row: -(row["unknown_s"] + row["blocked_s"]))[:200],
+        "unknown": cuts.keep("", "units that were not known for a time", _longest(unknown), MOST_UNKNOWN),
         "phm": own_figures.build(record, uptimes, begin, end, whole=flight is None),
-        "clocks": _clocks(record),
-        "plots": plots.rows(record, begin, end),
+        "clocks": _clocks(record, cuts),
+        "plots": plots.rows(record, begin, end, cuts),
         "other": _others(record, begin, end),
         "table2": table2.build([agent for agent in record.agents if agent.vehicle], faults, uptimes, begin, end),
         "files": _files(record),
     }
+    document["cut"] = cuts.rows()
     document["sentences"] = sentences.build(document)
     return document
 
@@ -97,10 +103,15 @@ def _flight(flight: Flight) -> Json:
     return {"number": flight.number, **times, "agents": list(flight.agents)}
 
 
-def _clocks(record: Record) -> Json:
+def _longest(unknown: list[Json]) -> list[Json]:
+    return sorted(unknown, key=lambda row: -(row["unknown_s"] + row["blocked_s"]))
+
+
+def _clocks(record: Record, cuts: Cuts) -> Json:
     rows = []
     for agent in record.agents:
         for run, clock in agent.runs:
+            steps = [[round(clock.t(mono), 3), round(step, 3)] for mono, step in clock.steps]
             rows.append(
                 {
                     "agent": agent.name,
@@ -110,7 +121,7 @@ def _clocks(record: Record) -> Json:
                     "votes": clock.votes,
                     "applied": clock.applied,
                     "by": clock.by,
-                    "steps": [[round(clock.t(mono), 3), round(step, 3)] for mono, step in clock.steps][:50],
+                    "steps": cuts.keep(agent.name, "jumps of the UTC of a run", steps, MOST_STEPS),
                 }
             )
     chosen = (agent.name for agent in record.agents for _, clock in agent.runs if clock.by == REFERENCE)

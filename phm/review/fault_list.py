@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+from phm.review.cuts import Cuts
 from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 BEFORE_S, AFTER_S = 5.0, 5.0
 """Lines so long before a fault opened and after it ended are shown with it."""
-MOST_LINES = 40
+HALF = 20
+"""Lines around the opening, and around the end, where there are more than both together."""
 MOST_STEPS = 60
+ENDS = {"resolved": "RESOLVED", "escalated": "ESCALATED", "reattributed": "STALE"}
 KINDS = {"OK": "SUCCESS", "WARN": "WARNING", "ERROR": "FAILURE", "STALE": "STALE", "n/a": "BYPASS"}
 
 
-def rows(agent: AgentRecord, begin: float, end: float) -> list[Json]:
+class _Lines(NamedTuple):
+    """All lines of an agent by time. edges: place of the line that opened (False) or ended (True) a fault, by its id."""
+
+    times: list[float]
+    texts: list[str]
+    edges: dict[tuple[str, bool], int]
+
+
+def rows(agent: AgentRecord, begin: float, end: float, cuts: Cuts) -> list[Json]:
     """Faults that were open at any time between begin and end."""
     running = agent.cover[-1][1] if agent.cover else 0.0
-    times, lines = _lines(agent)
+    lines = _lines(agent)
     steps: dict[str, list[Json]] = {}
     for t, mark in agent.marks:
         if mark.what == "action":
@@ -31,8 +41,10 @@ def rows(agent: AgentRecord, begin: float, end: float) -> list[Json]:
         closed = fault["closed"]
         if fault["opened"] > end or (closed if closed is not None else running) < begin:
             continue
-        found.append(_row(agent, fault, steps.get(fault["fault"], []), evidence.get(fault["fault"], {}), running))
-        found[-1]["lines"] = _around(times, lines, fault["opened"], closed)
+        done = steps.get(fault["fault"], [])
+        row = _row(agent, fault, done, evidence.get(fault["fault"], {}), running)
+        kept = cuts.keep(agent.name, "actions of a fault", done, MOST_STEPS)
+        found.append({**row, "steps": kept, "lines": _around(lines, fault)})
     return found
 
 
@@ -61,21 +73,40 @@ def _row(agent: AgentRecord, fault: Json, steps: list[Json], evidence: Json, run
         "suspects": fault["suspects"],
         "evidence": evidence,
         "acted_after_s": None if acted is None else round(acted - fault["opened"], 3),
-        "steps": steps[:MOST_STEPS],
     }
 
 
-def _lines(agent: AgentRecord) -> tuple[list[float], list[str]]:
-    """Every line of the record that is kept, by time."""
-    found = [
-        (t, f"{KINDS.get(change.level, change.level)}: {change.unit}: {change.summary}") for t, change in agent.changes
-    ]
+def _lines(agent: AgentRecord) -> _Lines:
+    """Every line of the record that is kept. At one time openings are first and ends last."""
+    edges: list[tuple[float, int, str, tuple[str, bool] | None]] = []
+    opened: set[tuple[str, str]] = set()
+    for fault in agent.faults:
+        name, text = str(fault["fault"]), f"FAILURE: {fault['unit']}: {fault['summary']}"
+        if fault["opened_at"] is not None:
+            edges.append((fault["opened"], 0, text, (name, False)))
+            opened.add((name, text))
+        if fault["closed"] is not None and fault["outcome"] in ENDS:
+            edges.append((fault["closed"], 2, f"{ENDS[fault['outcome']]}: {_end(fault)}", (name, True)))
+    found = list(edges)
+    for t, change in agent.changes:
+        text = f"{KINDS.get(change.level, change.level)}: {change.unit}: {change.summary}"
+        if (change.fault, text) in opened:  # the transition that opened the fault says the same
+            opened.remove((change.fault, text))
+        else:
+            found.append((t, 1, text, None))
     found += [
-        (t, f"{mark.body.get('kind') or mark.what.upper()}: {_mark(mark.what, mark.text, mark.body)}")
+        (t, 1, f"{mark.body.get('kind') or mark.what.upper()}: {_mark(mark.what, mark.text, mark.body)}", None)
         for t, mark in agent.marks
     ]
-    found.sort(key=lambda one: one[0])
-    return [t for t, _ in found], [text for _, text in found]
+    found.sort(key=lambda one: one[:2])
+    places = {edge: place for place, (*_, edge) in enumerate(found) if edge is not None}
+    return _Lines([t for t, *_ in found], [text for _, _, text, _ in found], places)
+
+
+def _end(fault: Json) -> str:
+    ways = {"resolved": f"resolved by {fault['by'] or 'itself'}", "escalated": "PHM has given up"}
+    way = ways.get(fault["outcome"], f"follows from {fault['by']}")
+    return f"{fault['unit']}: {way} after {fault['closed'] - fault['opened']:.1f} s"
 
 
 def _mark(what: str, text: str, body: Json) -> str:
@@ -84,10 +115,28 @@ def _mark(what: str, text: str, body: Json) -> str:
     return text
 
 
-def _around(times: Sequence[float], lines: Sequence[str], opened: float, closed: float | None) -> list[Json]:
-    """From a little before it opened to a little after it ended, or as many as fit."""
-    first = bisect_left(times, opened - BEFORE_S)
-    last = bisect_left(times, (closed if closed is not None else opened) + AFTER_S)
-    return [
-        {"t": round(times[place], 3), "text": lines[place]} for place in range(first, min(last, first + MOST_LINES))
-    ]
+def _around(lines: _Lines, fault: Json) -> list[Json]:
+    """From a little before it opened to a little after it ended; of many lines those around its opening and its end."""
+    closed = fault["closed"] if fault["closed"] is not None else fault["opened"]
+    first = bisect_left(lines.times, fault["opened"] - BEFORE_S)
+    last = bisect_left(lines.times, closed + AFTER_S)
+    if last - first <= 2 * HALF:
+        return _shown(lines, first, last)
+    name = str(fault["fault"])
+    opening = lines.edges.get((name, False), bisect_left(lines.times, fault["opened"]))
+    ending = lines.edges.get((name, True), last - 1)
+    head = max(first, min(opening, last - 1) - HALF // 2)
+    tail = max(head + HALF, min(last, ending + HALF // 2) - HALF)
+    found = _left_out(lines, first, head) + _shown(lines, head, min(last, head + HALF))
+    found += _left_out(lines, head + HALF, tail) + _shown(lines, tail, min(last, tail + HALF))
+    return found + _left_out(lines, tail + HALF, last)
+
+
+def _shown(lines: _Lines, first: int, last: int) -> list[Json]:
+    return [{"t": round(lines.times[place], 3), "text": lines.texts[place]} for place in range(first, last)]
+
+
+def _left_out(lines: _Lines, first: int, last: int) -> list[Json]:
+    count = last - first
+    said = f"... {count} line{'' if count == 1 else 's'}"
+    return [{"t": round(lines.times[first], 3), "text": said}] if count > 0 else []

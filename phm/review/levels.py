@@ -104,6 +104,39 @@ def seconds(segments: Iterable[Segment], begin: float, end: float) -> dict[str, 
     return found
 
 
+def shortened(segments: Sequence[Segment], most: int) -> tuple[list[Segment], float]:
+    """At most `most` segments for a drawing, and the seconds within which some were joined (0: none was).
+
+    Neighbours that are shorter than half of these seconds become one, with the worst of their levels: no time is lost, and none
+    looks better than it was. Times in which PHM did not run stay, unless they alone are more than `most`.
+    """
+    if len(segments) <= most:
+        return list(segments), 0.0
+    whole = segments[-1][1] - segments[0][0]
+    least, near = whole / most / 16, 1e-6
+    while len(kept := _grouped(segments, least, near)) > most:
+        least *= 1.5
+        if least > whole:
+            near = max(2 * near, whole / most)
+    return kept, 2 * least
+
+
+def _grouped(segments: Sequence[Segment], least: float, near: float) -> list[Segment]:
+    result: list[Segment] = []
+    for begin, end, level in segments:
+        if result and begin - result[-1][1] <= near:
+            first, last, had = result[-1]
+            if last - first < least and end - begin < least:
+                result[-1] = (first, max(last, end), min(had, level, key=_rank))
+                continue
+        result.append((begin, end, level))
+    return result
+
+
+def _rank(level: str) -> int:
+    return RANK.index(level) if level in RANK else len(RANK)
+
+
 def _outer(cover: Sequence[Span]) -> tuple[float, float]:
     return (cover[0][0], cover[-1][1]) if cover else (0.0, 0.0)
 

@@ -24,6 +24,9 @@ MOST_TEXT, MOST_BY = 200, 20
 EARLIEST_S = 946_684_800.0
 """2000-01-01: an earlier time is a clock that was never set."""
 _OURS = re.compile(r"A\d{1,3} ([A-Z]+)\b")
+_STEERING = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[@-Z\\\]^_])")
+"""Escape sequences of a terminal: PX4 and nodes of ROS 2 colour their texts."""
+MOST_READ = 4000
 _FORWARDED = re.compile(r"SRC=(\d{1,3}/\d{1,3}):(.*)", re.DOTALL)
 
 
@@ -46,15 +49,21 @@ class Other(NamedTuple):
         least = 0 if event.event in RECORDED else 1
         if not EARLIEST_S < event.utc_s < LATEST_S or event.system is None or not least <= event.system < MOST_SYSTEMS:
             return None
-        text = one_line(event.text[:MOST_TEXT])
+        text = one_line(plain(event.text)[:MOST_TEXT])
         # A hostile line of JSON comes here too: none of its texts is kept unchanged.
         level = event.level if event.level in LEVELS else ""
         by = one_line(str(event.by)[:MOST_BY])
         return cls(event.utc_s, event.system, event.event, text, level, by, file, event.began)
 
 
+def plain(text: str) -> str:
+    """Without escape sequences, and without the tabulator by which PX4 marks texts that are also an event."""
+    return _STEERING.sub("", text[:MOST_READ]).rstrip()
+
+
 def text_event(system: int, utc_s: float, text: str, by: str = "", level: str = "") -> Event:
     """A text of the vehicle. A line of PHM, as ArduPilot logs it too, has the level that it states."""
+    text = plain(text)
     if forwarded := _FORWARDED.match(text):
         by, text = forwarded.groups()
     if ours := _OURS.match(text):

@@ -9,34 +9,23 @@ from typing import Any
 from phm.review.events import LATEST_S, Event, numbers
 from phm.review.ground_part import GroundRun
 from phm.review.lines import Problems
+from phm.review.measurements import PLOTTED
 from phm.review.other import EARLIEST_S, KINDS, MOST, Other
-from phm.review.run import MOST_SERIES, Change, Run, RunMark
-from phm.review.series import Series
+from phm.review.run import MOST_CHECKS, Change, Run, RunMark
 
 MOST_RUNS = 2000
 MOST_UNITS = 1000
 MOST_EVENTS = 200_000
 """Of one run and kind; more are counted and left out."""
+MOST_VALUES = 100
+"""Of one unit, as the evidence of a fault."""
+TOO_MANY_RUNS = "more runs of PHM than a report takes"
+TOO_MANY_GROUNDS = "more runs of the ground than a report takes"
 STEP_S = 0.2
 """A change of the difference between the two clocks of this size is a step."""
 MOST_FRAMES = 1000
 LARGEST = 1e15
 """No measurement is larger: sums of them stay finite."""
-PLOTTED = (
-    "cpu_percent",
-    "memory_percent",
-    "temperature_c",
-    "disk_percent",
-    "rssi",
-    "remrssi",
-    "noise",
-    "remnoise",
-    "txbuf_percent",
-    "tx_bytes_s",
-    "rx_bytes_s",
-    "hz",
-)
-"""Beginnings of the names of values that are plotted."""
 MEASURED = frozenset(("host", "radio", "link", "rates", "autopilot"))
 """Checks whose values are measurements."""
 TOO_EARLY = "times before the year 2000, left out: the clock was never set, or the time is simulated (use_sim_time)"
@@ -60,7 +49,7 @@ class Part:
             self._line(event, path)
         elif event.run:
             if event.run not in self.grounds and len(self.grounds) >= MOST_RUNS:
-                self.problems.add("more runs of the ground than a report takes", path)
+                self.problems.add(TOO_MANY_GROUNDS, path)
                 return
             self.grounds.setdefault(event.run, GroundRun(event.run)).take(event)
         elif event.event in KINDS:
@@ -85,11 +74,15 @@ class Part:
                 self.runs[key].merge(run)
             elif len(self.runs) < MOST_RUNS:
                 self.runs[key] = run
+            else:
+                self.problems.add(TOO_MANY_RUNS, min(run.folders, default=""), count=run.lines)
         for name, ground in other.grounds.items():
             if name in self.grounds:
                 self.grounds[name].merge(ground)
             elif len(self.grounds) < MOST_RUNS:
                 self.grounds[name] = ground
+            else:
+                self.problems.add(TOO_MANY_GROUNDS, "", count=ground.lines)
         room = MOST - len(self.others)
         self.others += other.others[:room]
         if left_out := len(other.others[room:]):
@@ -106,7 +99,7 @@ class Part:
         run = self.runs.get(key)
         if run is None:
             if len(self.runs) >= MOST_RUNS:
-                self.problems.add("more runs of PHM than a report takes", path)
+                self.problems.add(TOO_MANY_RUNS, path)
                 return
             run = self.runs[key] = Run(str(event.agent)[:80], event.agent_id, event.boot_id[:40])
             run.folders.add(os.path.dirname(os.path.abspath(path)))
@@ -146,7 +139,7 @@ class Part:
         spent_ms = event.duration_ms
         if spent_ms is None or not 0.0 <= spent_ms < LATEST_S:
             return
-        if event.check in run.check_ms or len(run.check_ms) < MOST_SERIES:
+        if event.check in run.check_ms or len(run.check_ms) < MOST_CHECKS:
             spent = run.check_ms.setdefault(event.check, [0.0, 0.0, 0.0])
             spent[0], spent[1], spent[2] = spent[0] + 1, spent[1] + spent_ms, max(spent[2], spent_ms)
 
@@ -169,7 +162,7 @@ class Part:
                 same(event.blocked_by),
                 str(event.fault or ""),
                 event.changed_text,
-                dict(list(numbers(event.values).items())[:20]) if event.level == "ERROR" else {},
+                dict(list(numbers(event.values).items())[:MOST_VALUES]) if event.level == "ERROR" else {},
             )
         )
 
@@ -190,9 +183,9 @@ class Part:
             target=event.target or "",
             outcome=event.outcome or "open",
             by=str(event.by or ""),
-            blocks=event.blocks[:50],
-            consequences=event.consequences[:50],
-            suspects=event.suspects[:50],
+            blocks=[self._same(unit) for unit in event.blocks[:MOST_UNITS]],
+            consequences=[self._same(unit) for unit in event.consequences[:MOST_UNITS]],
+            suspects=[self._same(unit) for unit in event.suspects[:MOST_UNITS]],
             duration_s=event.duration_s,
         )
         if closed:
@@ -255,21 +248,20 @@ class Part:
 def _measure(run: Run, event: Event) -> None:
     for name, value in numbers(event.values).items():
         if isinstance(value, bool):
-            if name == "armed" and (not run.armed or run.armed[-1][1] is not value) and len(run.armed) < MOST_UNITS:
-                run.armed.append((event.mono, value))
+            if name == "armed" and (not run.armed or run.armed[-1][1] is not value):
+                if len(run.armed) < MOST_UNITS:
+                    run.armed.append((event.mono, value))
+                else:
+                    run.left_out += 1
             continue
         if not isinstance(value, (int, float)) or abs(value) > LARGEST:
             continue
         if name == "boot_s":
             _boot(run, event, float(value))
         elif name.startswith(PLOTTED):
-            key = f"{event.unit} {name}"
-            series = run.series.get(key)
-            if series is None:
-                if len(run.series) >= MOST_SERIES:
-                    continue
-                series = run.series[key] = Series()
-            series.add(event.mono, float(value))
+            series = run.series_of(f"{event.unit} {name}")
+            if series is not None:
+                series.add(event.mono, float(value))
 
 
 def _boot(run: Run, event: Event, boot_s: float) -> None:

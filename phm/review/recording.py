@@ -13,7 +13,7 @@ from phm.review.cdr import Status
 from phm.review.cdr_read import line, statuses
 from phm.review.events import Event
 from phm.review.lines import Problems
-from phm.review.other import MOST, MOST_SYSTEMS
+from phm.review.other import MOST, MOST_SYSTEMS, plain
 from phm.review.topic_times import TopicTimes
 from phm.review.unpack import ZSTD, zstd
 
@@ -166,7 +166,7 @@ class Recording:
 
     def _add(self, event: Event, owner: str = "") -> None:
         if len(self._events) < MOST:
-            event.text = event.text[:400]
+            event.text = plain(event.text)[:400]
             self._events.append((owner, event))
         else:
             self.problem(f"more than {MOST} events; the others are left out")

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from array import array
 from dataclasses import dataclass, field
 from typing import Any
 
 from phm.review.cost import Cost
-from phm.review.series import Series
+from phm.review.series import POINTS, Series
 from phm.review.spans import Cover
 
-MOST_SERIES = 64
+MOST_SERIES = 512
+MOST_POINTS = 64 * POINTS
+"""Of all series of a run: where there are more than 64, each has fewer points."""
+MOST_NAMES = 1000
+MOST_CHECKS = 256
 COVER_S = 30.0
 
 
@@ -83,6 +88,25 @@ class Run:
     heard: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
     """When which frames were received, by system, component and frame number: monotonic seconds."""
     series: dict[str, Series] = field(default_factory=dict)
+    unplotted: set[str] = field(default_factory=set)
+    """Names of measurements beyond MOST_SERIES."""
+
+    def series_of(self, name: str, new: Series | None = None) -> Series | None:
+        """The series of this measurement, or `new` if there is room for it; None: there is none."""
+        found = self.series.get(name)
+        if found is None and len(self.series) < MOST_SERIES:
+            found = self.series[name] = new or Series()
+            self._share_points()
+        elif found is None and len(self.unplotted) < MOST_NAMES:
+            self.unplotted.add(name)
+        return found
+
+    def _share_points(self) -> None:
+        most = POINTS
+        while most * len(self.series) > MOST_POINTS:
+            most //= 2
+        for series in self.series.values():
+            series.limit(most)
 
     def merge(self, other: Run) -> None:
         self.folders |= other.folders
@@ -119,7 +143,7 @@ class Run:
         for frame, times in other.heard.items():
             self.heard[frame] = sorted({*self.heard.get(frame, []), *times})
         for name, series in other.series.items():
-            if name in self.series:
-                self.series[name].merge(series)
-            elif len(self.series) < MOST_SERIES:
-                self.series[name] = series
+            kept = self.series_of(name, series)
+            if kept is not None and kept is not series:
+                kept.merge(series)
+        self.unplotted |= set(itertools.islice(other.unplotted, max(0, MOST_NAMES - len(self.unplotted))))

@@ -15,13 +15,20 @@ class Series:
     at: array[float] = field(default_factory=lambda: array("d"))
     value: array[float] = field(default_factory=lambda: array("d"))
     stride: int = 1
+    most: int = POINTS
     _waiting: list[tuple[float, float]] = field(default_factory=list)
 
     def add(self, at: float, value: float) -> None:
         self._waiting.append((at, value))
         if len(self._waiting) >= self.stride:
             self._flush()
-        if len(self.at) > POINTS:
+        if len(self.at) > self.most:
+            self._halve()
+
+    def limit(self, most: int) -> None:
+        """Have at most so many points from now on; a limit that was smaller stays."""
+        self.most = min(self.most, most)
+        while len(self.at) > self.most:
             self._halve()
 
     def merge(self, other: Series) -> None:
@@ -31,8 +38,7 @@ class Series:
         pairs = sorted([*zip(self.at, self.value, strict=True), *zip(other.at, other.value, strict=True)])
         self.at, self.value = array("d", (at for at, _ in pairs)), array("d", (value for _, value in pairs))
         self.stride = max(self.stride, other.stride)
-        while len(self.at) > POINTS:
-            self._halve()
+        self.limit(other.most)
 
     def points(self) -> list[tuple[float, float]]:
         self._flush()

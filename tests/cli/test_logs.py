@@ -50,6 +50,22 @@ def log_of(folder: Path, name: str = "agent_1", **more: Any) -> LogReporter:
     return LogReporter.build(context(Settings.model_validate(made)))
 
 
+def flying(folder: Path, armed: list[bool]) -> LogReporter:
+    """armed: one value, whether the autopilot is armed."""
+    made = {"log": {"directory": str(folder)}, "state_dir": str(folder / "state")}
+    return LogReporter(
+        ReporterContext(
+            Settings.model_validate(made),
+            SystemClock(),
+            "boot12345678",
+            tuple,
+            lambda: True,
+            dict,
+            armed=lambda: armed[0],
+        )
+    )
+
+
 def record(folder: Path, *events: Event, name: str = "agent_1") -> None:
     log = log_of(folder, name)
     for event in events:
@@ -112,17 +128,7 @@ def test_lines_are_filtered(words: list[str], expected: set[str], tmp_path: Path
 def test_take_off_is_the_beginning_of_the_last_flight(tmp_path: Path) -> None:
     """Also when PHM was restarted during the flight, and when the clock stepped back."""
     armed: list[bool] = [False]
-    log = LogReporter(
-        ReporterContext(
-            Settings.model_validate({"log": {"directory": str(tmp_path)}, "state_dir": str(tmp_path / "state")}),
-            SystemClock(),
-            "boot12345678",
-            tuple,
-            lambda: True,
-            dict,
-            armed=lambda: armed[0],
-        )
-    )
+    log = flying(tmp_path, armed)
     for number, state in enumerate((True, False, True)):
         log.handle(note(f"before {number}"))
         armed[0] = state
@@ -272,3 +278,43 @@ def test_following_survives_a_rotation(follow: Callable[..., Path], tmp_path: Pa
         until(lambda last=number + 299: numbers()[-1:] == [last], "the last line to be shown", numbers)  # type: ignore[misc]
     log.close()
     assert numbers() == list(range(900)) and len(list(place.glob("phm.jsonl.*"))) > 2
+
+
+def test_following_from_take_off_waits_for_it(follow: Callable[..., Path], tmp_path: Path) -> None:
+    """Before the first flight of a log nothing is shown; from its beginning on everything is."""
+    place = tmp_path / "log"
+    armed = [False]
+    log = flying(place, armed)
+    log.handle(note("before"))
+    shown = follow(place, "--since", "take-off", "--json")
+    until(lambda: b"waiting for take-off" in shown.read_bytes(), "it to wait for take-off", shown.read_bytes)
+
+    def texts() -> list[str]:
+        whole, _, _ = shown.read_bytes().rpartition(b"\n")
+        return [str(json.loads(line).get("text")) for line in whole.splitlines() if line.startswith(b"{")]
+
+    log.handle(note("still on the ground"))
+    armed[0] = True
+    log.tick()
+    log.handle(note("in flight"))
+    until(lambda: "in flight" in texts(), "the flight to be shown", shown.read_bytes)
+    log.close()
+    assert len(texts()) == 2 and "flight" in texts()[0].lower()
+
+
+def test_only_following_waits_for_a_flight(follow: Callable[..., Path], tmp_path: Path) -> None:
+    """Of two agents the one that has flown is shown from its take-off on, the other one from its first."""
+    armed, later = [True], [False]
+    first, second = flying(tmp_path / "logs" / "a", armed), flying(tmp_path / "logs" / "b", later)
+    first.tick()
+    first.handle(note("a in flight"))
+    second.handle(note("b before"))
+    shown = follow(tmp_path / "logs", "--since", "take-off", "--kind", "NOTE", "--json")
+    until(lambda: b"a in flight" in shown.read_bytes(), "the first agent to be shown", shown.read_bytes)
+    later[0] = True
+    second.tick()
+    second.handle(note("b in flight"))
+    until(lambda: b"b in flight" in shown.read_bytes(), "the second agent to be shown", shown.read_bytes)
+    first.close()
+    second.close()
+    assert b"b before" not in shown.read_bytes() and b"waiting" not in shown.read_bytes()

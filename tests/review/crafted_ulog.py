@@ -28,6 +28,7 @@ def log(utc_s: float, *, fix: bool = True, system: int = 7) -> bytes:
     if fix:
         parts.append(message("D", struct.pack("<HQffBQ", 2, 50_000_000, 1.0, 2.0, 3, int(utc_s * 1e6))))
     parts += [status(60, 2, 4), text(61, 6, "Takeoff detected"), message("S", SYNC), status(80, 2, 14)]
+    parts += [text(82, 6, "\x1b[32mReady for takeoff!\x1b[0m\t")]
     parts += [status(90, 2, 5, True), text(90.5, 4, "Failsafe activated"), status(95, 2, 5), status(120, 1, 5)]
     return b"".join(parts)
 

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from phm.cli import group
+from phm.core.model import Level, Transition
 from tests.review.records import Flown, Ground
 from tests.review.test_document import one_flight
 
@@ -37,6 +38,61 @@ def test_json_csv_and_markdown_have_the_same_faults(tmp_path: Path) -> None:
     assert float(rows[0]["lasted_s"]) == faults[0]["lasted_s"]
     markdown = phm(tmp_path, "--markdown").output
     assert "| agent\\_1 |" in markdown and "nodes/node\\_1" in markdown
+
+
+def test_flights_are_listed_so_that_one_can_be_chosen(tmp_path: Path) -> None:
+    """With the number that `--flight` takes, when it began, how long it was, and who flew; on the terminal and in Markdown."""
+    made = one_flight(tmp_path)
+    made.arm(True)
+    made.until(530)
+    made.arm(False)
+    made.close()
+    shown = phm(tmp_path).output
+    assert "Flights" in shown and "and 2 flights" in shown
+    rows = [line.split() for line in shown.splitlines() if line.endswith(" agent_1")]
+    assert [(row[0], row[2][:8]) for row in rows] == [("1", "12:01:40"), ("2", "12:08:20")]
+    assert "| 2 | 2026-03-01 12:08:20.000 | 30 s | agent\\_1 |" in phm(tmp_path, "--markdown").output
+    chosen = phm(tmp_path, "--flight", 2).output
+    assert chosen.startswith("Flight 2 lasted 32 s") and "Flights" in chosen
+
+
+def test_many_agents_of_a_flight_are_counted(tmp_path: Path) -> None:
+    """The row of a flight stays one line."""
+    for number in range(1, 9):
+        made = Flown(tmp_path / str(number), number)
+        made.arm(True)
+        made.until(30)
+        made.arm(False)
+        made.close()
+    assert "agent_1, agent_2, agent_3, agent_4, agent_5 and 3 more" in phm(tmp_path).output
+
+
+def test_phm_itself_and_what_was_not_known_are_in_every_output(tmp_path: Path) -> None:
+    """They are facts of the flight, and not of the page alone."""
+    made = Flown(tmp_path)
+    made.until(40)
+    made.log.handle(Transition(made.at, Level.OK, made._state("rates/topic_1", Level.STALE, "no answer")))
+    made.until(60)
+    made.log.handle(Transition(made.at, Level.STALE, made._state("rates/topic_1", Level.OK)))
+    made.until(100)
+    made.close()
+    terminal, markdown = phm(tmp_path).output, phm(tmp_path, "--markdown").output
+    for title in ("PHM itself", "What was not known"):
+        assert title in terminal and f"## {title}" in markdown
+    assert "| agent\\_1 | rates/topic\\_1 | 20 s | 0.0 s |" in markdown
+    itself = markdown.partition("## PHM itself")[2].partition("##")[0].splitlines()
+    head, row = itself[2].split(" | "), itself[4].split(" | ")
+    figures = dict(zip(head, row, strict=True))
+    assert (figures["ran"], figures["restarts"], figures["reports"]) == ("100.00 %", "0", "5")
+    assert figures["report takes"].endswith(" s") and figures["CPU"].endswith(" %")
+
+
+def test_lines_that_the_log_lacks_are_in_a_table(tmp_path: Path) -> None:
+    """A gap of the numbers does not read like a quiet time."""
+    log = one_flight(tmp_path).close()
+    lines = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(b"".join(lines[:30] + lines[41:]))
+    assert "| agent\\_1 | lines that are missing in the logs | 11 |" in phm(tmp_path, "--markdown").output
 
 
 def test_text_of_a_record_is_neither_formula_nor_markdown(tmp_path: Path) -> None:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from phm.review import page
+from phm.review import agent_row, page
+from phm.review.measurements import GROUPS
 from tests.fakes.recorded_flight import FOLDER
-from tests.review.records import Flown, Ground, report
+from tests.review import raw
+from tests.review.records import T0, Flown, Ground, report
 from tests.review.test_document import one_flight
 
 EVIL = "</script><script>window.hit = 1</script><img src=x onerror='window.hit = 1'>"
@@ -44,6 +47,34 @@ def test_the_page_refers_to_nothing_outside_and_permits_only_its_own_code(tmp_pa
         r"<(?:link|img|iframe|object|embed)\b|<script[^>]*\bsrc=|url\(|@import", text.partition("<script")[0]
     )
     assert "unsafe-inline" not in text and "<script>window.hit" not in text
+
+
+def test_the_page_has_the_availability_of_everything_and_the_flights(tmp_path: Path) -> None:
+    """Also of what was always there; the tables of text have only what was not."""
+    made = swarm(tmp_path)
+    text = page.render(made)
+    rows = data_of(text)["availability"]
+    assert len(rows) == len(made["availability"]) and rows[0][3] < 1.0 == rows[-1][3]
+    assert ["agent_2", "topic", "topic_1", 1.0, 0.0, 0.0] in rows
+    assert "Availability below 100 %" not in text and "<h2>Flights</h2>" in text
+    assert f"topic ({len(rows)}), the lowest first" in text
+
+
+def test_the_page_knows_a_plot_for_each_measurement_of_the_record(tmp_path: Path) -> None:
+    """Its groups are those by which the measurements were kept."""
+    groups = [tuple(group) for group in data_of(page.render(swarm(tmp_path)))["groups"]]
+    assert groups == list(GROUPS) and len({key for key, _, _ in groups}) == len(groups)
+
+
+def test_faults_that_are_not_listed_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page has a limit, and says what other outputs have all."""
+    monkeypatch.setattr(page, "MOST_FAULTS", 2)
+    text = page.render(swarm(tmp_path))
+    assert "The first 2 of 3 are listed" in text and len(data_of(text)["faults"]) == 2
+
+
+def data_of(text: str) -> Any:
+    return json.loads(text.partition('<script type="application/json" id="data">')[2].partition("</script>")[0])
 
 
 @pytest.fixture(scope="module")
@@ -176,3 +207,78 @@ def test_a_browser_shows_fifty_agents_and_an_hour(tmp_path: Path, browser: Any) 
     assert height == 24 + 17 * 50 + 6
     assert min(levels) > 0.9, "a row is not filled by its level"
     tab.close()
+
+
+@contextmanager
+def opened_in(browser: Any, made: dict[str, Any], file: Path) -> Iterator[Any]:
+    """The page in a tab, ready. Its code has no error until the end, and no text of the record was executed."""
+    file.write_text(page.render(made), "utf-8")
+    tab, said = browser.new_page(viewport={"width": 1300, "height": 900}), list[str]()
+    tab.on("pageerror", lambda error: said.append(str(error)))
+    tab.goto(file.as_uri())
+    tab.wait_for_selector("html[data-ready=yes]", state="attached")
+    yield tab
+    assert tab.evaluate("window.hit") is None and not said
+    tab.close()
+
+
+@pytest.mark.browser
+def test_the_list_of_availability_unfolds_and_is_filtered(tmp_path: Path, browser: Any) -> None:
+    """All rows, the lowest first; a hostile name stays text."""
+    made = swarm(tmp_path)
+    made["availability"][0]["name"] = EVIL
+    with opened_in(browser, made, tmp_path / "page.html") as tab:
+        rows = tab.locator("#availability tbody tr")
+        assert rows.count() == 0
+        tab.locator("#available summary").click()
+        tab.wait_for_function("() => document.getElementById('count-available').textContent")
+        assert rows.count() == len(made["availability"])
+        assert "100.000 %" in rows.last.inner_text() and "100.000 %" not in rows.first.inner_text()
+        tab.locator("#find-available").fill("agent_2 topic_1")
+        assert tab.locator("#count-available").inner_text() == f"1 of {len(made['availability'])}"
+        assert rows.first.inner_text().split() == [
+            "agent_2",
+            "topic",
+            "topic_1",
+            "100.000",
+            "%",
+            "0.0",
+            "s",
+            "0.0",
+            "s",
+        ]
+
+
+@pytest.mark.browser
+def test_all_measurements_of_one_agent_are_drawn(tmp_path: Path, browser: Any) -> None:
+    """70 topics in two plots, and each value of a radio in its own."""
+    radio = dict.fromkeys(("rssi", "remrssi", "noise", "remnoise", "margin", "remmargin", "rxerrors_s"), 5.0)
+    events = []
+    for at in (0, 20, 40):
+        events += [raw.unit(at, f"rates/t{number:03d}", hz=float(number)) for number in range(70)]
+        events += [raw.unit(at, "radio/gcs", **radio), raw.unit(at, "link/gcs", loss_1_1_percent=3.0)]
+    with opened_in(browser, report(raw.write(tmp_path / "log", events)), tmp_path / "page.html") as tab:
+        tab.locator("#plots").scroll_into_view_if_needed()
+        tab.wait_for_selector("#plots .u-wrap")
+        titles = tab.locator("#plots h3").all_inner_texts()
+        assert titles[:2] == ["Topic rates (Hz), 1 to 40 of 70", "Topic rates (Hz), 41 to 70 of 70"]
+        assert len(titles) == 2 + len(radio) + 1
+        assert "Radio, noise at the other end" in titles and "Radio, signal above the noise" in titles
+
+
+@pytest.mark.browser
+def test_the_pointer_says_how_close_changes_are_drawn_as_one(
+    tmp_path: Path, browser: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the end of a record with more changes than the timeline takes there is a level, and not nothing."""
+    monkeypatch.setattr(agent_row, "MOST_SEGMENTS", 100)
+    monkeypatch.setattr(agent_row, "LEAST_SEGMENTS", 100)
+    names = ("OK", "ERROR")
+    events = [raw.change(at, "nodes/n1", names[(at + 1) % 2], names[at % 2]) for at in range(600)]
+    made = report(raw.write(tmp_path / "log", [*events, raw.unit(600, "nodes/n1")]))
+    assert made["window"]["end"] == T0 + 600
+    with opened_in(browser, made, tmp_path / "page.html") as tab:
+        box = tab.locator("#time").bounding_box()
+        tab.mouse.move(box["x"] + 150 + 0.98 * (box["width"] - 158), box["y"] + 36)
+        tab.wait_for_function("() => document.getElementById('tip').textContent.includes('are drawn as one')")
+        assert "ERROR for" in tab.locator("#tip").inner_text()

@@ -7,10 +7,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import given, settings, strategies as st
 
 from phm.review import source_ulog
+from phm.review.events import Event
 from phm.review.lines import Piece, Problems
+from phm.review.other import Other, text_event
 from tests.review import crafted_ulog
 from tests.review.records import T0, report
 
@@ -30,6 +33,7 @@ def test_modes_arming_failsafes_and_texts_have_the_time_of_the_gps(tmp_path: Pat
         (60.0, "arming", "armed", ""),
         (61.0, "statustext", "Takeoff detected", ""),
         (80.0, "mode", "OFFBOARD", ""),
+        (82.0, "statustext", "Ready for takeoff!", ""),
         (90.0, "failsafe", "failsafe active", "ERROR"),
         (90.0, "mode", "AUTO.RTL", ""),
         (90.5, "statustext", "Failsafe activated", "WARN"),
@@ -71,6 +75,31 @@ def test_types_within_types_are_not_expanded(tmp_path: Path) -> None:
     )
     events, problems = read(file)
     assert not events and any("damaged message" in what for what, _ in problems.found)
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("\x1b[32mReady for takeoff!\x1b[0m", "Ready for takeoff!"),
+        ("\x1b[1;31;48;5;1mred\x1b[K", "red"),
+        ("\x1b]0;title\x07said\x1b]8;;x\x1b\\link", "saidlink"),
+        ("Takeoff detected\t", "Takeoff detected"),
+        ("torn \x1b[3", "torn \\x1b[3"),
+        ("torn \x1b]no end", "torn no end"),
+        ("two\nlines", "two\\nlines"),
+        ("\x1b[31m" * 100 + "after many", "after many"),
+    ],
+)
+def test_texts_have_no_escape_sequences(text: str, shown: str) -> None:
+    """Of PX4's logs and of nodes of ROS 2; what remains of a damaged one is shown as an escape."""
+    for event in (text_event(1, T0, text), Event("rosout", system=1, utc_s=T0, text=text)):
+        made = Other.of(event, "file")
+        assert made is not None and made.text == shown
+
+
+def test_a_coloured_line_of_phm_has_its_level() -> None:
+    """The colour does not belong to the line."""
+    assert text_event(1, T0, "\x1b[31mA01 FAIL 6 node_1 dead").level == "ERROR"
 
 
 @settings(max_examples=80, deadline=None)

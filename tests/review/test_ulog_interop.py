@@ -8,12 +8,13 @@ from pyulog import ULog
 
 from phm.review import source_ulog
 from phm.review.lines import Piece, Problems
+from phm.review.other import plain
 from tests.review import crafted_ulog
 from tests.review.records import T0
 
 
 def test_pyulog_reads_the_same_states_and_texts(tmp_path: Path) -> None:
-    """Arming states by their changes, and each text with its time since boot."""
+    """Arming states by their changes, and each text with its time since boot; the colours are removed here alone."""
     file = tmp_path / "1.ulg"
     file.write_bytes(crafted_ulog.log(T0 + 50))
     theirs = ULog(str(file))
@@ -24,6 +25,6 @@ def test_pyulog_reads_the_same_states_and_texts(tmp_path: Path) -> None:
     assert [(t / 1e6, state == 2) for t, state in changes[1:]] == [
         (round(event.utc_s - boot, 3), event.began) for event in mine if event.event == "arming"
     ]
-    assert [(entry.timestamp / 1e6, entry.message) for entry in theirs.logged_messages] == [
+    assert [(entry.timestamp / 1e6, plain(entry.message)) for entry in theirs.logged_messages] == [
         (round(event.utc_s - boot, 3), event.text) for event in mine if event.event == "statustext"
     ]

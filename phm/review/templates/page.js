@@ -2,7 +2,7 @@
 // A separate block: uPlot before it has its own names.
 {
 const data = JSON.parse(document.getElementById("data").textContent);
-const { window: span, agents, faults, plots, other } = data;
+const { window: span, agents, faults, plots, other, groups, availability } = data, unitsCut = new Map(data.units_cut);
 const $ = (id) => document.getElementById(id);
 const element = (tag, text, kind) => { const made = document.createElement(tag); if (text !== undefined) made.textContent = text; if (kind) made.className = kind; return made; };
 const pad = (n, w = 2) => String(Math.floor(n)).padStart(w, "0");
@@ -25,8 +25,11 @@ for (const [s, agent, what, text, level] of other) others.get(agent)?.push([s, w
 function layout() {
   rows = []; let y = TOP;
   for (const agent of agents) {
-    rows.push({ agent, y, height: ROW, name: agent.agent, segments: agent.levels }); y += ROW;
-    if (open.has(agent.agent)) for (const [unit, segments] of Object.entries(agent.units)) { rows.push({ agent, unit, y, height: UNIT, name: unit, segments }); y += UNIT; }
+    rows.push({ agent, y, height: ROW, name: agent.agent, segments: agent.levels, joined: agent.joined_s }); y += ROW;
+    if (!open.has(agent.agent)) continue;
+    const add = (unit, segments = []) => { rows.push({ agent, unit, y, height: UNIT, name: unit, segments, joined: agent.units_joined_s }); y += UNIT; };
+    for (const [unit, segments] of Object.entries(agent.units)) add(unit, segments);
+    if (unitsCut.has(agent.agent)) add(`and ${unitsCut.get(agent.agent)} more`);
   }
   return y + 6;
 }
@@ -118,12 +121,13 @@ const near = (event) => marks.filter((mark) => Math.hypot(mark.px - event.offset
 const rowAt = (event) => rows.find((row) => event.offsetY >= row.y && event.offsetY < row.y + row.height);
 function hover(event) {
   const row = rowAt(event), found = near(event);
-  if (!row || event.offsetX < LEFT) { tip.hidden = true; return; }
+  if (!row || event.offsetX < LEFT || row.unit && !row.segments.length) { tip.hidden = true; return; }
   const s = time(event.offsetX, canvas.clientWidth), t = s + span.begin;
   const segment = row.segments.find(([a, b]) => a <= t && t < b);
   const state = segment ? `${segment[2]} for ${long(segment[1] - segment[0])}` : "PHM not running, or nothing known";
   const armed = !row.unit && row.agent.armed.some(([a, b]) => a <= t && t < b) ? ", armed" : "";
-  tip.textContent = [`${clock(s, 3)}  ${row.name}: ${state}${armed}`, ...found.slice(0, 6).map((mark) => mark.text)].join("\n");
+  const joined = row.joined && segment ? ` (changes within ${long(row.joined)} are drawn as one)` : "";
+  tip.textContent = [`${clock(s, 3)}  ${row.name}: ${state}${joined}${armed}`, ...found.slice(0, 6).map((mark) => mark.text)].join("\n");
   tip.hidden = false; tip.style.left = `${Math.min(event.clientX + 14, innerWidth - tip.offsetWidth - 8)}px`; tip.style.top = `${event.clientY + 16}px`;
 }
 function click(event) {
@@ -176,9 +180,24 @@ function detail(fault) {
 }
 function reveal(index) { $("find").value = ""; filter(); toggle(index, true); faultRows[index].scrollIntoView({ block: "center", behavior: "smooth" }); faultRows[index].focus({ preventScroll: true }); }
 
+// ---- availability
+const MOST_ROWS = 1000;
+const lower = availability.map((row) => row.slice(0, 3).join(" ").toLowerCase());
+function fillAvailable() {
+  const words = $("find-available").value.toLowerCase().split(/\s+/).filter(Boolean), hits = availability.filter((_, place) => words.every((word) => lower[place].includes(word)));
+  $("availability").tBodies[0].replaceChildren(...hits.slice(0, MOST_ROWS).map(([agent, kind, name, share, error, unknown]) => {
+    const row = element("tr");
+    for (const cell of [agent, kind, name, share === null ? "not known" : `${(100 * share).toFixed(3)} %`, long(error), long(unknown)]) row.append(element("td", cell));
+    return row;
+  }));
+  $("count-available").textContent = hits.length > MOST_ROWS ? `the first ${MOST_ROWS} of ${hits.length}` : `${hits.length} of ${availability.length}`;
+}
+if ($("available")) { $("available").addEventListener("toggle", fillAvailable, { once: true }); $("find-available").oninput = fillAvailable; }
+
 // ---- plots
-const shown = [], GROUPS = [["hz", "Topic rates", "Hz"], ["cpu_percent", "CPU", "%"], ["memory_percent", "Memory", "%"], ["temperature_c", "Temperature", "°C"], ["disk_percent", "Disk", "%"], ["rssi", "Radio, received signal", ""], ["remrssi", "Radio, signal at the other end", ""], ["noise", "Radio, noise", ""], ["txbuf", "Radio, free buffer", "%"], ["tx_bytes_s", "Radio bytes sent by PHM's links", "B/s"], ["rx_bytes_s", "Bytes received", "B/s"]];
-const metric = (plot) => { const rest = plot.name.replace(/^ground \S+ /, "").replace(/^\S+ /, ""); return (GROUPS.find(([key]) => rest.startsWith(key)) || [null])[0]; };
+const shown = [];
+const value = (plot) => plot.name.replace(/^ground \S+ /, "").replace(/^\S+ /, "");
+const metric = (plot) => (groups.find(([key]) => value(plot).startsWith(key)) || [null])[0];
 const choice = element("select"), MOST_LINES = 40;
 function fillPlots() {
   if (!plots.length) { $("choose").textContent = "The record has no measurements."; return; }
@@ -190,17 +209,26 @@ function drawPlots() {
   for (const plot of shown.splice(0)) plot.destroy();
   $("plots").replaceChildren();
   const chosen = plots.filter((plot) => choice.value === "all agents" || plot.agent === choice.value);
-  for (const [key, title, unit] of GROUPS) {
-    const mine = chosen.filter((plot) => metric(plot) === key); if (!mine.length) continue;
-    const box = element("div", undefined, "plot"), more = mine.length > MOST_LINES ? `, the first ${MOST_LINES} of ${mine.length}: choose an agent` : "";
-    box.append(element("h3", `${title}${unit ? ` (${unit})` : ""}${more}`)); $("plots").append(box);
-    const lines = mine.slice(0, MOST_LINES), hue = (place) => `hsl(${Math.round(place * 137.5) % 360} 60% 48%)`;
-    const joined = uPlot.join(lines.map((plot) => [plot.points[0].map((s) => s + span.begin), plot.points[1]]));
-    const series = [{ value: (_, v) => v === null ? "-" : clock(v - span.begin) }, ...lines.map((plot, place) => ({ label: choice.value === "all agents" ? `${plot.agent} ${plot.name.split(" ")[0]}` : plot.name.split(" ")[0], stroke: hue(place), width: 1.3, spanGaps: true, points: { show: false } }))];
-    const axis = { stroke: colours.dim, grid: { stroke: colours.line, width: 1 }, ticks: { stroke: colours.line } };
-    const scales = { x: { min: from + span.begin, max: to + span.begin } };
-    shown.push(new uPlot({ width: Math.max(280, box.clientWidth - 14), height: 190, series, scales, tzDate: (t) => uPlot.tzDate(new Date(t * 1000), "Etc/UTC"), axes: [{ ...axis, space: 90, values: (_, all) => all.map((t) => clock(t - span.begin)) }, { ...axis, size: 58 }], legend: { show: lines.length <= 12 }, cursor: { sync: { key: "t" } } }, joined, box));
+  for (const [key, title, unit] of groups) {
+    const mine = chosen.filter((plot) => metric(plot) === key), alone = new Set(mine.map((plot) => plot.agent)).size === 1;
+    const head = `${title}${unit ? ` (${unit})` : ""}`;
+    // Of one agent all are drawn, in several plots; of many agents the reader chooses one.
+    if (!alone && mine.length > MOST_LINES) { drawPlot(`${head}, the first ${MOST_LINES} of ${mine.length}: choose an agent`, key, mine.slice(0, MOST_LINES)); continue; }
+    for (let first = 0; first < mine.length; first += MOST_LINES) {
+      const lines = mine.slice(first, first + MOST_LINES);
+      drawPlot(mine.length > MOST_LINES ? `${head}, ${first + 1} to ${first + lines.length} of ${mine.length}` : head, key, lines);
+    }
   }
+}
+function drawPlot(title, key, lines) {
+  const box = element("div", undefined, "plot"), hue = (place) => `hsl(${Math.round(place * 137.5) % 360} 60% 48%)`;
+  box.append(element("h3", title)); $("plots").append(box);
+  const named = (plot) => [choice.value === "all agents" ? plot.agent : "", plot.name.replace(/^ground /, "").split(" ")[0], value(plot) === key ? "" : value(plot)].filter(Boolean).join(" ");
+  const joined = uPlot.join(lines.map((plot) => [plot.points[0].map((s) => s + span.begin), plot.points[1]]));
+  const series = [{ value: (_, v) => v === null ? "-" : clock(v - span.begin) }, ...lines.map((plot, place) => ({ label: named(plot), stroke: hue(place), width: 1.3, spanGaps: true, points: { show: false } }))];
+  const axis = { stroke: colours.dim, grid: { stroke: colours.line, width: 1 }, ticks: { stroke: colours.line } };
+  const scales = { x: { min: from + span.begin, max: to + span.begin } };
+  shown.push(new uPlot({ width: Math.max(280, box.clientWidth - 14), height: 190, series, scales, tzDate: (t) => uPlot.tzDate(new Date(t * 1000), "Etc/UTC"), axes: [{ ...axis, space: 90, values: (_, all) => all.map((t) => clock(t - span.begin)) }, { ...axis, size: 58 }], legend: { show: lines.length <= 12 }, cursor: { sync: { key: "t" } } }, joined, box));
 }
 
 palette(); draw(); fill(); fillPlots();
