@@ -114,7 +114,8 @@ class Rates(api.Check):
         for topic in self._topics:
             seen = fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact())
             memory = self._memory[topic.name]
-            memory.reported = self._judge(topic, seen, fact, memory, world)
+            measured = None if seen.rate is None or seen.rate.problem else seen.rate.hz
+            memory.reported = replace(self._judge(topic, seen, fact, memory, world), rate_hz=measured)
             results[_unit(topic)] = memory.reported
         return results
 

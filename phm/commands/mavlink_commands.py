@@ -29,6 +29,7 @@ from phm.wire.command import (
     COMMAND_LONG,
     CONTAINERS_TEXT,
     HEARTBEAT,
+    NAMED_VALUE_FLOAT,
     READ_ONLY,
     REPLY_TEXT,
     TUNNEL,
@@ -250,6 +251,8 @@ class MavlinkCommands:
                     f"a heartbeat was requested less than {HEARTBEAT_EVERY_S:g} s ago",
                 )
             self._heartbeat_at = now
+        if message == NAMED_VALUE_FLOAT:
+            return self._send_rates(link, now)
         built = responses.status(
             message,
             self._agent,
@@ -260,6 +263,14 @@ class MavlinkCommands:
         )
         self._port.send(built, MessagePriority.REQUEST, key=f"requested {message}", urgency=1, link=link)
         return Reply(CommandResult.ACCEPTED, f"sending message {message}")
+
+    def _send_rates(self, link: str, now: float) -> Reply:
+        built = responses.rates(self._services.states(), mono=now)
+        if not built:
+            return Reply(CommandResult.FAILED, "no rate of a topic is measured")
+        for place, message in enumerate(built):
+            self._port.send(message, MessagePriority.REQUEST, key=f"requested rate {place}", urgency=1, link=link)
+        return Reply(CommandResult.ACCEPTED, f"sending the rates of {len(built)} topics")
 
     def _repeat(self, request: RepeatMessage, command: Command) -> Reply:
         key = (command.link, request.message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Sequence
@@ -17,6 +18,8 @@ _U8, _I8, _I16, _U32 = 0xFF, 0x7F, 0x7FFF, 0xFFFFFFFF
 """The standard's value for `unknown` in a field of that type."""
 _MIB = 2**20
 MOST_OTHERS = 20
+MOST_RATES, NAME_BYTES = 32, 10
+"""Of NAMED_VALUE_FLOAT: messages of one answer, and size of the field `name`."""
 
 
 def ack(command: Command, result: CommandResult) -> Any:
@@ -69,6 +72,31 @@ def computer(states: Sequence[UnitState], *, mono: float, utc: float) -> Any:
         link_tx_max=[_U32] * 6,
         link_rx_max=[_U32] * 6,
     )
+
+
+def rates(states: Sequence[UnitState], *, mono: float) -> list[Any]:
+    """NAMED_VALUE_FLOAT messages with the measured rates of topics in Hz, in the order of the configuration; at most MOST_RATES."""
+    known = [(state.unit, state.result.rate_hz) for state in states if state.result.rate_hz is not None]
+    named = zip(short_names([unit for unit, _ in known]), known, strict=True)
+    boot_ms = int(max(0.0, mono) * 1e3) & _U32
+    return [
+        mavlink.MAVLink_named_value_float_message(boot_ms, name.encode("ascii"), float(hz or 0.0))
+        for name, (_, hz) in itertools.islice(named, MOST_RATES)
+    ]
+
+
+def short_names(units: Sequence[str]) -> list[str]:
+    """The last part of each name in at most NAME_BYTES printable ASCII characters, shortened in the middle. Equal ones get a number:
+    a ground station keeps one value for each name."""
+    found: list[str] = []
+    for unit in units:
+        name = status_line.shortened(unit.rpartition("/")[2], NAME_BYTES)
+        again = 1
+        while name in found:
+            again += 1
+            name = f"{name[: NAME_BYTES - 1 - len(str(again))]}~{again}"
+        found.append(name)
+    return found
 
 
 def _four(known: Sequence[int], unknown: int) -> list[int]:

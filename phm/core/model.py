@@ -155,6 +155,7 @@ class Result:
     evidence:  what tracker and recovery need to know besides level and condition.
     readings:  measurements of the companion computer, from checks that make them.
     votes:     the consensus about each ROS node, from the check that determines it.
+    rate_hz:   measured rate of the topic, from the check that measures it; None: not known.
     """
 
     level: Level
@@ -170,6 +171,7 @@ class Result:
     evidence: Evidence = Evidence()
     readings: HostReadings | None = None
     votes: tuple[NodeVotes, ...] = ()
+    rate_hz: float | None = None
 
     @property
     def ends_fault(self) -> bool:

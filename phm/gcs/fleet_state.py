@@ -24,6 +24,7 @@ from phm.gcs.frames import (
     ComputerStatus,
     Frame,
     Heartbeat,
+    NamedValue,
     RadioStatus,
     StatusText,
     TunnelPayload,
@@ -59,7 +60,7 @@ class FleetState:
             return []
         if isinstance(frame, CommandAck):
             return list(self._ack(frame, at))
-        if isinstance(frame, ComputerStatus):
+        if isinstance(frame, (ComputerStatus, NamedValue)):
             return []  # for those who watch the frames
         return list(self._payload(frame, at))
 

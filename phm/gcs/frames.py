@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
-from phm.wire.command import COMMAND_ACK, HEARTBEAT, ONBOARD_COMPUTER_STATUS, STATUSTEXT, TUNNEL
+from phm.wire.command import COMMAND_ACK, HEARTBEAT, NAMED_VALUE_FLOAT, ONBOARD_COMPUTER_STATUS, STATUSTEXT, TUNNEL
 from phm.wire.text import one_line
 
 RADIO_STATUS = 109
-IDS = (HEARTBEAT, STATUSTEXT, TUNNEL, RADIO_STATUS, COMMAND_ACK, ONBOARD_COMPUTER_STATUS)
+IDS = (HEARTBEAT, STATUSTEXT, TUNNEL, RADIO_STATUS, COMMAND_ACK, ONBOARD_COMPUTER_STATUS, NAMED_VALUE_FLOAT)
 GCS, ONBOARD_CONTROLLER = 6, 18
 """Values of MAV_TYPE."""
 NO_AUTOPILOT = 8
@@ -106,7 +107,17 @@ class ComputerStatus:
         return {name: value for name, value in found.items() if value is not None}
 
 
-Frame = ComputerStatus | Heartbeat | StatusText | TunnelPayload | RadioStatus | CommandAck
+@dataclass(frozen=True, slots=True)
+class NamedValue:
+    """A NAMED_VALUE_FLOAT: of PHM the rate of a topic in Hz. name: safe to print, at most 10 characters; value: None if not finite."""
+
+    system: int
+    component: int
+    name: str
+    value: float | None
+
+
+Frame = ComputerStatus | NamedValue | Heartbeat | StatusText | TunnelPayload | RadioStatus | CommandAck
 
 
 def parse(message: Any) -> Frame | None:
@@ -138,6 +149,9 @@ def parse(message: Any) -> Frame | None:
         return CommandAck(system, component, message.command, message.result, to, bool(message.get_signed()))
     if number == ONBOARD_COMPUTER_STATUS:
         return _computer(system, component, message)
+    if number == NAMED_VALUE_FLOAT:
+        value = float(message.value)
+        return NamedValue(system, component, one_line(_text(message.name)), value if math.isfinite(value) else None)
     return None
 
 

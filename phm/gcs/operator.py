@@ -12,6 +12,7 @@ from phm.wire.command import (
     CHECK,
     CONTAINERS,
     HOLD,
+    NAMED_VALUE_FLOAT,
     ONBOARD_COMPUTER_STATUS,
     RELEASE,
     REPLY_TEXT,
@@ -87,6 +88,12 @@ def report_load(every_s: float) -> OperatorCommand:
     text = f"report load every {every_s:g} s" if every_s else "stop reporting load"
     interval_us = every_s * 1e6 or -1.0
     return OperatorCommand(text, SET_MESSAGE_INTERVAL, (ONBOARD_COMPUTER_STATUS, interval_us))
+
+
+def report_rates(every_s: float) -> OperatorCommand:
+    """Have it send the rates of its topics; 0: no longer."""
+    text = f"report topic rates every {every_s:g} s" if every_s else "stop reporting topic rates"
+    return OperatorCommand(text, SET_MESSAGE_INTERVAL, (NAMED_VALUE_FLOAT, every_s * 1e6 or -1.0))
 
 
 def list_containers() -> OperatorCommand:

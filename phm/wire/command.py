@@ -6,8 +6,9 @@ The contract for ground stations (`docs/reference/mavlink.md`, Commands)::
         0    HEARTBEAT, with the status word
         253  STATUSTEXT: the status line, which has the array
         390  ONBOARD_COMPUTER_STATUS
+        251  NAMED_VALUE_FLOAT: one for each topic with a measured rate, in Hz
         385  TUNNEL: the text about the fault with number param2; 0 or none: the newest open fault; -1: the containers
-    MAV_CMD_SET_MESSAGE_INTERVAL (511)   param1 253, 390 or 385 (the newest open fault), param2 microseconds; -1 and 0: off
+    MAV_CMD_SET_MESSAGE_INTERVAL (511)   param1 253, 390, 251 or 385 (the newest open fault), param2 microseconds; -1 and 0: off
     MAV_CMD_USER_1 (31010)               param1 the operation
         1    run all checks now
         2    approve the recommended action for the fault with number param2
@@ -29,14 +30,14 @@ from enum import Enum, IntEnum
 from phm.wire.text import one_line
 
 COMMAND_INT, COMMAND_LONG, COMMAND_ACK = 75, 76, 77
-HEARTBEAT, STATUSTEXT, TUNNEL, ONBOARD_COMPUTER_STATUS = 0, 253, 385, 390
+HEARTBEAT, NAMED_VALUE_FLOAT, STATUSTEXT, TUNNEL, ONBOARD_COMPUTER_STATUS = 0, 251, 253, 385, 390
 SET_MESSAGE_INTERVAL, REQUEST_MESSAGE, USER_1 = 511, 512, 31010
 CHECK, APPROVE, RESTART, HOLD, RELEASE = 1, 2, 3, 4, 5
 CONTAINERS = -1
 """param2 of a request for TUNNEL."""
 CONTAINERS_TEXT, REPLY_TEXT = "containers", "reply"
 """Used instead of the id of a fault in the TUNNEL messages that carry other texts."""
-SHORTEST_S = {STATUSTEXT: 2.0, ONBOARD_COMPUTER_STATUS: 5.0, TUNNEL: 10.0}
+SHORTEST_S = {STATUSTEXT: 2.0, ONBOARD_COMPUTER_STATUS: 5.0, NAMED_VALUE_FLOAT: 5.0, TUNNEL: 10.0}
 """Messages that can be repeated, with their shortest interval."""
 LARGEST = 2**24
 """Up to here a 32-bit float represents every integer."""
@@ -235,7 +236,7 @@ def _message(what: int, second: float) -> Request:
     if what == TUNNEL:
         # Ground stations send NaN in a parameter that they do not use.
         return SendDetails(0 if math.isnan(second) else _whole(second, "param2"))
-    if what in (HEARTBEAT, STATUSTEXT, ONBOARD_COMPUTER_STATUS):
+    if what in (HEARTBEAT, STATUSTEXT, ONBOARD_COMPUTER_STATUS, NAMED_VALUE_FLOAT):
         return SendMessage(what)
     raise UnknownCommand(f"message {what}")
 

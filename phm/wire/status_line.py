@@ -100,7 +100,7 @@ def recovered(agent: int, slot: Slot, brief: str, by: str = "", subject: str = "
     brief: the failure that ended. by: ``itself``, the name of an action, or empty for a warning. subject: a name that
     identifies the unit in its slot; the line has the brief instead where this is empty.
     """
-    verb = PAST_VERBS.get(by) or f"fixed by {_short(by, 12)}"
+    verb = PAST_VERBS.get(by) or f"fixed by {shortened(by, 12)}"
     head = f"{agent_name(agent)} OK {slot:d}"
     return f"{head} {subject} {verb}" if subject and by else _line(f"{head} {verb}:", brief)
 
@@ -124,28 +124,28 @@ def advise(
     an approval is valid after it was given. Both are never cut.
     """
     tail = _numbered(number) + (f" {valid_s:.0f}s" if number is not None and valid_s is not None else "")
-    return _line(f"{agent_name(agent)} ADVISE {slot:d} {_short(action, 16)}", target, tail)
+    return _line(f"{agent_name(agent)} ADVISE {slot:d} {shortened(action, 16)}", target, tail)
 
 
 def approved(agent: int, slot: Slot, action: str, target: str) -> str:
-    return _line(f"{agent_name(agent)} APPROVED {slot:d} {_short(action, 16)}", target)
+    return _line(f"{agent_name(agent)} APPROVED {slot:d} {shortened(action, 16)}", target)
 
 
 def expired(agent: int, slot: Slot, action: str, target: str) -> str:
     """An approval expired before its action was done."""
-    return _line(f"{agent_name(agent)} EXPIRED {slot:d} {_short(action, 16)}", target)
+    return _line(f"{agent_name(agent)} EXPIRED {slot:d} {shortened(action, 16)}", target)
 
 
 def gave_up(agent: int, slot: Slot, target: str, brief: str, number: int | None = None) -> str:
     """PHM cannot fix the fault. `number`: as in `advise`."""
-    said = brief if target in brief else f"{_short(target, 16)}: {brief}"
+    said = brief if target in brief else f"{shortened(target, 16)}: {brief}"
     return _line(f"{agent_name(agent)} GAVE UP {slot:d}", said, _numbered(number))
 
 
 def operator_request(agent: int, slot: Slot, action: str, end: str, target: str) -> str:
     """The result of an operator's request. `end`: ``done``, ``failed`` or ``refused``."""
     word = "OK" if end == "done" else "WARN"
-    return _line(f"{agent_name(agent)} {word} {slot:d} {_short(action, 16)} {end}:", target)
+    return _line(f"{agent_name(agent)} {word} {slot:d} {shortened(action, 16)} {end}:", target)
 
 
 def hold(agent: int, slot: Slot, target: str, for_s: float | None, reason: str) -> str:
@@ -154,7 +154,7 @@ def hold(agent: int, slot: Slot, target: str, for_s: float | None, reason: str) 
     if for_s is None:
         return _line(head, target or "all", " released")
     length = f"{for_s:.0f} s" if for_s < 120 else f"{for_s / 60:.0f} min"
-    return _line(head, f"{_short(target or 'all', 16)} {length}{': ' if reason else ''}{reason}")
+    return _line(head, f"{shortened(target or 'all', 16)} {length}{': ' if reason else ''}{reason}")
 
 
 def refresh(agent: int, units: Sequence[UnitState]) -> str:
@@ -198,10 +198,10 @@ def _numbered(number: int | None) -> str:
 
 def _line(head: str, text: str, tail: str = "") -> str:
     """`head text tail` in MAX_CHARS; only `text` is cut."""
-    return f"{head} {_short(text, MAX_CHARS - len(head) - 1 - len(tail))}".rstrip() + tail
+    return f"{head} {shortened(text, MAX_CHARS - len(head) - 1 - len(tail))}".rstrip() + tail
 
 
-def _short(text: str, room: int) -> str:
+def shortened(text: str, room: int) -> str:
     """`text` as printable ASCII in at most `room` (>= 4) characters, cut in the middle when too long."""
     # Cut before anything else: a name from outside may have any length.
     if len(text) > 1000:

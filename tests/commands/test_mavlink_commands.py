@@ -58,8 +58,9 @@ class Scene:
             Found(Level.OK, "healthy", readings=readings),
             Stamp(0, 0),
         )
+        self.states = [host]
         services = CommandServices(
-            lambda: (host,),
+            lambda: tuple(self.states),
             lambda: self.faults,
             lambda: (),
             lambda: True,

@@ -10,7 +10,7 @@ from phm.gcs.operator import OperatorCommand
 from phm.gcs.web.site import RequestRefused
 
 Json = dict[str, Any]
-LOAD_S = 10.0
+LOAD_S, RATES_S = 10.0, 10.0
 SHORTEST_S, LONGEST_S = 1.0, 86_400.0
 """Limits of a hold that the page requests; the agent has its own limits."""
 _DECIDES = "The agent decides: it refuses what its configuration does not allow, and says why."
@@ -39,6 +39,12 @@ def choices(agent: Mapping[str, Any]) -> list[Json]:
         _choice("containers", "list containers", f"{name} sends the names of its containers.", confirm=False),
         _choice("load", "report load", f"{name} sends CPU, memory and temperature every {LOAD_S:g} s.", confirm=False),
         _choice("load_off", "stop reporting load", f"{name} no longer sends its load.", confirm=False),
+        _choice(
+            "rates", "report topic rates", f"{name} sends the rates of its topics every {RATES_S:g} s.", confirm=False
+        ),
+        _choice(
+            "rates_off", "stop reporting topic rates", f"{name} no longer sends the rates of its topics.", confirm=False
+        ),
     ]
     return found
 
@@ -62,7 +68,13 @@ def command_of(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCom
             return operator.report_load(LOAD_S)
         case "load_off":
             return operator.report_load(0.0)
-    raise ValueError("do must be check, approve, restart, hold, release, details, containers, load or load_off")
+        case "rates":
+            return operator.report_rates(RATES_S)
+        case "rates_off":
+            return operator.report_rates(0.0)
+    raise ValueError(
+        "do must be check, approve, restart, hold, release, details, containers, load, load_off, rates or rates_off"
+    )
 
 
 def _approve(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCommand:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
 import threading
 import time
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import pytest
 
 from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
 from phm.gcs.presence import COPY_S
+from phm.gcs.web.history.collector import MAX_TOPICS
 from phm.gcs.web.history.faults import FaultBook
 from phm.gcs.web.history.reader import HistoryReader
 from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
+from phm.transport.dialect import mavlink
 from tests.fakes.until import until
 from tests.gcs.web.swarm import Client, ground
 
@@ -270,6 +274,35 @@ def test_a_series_is_reduced_and_keeps_its_gaps(tmp_path: Path) -> None:
     assert max(most for _, _, most in points if most is not None) == 99
     assert [value for _, value, _ in points].count(None) == 1
     assert reader.kinds("A07") == [{"kind": "cpu", "unit": "%", "label": "CPU"}]
+
+
+def named(name: str, value: float) -> Any:
+    return mavlink.MAVLink_named_value_float_message(1000, name.encode("ascii"), value)
+
+
+def test_the_rates_of_topics_are_kept(tmp_path: Path) -> None:
+    """As series of their own with unit and label; only of agents, MAX_TOPICS of each, and none without a finite number."""
+    with ground(history=tmp_path / "history.db") as here:
+        live, vehicle, client = here.live(), here.vehicle(), here.client()
+        vehicle.send(named("early", 1.0))
+        vehicle.beat()
+        until(lambda: live.agent("A07"), "the agent")
+        vehicle.send(named("<scan>", 9.5))
+        vehicle.send(named("broken", math.nan))
+        for number in range(MAX_TOPICS):
+            vehicle.send(named(f"t{number}", 1.0))
+
+        def kinds() -> dict[str, Any]:
+            found = client.get("/api/history/kinds?agent=A07")["kinds"]
+            return {one["kind"]: one for one in found if one["kind"].startswith("topic ")}
+
+        last = f"topic t{MAX_TOPICS - 2}"
+        until(lambda: last in kinds(), "the last series that is kept", kinds)
+        assert len(kinds()) == MAX_TOPICS and "topic early" not in kinds() and "topic broken" not in kinds()
+        assert kinds()["topic <scan>"] == {"kind": "topic <scan>", "unit": "Hz", "label": "rate of <scan>"}
+        query = urlencode({"agent": "A07", "kind": "topic <scan>", "since": 0, "points": 10})
+        found = client.get(f"/api/history/series?{query}")
+        assert found["unit"] == "Hz" and [value for _, value, _ in found["points"]] == [9.5]
 
 
 def line(event: str, utc_s: float, **body: Any) -> dict[str, Any]:

@@ -140,6 +140,19 @@ def test_load_values_arrive_after_a_request(client: Client, live: Live, here: Gr
     assert "temperature" not in live.agent("A08")["values"]
 
 
+@pytest.mark.parametrize(("agent", "do", "interval_us"), [(11, "rates", 10e6), (12, "rates_off", -1.0)])
+def test_the_rates_of_topics_are_requested(
+    client: Client, live: Live, here: Ground, agent: int, do: str, interval_us: float
+) -> None:
+    """As NAMED_VALUE_FLOAT, periodically."""
+    vehicle = here.vehicle(agent)
+    vehicle.beat()
+    until(lambda: live.agent(f"A{agent}"), "the agent")
+    client.post("/api/requests", {"agent": f"A{agent}", "do": do}, 202)
+    asked = until(lambda: [one for one in vehicle.hear() if one.get_type() == "COMMAND_LONG"], "the command")
+    assert (asked[0].command, asked[0].param1, asked[0].param2) == (511, 251, interval_us)
+
+
 def test_a_late_answer_is_shown(client: Client, live: Live, here: Ground, monkeypatch: pytest.MonkeyPatch) -> None:
     """After the time-out the request says TIMEOUT; the answer that comes then corrects it."""
     monkeypatch.setattr(operator, "RESEND_S", 0.05)

@@ -8,12 +8,13 @@ from typing import Any
 
 from phm.core.model import Level
 from phm.gcs.agent import PHM_COMPONENT
-from phm.gcs.frames import ComputerStatus, Heartbeat, RadioStatus
+from phm.gcs.frames import ComputerStatus, Heartbeat, NamedValue, RadioStatus
 from phm.gcs.presence import COPY_S
 from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent
 from phm.gcs.web.events import GRADES
 from phm.gcs.web.history.faults import FaultBook
+from phm.gcs.web.history.reader import TOPIC
 from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from phm.gcs.web.view import dumps
 from phm.wire import status_word
@@ -21,6 +22,8 @@ from phm.wire.status_line import agent_name
 
 RATE_S, LEVEL_S = 10.0, 10.0
 MAX_SENDERS = 1024
+MAX_TOPICS = 64
+"""Rates that are kept of one agent: twice what one answer of PHM has."""
 LEVELS = {Level.OK: 1, Level.WARN: 2, Level.ERROR: 3}
 """The levels as numbers of the series `level`; 0: unknown or lost."""
 RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
@@ -35,6 +38,8 @@ class Collector:
         self._levels: dict[str, tuple[int, float]] = {}
         self._frames: dict[int, int] = {}
         self._agents: dict[int, set[str]] = {}
+        self._topics: dict[str, set[str]] = {}
+        """Names of rates by agent."""
         self._rate_from: tuple[float, float] | None = None
 
     def frame(self, received: Received) -> None:
@@ -48,6 +53,8 @@ class Collector:
         elif isinstance(frame, ComputerStatus) and sender_name(frame.system, frame.component) in self._heard:
             for kind, value in frame.values().items():
                 self._store.put(HistorySample(sender_name(frame.system, frame.component), kind, at.utc, float(value)))
+        elif isinstance(frame, NamedValue):
+            self._topic(frame, at.utc)
 
     def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None:
         if not _repeats(line):
@@ -97,6 +104,16 @@ class Collector:
         if level != known or mono - since >= LEVEL_S:
             self._levels[name] = (level, mono)
             self._store.put(HistorySample(name, "level", utc, float(level)))
+
+    def _topic(self, frame: NamedValue, utc: float) -> None:
+        """Store the rate of a topic, of which an agent has MAX_TOPICS at most."""
+        name = sender_name(frame.system, frame.component)
+        if name not in self._heard or not frame.name or frame.value is None:
+            return
+        known = self._topics.setdefault(name, set())
+        if frame.name in known or len(known) < MAX_TOPICS:
+            known.add(frame.name)
+            self._store.put(HistorySample(name, f"{TOPIC}{frame.name}", utc, frame.value))
 
     def _count(self, system: int, mono: float, utc: float) -> None:
         """Store the frames per second, over RATE_S."""

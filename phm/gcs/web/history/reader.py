@@ -33,6 +33,13 @@ KINDS = {
     "txbuf": ("%", "free transmit buffer"),
 }
 """Unit and label of each kind of series."""
+TOPIC = "topic "
+"""Kinds of series that begin with this have the rate of the topic that follows."""
+
+
+def _described(kind: str) -> tuple[str, str]:
+    """Unit and label."""
+    return ("Hz", f"rate of {kind.removeprefix(TOPIC)}") if kind.startswith(TOPIC) else KINDS.get(kind, ("", ""))
 
 
 class HistoryError(Exception):
@@ -48,7 +55,8 @@ class HistoryReader:
     def kinds(self, who: str) -> list[Json]:
         with self._open() as connection:
             found = {row[0] for row in connection.execute("SELECT kind FROM series WHERE who = ?", (who,))}
-        return [{"kind": kind, "unit": unit, "label": label} for kind, (unit, label) in KINDS.items() if kind in found]
+        shown = [kind for kind in KINDS if kind in found] + sorted(kind for kind in found if kind.startswith(TOPIC))
+        return [{"kind": kind, "unit": _described(kind)[0], "label": _described(kind)[1]} for kind in shown]
 
     def series(self, who: str, kind: str, since: float, until: float, points: int) -> Json:
         """Means and maxima over equal times: at most `points` of them. since, until: UTC seconds."""
@@ -67,8 +75,7 @@ class HistoryReader:
             if last is not None and kind != "gap" and at - last > max(SILENT_S, 3 * width):
                 found.append([round((at + last) / 2, 3), None, None])
             found.append([round(at, 3), _rounded(value), _rounded(most)])
-        unit = KINDS.get(kind, ("", ""))[0]
-        return {"agent": who, "kind": kind, "unit": unit, "points": found}
+        return {"agent": who, "kind": kind, "unit": _described(kind)[0], "points": found}
 
     def events(
         self, *, who: str, event: str, text: str, grade: str, before: int | None, until: float | None, limit: int
