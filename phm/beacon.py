@@ -50,12 +50,12 @@ HELLO_SHARE_S = 0.05
 """A greeting every HELLO_S, or HELLO_SHARE_S for each process where that is longer: so no listener receives more
 than 20 a second. Each costs about 0.3 ms with all that the middleware does for it."""
 SILENT_HELLOS = 3.0
-"""A neighbour that is silent for so many of its periods is not alive."""
+"""A neighbour that is silent for this many of its periods is not alive."""
 FORGET_S = 60.0
 MAX_NODES = 50
 """In one message; a process with more sends several."""
 MAX_NEIGHBOURS = 50
-"""Most nodes in `views`: PHM takes a list of so many as full, and what it does not contain as unknown."""
+"""Most nodes in `views`: PHM takes a list of this many as full, and what it does not contain as unknown."""
 MAX_TEXT = 40_000
 NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 MAX_NAME = 255
@@ -126,7 +126,7 @@ class _NodeBeacon:
             return True
 
     def forgive(self, seconds: float) -> None:
-        """The entire process was suspended for so long, which is not its executor's fault."""
+        """The entire process was suspended for this long, which is not its executor's fault."""
         self._turned_s += seconds
 
     def late_s(self, now_s: float) -> float:

@@ -19,7 +19,7 @@ SILENT_S = 20.0
 SETTLE_S = 5.0
 """Such a result must last this long after any grace: `nodes` has the same grace and decides then."""
 ENDED_S = 5.0
-"""A beacon that has been silent for so long, while the node gives other signs of life, was closed."""
+"""A beacon that has been silent for this long, while the node gives other signs of life, was closed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from phm_checks._command_path import (
 from phm_checks._text import StableNumber, brief, span
 
 REPORT_S = 30.0
-"""A reboot is reported for so long, so that a ground station with a short interruption receives it too."""
+"""A reboot is reported for this long, so that a ground station with a short interruption receives it too."""
 SETTLE_S = 1.5
 """When the router or radio on the way fails, its last frame from other senders may come up to a second later. Not used
 while other frames still arrive, nor with nothing between the autopilot and PHM."""

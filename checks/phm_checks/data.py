@@ -10,11 +10,11 @@ from phm.api import Layer, Level, Slot
 from phm_checks._text import StableNumber, brief, clean, joined, last, span
 
 SETTLE_S = 2.0
-"""Gaps wait so long: if messages are not published at all, their rate shows it meanwhile, and is the cause."""
+"""Gaps wait this long: if messages are not published at all, their rate shows it meanwhile, and is the cause."""
 MEASURED_S = 1.0
 """The check runs once a second."""
 ENOUGH = 2
-"""A topic is not OK before so many messages were examined."""
+"""A topic is not OK before this many messages were examined."""
 AT_ONCE = 10.0
 """A stamp that differs by more than this many seconds is not one of a publisher that waits for a CPU."""
 CLOCK = "/clock"

@@ -24,7 +24,7 @@ from phm_checks._text import StableNumber, brief, clean, joined, last, listed, s
 SETTLE_S = 2.0
 """A port or connection that reopens within this time is not reported: a USB autopilot disappears briefly when it reboots."""
 REFUSALS, STEADY_S = 2, 5.0
-"""After so many refused attempts in a row (0.3 s) nothing listens any more. Reported without settle time if the endpoint
+"""After this many refused attempts in a row (0.3 s) nothing listens any more. Reported without settle time if the endpoint
 had been open for STEADY_S."""
 GRACE_S = 5.0
 SILENT_S = 3.0

@@ -17,7 +17,7 @@ OLD_SNAPSHOT_S = 5.0
 """Older snapshots of the graph are not evaluated."""
 SLOW_S = 1.0
 WITNESSES = 2
-"""At least so many nodes of a container, and all of them, must be unreachable before the container's network is blamed.
+"""At least this many nodes of a container, and all of them, must be unreachable before the container's network is blamed.
 A single unreachable node may have its own problem."""
 BOTH_S = 2.0
 """Two processes of one node for longer than this are a duplicate; a restarted node may briefly overlap with the old one.

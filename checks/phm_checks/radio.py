@@ -11,7 +11,7 @@ from phm_checks._limit_forecast import LimitForecast
 from phm_checks._text import StableNumber, brief, joined, span
 
 PERIODS = 2.5
-"""A radio is silent after so many of its own periods: SiK responds to PHM's heartbeats, which may be 10 s apart."""
+"""A radio is silent after this many of its own periods: SiK responds to PHM's heartbeats, which may be 10 s apart."""
 FULL_PERCENT = 20
 """With less of the transmit buffer free, commands and status are delayed in the radio."""
 EASE_MARGIN, EASE_ERRORS, EASE_PERCENT = 4.0, 0.5, 30

@@ -17,7 +17,7 @@ CONFIRM_S = 0.9
 SETTLE_S = 2.0
 """A topic may fall silent so much earlier than its node is known to be dead."""
 GAP_PERIODS = 5
-"""A topic is not reported as silent before so many periods, even if its node is known to be alive."""
+"""A topic is not reported as silent before this many periods, even if its node is known to be alive."""
 LARGE_BPS = 0.8e6
 """Topics with more bytes per second are sampled with pauses (`phm.probes.ros.rates.topic_monitor`), so the time at which
 one fell silent is not known."""
@@ -32,11 +32,11 @@ timer of the message was due before the first turn, so it was called before the 
 LATE_S = 0.1
 """An executor with a larger delay is waiting for the CPU."""
 DOUBTS = 2.5
-"""So many standard deviations of a rate are added to its tolerance: normal jitter of a publisher is not a fault."""
+"""This many standard deviations of a rate are added to its tolerance: normal jitter of a publisher is not a fault."""
 JITTER_SHARE = 0.5
 """Of the period: samples with more jitter are as likely in the wrong period as in their own."""
 WITNESSES = 2
-"""When so many nodes of one container, and all of them, are silent, the transport is blocked: not all of them idle together."""
+"""When this many nodes of one container, and all of them, are silent, the transport is blocked: not all of them idle together."""
 
 
 @dataclass(slots=True)

@@ -59,7 +59,7 @@ class _Since(click.ParamType):  # type: ignore[type-arg]
             return time.time() - Duration().convert(text, param, ctx)
         except click.BadParameter:
             self.fail(
-                f"{text!r} is none of take-off, a duration before now such as 90s, 10min or 2h, and a moment in UTC "
+                f"{text!r}: must be take-off, a duration before now such as 90s, 10min or 2h, or a moment in UTC "
                 "such as 2026-03-01T12:00:05",
                 param,
                 ctx,

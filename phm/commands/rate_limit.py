@@ -11,7 +11,7 @@ from phm.wire.command import Command, CommandResult
 SENDER_BURST, SENDER_RATE = 10.0, 2.0
 """Of one sender on one link: commands in a burst, and commands a second."""
 ALL_BURST, ALL_RATE = 40.0, 10.0
-"""Of all unsigned commands together, and of all signed ones, which others can thus not displace."""
+"""Of all unsigned commands together, and of all signed ones, which others cannot displace."""
 MAX_SENDERS = 64
 REPEAT_S = 30.0
 """A command with `confirmation` above 0 within this time of an equal one is a repetition of it."""

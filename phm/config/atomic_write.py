@@ -36,7 +36,7 @@ def _give(temporary: str, like: os.stat_result) -> int:
     """Owner and group as far as PHM's user may; the permissions that must go, because another group would get them."""
     if not hasattr(os, "chown"):
         return 0
-    for owner in (like.st_uid, -1):  # only root may give a file to somebody else
+    for owner in (like.st_uid, -1):  # only root may give a file to another user
         with suppress(PermissionError):
             os.chown(temporary, owner, like.st_gid)
             return 0

@@ -7,7 +7,7 @@ MAX_DOUBLINGS = 60
 
 
 def pause_s(failures: int, first_s: float, longest_s: float) -> float:
-    """Pause after so many failures in a row: `first_s` after the first, then twice as long each time, up to `longest_s`."""
+    """Pause after this many failures in a row: `first_s` after the first, then twice as long each time, up to `longest_s`."""
     return min(first_s * 2.0 ** min(max(0, failures - 1), MAX_DOUBLINGS), longest_s)
 
 

@@ -57,7 +57,7 @@ class SchedulingDelay:
     def late_s(self, since: float, now: float, most_s: float | None = None) -> float:
         """Seconds between `since` and `now` in which PHM did not run.
 
-        most_s: for a deadline of so many seconds. The longest span counts in full, all others together up to most_s: after a
+        most_s: for a deadline of this many seconds. The longest span counts in full, all others together up to most_s: after a
         pause senders have as much time as before it, and if PHM is starved permanently a deadline is at most doubled.
         """
         with self._lock:

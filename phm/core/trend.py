@@ -47,7 +47,7 @@ class Trend:
     """The newest points of one measurement, over at most `window_s` seconds."""
 
     def __init__(self, window_s: float, *, least_s: float, confidence: float = 0.95) -> None:
-        """least_s: observed at least for so long before anything is forecast. confidence: 0.5 to 0.999, of `latest_s`."""
+        """least_s: observed at least for this long before anything is forecast. confidence: 0.5 to 0.999, of `latest_s`."""
         self._window_s, self._least_s = window_s, least_s
         self._z = NormalDist().inv_cdf(confidence)
         self._spacing_s = least_s / LEAST_POINTS / 2

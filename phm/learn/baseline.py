@@ -16,12 +16,12 @@ from phm.learn.observations import Observations, ObservedContainer, ObservedFold
 SHORT_S = 30.0
 """A rate that was measured for less than this may vary more than was seen."""
 FEW = 10
-"""So many rates are enough to know their spread."""
+"""This many rates are enough to know their spread."""
 STEADY_PERCENT = 3.0
 MOST_PERCENT = 40.0
 """With a larger tolerance a rate says nothing."""
 MARGIN = 3.0
-"""The tolerance is at least so many times the observed deviation."""
+"""The tolerance is at least this many times the observed deviation."""
 TIMEOUT_HEARTBEATS = 3.0
 IGNORED = ("__pycache__", "*.pyc")
 _GENERATED = re.compile(r"_[0-9a-f]{6,}$|_\d{3,}$")

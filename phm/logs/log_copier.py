@@ -18,7 +18,7 @@ MOST_FILE_BYTES = 2_000_000_000
 MOST_BYTES = 20_000_000_000
 """Maximum number of bytes of one log that are copied in one run."""
 MOST_FAILURES = 3
-"""After so many files that could not be copied, the rest of a source is left out."""
+"""After this many files that could not be copied, the rest of a source is left out."""
 _LOOKS = 5
 _HOLE = 2
 """Numbers without a file that end a log: within a rotation one name is free for a moment."""

@@ -20,7 +20,7 @@ SHORTEST = 6
 """Characters of a value that is removed wherever it appears; a shorter one is removed in its own place only."""
 MOST_LINE = 20_000
 LONGEST = 4000
-"""Characters of a known value. So many are cut off after a cut, where the first part of a secret could be."""
+"""Characters of a known value. This many are cut off after a cut, where the first part of a secret could be."""
 MOST_KEY_LINES = 200
 """Of a private key: a key without an end does not hide the rest of a log."""
 _PARTS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from phm.core.scheduling_delay import Late, never_late
 
 FACTOR = 2.2
-"""Silence of so many times the longest pause: one more heartbeat than ever before may be lost."""
+"""Silence of this many times the longest pause: one more heartbeat than ever before may be lost."""
 UNEVEN_S = 2.5
 """After such a pause, equal to two heartbeats lost in a row, the sender or the link is not steady."""
 LEARN_S = 120.0

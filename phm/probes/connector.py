@@ -17,7 +17,7 @@ from phm.probes.blocking_call import BlockingCallWorker
 from phm.transport.call_deadlines import CallDeadlines, PendingCall
 
 MOST_ADDRESSES = 4
-"""Of a name with several addresses, so many are tried."""
+"""Of a name with several addresses, this many are tried."""
 _OURS = {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EACCES, errno.EPERM}
 """Errors that say nothing about the server."""
 

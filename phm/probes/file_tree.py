@@ -33,7 +33,7 @@ WALK_S = 10.0
 FILE_S = 10.0
 """For reading one file."""
 BUSY_S = 5.0
-"""So long a look waits for another one at the same folder. Well below the deadline of the check."""
+"""This long a look waits for another one at the same folder. Well below the deadline of the check."""
 SHARE = 20
 """A walk is repeated after this many times its duration at the earliest, so that it takes at most 5 % of a core."""
 _PIECE = 1 << 20

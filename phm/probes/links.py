@@ -27,12 +27,12 @@ from phm.transport.mavlink_endpoint import IDLE_S
 from phm.transport.priority import MessagePriority, default_periods
 
 DOUBLES = 2
-"""So many heartbeats of another sender within DOUBLE_S are a duplicate: a late echo may come once."""
+"""This many heartbeats of another sender within DOUBLE_S are a duplicate: a late echo may come once."""
 DOUBLE_S = 30.0
 STALL_S = 1.2
 """PHM reads each open endpoint twice a second. After a longer break PHM was suspended, not the sender."""
 GONE, GONE_REFUSED = 4, 2
-"""After so many failed attempts to reopen an endpoint, or refusals, nothing will arrive on it soon: 1.5 s, 0.3 s."""
+"""After this many failed attempts to reopen an endpoint, or refusals, nothing will arrive on it soon: 1.5 s, 0.3 s."""
 USERS_S = 1.0
 """Deadline for determining which program uses a port."""
 STATUS = mavlink.MAVLINK_MSG_ID_RADIO_STATUS

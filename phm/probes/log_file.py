@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from phm.facts import CannotTell
 
 READ_BYTES = 256 << 10
-"""Of what was written since the last read, at most the newest so many bytes are read."""
+"""Of what was written since the last read, at most this many of the newest bytes are read."""
 _FLAGS = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY | os.O_NOFOLLOW
 
 

@@ -16,7 +16,7 @@ from phm.probes.pattern_matcher import PatternMatcher
 from phm.transport.docker import DockerEngine
 
 TAIL = 4000
-"""Of a container's log, at most so many of the newest lines are read."""
+"""Of a container's log, at most this many of the newest lines are read."""
 LINE_CHARS = 2000
 """The rest of a longer line is not searched."""
 CLOCK_S = 2.0
@@ -24,7 +24,7 @@ CLOCK_S = 2.0
 RESUME_S = 30.0
 """A reader that has not followed for so long after a reload is of a check that is no longer configured."""
 MOST_PARTS = 40
-"""So many parts of READ_BYTES are as much as TAIL lines of LINE_CHARS."""
+"""This many parts of READ_BYTES are as much as TAIL lines of LINE_CHARS."""
 _STAMPED = re.compile(rb"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?Z ?(.*)", re.DOTALL)
 
 

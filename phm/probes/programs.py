@@ -16,7 +16,7 @@ from phm.facts import CannotTell, ContainerFact, NotPermitted, ProcessFact, Prog
 from phm.transport.docker import NEVER_STARTED, DockerEngine, EngineMissing
 
 AT_ONCE = 4
-"""So many programs run beside PHM at a time."""
+"""This many programs run beside PHM at a time."""
 OUTPUT_BYTES = 16 << 10
 """More output is read and dropped."""
 MOST_PROCESSES = 4096

@@ -20,7 +20,7 @@ PERIOD_S = 0.1
 SUSPECT = 0.15
 """From this share of waiting on, by the kernel's count: on four CPUs it may be most of the time."""
 KEEP_S = 3.0
-"""A file is read for so long after the last suspicion, and the thread then ends."""
+"""A file is read for this long after the last suspicion, and the thread then ends."""
 MOST_FILES = 32
 
 

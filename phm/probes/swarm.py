@@ -21,7 +21,7 @@ from phm.wire import status_word, tunnel
 FRESH_S, FRESH_PERIODS = 0.5, 0.1
 """Maximum age of the cached fact, the shorter of both: silence is detected only by looking."""
 LINK_S = 60.0
-"""A link without a frame from another agent for so long leads to no agent."""
+"""A link without a frame from another agent for this long leads to no agent."""
 
 
 class SwarmMonitor:

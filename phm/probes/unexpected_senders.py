@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 
 ENOUGH, WINDOW_S = 2, 30.0
-"""So many heartbeats within this time are reported."""
+"""This many heartbeats within this time are reported."""
 SAME_BOOT_S = 3.0
 """Times since boot that differ by less belong to one autopilot: frames are delayed by radios."""
 

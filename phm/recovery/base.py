@@ -81,7 +81,7 @@ class ActionContext:
     listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
     link:       the MAVLink endpoint of this name now, or None when there is none.
     autopilot:  the vehicle's autopilot now, or None when it was never received.
-    reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within so many seconds.
+    reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within this many seconds.
     armed:      the armed state of the vehicle now.
     relief:     lowers CPU weights and restores them later.
     on_hold:    why a container must not be restarted as a dependent: it is on hold, or an operator stopped it; empty: it may.

@@ -72,9 +72,9 @@ PATIENT = _TOPIC | {"node_duplicate", "not_ready"}
 """Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
 create its endpoints again by itself, be activated again, or be replaced by a copy that starts before it ends."""
 LEARNED = _TOPIC
-"""Of these, the ones whose pauses PHM knows after a while: see `patience_s`. A second node is started by somebody, at any time."""
+"""Of these, the ones whose pauses PHM knows after a while: see `patience_s`. A second node is started by someone, at any time."""
 PAUSES = 2.0
-"""PHM waits so many times the longest pause after which a topic came back."""
+"""PHM waits this many times the longest pause after which a topic came back."""
 DOWN = frozenset({"exited", "oom", "created"})
 """Conditions of a container that does not run. A start makes nothing worse as long as its dependents are not restarted, so it
 is tried for as long as the container is down: a part of the budget is reserved for it, and when that is used up, or recovery
@@ -298,7 +298,7 @@ def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
 
 
 def _step(ladder: tuple[str, ...], condition: str, same: list[AttemptRecord], settings: RecoverySettings) -> str:
-    """The step that follows so many failed attempts."""
+    """The step that follows this many failed attempts."""
     again = condition in AGAIN_WHILE_IT_LASTS and condition not in settings.ladders
     failed = sum(attempt.partly for attempt in same) if again else len(same)
     return ladder[min(failed, len(ladder) - 1)]

@@ -20,7 +20,7 @@ AGAIN_S = 1.0
 """A change is published once more after this time: in a burst of many agents a router drops what a reader cannot take."""
 _OPEN_FAULTS = 256
 _ATTEMPTS = 2
-"""A fleet that is unreachable for so many deadlines is reported as a problem: a lost packet or a roaming radio is not."""
+"""A fleet that is unreachable for this many deadlines is reported as a problem: a lost packet or a roaming radio is not."""
 
 
 class FleetLink(Protocol):

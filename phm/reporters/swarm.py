@@ -23,7 +23,7 @@ from phm.wire.status_line import Severity
 from phm.wire.tunnel import PeerState, PeerView
 
 VIEW_HEARTBEATS = 20
-"""A view every so many heartbeats without a change; immediately after a change, and again a heartbeat later."""
+"""Heartbeats between two views without a change. A view is also sent immediately after a change, and again a heartbeat later."""
 CALM_S = 1.0
 """Changes within this time, or half a heartbeat, go out as one view: agents are lost and found in groups."""
 TUNNEL_BYTES = 128

@@ -64,7 +64,7 @@ class _Reader:
         return self._data[self._at - 1]
 
     def length(self, least: int) -> int:
-        """A number of elements of at least so many bytes each."""
+        """A number of elements of at least this many bytes each."""
         self._at += -self._at % 4
         if self._at + 4 > len(self._data):
             raise ValueError("ends within the message")

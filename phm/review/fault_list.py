@@ -10,7 +10,7 @@ from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 BEFORE_S, AFTER_S = 5.0, 5.0
-"""Lines so long before a fault opened and after it ended are shown with it."""
+"""Lines this long before a fault opened and after it ended are shown with it."""
 HALF = 20
 """Lines around the opening, and around the end, where there are more than both together."""
 MOST_STEPS = 60

@@ -186,7 +186,7 @@ def _unpacked(chunk: Chunk) -> bytes:
 
 
 def _read(stream: IO[bytes], count: int) -> bytes:
-    """So many bytes, fewer at the end: a stream that unpacks may return less per read. Memory grows with what is there."""
+    """This many bytes, fewer at the end: a stream that unpacks may return less per read. Memory grows with what is there."""
     parts, left = list[bytes](), count
     while left and (part := stream.read(min(left, BLOCK))):
         parts.append(part)
@@ -195,7 +195,7 @@ def _read(stream: IO[bytes], count: int) -> bytes:
 
 
 def _skip(stream: IO[bytes], count: int) -> bool:
-    """Skip bytes; return whether the file had so many."""
+    """Skip bytes; return whether the file had this many."""
     while count:
         part = stream.read(min(count, BLOCK))
         if not part:

@@ -26,7 +26,7 @@ from phm.review.votes import OWN_ERROR_S, WINDOW_S, Key, Times, candidate, compa
 from phm.wire import status_line
 
 LEAST_LINES, LEAST_CHANGES = 3, 2
-"""So many lines must agree, and so many of them must be about changes: regular lines come at even intervals and fit many offsets."""
+"""This many lines must agree, and this many of them must be about changes: regular lines come at even intervals and fit many offsets."""
 MOST_VOTES = 200_000
 BY = "lines or diagnostics of PHM that its own log has, too"
 NO_LINES = "its own clock: no line and no diagnostic of PHM about a change is in it that PHM's log has, too"

@@ -26,7 +26,7 @@ from phm.review.run import Change, Run, RunMark
 from phm.review.spans import Cover, Span, joined
 
 QUIET_S = 30.0
-"""At least so long nothing may be written before PHM counts as not running; and not less than 2.5 reports."""
+"""At least this long nothing may be written before PHM counts as not running; and not less than 2.5 reports."""
 
 
 @dataclass

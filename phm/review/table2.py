@@ -18,7 +18,7 @@ from phm.review.record import AgentRecord
 Json = dict[str, Any]
 INJECT = re.compile(r"inject\b", re.IGNORECASE)
 LATE_S, TOGETHER = 30.0, 8
-"""Of injections that follow each other, a fault that a note names may open so long after the next note; and so many notes before and after
+"""Of injections that follow each other, a fault that a note names may open this long after the next note; and this many notes before and after
 it are looked at."""
 STEPS = ("advised", "refused", "done", "failed", "verified", "escalated")
 """Phases with which a step of PHM's response to a fault is complete."""

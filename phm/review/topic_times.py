@@ -8,13 +8,13 @@ from array import array
 from dataclasses import dataclass, field
 
 GAP_PERIODS = 5.0
-"""A gap is longer than so many median periods of its own topic."""
+"""A gap is longer than this many median periods of its own topic."""
 LEAST_GAP_S = 0.5
 MOST_GAPS = 50
 """Maximum number of gaps of one topic; the longest are kept."""
 LEAST_PERIODS = 20
 REGULAR = 2.0
-"""A topic has gaps only if it is regular: 9 of 10 periods are at most so many medians. Others are sent when there is something."""
+"""A topic has gaps only if it is regular: 9 of 10 periods are at most this many medians. Others are sent when there is something."""
 SAMPLES = 2048
 
 

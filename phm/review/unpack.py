@@ -92,7 +92,7 @@ def damages() -> tuple[type[Exception], ...]:
 
 
 class _Limited:
-    """A stream that unpacks at most so many bytes."""
+    """A stream that unpacks at most this many bytes."""
 
     def __init__(self, stream: Any, most: int) -> None:
         self._stream, self._left = stream, most

@@ -25,7 +25,7 @@ SUPERVISE_S = 1.0
 WATCHDOG_EVERY = 30
 """Calls of `supervise` after which a watchdog process that ended is started again."""
 STALLED_END_S = 30.0
-"""A daemon that has stalled for so long exits: Docker restarts a process that exits, not one that hangs."""
+"""A daemon that has stalled for this long exits: Docker restarts a process that exits, not one that hangs."""
 STOP_S = 5.0
 """Limit for all of `stop`. Docker sends SIGKILL 10 s after SIGTERM by default."""
 

@@ -145,7 +145,7 @@ class Delivery:
             raise _Refused("the agent has this configuration already")
         if present != base:
             raise _Refused(
-                f"the agent has another configuration ({present[:12]}) than the one that was changed ({base[:12]}): somebody else "
+                f"the agent has another configuration ({present[:12]}) than the one that was changed ({base[:12]}): someone else "
                 "changed it meanwhile"
             )
         return present

@@ -7,7 +7,7 @@ period would hide a real loss; a slow one costs a large swarm a few minutes of m
 from __future__ import annotations
 
 AT_ONCE = 8
-"""Up to so many agents have the same, shortest period."""
+"""Up to this many agents have the same, shortest period."""
 DOUBLES_S = 60.0
 RECENT_S = 120.0
 """An agent that was received within this time counts as a user of the links."""

@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 GAPS = 15
-"""The period is the median of so many gaps: losses of up to a third of the frames hardly move it."""
+"""The period is the median of this many gaps: losses of up to a third of the frames hardly move it."""
 MEMORY = 150.0
 """Heartbeats over which the share that is lost is counted, the older ones less."""
 PRIOR_LOST, PRIOR_HEARD = 2.0, 8.0
@@ -73,7 +73,7 @@ class HeartbeatStats:
         return min(MOST, max(lost, (self.lost - self.pauses + PRIOR_LOST * lost) / (self.lost + PRIOR_LOST)))
 
     def weight(self, missed: int) -> float:
-        """Evidence of so many missed in a row: the negative logarithm of their probability by chance."""
+        """Evidence of this many missed in a row: the negative logarithm of their probability by chance."""
         return (
             -math.log(self.loss_probability) - (missed - 1) * math.log(self.repeated_loss_probability)
             if missed

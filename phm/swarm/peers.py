@@ -27,12 +27,12 @@ LEARN = 0.3
 """Weight of the newest gap in the estimate of a peer's period."""
 MAX_PERIOD_S = 60.0
 VIEW_LATE_PERIODS = 45.0
-"""A view is too old to vote when its sender has sent none for so many periods. Views come when something changes, twice,
+"""A view is too old to vote when its sender has sent none for this many periods. Views come when something changes, twice,
 and every 20 heartbeats; while its sender is alive and sends no other one, its view remains valid."""
 CLASHES, CLASH_PERIODS = 3, 30.0
-"""An id is used twice when the frames' sequence falls back this often within so many periods: a restart does it once."""
+"""An id is used twice when the frames' sequence falls back this often within this many periods: a restart does it once."""
 REORDERED = 8
-"""Frames may be reordered by so many, or arrive by two links: a smaller step back counts only if the frame was not received
+"""Frames may be reordered by this many, or arrive by two links: a smaller step back counts only if the frame was not received
 before. Two agents that were switched on together, from copies of one card, are never further apart."""
 REMEMBERED = 32
 MAX_LINKS = 16

@@ -170,7 +170,7 @@ class MavlinkHub:
         return {endpoint.name: endpoint.traffic() for endpoint in self._endpoints}
 
     def reopen(self, link: str, timeout_s: float) -> bool:
-        """Close and reopen the endpoint of this name; whether it was open again within `timeout_s`. Blocks for so long at most."""
+        """Close and reopen the endpoint of this name; whether it was open again within `timeout_s`. Blocks for this long at most."""
         return any(endpoint.reopen(timeout_s) for endpoint in self._endpoints if endpoint.name == link)
 
     def retry_now(self, container: str) -> None:

@@ -25,7 +25,7 @@ TXBUF_STALE_S = 5.0
 SLOWEST = 10.0
 MAX_WAITING = 256
 SIZES: tuple[tuple[int, float, float], ...] = ((8, 2.0, 10.0), (30, 5.0, 60.0), (100, 15.0, 150.0), (250, 40.0, 300.0))
-"""Up to so many agents: seconds between heartbeats, seconds between refreshes. With views and the leader's lines, up to 30
+"""Up to this many agents: seconds between heartbeats, seconds between refreshes. With views and the leader's lines, up to 30
 agents stay within SHARE of the radio and 100 within 6 % of it (`scripts/bench mavlink`); each heartbeat has the status."""
 
 
@@ -68,7 +68,7 @@ class MessageCount:
 
 
 def default_periods(agents: int) -> tuple[float, float]:
-    """Seconds between heartbeats and between refreshes for a swarm of so many agents."""
+    """Seconds between heartbeats and between refreshes for a swarm of this many agents."""
     for size, heartbeat_s, refresh_s in SIZES:
         if agents <= size:
             return heartbeat_s, refresh_s
@@ -144,7 +144,7 @@ class LinkBudget:
         return max(BURST_MIN, self.rate * BURST_S)
 
     def heartbeat(self, size: int, now: float) -> None:
-        """A heartbeat of so many bytes was sent."""
+        """A heartbeat of this many bytes was sent."""
         last = self._beat[0]
         self._beat = (now, size / (now - last) if now > last else self._beat[1])
 

@@ -42,7 +42,7 @@ SHORTEST_S = {STATUSTEXT: 2.0, ONBOARD_COMPUTER_STATUS: 5.0, NAMED_VALUE_FLOAT: 
 LARGEST = 2**24
 """Up to here a 32-bit float represents every integer."""
 MAX_NAME = 128
-"""So many characters of a container's name count."""
+"""This many characters of a container's name count."""
 
 
 class CommandResult(IntEnum):

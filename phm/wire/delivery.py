@@ -148,7 +148,7 @@ def request(said: Hello, base: str, text: str, key: bytes) -> tuple[Request, byt
 
 
 def read_answer(line: bytes, sent: Request, key: bytes) -> DeliveryAnswer:
-    """An answer of somebody without the key is never `ok`. Raises NotADelivery."""
+    """An answer of someone without the key is never `ok`. Raises NotADelivery."""
     match document := _object(line):
         case {"answer": str(text), "mac": str(mac)}:
             trusted = hmac.compare_digest(

@@ -34,7 +34,7 @@ AFTER_S = 12.0
 STILL_S = 10.0
 """How long nothing may happen in the modes `off` and `advise`."""
 LASTING_S = 31.0
-"""Longer than `recovery.verify`, 30 s: a manual fix that lasts so long counts as permanent."""
+"""Longer than `recovery.verify`, 30 s: a manual fix that lasts this long counts as permanent."""
 
 
 class AcceptanceRun:
@@ -156,7 +156,7 @@ class AcceptanceRun:
         self.record.wait(lambda event: event["mono"] > until, 2 * LASTING_S, since=mark)
 
     def _watch(self, seconds: float, mark: int) -> None:
-        """Let the record go on for so long; reports come every few seconds, so it does."""
+        """Let the record go on for this long; reports come every few seconds, so it does."""
         until = time.monotonic() + seconds
         self.record.wait(lambda event: event["mono"] > until, 2 * seconds, since=mark)
 

@@ -163,7 +163,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--only", nargs="+", choices=LOADS, default=list(LOADS), metavar="LOAD", help=f"of {', '.join(LOADS)}"
     )
-    parser.add_argument("--minutes", type=float, default=15.0, metavar="M", help="begin no trial after so long (15)")
+    parser.add_argument("--minutes", type=float, default=15.0, metavar="M", help="begin no trial after this time (15)")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
     chosen = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, end_on_signal)

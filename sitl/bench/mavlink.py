@@ -32,7 +32,7 @@ SHARE = 0.1
 SETTLE_S = 120.0
 """What an agent saved up at its start has left by then."""
 SMALL, LARGE_SHARE = 30, 0.06
-"""Up to so many agents stay within PHM's share of the radio, 5 %; larger swarms within 6 %."""
+"""Up to this many agents stay within PHM's share of the radio, 5 %; larger swarms within 6 %."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Swarm:
         self.failing: set[int] = set()
 
     def fail(self, count: int) -> None:
-        """So many agents, spread over the fleet, have the fault from now on."""
+        """This many agents, spread over the fleet, have the fault from now on."""
         numbers = list(self.fleet.agents)
         self.failing = set(numbers[:: max(1, len(numbers) // count)][:count])
         for number in self.failing:

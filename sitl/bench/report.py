@@ -97,14 +97,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--flights",
         type=int,
         default=0,
-        help="instead of --sizes: MTBF over a dataset of so many flights, such as 1000",
+        help="instead of --sizes: MTBF over a dataset of this many flights, such as 1000",
     )
     parser.add_argument(
         "--page",
         metavar="AGENTS",
         type=int,
         default=0,
-        help="instead of --sizes: the page of an hour of so many agents",
+        help="instead of --sizes: the page of an hour of this many agents",
     )
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)

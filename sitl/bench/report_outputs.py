@@ -23,7 +23,7 @@ AGENTS = 8
 BATCH = 100
 """Flights that are added to the dataset together."""
 QUERIES, OPENED = 3, 5
-"""So often; the median is the result."""
+"""Number of repetitions; the median is the result."""
 CHROMIUM = "/usr/bin/chromium"
 
 

@@ -38,7 +38,7 @@ from phm.wire import json_log
 from phm.wire.report import iso
 
 RUN_S = 4 * 3600.0
-"""A run: PHM is on for so long, and then for PAUSE_S off."""
+"""A run: PHM is on for this long, and then for PAUSE_S off."""
 PAUSE_S = 3600.0
 EVERY_S = 20.0
 FAULT_EVERY = 30

@@ -31,7 +31,7 @@ from sitl.harness.machine import machine
 WARM_S = 6.0
 """Discovery, and the sampler's first window."""
 STEPS = 10
-"""A rate that a method reports is read so many times while it is measured."""
+"""A rate that a method reports is read this many times while it is measured."""
 ERROR_AIM, SHARE_AIM = 1.0, 6.0
 """Percent that the sampler's rate may be off; how many times the callback must cost as much, at 2000 messages a second."""
 

@@ -130,7 +130,7 @@ class Trial:
         return [] if up == NODES else [f"{up} of {NODES} nodes run"]
 
     def watch(self, seconds: float) -> None:
-        """Let the record go on for so long."""
+        """Let the record go on for this long."""
         until = time.monotonic() + seconds
         self.record.wait(lambda event: event["mono"] > until, 2 * seconds, since=self.mark())
 

@@ -78,7 +78,7 @@ def _output(group: argparse._ArgumentGroup) -> None:
         metavar="FILE",
         help="trials, one per line; a campaign continues from it (campaign-COMMIT.jsonl; with --seed campaign-COMMIT-seed-S.jsonl)",
     )
-    group.add_argument("--stop-after", type=float, metavar="S", help="begin no trial after so many seconds")
+    group.add_argument("--stop-after", type=float, metavar="S", help="begin no trial after this many seconds")
     group.add_argument("--report-only", action="store_true", help="only make the reports from the record")
     group.add_argument("--json", type=Path, metavar="FILE", help="write the report with everything in it")
     group.add_argument("--html", type=Path, metavar="FILE", help="write the report as a page")

@@ -12,7 +12,7 @@ from sitl.swarm import engine
 from sitl.swarm.swarm import Swarm
 
 LASTS_S = 1200
-"""Each ends by itself after so long, also if the campaign was killed."""
+"""Each ends by itself after this long, also if the campaign was killed."""
 RENEW_S = 300.0
 """A trial may take ten minutes and more, so older ones are replaced before it begins."""
 SPIN = "while :; do :; done"

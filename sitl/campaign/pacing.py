@@ -10,7 +10,7 @@ from sitl.campaign.trial import Trial
 LASTING_S = 31.0
 """Longer than `recovery.verify`, 30 s: before that, the same unit's next failure counts as a repair that did not last."""
 WINDOW_S = 600.0
-"""`recovery.window`: for so long an action counts against `recovery.budget`."""
+"""`recovery.window`: for this long an action counts against `recovery.budget`."""
 
 
 SAME_CLOCK_S = 60.0

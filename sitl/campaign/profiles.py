@@ -36,7 +36,7 @@ NAMING = re.compile(
 @dataclass(frozen=True)
 class Profile:
     """changes: of the shipped configuration of all agents. unseen: faults that its configuration cannot detect, and
-    why. not_healed: faults that PHM may only report. seen_limit_s: a fault that was not reported for so long after
+    why. not_healed: faults that PHM may only report. seen_limit_s: a fault that was not reported for this long after
     its first evidence is missed. healed_limit_s: how long a recovery may take after the first evidence. actions: most
     actions of PHM on an agent within `recovery.window` before its next fault; None: any number.
     """

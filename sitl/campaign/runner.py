@@ -37,7 +37,7 @@ STILL_S = 10.0
 """How long nothing may change with recovery off."""
 WELL_LIMIT_S = 120.0
 STEADY_S = 3.0
-"""All must have been well for so long before the next injection."""
+"""All must have been OK for this long before the next injection."""
 RECORD_LIMIT_S = 60.0
 """PHM tries a file that it could not write again after at most 30 s, and writes something every 20 s."""
 OWN = ("join_network", "reopen")

@@ -16,10 +16,10 @@ from sitl.faults.base import Agent
 
 PROC = Path("/proc")
 FRESH_S = 2.0
-"""A node that has not written its record for so long does not run: it writes twice a second."""
+"""A node that has not written its record for this long does not run: it writes twice a second."""
 TOLERANCE = 0.2
 PERIODS, LEAST_AGE_S = 3.0, 0.5
-"""A topic is silent after so many periods, and so long."""
+"""A topic is silent after this many periods, and this long."""
 STAMP_S = 1.0
 
 

@@ -51,7 +51,7 @@ def disk(path: str, block: Path = BLOCK) -> str:
 
 
 def throttle(folder: Path, device: str, bytes_s: int) -> None:
-    """Limit reads and writes of a cgroup on one disk to so many bytes a second each; 0 lifts the limit."""
+    """Limit reads and writes of a cgroup on one disk to this many bytes a second each; 0 lifts the limit."""
     if (folder / "io.max").exists():
         limit = str(bytes_s) if bytes_s else "max"
         (folder / "io.max").write_text(f"{device} rbps={limit} wbps={limit}\n", "ascii")

@@ -12,7 +12,7 @@ from docker.errors import APIError
 from sitl.faults.base import Agent
 
 LASTS_S = 90
-"""It ends by itself after so long, also when whatever started it was killed."""
+"""It ends by itself after this long, also when whatever started it was killed."""
 END_LIMIT_S = 20.0
 POLL_S = 0.05
 

@@ -87,7 +87,7 @@ def start(path: Path) -> None:
 
 
 def block(path: Path, seconds: float) -> None:
-    """Shut it for so long, 0: open it."""
+    """Shut it for this long, 0: open it."""
     beside(path, "shut").write_text(f"{time.time() + seconds}\n", "ascii")
 
 

@@ -10,7 +10,7 @@ from docker.errors import NotFound
 from sitl.faults.base import Agent
 
 LASTS_S = 90
-"""The load ends after so long, even if its injector is gone."""
+"""The load ends after this long, even if its injector is gone."""
 
 
 def start_load(agent: Agent, script: str, **limits: Any) -> None:

@@ -28,7 +28,7 @@ def overload(
     hogs: int = HOGS,
     weight: int = WEIGHT,
 ) -> None:
-    """Start `hogs` containers of this weight (CPU shares), with so many loops together.
+    """Start `hogs` containers of this weight (CPU shares), with this many loops together.
 
     It ends by itself after `lasts_s`, and its containers are removed then. Interrupted, it leaves nothing behind. The containers are
     of the agent's project as orphans, so that `down` takes them, too, and below the same cgroup as the application.

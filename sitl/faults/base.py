@@ -181,13 +181,13 @@ class Fault(ABC):
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
     prepared: what `prepare` adds to the agent, in words; empty: nothing.
     needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
-    shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it; ``starvation``, somebody who
+    shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it; ``starvation``, someone who
     judges its symptoms as those of one cause, which `sitl.bench.starvation` does.
     delays_record: PHM can write its record of it only once it is cleared.
     least: how many agents its swarm must have for it to be what it says.
     evidence: the earliest event on board that reveals it (a missed heartbeat, a missed period, a kernel event), and
     evidence_s: how many seconds after the injection that event happens, at the latest; None: not stated yet.
-    outage_s: how long it keeps the Docker Engine from PHM: what is known through the engine alone is hidden for so long.
+    outage_s: how long it keeps the Docker Engine from PHM: what is known through the engine alone is hidden for this long.
     evidence_period_s: its period, where that event is periodic: on average it happens half a period earlier.
     """
 

@@ -14,7 +14,7 @@ class Injection(Fault):
     name, title, unit = "container_paused", "container paused", "container/ros_app"
     condition = "paused"
     layer = "container"
-    cause = "somebody froze the container's processes"
+    cause = "someone froze the container's processes"
     evidence, evidence_s = "the engine's event that the container is paused", 0.1
 
     def inject(self, agent: Agent) -> float:

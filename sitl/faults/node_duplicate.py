@@ -12,12 +12,12 @@ ENDED = f"for turn in 1 2 3 4 5 6; do kill -0 $(cat {PID}) 2>/dev/null || break;
 
 
 class Injection(Fault):
-    """Starts node_1 a second time inside the application container, as somebody does by hand who forgot the first."""
+    """Starts node_1 a second time inside the application container, as someone does by hand who forgot the first."""
 
     name, title, unit = "node_duplicate", "node runs twice", "nodes/{agent}/node_1"
     condition = "node_duplicate"
     layer = "ros"
-    cause = "somebody started a node by hand, or two launch files have it"
+    cause = "someone started a node by hand, or two launch files have it"
     evidence, evidence_s = "a second process of the node in the process list", 0.1
 
     _generation = ""

@@ -17,7 +17,7 @@ class Injection(Fault):
     name, title, unit = "radio_saturated", "radio saturated", "radio/router"
     condition = "radio_full"
     layer = "link"
-    cause = "stream rates are set too high, or somebody loads a log over the radio"
+    cause = "stream rates are set too high, or someone loads a log over the radio"
     healable = False
     level = "WARN"
     needs = frozenset({"air"})

@@ -4,7 +4,7 @@
                |
           radio on board ~~~ air ~~~ radio on the ground --- ground station
 
-The router passes on what is for all, and what is for somebody only to where that one was received, as mavlink-router does.
+The router passes on what is for all, and what is for someone only to where that one was received, as mavlink-router does.
 A radio answers each HEARTBEAT that its own side gives it with a RADIO_STATUS to that side, as SiK firmware does. In that it
 reports the other radio, too, until it has received nothing from it for FORGETS_S.
 """

@@ -66,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     status = _verb(verbs, "status", _status, "how each agent is; exit code 0 when all are well")
     status.add_argument("--json", action="store_true", help="for programs")
     spent = _verb(verbs, "cost", _cost, "processor time and memory of each container")
-    spent.add_argument("--for", dest="seconds", type=float, default=20.0, metavar="SECONDS", help="watch so long (20)")
+    spent.add_argument("--for", dest="seconds", type=float, default=20.0, metavar="SECONDS", help="time to watch (20)")
     logs = _verb(verbs, "logs", _logs, "PHM's log, or the output of a container")
     logs.add_argument("agent", type=int, nargs="?", help="number of the agent (all, one after the other)")
     logs.add_argument("--service", choices=("phm", "ros_app", "air"), help="the output of this container instead")

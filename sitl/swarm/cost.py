@@ -29,7 +29,7 @@ class Cost:
 
 
 def measure(name: str, seconds: float) -> list[Cost]:
-    """The running containers of a swarm, watched for so long. One that ended meanwhile is left out."""
+    """The running containers of a swarm, watched for this long. One that ended meanwhile is left out."""
     client = DockerClient.from_env()
     try:
         label = f"{engine.LABEL}={name}"

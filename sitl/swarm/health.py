@@ -70,7 +70,7 @@ class Health:
         return ", ".join(words[:MOST_NAMED]) + more
 
     def why_not(self, utc_s: float, fresh_s: float) -> str:
-        """As `why`, and a record that has not grown for so long is not well either."""
+        """As `why`, and a record that has not grown for this long is not OK either."""
         if self.last_utc_s is not None and utc_s - self.last_utc_s > fresh_s:
             return f"PHM has written nothing for {utc_s - self.last_utc_s:.0f} s"
         return self.why

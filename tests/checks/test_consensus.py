@@ -338,7 +338,7 @@ class Quorum:
         self.clock, self.ros = testing.FakeClock(), testing.FakeRos(nodes=dict.fromkeys(ALL, 1))
 
     def after(self, seconds: float, beacons: Mapping[str, api.BeaconFact], **ros: Any) -> api.Result:
-        """The result after this state has lasted for so many seconds."""
+        """The result after this state has lasted for this many seconds."""
         for _ in range(int(seconds) + 1):
             self.ros.change(beacons=beacons, **ros)
             result = self.check.run(testing.world(clock=self.clock, ros=self.ros))

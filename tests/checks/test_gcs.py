@@ -121,7 +121,7 @@ def overdue(age_s: float, **more: object) -> testing.FakeLinks:
 
 
 def test_a_regular_ground_station_is_lost_before_the_timeout() -> None:
-    """It never paused for so long; the text has the expected time."""
+    """It never paused for this long; the text has the expected time."""
     result = run(check(), overdue(5.3))
     assert (result.level, result.condition) == (api.Level.ERROR, "gcs_lost")
     assert "expected one within 5.0 s" in result.summary

@@ -249,7 +249,7 @@ def test_senders_and_lines_in_the_log_are_limited(bench: Bench) -> None:
     assert len(bench.notes) == 3
 
 
-def test_an_answer_of_somebody_without_the_key_is_never_a_success() -> None:
+def test_an_answer_of_someone_without_the_key_is_never_a_success() -> None:
     """A program that took the agent's address cannot say that it is done."""
     said, _ = wire.hello("A07")
     request, _ = wire.request(said, BASE, TEXT, KEY)

@@ -56,7 +56,7 @@ class Ground:
         return found
 
     def wait(self, seconds: float, *repeated: Frame, every: float = 2.0) -> list[GcsEvent]:
-        """Advance the time, receive `repeated` every so many seconds, and return the events."""
+        """Advance the time, receive `repeated` at this interval in seconds, and return the events."""
         found: list[GcsEvent] = []
         steps = round(seconds / 0.25)
         for step in range(1, steps + 1):

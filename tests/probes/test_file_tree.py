@@ -157,7 +157,7 @@ def test_too_many_files_or_nested_folders_are_refused(folder: Folder, monkeypatc
 
 
 def slow_files(monkeypatch: pytest.MonkeyPatch, clock: FakeClock, seconds: dict[str, float]) -> list[str]:
-    """Reading each of these files takes so long; returns the list of files that are read."""
+    """Reading each of these files takes this long; returns the list of files that are read."""
     reads: list[str] = []
     real_read, real_walk_read, current = os.read, file_tree._Walk._read, [""]
 
@@ -176,7 +176,7 @@ def slow_files(monkeypatch: pytest.MonkeyPatch, clock: FakeClock, seconds: dict[
 
 
 def slow_names(monkeypatch: pytest.MonkeyPatch, clock: FakeClock, name_s: float) -> list[str]:
-    """Each name of a folder takes so long; returns the list of names that were taken."""
+    """Each name of a folder takes this long; returns the list of names that were taken."""
     taken: list[str] = []
     real = os.scandir
 

@@ -117,7 +117,7 @@ class Flown:
         self.log.handle(Report(self.at, self.reports, self.at, tuple(states)))
 
     def autopilot(self, booted: float) -> None:
-        """From now on reports have an autopilot that booted so many true seconds after T0, to the tenth of a second."""
+        """From now on reports have an autopilot that booted this many true seconds after T0, to the tenth of a second."""
         self.booted = booted
 
     def fail(self, name: str, *, lasts: float | None = 4.0, by: str = "restart", brief: str = "") -> str:

@@ -29,7 +29,7 @@ def clock_of(made: dict[str, Any], file: Path) -> dict[str, Any]:
 
 
 def heard(at: float, text: str, agent: int = 1) -> bytes:
-    """A line of PHM as a telemetry log has it, received at so many seconds since T0 by the recorder's clock."""
+    """A line of PHM as a telemetry log has it, received at this many seconds since T0 by the recorder's clock."""
     link = mavlink.MAVLink(None, srcSystem=agent, srcComponent=193)
     return stamped(T0 + at, bytes(mavlink.MAVLink_statustext_message(4, text.encode()).pack(link)))
 

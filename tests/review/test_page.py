@@ -138,7 +138,7 @@ def test_entries_of_other_records_are_marks_with_their_text(tmp_path: Path, brow
 
 
 def fleet(folder: Path, agents: int) -> dict[str, Any]:
-    """An hour of so many agents, with a report every 20 s and two faults each. The log of the first one is that of all."""
+    """An hour of this many agents, with a report every 20 s and two faults each. The log of the first one is that of all."""
     one = Flown(folder / "1")
     one.until(60)
     one.arm(True)

@@ -131,7 +131,7 @@ def _in_little_memory(content: bytes, answer: Any) -> None:
     ],
 )
 def test_a_recording_that_unpacks_to_more_than_allowed_is_left_out_and_named(name: str, said: str) -> None:
-    """In a process that has not the memory for it."""
+    """In a process without enough memory for it."""
     spawned = get_context("spawn")
     mine, theirs = spawned.Pipe(duplex=False)
     worker = spawned.Process(target=_in_little_memory, args=(bomb(name), theirs))

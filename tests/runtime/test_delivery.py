@@ -107,7 +107,7 @@ def test_nothing_is_changed_unless_the_vehicle_is_known_to_be_disarmed(agent: Ag
     assert "meanwhile" in agent.refused().text
 
 
-def test_a_change_by_somebody_else_is_not_overwritten(agent: Agent) -> None:
+def test_a_change_by_someone_else_is_not_overwritten(agent: Agent) -> None:
     """The answer says which version the agent has, so that an operator can decide to replace it."""
     other = OLD.replace("20s", "25s")
     agent.file.write_text(other)

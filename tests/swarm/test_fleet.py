@@ -212,7 +212,7 @@ def test_a_hundred_agents_agree_and_stay_within_six_percent() -> None:
 
 
 def bytes_s(fleet: Fleet, seconds: float) -> float:
-    """What all agents send per second, over so many seconds of the fleet's clock."""
+    """What all agents send per second, over this many seconds of the fleet's clock."""
     before = sum(agent.port.bytes_out for agent in fleet.agents.values())
     fleet.run(seconds)
     return (sum(agent.port.bytes_out for agent in fleet.agents.values()) - before) / seconds

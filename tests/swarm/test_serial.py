@@ -23,7 +23,7 @@ from tests.fakes.until import until
 PACKET_BYTES = 72
 """As many bytes as an 802.15.4 radio sends per packet; a frame goes on in the next one."""
 LOST = 9
-"""Every so many packets one is lost, in each direction."""
+"""One of this many packets is lost, in each direction."""
 
 
 class Air:

@@ -16,7 +16,7 @@ DEADLINE_MARGIN_S = 5.0
 """The probe ends at the entry's `timeout`; the run is overdue only if the probe does not."""
 FAILED = "custom_failed"
 RENEW_S = 60.0
-"""A line for the operator of which only numbers change is renewed so often: the ground receives each change."""
+"""A line for the operator of which only numbers change is renewed this often: the ground receives each change."""
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 

@@ -44,6 +44,6 @@ class FleetSettings(Section):
     deadline: Annotated[Seconds, Field(ge=0.5, le=60)] = 5.0
     """Limit of each attempt to connect, for each endpoint; a fleet that is unreachable for two of these is reported."""
     lease: Annotated[Seconds, Field(ge=1, le=300)] = 10.0
-    """A connection that is silent for so long counts as lost at both ends, and so does the agent behind it."""
+    """A connection that is silent for this long counts as lost at both ends, and so does the agent behind it."""
     tls: FleetTlsSettings = FleetTlsSettings()
     """Certificates."""

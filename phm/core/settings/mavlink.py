@@ -109,7 +109,7 @@ class MavlinkSettings(Section):
     radio_margin: Annotated[float, Field(ge=0, le=254, allow_inf_nan=False)] = 15.0
     """WARN below this margin of signal over noise at either end, in the radio's units (SiK: 1.9 to a dB)."""
     radio_errors: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 5.0
-    """WARN above so many damaged packets a second (RADIO_STATUS.rxerrors); 0: not checked."""
+    """WARN above this many damaged packets a second (RADIO_STATUS.rxerrors); 0: not checked."""
     loss: Percent = 20.0
     """WARN when more frames from the other end of a serial port are lost, by gaps in its sequence numbers."""
     commands: list[Literal["status", "details", "check", "approve", "restart", "hold"]] = Field(

@@ -51,7 +51,7 @@ class DataSettings(Section):
     ] = Field(default_factory=dict)
     """Lowest and highest value of fields, by name; null: no limit. Of an array, each element counts."""
     sample: Annotated[Hertz, Field(gt=0, le=4)] = 2.0
-    """At most so many messages per second of each publisher are examined."""
+    """At most this many messages per second of each publisher are examined."""
 
 
 class TopicSettings(Section):
@@ -135,7 +135,7 @@ class RosSettings(Section):
     grace: Annotated[Seconds, Field(ge=0, le=120)] = 8.0
     """Seconds after a start or restart in which an incomplete graph is not yet a fault."""
     silence: Annotated[Seconds, Field(gt=0, le=60)] = 3.0
-    """A topic without a message for max(three periods, this) is silent; sooner if it never paused for so long."""
+    """A topic without a message for max(three periods, this) is silent; sooner if it never paused for this long."""
     max_memory: Annotated[Bytes, Field(ge=50e6)] = 250e6
     """The ROS child process is replaced when it uses more."""
     installs: list[Annotated[str, Field(pattern=r"^/[^:]*$", max_length=4096)]] = Field(default_factory=list)

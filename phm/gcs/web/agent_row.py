@@ -18,7 +18,7 @@ from phm.wire.text import one_line
 Json = dict[str, Any]
 SLOTS = {str(int(slot)): slot.short for slot in Slot}
 PERIOD_S = 2.0
-"""The daemon writes its status so often (`phm.reporters.status`)."""
+"""The daemon writes its status this often (`phm.reporters.status`)."""
 MAX_TEXT = 500
 _RANK = {level: rank for rank, level in enumerate(("OK", Level.STALE.name, Level.WARN.name, Level.ERROR.name))}
 _ALIVE, _LOST, _NEVER = "alive", "lost", "never received"

@@ -187,7 +187,7 @@ def _send(out: int, *messages: Message) -> None:
 
 
 class _Leak:
-    """For tests of the memory limit: allocates so many more megabytes per tick. Off by default."""
+    """For tests of the memory limit: allocates this many more megabytes per tick. Off by default."""
 
     def __init__(self, megabytes: str) -> None:
         self._size = int(megabytes or 0) * 1_000_000

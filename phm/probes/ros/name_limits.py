@@ -15,7 +15,7 @@ from phm.facts.ros import EndpointFact
 MAX_STRANGERS = 300
 """Maximum number of nodes that are not configured."""
 FEW_ENDS = 400
-"""So many endpoints always fit into a message, regardless of the length of their names."""
+"""This many endpoints always fit into a message, regardless of the length of their names."""
 ENDS_BYTES = 500_000
 """Bytes for all endpoints of one graph message, which may have 1 MB."""
 _REST_BYTES = 160

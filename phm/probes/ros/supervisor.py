@@ -54,7 +54,7 @@ CROWDED = "more messages come on /phm/beacon than PHM reads: beacons may be lost
 REPORTED_S = 30.0
 """How long a loss is reported."""
 MAX_LOG_TEXTS = 20
-"""So many different log texts of the child are written to the log, each once."""
+"""This many different log texts of the child are written to the log, each once."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ MOST_SEEN = 1_000_000
 """Maximum number of names examined: about 10 s on an SD card."""
 DEPTH = 8
 MOST_REFUSED = 3
-"""After so many files of a folder that cannot be deleted, the others are not tried."""
+"""After this many files of a folder that cannot be deleted, the others are not tried."""
 
 
 @dataclass(frozen=True, order=True)

@@ -16,7 +16,7 @@ LOW_SHARES = 64
 """A sixteenth of the engine's default of 1024: enough to stay alive, almost nothing beside a container that needs the core."""
 DEFAULT_SHARES = 1024
 CALM_S = 30.0
-"""The weight is restored when the unit has been OK for so long. Each time that it must be lowered again soon, that time doubles:
+"""The weight is restored when the unit has been OK for this long. Each time that it must be lowered again soon, that time doubles:
 else the two would alternate."""
 MOST_CALM_S = 600.0
 

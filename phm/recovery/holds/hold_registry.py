@@ -21,7 +21,7 @@ LONGEST_S = 24 * 3600.0
 KEPT_EVERY_S = 30.0
 """The time left of a hold is written this often: a reboot extends the hold by no more than that and the time the machine was off."""
 LATE_S = 10.0
-"""A verdict on a stop that is so long overdue is not waited for: a defect must not block recovery permanently."""
+"""A verdict on a stop that is this long overdue is not waited for: a defect must not block recovery permanently."""
 BEING_STOPPED = "being stopped or replaced by an operator"
 MAX_HOLDS = 64
 MAX_DONE = 256

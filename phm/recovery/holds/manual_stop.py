@@ -27,9 +27,9 @@ STOP_FOLLOWS_S = 3.0
 REMOVED_S = 0.5
 """`destroy` follows the `die` of `docker rm -f` within 0.1 s; until then it looks like `docker kill`."""
 UNSURE_S = 0.15
-"""Recovery waits so long after an exit whose `kill` may have been missed, since `stop` follows `die` within 0.1 s on an idle machine."""
+"""Recovery waits this long after an exit whose `kill` may have been missed, since `stop` follows `die` within 0.1 s on an idle machine."""
 ASKED_S = 3600.0
-"""A container that runs so long after its stop signal does not stop: `docker stop -t` may give it that much time."""
+"""A container that runs this long after its stop signal does not stop: `docker stop -t` may give it that much time."""
 SIGKILL = "signal 9"
 
 

@@ -14,7 +14,7 @@ from phm.recovery.persistence.state_file import StateFile, StateWriter
 from phm.recovery.safety.armed_state import ArmedMonitor
 
 WARNED_S = 12.0
-"""A state that was lost is reported for so long after the start: one refresh of the status, every 10 s, contains it."""
+"""A state that was lost is reported for this long after the start: one refresh of the status, every 10 s, contains it."""
 
 
 class PersistenceService:

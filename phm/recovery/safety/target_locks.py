@@ -52,7 +52,7 @@ class TargetLocks:
 
     @contextlib.contextmanager
     def locked_dependent(self, target: str, owner: object, at_most_s: float) -> Iterator[None]:
-        """Lock a dependent as well, waiting for it at most so long. Raises TargetBusy."""
+        """Lock a dependent as well, waiting for it at most this long. Raises TargetBusy."""
         self._wait_for(target, owner, at_most_s)
         self._dependent_restart_at[target] = float("inf")
         try:

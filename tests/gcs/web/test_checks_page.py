@@ -1,4 +1,4 @@
-"""The Checks page in a real browser: somebody who knows no YAML adds a check."""
+"""The Checks page in a real browser: someone who knows no YAML adds a check."""
 
 from __future__ import annotations
 
@@ -308,7 +308,7 @@ class Refusing(Bench):
 
 
 def test_a_saved_file_is_delivered_and_the_agents_problems_are_at_the_fields(browser: Browser, file: Path) -> None:
-    """After a question each for the delivery and for replacing what somebody else has changed."""
+    """After a question each for the delivery and for replacing what someone else has changed."""
     agent, asked = Refusing(), list[str]()
 
     def accept(dialog: Dialog) -> None:

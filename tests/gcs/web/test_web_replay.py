@@ -81,7 +81,7 @@ def client(page: ReplayPage) -> Client:
 
 
 def seek(client: Client, live: Live, seconds: float) -> None:
-    """To so many seconds after the begin."""
+    """To this many seconds after the begin."""
     before = len(live.of("full"))
     begin = live.state["ground"]["replay"]["from_utc"]
     client.post("/api/replay", {"do": "pause"})

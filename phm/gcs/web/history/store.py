@@ -56,7 +56,7 @@ _UNUSABLE = (
 )  # fmt: skip
 """What writing a row raises that is not fit for the file, such as half a character. The file itself is well."""
 MAX_ASIDES = 3
-"""So many damaged files of one run are kept: on a broken disk, each new file would be damaged again."""
+"""This many damaged files of one run are kept: on a broken disk, each new file would be damaged again."""
 
 
 class _NotOurs(Exception):

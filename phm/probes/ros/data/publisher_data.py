@@ -11,13 +11,13 @@ from phm.facts.ros import DataFact, FieldFact, OutsideFact
 from phm.probes.ros.protocol import WantedData
 
 KEPT = 10
-"""So many of the newest messages count for order, ranges and gaps."""
+"""This many of the newest messages count for order, ranges and gaps."""
 CONFIRM_S = 1.0
 """Stamps must be wrong, or right again, in two messages this far apart: one late message is not a wrong clock."""
 TWICE = 2
-"""A range is exceeded when so many of the newest messages exceed it."""
+"""A range is exceeded when this many of the newest messages exceed it."""
 LOSSES = 3
-"""Gaps count when so many of the newest intervals have one: a source that was restarted makes one."""
+"""Gaps count when this many of the newest intervals have one: a source that was restarted makes one."""
 STAY = 0.7
 """Hysteresis: a condition ends only below this share of its limit."""
 REPEATS = 2

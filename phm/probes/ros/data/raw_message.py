@@ -15,7 +15,7 @@ _FRAME = _ENCAPSULATION + _STAMP
 MAX_FRAME = 1024
 """Longest `frame_id` in bytes."""
 MAX_DIGESTED = 4_000_000
-"""Of a longer content so many bytes at the beginning and at the end count; they take about 5 ms."""
+"""Of a longer content this many bytes at the beginning and at the end count; they take about 5 ms."""
 
 
 class NoHeader(ValueError):

@@ -20,7 +20,7 @@ from phm.probes.ros.rates.publishers import PublisherDemux, PublisherRestarts, g
 from phm.probes.ros.rates.silence import SilenceTimeout
 
 WINDOW_S, PERIODS = 3.0, 3
-"""Window of a rate in seconds, or so many expected periods if longer."""
+"""Window of a rate in seconds, or this many expected periods if longer."""
 WIDE_S, WIDE_PERIODS, WIDE_MOST_S = 10.0, 10, 60.0
 """The same for a publisher with jitter, but at most WIDE_MOST_S because of the periods."""
 UNEVEN = 0.1
@@ -32,7 +32,7 @@ LATE_S, STALL_S = 0.5, 1.0
 the publisher, so that a starved PHM still detects it; of the longest pause nothing beyond STALL_S counts."""
 _SHARE = 0.2
 FADE_S, FADE_WINDOWS = 60.0, 20
-"""Observations count for about this long, or so many windows if longer."""
+"""Observations count for about this long, or this many windows if longer."""
 _ALIKE = 0.7
 """Windows are compared if one is at least this share of the other."""
 

@@ -15,7 +15,7 @@ each."""
 PER_PUBLISHER, DEPTH_MOST = 16, 64
 """Samples in the queue for each of them: three make a line, and while the queue is not full they can be counted."""
 _STEADY = 3
-"""So many sequence numbers determine a slope."""
+"""This many sequence numbers determine a slope."""
 _ROOM, _ROOM_FULL = 3.0, 64.0
 """How many numbers a sample may be off its line, or as many as are expected if more. The same applies while there are
 as many active lines as publishers, because then the sample must belong to one of them."""

@@ -12,9 +12,9 @@ PERIODS = 1.5
 """Minimum limit in expected periods, and one period plus MARGIN_S: a publisher that ends just before its next
 publication is reported as silent at least half a second later, on which `settle_s` of the check relies."""
 SPREADS = 2.0
-"""The longest pause may be exceeded by so many times its difference from the usual one."""
+"""The longest pause may be exceeded by this many times its difference from the usual one."""
 LEAST, LEAST_S = 20, 15.0
-"""So many pauses, over this time, must have been observed before the limit falls below the configured one."""
+"""This many pauses, over this time, must have been observed before the limit falls below the configured one."""
 HORIZON_S = 600.0
 """How long a pause is remembered, or HORIZON periods if longer."""
 HORIZON = 60

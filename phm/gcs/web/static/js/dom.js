@@ -65,7 +65,7 @@ export function button(text, click, attributes = {}) {
   return el("button", { type: "button", "data-focus": text, ...attributes, text, on: { click } });
 }
 
-/** Text that somebody else wrote: isolated, so that its direction does not change what is beside it. */
+/** Text that someone else wrote: isolated, so that its direction does not change what is beside it. */
 export function said(text, name = "") {
   return el("bdi", { class: `air ${name}`.trim(), text });
 }

@@ -141,7 +141,7 @@ function ages() {
   }
 }
 
-/** The worst first. Rows stay where they are while somebody points at them: a row must not move under a finger. */
+/** The worst first. Rows stay where they are while the pointer is over them: a row must not move under a finger. */
 function sort() {
   clearTimeout(later);
   const still = performance.now() - touched;
