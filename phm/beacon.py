@@ -38,7 +38,7 @@ HELLO, HELLO_FORMAT = "/phm/hello", "phm.hello/1"
 
 PERIOD_S = 0.2
 PERIODS_S = (0.05, 10.0)
-"""Allowed periods."""
+"""Shortest and longest allowed period."""
 TURN_S = 1.0
 """How often the executor is asked to turn. Each time wakes it up, and it costs more the more the node has."""
 FIRST_TURN_S = 0.05
@@ -244,7 +244,7 @@ class _Hub:
         self._thread = threading.Thread(target=self._run, name="phm-beacon", daemon=True)
 
     def add(self, node: Any, period_s: float, watch_executor: bool) -> _NodeBeacon:
-        """Call with `_lock` held."""
+        """Add a neighbour. Call with `_lock` held."""
         if self._thread.ident is None:
             self._thread.start()  # raises at a limit of processes: then the next node tries again
         self._births += 1

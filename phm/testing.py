@@ -481,7 +481,7 @@ class FakeLinks(_Fake):
 
 
 class FakeSwarm(_Fake):
-    """An agent that is alone."""
+    """The swarm of an agent that is alone."""
 
     def __init__(self, **fields: Any) -> None:
         super().__init__()
@@ -496,7 +496,7 @@ class FakeSwarm(_Fake):
 
 
 class FakeSelf(_Fake):
-    """A PHM that is well."""
+    """A PHM without problems."""
 
     def __init__(self, **fields: Any) -> None:
         super().__init__()

@@ -6,7 +6,7 @@ from phm import api
 from phm_checks._text import clean
 
 MOST = 2
-"""Differences that a text names."""
+"""Maximum number of differences that a text names."""
 MAX_TEXT = 400
 TRANSPORT = frozenset({"FASTDDS_BUILTIN_TRANSPORTS", "FASTDDS_DEFAULT_PROFILES_FILE", "ipc"})
 """Differences that leave discovery working and keep data from arriving."""

@@ -27,7 +27,7 @@ class Observation(Enum):
 
     ALIVE = "alive"
     BUSY = "busy"
-    """It uses the CPU."""
+    """The node's process uses the CPU."""
     LATE = "late"
     """It sends beacons, but its executor does not run."""
     STOPPED = "stopped"

@@ -52,7 +52,7 @@ class KnownProcess:
     state: str = ""
     command: str = ""
     ended_at: float = float("inf")
-    """When it was first found missing."""
+    """When the process was first found missing."""
 
     @property
     def pid(self) -> int:

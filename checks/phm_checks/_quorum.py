@@ -84,10 +84,10 @@ class ReceivedNodes:
         self._runs: dict[str, tuple[str, float]] = {}
         """By container: its generation, and since when it has been seen (monotonic seconds)."""
         self._received: dict[str, str] = {}
-        """By node: the generation."""
+        """The generation of each node's container when the node was received."""
 
     def look(self, world: api.World, agreement: Agreement) -> None:
-        """Take a consensus."""
+        """Take over a consensus."""
         now = world.clock.mono()
         for container in set(filter(None, self._containers.values())):
             generation = _generation(world, container)

@@ -17,7 +17,7 @@ class RestartTrend:
     """The starts of one container within the newest `window_s` seconds."""
 
     def __init__(self, window_s: float, confidence_percent: float) -> None:
-        """window_s: 0: never rising."""
+        """window_s: observed time; 0: the trend is never rising."""
         self.window_s = window_s
         self._bound = NormalDist().inv_cdf(confidence_percent / 100)
         self._since_s: float | None = None

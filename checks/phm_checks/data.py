@@ -218,7 +218,7 @@ def _no_messages(rate: api.RateFact) -> str:
 
 
 def _summary(data: api.DataSettings, found: api.DataFact) -> str:
-    """What was examined and is OK."""
+    """The part of the summary that lists what was examined and is OK."""
     parts = []
     if found.age_s is not None and data.max_age is not None:
         parts.append(f"stamps {_span(abs(found.age_s))} {'old' if found.age_s >= 0 else 'ahead'}")

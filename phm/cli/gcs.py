@@ -28,7 +28,7 @@ LOOK_S = 0.2
 
 
 def _agents(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[int, ...]:
-    """``1,2,5-8``."""
+    """The agents of a text such as ``1,2,5-8``."""
     found: set[int] = set()
     for piece in (value or "").split(",") if value else ():
         first, dash, last = piece.strip().partition("-")

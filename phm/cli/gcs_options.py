@@ -63,7 +63,7 @@ def link_options(default_id: int) -> Callable[[F], F]:
 
 
 def link_settings(urls: tuple[str, ...], baud: int, key: str | None, unsigned: str) -> MavlinkSettings:
-    """Raises UsageError."""
+    """The MAVLink settings of the options. Raises UsageError."""
     from pydantic import ValidationError
 
     from phm.core.settings import MavlinkSettings, SigningSettings
@@ -92,7 +92,7 @@ def make_station(
     silent: bool = False,
     pilot: bool = False,
 ) -> GroundStation:
-    """Raises UsageError."""
+    """The ground station of the options. Raises UsageError."""
     from phm.gcs.station import GroundStation
     from phm.transport.mavlink_signing import InvalidKey
 

@@ -32,7 +32,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class _Agent(click.ParamType):  # type: ignore[type-arg]
-    """``A05``, ``a5`` or ``5``."""
+    """An agent, given as ``A05``, ``a5`` or ``5``."""
 
     name = "agent"
 
@@ -44,7 +44,7 @@ class _Agent(click.ParamType):  # type: ignore[type-arg]
 
 
 def _request_options(function: F) -> F:
-    """Where to find the agents."""
+    """Add the options that say where to find the agents."""
     options = [
         click.option(
             "--url",

@@ -145,7 +145,7 @@ def _page(choice: WebChoice, where: tuple[str, int], station: GroundStation, clo
 
 
 def _target(place: str, key: str) -> DeliveryTarget:
-    """Raises ClickException."""
+    """The target of `--deliver`. Raises ClickException."""
     from phm.gcs.web.config_delivery import DeliveryTarget
     from phm.transport.mavlink_signing import InvalidKey, read_key
 

@@ -84,7 +84,7 @@ def _watch(run_dir: str) -> None:
 
 
 def _serve(run_dir: str, where: tuple[str, int], access: dict[str, Any]) -> None:
-    """Until Ctrl-C or SIGTERM."""
+    """Serve the page until Ctrl-C or SIGTERM."""
     import signal
     import threading
 

@@ -17,7 +17,7 @@ MISSING = "{option} needs aiohttp: install it with `pip install 'phm-sidecar[web
 
 
 def address(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:
-    """``HOST:PORT`` or ``PORT``."""
+    """The address in a text such as ``HOST:PORT`` or ``PORT``."""
     if value is None:
         return None
     host, _, port = value.rpartition(":")

@@ -20,7 +20,7 @@ from phm.wire.command import (
 
 @dataclass(frozen=True, slots=True)
 class Accept:
-    """It is executed."""
+    """The command is executed."""
 
     request: Request
 
@@ -35,7 +35,7 @@ class Deny:
 
 @dataclass(frozen=True, slots=True)
 class Ignore:
-    """It is not for PHM: no answer."""
+    """The command is not for PHM: it gets no answer."""
 
 
 Authorization = Accept | Deny | Ignore

@@ -19,7 +19,7 @@ _OTHERS = "others"
 
 
 class CommandLog:
-    """Not thread-safe."""
+    """Logs commands. Not thread-safe."""
 
     def __init__(self) -> None:
         self._began = self._logged_at = float("-inf")

@@ -92,7 +92,7 @@ class MavlinkCommands:
         threads.start(self._thread)
 
     def listen(self) -> None:
-        """Queue what arrives from now on."""
+        """Queue the messages that arrive from now on."""
         self._port.listen(self.hear, (COMMAND_LONG, COMMAND_INT))
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ MAX_DONE = 64
 
 
 class CommandRateLimiter:
-    """Not thread-safe."""
+    """Limits the rate of commands. Not thread-safe."""
 
     def __init__(self) -> None:
         self._senders = RateLimiter(SENDER_RATE, SENDER_BURST, MAX_SENDERS)

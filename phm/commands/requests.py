@@ -14,7 +14,7 @@ MAX_NOTE = 500
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """Whether PHM answers."""
+    """A request that asks whether PHM answers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ MOST_RATES, NAME_BYTES = 32, 10
 
 
 def ack(command: Command, result: CommandResult) -> Any:
-    """COMMAND_ACK to the sender."""
+    """Send a COMMAND_ACK to the sender."""
     return mavlink.MAVLink_command_ack_message(command.command, int(result), 0, 0, command.system, command.component)
 
 
@@ -100,7 +100,7 @@ def short_names(units: Sequence[str]) -> list[str]:
 
 
 def _four(known: Sequence[int], unknown: int) -> list[int]:
-    """As the field has it: four of them."""
+    """The first four known values; missing ones are `unknown`."""
     return [*(min(value, unknown) for value in known[:4]), *[unknown] * (4 - len(known[:4]))]
 
 

@@ -29,7 +29,7 @@ class Clock(Protocol):
         """Seconds since the epoch; may jump when the clock is set."""
 
     def stamp(self) -> Stamp:
-        """Both at one moment."""
+        """Both clocks, read at the same moment."""
 
     def latest(self, utc: float) -> float:
         """The latest monotonic moment at which this machine's clock can have created the time stamp `utc`: see

@@ -35,7 +35,7 @@ if sys.platform == "linux":
                 os.eventfd_write(self.fd, 1)
 
         def silence(self) -> None:
-            """Take what was rung so far."""
+            """Clear the wake-ups that arrived so far."""
             with contextlib.suppress(BlockingIOError):
                 os.eventfd_read(self.fd)
 
@@ -71,6 +71,6 @@ else:
                 self._rope.send(b"x")
 
         def silence(self) -> None:
-            """Take what was rung so far."""
+            """Clear the wake-ups that arrived so far."""
             with contextlib.suppress(BlockingIOError):
                 self._heard.recv(4096)

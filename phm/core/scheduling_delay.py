@@ -49,7 +49,7 @@ class SchedulingDelay:
             self._due = due
 
     def came(self, now: float) -> None:
-        """The measuring thread runs."""
+        """Record that the measuring thread runs now."""
         with self._lock:
             self._notice(now)
             self._due = None
@@ -76,7 +76,7 @@ class SchedulingDelay:
             self._spans.append((max(begin, self._spans[-1][1] if self._spans else begin), end))
 
     def _notice(self, now: float) -> None:
-        """With the lock held."""
+        """Record a delay. Call with the lock held."""
         if self._due is not None and now - self._due >= NOISE_S:
             self._spans.append((self._due, now))
             self._due = now  # later delays are another span

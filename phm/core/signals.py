@@ -19,7 +19,7 @@ Handler = Callable[[int, "FrameType | None"], None]
 
 
 def _nothing(number: int, frame: FrameType | None) -> None:
-    """The number is in the socket."""
+    """Do nothing: the number of the signal is written to the socket."""
 
 
 class Signals:

@@ -42,7 +42,7 @@ class Surroundings:
 
     @property
     def dev(self) -> Path:
-        """Where the host's /dev is."""
+        """The path at which the host's /dev is mounted."""
         return Path(self.environ.get("PHM_DEV_ROOT") or self.settings.host.dev_root)
 
     @property

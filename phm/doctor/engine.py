@@ -9,7 +9,7 @@ from phm.doctor.row import Row, limited, missing, ok
 from phm.facts import CannotTell, NotPermitted
 
 OLDEST_API = (1, 41)
-"""Docker 20.10."""
+"""The API version of Docker 20.10."""
 _PROXY = "allow GET requests at the socket proxy: docs/reference/security.md"
 
 

@@ -73,7 +73,7 @@ class AutopilotFact:
     disarmed_for_s: float | None = None
     """How long its heartbeats have reported disarmed only, without a pause; None: the newest one reports armed."""
     not_counted_s: float = 0.0
-    """As in `GcsFact`."""
+    """Has the same meaning as in `GcsFact`."""
     rebooting_s: float | None = None
     """Since it acknowledged a command to reboot; None: it has not, or it was seen to reboot since."""
 
@@ -111,7 +111,7 @@ class RadioFact:
     alone: bool = False
     """It reports that it no longer receives the radio at the other end, which it did receive before."""
     not_counted_s: float = 0.0
-    """As in `GcsFact`."""
+    """Has the same meaning as in `GcsFact`."""
 
     @property
     def silent_s(self) -> float:

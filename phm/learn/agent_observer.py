@@ -199,7 +199,7 @@ class AgentObserver:
         for name, _path in self.request.folders:
             if name not in entries and name not in names:
                 raise ObservationFailed(
-                    f"--files names the container {name}, which is not watched: {', '.join(entries) or 'none'} are"
+                    f"--files names the container {name}, which is not watched; watched are: {', '.join(entries) or 'none'}"
                 )
         return [
             (name if name in entries else names[name], path.rstrip("/") or "/") for name, path in self.request.folders
@@ -236,7 +236,7 @@ class AgentObserver:
 
 
 def _runs_phm(answer: Mapping[str, Any]) -> bool:
-    """By the command of PHM's image."""
+    """Whether the container runs PHM, by the command of PHM's image."""
     config = answer.get("Config")
     words = (config.get("Entrypoint") or []) if isinstance(config, Mapping) else []
     return any(str(word).rpartition("/")[2] == "phm" for word in words)

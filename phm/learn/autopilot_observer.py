@@ -14,7 +14,7 @@ from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_signing import InvalidKey
 
 MOST = 32
-"""Autopilots that are counted."""
+"""Maximum number of autopilots that are counted."""
 
 
 @dataclass(slots=True)

@@ -201,7 +201,7 @@ def _named(ends: tuple[EndpointFact, ...]) -> tuple[EndpointFact, ...]:
 
 
 def _hidden(node: str) -> bool:
-    """Nodes of tools, and PHM's own."""
+    """Whether a node belongs to a tool or to PHM."""
     return "/_" in node or node.startswith(_OWN)
 
 

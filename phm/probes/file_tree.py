@@ -31,7 +31,7 @@ LOOK_S = 1.5
 WALK_S = 10.0
 """For finding the files, without reading them."""
 FILE_S = 10.0
-"""For reading one file."""
+"""Deadline for reading one file."""
 BUSY_S = 5.0
 """This long a look waits for another one at the same folder. Well below the deadline of the check."""
 SHARE = 20

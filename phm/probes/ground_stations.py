@@ -32,7 +32,7 @@ class GroundStations:
         # A ground station may freeze while its operator loads a map, and all agents would report it: half of the timeout.
         self.cadence = AdaptiveTimeout(timeout_s, max(UNEVEN_S, timeout_s / 2))
         self.left = False
-        """All have announced their end."""
+        """Whether all ground stations have announced their end."""
         self.last: StationBeat | None = None
 
     def beat(self, beat: StationBeat, late_s: float = 0.0) -> None:

@@ -32,7 +32,7 @@ watched before: earlier observations may be old.
 
 MOST_DIRECTORIES = 128
 MOST_NAMES = 256
-"""Events of one directory."""
+"""Maximum number of names for which events of one directory are kept."""
 GATHER_S = 0.05
 """After each event further ones are collected for this long, so that a busy directory costs little."""
 PACE_S, PACE_MAX_S, CALM_S = 0.1, 5.0, 10.0

@@ -34,7 +34,7 @@ for request in sys.stdin.buffer:
 
 
 class PatternMatcher:
-    """Thread-safe: one search at a time."""
+    """Searches patterns in another process. Thread-safe: one search at a time."""
 
     def __init__(self, clock: Clock, limit_s: float = LIMIT_S) -> None:
         self._clock, self._limit_s = clock, limit_s

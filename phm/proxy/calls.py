@@ -138,7 +138,7 @@ def _looks(subject: CallSubject, entry: ContainerSettings, settings: Settings) -
 
 
 def _own_checks(subject: CallSubject, entry: ContainerSettings, settings: Settings) -> Iterator[AllowedCall]:
-    """What the checks of `custom` call."""
+    """The calls of the checks of `custom`."""
     for check in settings.custom:
         if check.type == "command" and check.container == entry.key:
             body = exact(docker_bodies.exec_attached(check.command))

@@ -50,7 +50,7 @@ class FaultCases:
         self._lock = threading.Lock()
 
     def opened(self, fault: Fault) -> None:
-        """A new fault, or a changed one."""
+        """Take over a new or changed fault."""
         with self._lock:
             case = self._of.get(fault.unit)
             if case is not None and case.fault.id == fault.id:
@@ -83,7 +83,7 @@ class FaultCases:
             return next((case for case in self._of.values() if case.fault.id == fault_id), None)
 
     def persisted(self) -> dict[str, PersistedCase]:
-        """For the state file, by fault id."""
+        """The cases for the state file, by fault id."""
         with self._lock:
             cases = list(self._of.values())
         return {case.fault.id: _persisted(case) for case in cases}

@@ -44,7 +44,7 @@ class Target:
 
     @classmethod
     def of(cls, container: ContainerSettings) -> Target:
-        """A configured container."""
+        """The target that is a configured container."""
         return cls(TargetKind.CONTAINER, container.key, container.recover, container)
 
     @property

@@ -81,7 +81,7 @@ class Verification:
     """Whether the unit was short of CPU, memory or disk at some time since the action."""
 
     def result(self, checks: CheckResults, now: float) -> VerificationResult | None:
-        """None: not decided yet."""
+        """The result; None: not decided yet."""
         self.waiting = (self.unit,)
         self.starved = self.starved or bool(checks.active_pressure(self.unit))
         # What starts without the CPU or disk that it needs gets the time of one more verification.

@@ -95,7 +95,7 @@ class TargetWorker:
         self._wake.set()
 
     def closed(self, fault: Fault) -> None:
-        """A fault of the target was closed."""
+        """Take over that a fault of the target was closed."""
         case = self._cases.closed(fault.unit)
         if case is not None and case.interrupted:
             self._locks.end_hold(self._name, case, worked=True)

@@ -34,7 +34,7 @@ class FleetLink(Protocol):
 
 
 class FleetReporter(Reporter):
-    """See the module."""
+    """Publishes the status over Zenoh; see the module."""
 
     name = "fleet"
     period_s: ClassVar[float | None] = TICK_S

@@ -22,7 +22,7 @@ MISSING = "metrics.listen needs prometheus-client: pip install 'phm-sidecar[metr
 
 
 class MetricsReporter(Reporter):
-    """See the module."""
+    """Serves metrics for Prometheus; see the module."""
 
     name = "metrics"
     period_s = 5.0
@@ -41,7 +41,7 @@ class MetricsReporter(Reporter):
 
     @property
     def address(self) -> tuple[str, int] | None:
-        """Where it listens."""
+        """The address at which it listens."""
         return None if self._server is None else self._server.address
 
     def handle(self, event: Event) -> None:

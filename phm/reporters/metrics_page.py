@@ -80,7 +80,7 @@ def _levels(page: MetricsPage, states: tuple[UnitState, ...]) -> None:
 
 
 def _faults(page: MetricsPage, metric: Metric, faults: Iterable[Fault], states: tuple[UnitState, ...]) -> None:
-    """By slot, 0 for slots without one."""
+    """The number of faults by slot, 0 for slots without one."""
     found = dict.fromkeys((slot_name(slot) for slot in sorted({state.slot for state in states})), 0)
     for fault in faults:
         found[slot_name(fault.slot)] = found.get(slot_name(fault.slot), 0) + 1

@@ -33,7 +33,7 @@ Send = Callable[[Alert], str]
 
 
 class NotifyReporter(Reporter):
-    """See the module."""
+    """Sends alerts to other services; see the module."""
 
     name = "notify"
     kinds = (FaultOpened, FaultClosed, ActionEvent)

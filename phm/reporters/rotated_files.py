@@ -156,7 +156,7 @@ class CompressedFiles(RotatedFiles):
             self._wake.wait()
 
     def _remove_unfinished(self) -> None:
-        """Copies of an earlier run."""
+        """Remove the unfinished copies of an earlier run."""
         directory, base = os.path.split(self._path)
         unfinished = re.compile(rf"{re.escape(base + COMPRESSED)}\.[0-9]+\.tmp")
         for name in os.listdir(directory):
@@ -193,7 +193,7 @@ class CompressedFiles(RotatedFiles):
                     _remove(now)
 
     def _copy(self, source: IO[bytes], target: IO[bytes]) -> bool:
-        """Whether it was not stopped."""
+        """Copy a file; return False if it was stopped."""
         with gzip.GzipFile("", "wb", LEVEL, target, mtime=0) as packed:
             while chunk := source.read(CHUNK_BYTES):
                 if self._stop.is_set():

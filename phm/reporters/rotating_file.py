@@ -244,7 +244,7 @@ else:
             os.fsync(fd)
 
     def _size_limit() -> int | None:
-        """RLIMIT_FSIZE; None: there is none."""
+        """The limit RLIMIT_FSIZE; None: there is no limit."""
         limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
         return None if limit == resource.RLIM_INFINITY else limit
 

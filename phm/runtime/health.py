@@ -59,7 +59,7 @@ class DaemonHealth:
         return age_s if age_s < limit_s else age_s - self._clock.late_s(since, limit_s)
 
     def document(self) -> dict[str, Any]:
-        """For `phm status`; JSON-able."""
+        """PHM's own condition for `phm status`, as JSON values."""
         fact, armed, ros = self._probes.world.myself.look(), self._armed.now(), self._probes.ros
         critical = {"containers": self._critical, "armed": armed.state.value, "why": armed.why}
         return {
@@ -78,7 +78,7 @@ class DaemonHealth:
         }
 
     def fact(self) -> SelfFact:
-        """For the companion check."""
+        """PHM's own condition for the check `companion`."""
         now, suspension = self._clock.mono(), self._loop.suspension
         problems = [*self._reporters.problems(), *(text for problem in self._problems if (text := problem()))]
         return SelfFact(

@@ -45,7 +45,7 @@ class ReloadOutcome:
     why: str = ""
 
     def text(self) -> str:
-        """One sentence, for the log."""
+        """The result in one sentence, for the log."""
         if not self.ok:
             detail = self.why or "; ".join(str(problem) for problem in self.problems[:3])
             return f"configuration not reloaded, the old one remains active: {detail}"

@@ -21,7 +21,7 @@ from phm.transport.docker import DockerEngine, EngineMissing
 MAX_CONTAINERS = 200
 MAX_PROFILE_BYTES = 64 * 1024
 _ENTRYPOINT = ["ros-entrypoint", "phm"]
-"""Of PHM's image."""
+"""The entry point of PHM's image."""
 _SERIAL = ("serial/by-id/*", "ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*")
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 PHM_USER = 10001
-"""Of PHM's image, and of its group."""
+"""The user id and the group id of PHM's image."""
 
 
 class FilesExist(Exception):

@@ -53,7 +53,7 @@ class Interview:
         return flags
 
     def answer(self, question: Question, value: Any) -> None:
-        """Raises InvalidAnswer."""
+        """Check and take over an answer. Raises InvalidAnswer."""
         self._given[question.key] = _CHECKED[question.key](self, value)
 
     def check(self) -> None:

@@ -16,7 +16,7 @@ STEADY = 3
 
 
 class SmoothedAgentCount:
-    """Not thread-safe."""
+    """Smooths the number of agents. Not thread-safe."""
 
     def __init__(self, agents: int, now: float) -> None:
         self._value, self._at = float(max(1, agents)), now

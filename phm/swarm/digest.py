@@ -78,7 +78,7 @@ def member_levels(consensus: Consensus, own_word: int, no_gcs: Collection[int] =
 
 
 def digest_line(levels: Mapping[int, tuple[Level, str]]) -> str:
-    """See the module."""
+    """The line of the leader about the swarm; see the module."""
     well = sum(level is Level.OK for level, _ in levels.values())
     bad = sorted(
         ((agent, level, why) for agent, (level, why) in levels.items() if level is not Level.OK and why),

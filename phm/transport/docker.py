@@ -349,7 +349,7 @@ def _whole(seconds: float) -> int:
 
 
 def _stat(response: Response) -> Answer:
-    """What the engine says of the path."""
+    """The engine's description of the path."""
     return mapping(json.loads(base64.b64decode(response.headers["X-Docker-Container-Path-Stat"])))
 
 

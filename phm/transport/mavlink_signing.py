@@ -113,7 +113,7 @@ class Signing:
         threads.start(self._thread)
 
     def close(self) -> None:
-        """Save a last time."""
+        """Save the timestamps for the last time."""
         self._stop.set()
         self.save()
 

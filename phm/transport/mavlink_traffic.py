@@ -52,7 +52,7 @@ class SenderTable:
         sender.sequence = sequence
 
     def now(self) -> dict[tuple[int, int], tuple[int, int]]:
-        """Frames and lost frames of each."""
+        """The number of frames and lost frames of each sender."""
         # The interpreter copies a dict with such keys in one step.
         return {key: (sender.frames, sender.lost) for key, sender in dict(self._of).items()}
 

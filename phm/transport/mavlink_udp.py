@@ -59,7 +59,7 @@ class _Sending(_Udp):
 
     @abstractmethod
     def _send(self, frame: bytes) -> None:
-        """Raises OSError."""
+        """Send a datagram. Raises OSError."""
 
     def write(self, frame: bytes) -> int:
         try:
@@ -84,7 +84,7 @@ class UdpOut(_Sending):
     """One peer, by a connected socket: the kernel drops datagrams of other senders."""
 
     def __init__(self, sock: socket.socket, codec: Codec) -> None:
-        """sock: connected."""
+        """sock: a connected socket."""
         super().__init__(sock, codec)
         self._peer = sock.getpeername()[:2]
 

@@ -123,7 +123,7 @@ class LinkBudget:
     _beat: tuple[float, float] = (float("-inf"), 0.0)
     """When the last heartbeat was sent, and bytes per second of heartbeats."""
     _credit: TokenBucket = field(init=False)
-    """Saved bytes."""
+    """Bytes that were saved for later."""
     _waiting: OrderedDict[str, QueuedMessage] = field(default_factory=OrderedDict)
 
     def __post_init__(self) -> None:

@@ -54,7 +54,7 @@ class ScrapeServer:
         self._pages: dict[bool, tuple[float, bytes, str] | tuple[float, None, None]] = {}
         """When each was made; None: it could not be."""
         self._clients: dict[asyncio.Task[None], None] = {}
-        """Oldest first."""
+        """The connected clients, oldest first."""
         self.served = self.dropped = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end = asyncio.Event()

@@ -78,7 +78,7 @@ class SendQueue:
             self._budget.expire(self._clock.mono() - OUTBOX_AGE_S)
 
     def txbuf(self, percent: int) -> None:
-        """A RADIO_STATUS came by this link."""
+        """Take over a RADIO_STATUS that arrived on this link."""
         with self._lock:
             self._budget.flow.txbuf(percent, self._clock.mono())
 

@@ -197,7 +197,7 @@ def required_permission(request: Request) -> Permission:
 
 
 def describe(request: Request) -> str:
-    """For the log."""
+    """The command in words, for the log."""
     match request:
         case SendMessage(message):
             return f"send message {message}"

@@ -38,7 +38,7 @@ class NotADelivery(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """What the agent says first."""
+    """The first line that the agent sends."""
 
     agent: str
     nonce: str
@@ -70,7 +70,7 @@ class DeliveryAnswer:
     trusted: bool = field(default=False, compare=False)
 
     def as_json(self) -> str:
-        """At most MAX_ANSWER bytes."""
+        """The answer as JSON, at most MAX_ANSWER bytes."""
         kept = [{name: _cut(value) for name, value in each.items()} for each in self.problems[:MAX_PROBLEMS]]
         while True:
             text = json.dumps({"ok": self.ok, "text": _cut(self.text), "present": self.present, "problems": kept})
@@ -94,7 +94,7 @@ def hello(agent: str) -> tuple[Hello, bytes]:
 
 
 def read_request(line: bytes) -> Request:
-    """Raises NotADelivery."""
+    """The request in a received line. Raises NotADelivery."""
     document = _object(line)
     match document:
         case {
@@ -127,7 +127,7 @@ def answer_line(answer: DeliveryAnswer, key: bytes | None = None, request: Reque
 
 
 def read_hello(line: bytes) -> Hello:
-    """Raises NotADelivery."""
+    """The greeting in a received line. Raises NotADelivery."""
     match document := _object(line):
         case {"phm": "delivery", "v": 1, "agent": str(agent), "nonce": str(nonce)} if _HEX.fullmatch(nonce):
             return Hello(agent, nonce)
@@ -190,7 +190,7 @@ def _mac(key: bytes, words: list[object]) -> str:
 
 
 def _object(data: bytes | str) -> dict[str, Any]:
-    """Empty for anything else."""
+    """The JSON object in a line; empty for anything else."""
     try:
         document = json.loads(data)
     except (ValueError, RecursionError):

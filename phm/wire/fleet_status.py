@@ -19,7 +19,7 @@ from phm.wire.report import iso
 
 VERSION = 1
 MAX_BYTES = 65536
-"""A reader refuses more."""
+"""Maximum size of a status; a reader refuses a larger one."""
 MAX_FAULTS = 16
 """Open faults that are listed, oldest first; `open_faults` counts all."""
 MAX_TEXT = 200

@@ -76,7 +76,7 @@ def read(path: Path | str) -> Iterator[dict[str, Any]]:
 
 
 def _open(found: list[Path], stack: ExitStack) -> list[IO[bytes]]:
-    """Each file once, oldest first."""
+    """Open each file once, oldest first."""
     streams: dict[object, IO[bytes]] = {}
     # Newest first: a rotation between two opens then shows a file twice, never hides one.
     for file in reversed(found):

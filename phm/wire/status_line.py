@@ -79,12 +79,12 @@ def severity(level: Level, slot: Slot) -> Severity:
 
 
 def agent_name(agent: int) -> str:
-    """``A01`` to ``A250``."""
+    """The name of an agent, ``A01`` to ``A250``."""
     return f"A{agent:02d}"
 
 
 def array_digits(levels: Mapping[Slot, Level]) -> str:
-    """Eight characters, slots 1 to 8."""
+    """The eight characters for slots 1 to 8."""
     digit = {Level.OK: "1", Level.WARN: "1", Level.ERROR: "0", Level.STALE: "-"}
     return "".join(digit[levels.get(slot, Level.STALE)] for slot in ARRAY_SLOTS)
 

@@ -81,7 +81,7 @@ AbsolutePath = Annotated[str, Field(pattern=r"^/", max_length=4096)]
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Of a valid `ListenAddress`."""
+    """The host and the port of a valid `ListenAddress`."""
     host, _, port = address.rpartition(":")
     return host.strip("[]"), int(port)
 

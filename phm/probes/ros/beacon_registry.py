@@ -109,7 +109,7 @@ class BeaconRegistry:
         self._nodes = nodes
         self._listed = listed
         self._writers: dict[str, bytes] = {}
-        """By witness."""
+        """The writer of each beacon, by its witness."""
         self._beacons: dict[str, _NodeBeacon] = {}
         self._changed: set[str] = set()
         self._received: set[str] = set()

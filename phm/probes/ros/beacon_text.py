@@ -25,7 +25,7 @@ def log_texts(data: bytes) -> tuple[str, str]:
     final zero. Raises ValueError or struct.error for anything else.
     """
     if data[:2] not in _ENDIAN:
-        raise ValueError("no plain CDR")
+        raise ValueError("not plain CDR")
     length = struct.Struct(f"{_ENDIAN[data[:2]]}I")
     texts, at = [], _BEHIND_LEVEL
     for _ in range(2):
@@ -50,7 +50,7 @@ def beacons_in(text: str) -> Iterator[tuple[str, BeaconFact, bool]]:
     witness, period_s = _word(said["witness"]), _number(said["period_s"], *PERIODS_S)
     nodes, seen = said["nodes"], said.get("views")
     if not nodes or len(nodes) > MAX_NODES or len(seen or ()) > MAX_NEIGHBOURS:
-        raise ValueError("none, or too many")
+        raise ValueError("no elements, or too many")
     views = {_name(name): _view(view) for name, view in seen.items()} if seen else {}
     facts = []
     for name, node in nodes.items():
@@ -78,25 +78,25 @@ def _view(view: Mapping[str, Any]) -> NeighbourFact:
 
 def _name(name: object) -> str:
     if not isinstance(name, str) or len(name) > MAX_NAME or not NAME.fullmatch(name):
-        raise ValueError("no full name of a node")
+        raise ValueError("not the full name of a node")
     return name
 
 
 def _word(word: object) -> str:
     if not isinstance(word, str) or not word.isprintable() or not 0 < len(word) <= MAX_WORD:
-        raise ValueError("no word")
+        raise ValueError("not a word")
     return word
 
 
 def _number(number: object, least: float, most: float) -> float:
     if isinstance(number, bool) or not isinstance(number, (int, float)) or not math.isfinite(number):
-        raise TypeError("no number")
+        raise TypeError("not a number")
     if not least <= number <= most:
-        raise ValueError("a number that cannot be")
+        raise ValueError("an impossible number")
     return float(number)
 
 
 def _count(number: object) -> int:
     if type(number) is not int or not 0 <= number < 2**63:
-        raise TypeError("no count")
+        raise TypeError("not a count")
     return number

@@ -42,7 +42,7 @@ class _Allocator(ctypes.Structure):
 
 
 class _Message(ctypes.Structure):
-    """rcl_serialized_message_t."""
+    """The C type rcl_serialized_message_t."""
 
     _fields_ = (
         ("buffer", ctypes.c_void_p),

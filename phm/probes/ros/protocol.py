@@ -219,7 +219,7 @@ def encode_wanted(wanted: Wanted) -> bytes:
 
 
 def decode_wanted(line: bytes | str) -> Wanted:
-    """Raises ProtocolError."""
+    """The decoded request. Raises ProtocolError."""
     try:
         data = _parsed(line)
         topics = tuple(_topic(**topic) for topic in data.pop("topics"))

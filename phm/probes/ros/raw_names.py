@@ -20,7 +20,7 @@ class _Allocator(ctypes.Structure):
 
 
 class _Strings(ctypes.Structure):
-    """rcutils_string_array_t."""
+    """The C type rcutils_string_array_t."""
 
     _fields_ = (
         ("size", ctypes.c_size_t),

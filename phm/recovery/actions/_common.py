@@ -1,4 +1,4 @@
-"""What several actions share."""
+"""Functions that several actions share."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def _golden(path: str) -> FileCopy:
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENOTDIR):
             raise ActionFailed(
-                f"the golden copy {path} is behind a link or no file: give its own path in `restore`"
+                f"the golden copy {path} is reached through a link or is not a file: give its real path in `restore`"
             ) from error
         raise ActionFailed(f"the golden copy {path} cannot be read: {error.strerror or error}") from error
     if len(data) > LIMIT:

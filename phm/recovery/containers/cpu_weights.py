@@ -82,7 +82,7 @@ class CpuWeights:
         return True
 
     def handle(self, event: Event) -> None:
-        """Time alone decides."""
+        """Ignored: only time decides when a weight is restored."""
 
     def tick(self) -> None:
         """Restore weights that need not be low any more."""

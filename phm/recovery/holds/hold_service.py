@@ -144,7 +144,7 @@ class HoldService:
         return f"released: {names}", {"released": [self._json(hold) for hold in ending]}
 
     def snapshot(self) -> list[dict[str, Any]]:
-        """For `phm status`; JSON-able."""
+        """The holds for `phm status`, as JSON values."""
         return [self._json(hold) for hold in sorted(self._holds.all(), key=lambda hold: hold.target)]
 
     # ------------------------------------------------------------ the engine's events

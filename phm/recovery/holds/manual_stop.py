@@ -48,7 +48,7 @@ class _Ending:
     until: float
     verdict: StopVerdict = StopVerdict.CRASHED
     killed: bool = False
-    """By SIGKILL alone."""
+    """Whether the container was ended by SIGKILL alone."""
     ended: bool = False
     unsure: bool = False
     """A crash, unless a `stop` follows: published as usual, but not acted on yet."""

@@ -22,7 +22,7 @@ class Situation:
 
 @dataclass(frozen=True, slots=True)
 class Approval:
-    """given, until: monotonic seconds."""
+    """An approval of an operator. given, until: monotonic seconds."""
 
     situation: Situation
     given: float

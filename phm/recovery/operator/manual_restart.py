@@ -80,7 +80,7 @@ class ManualRestart:
         return FaultCase(case.fault, case.reported)
 
     def end(self) -> None:
-        """The restart was tried."""
+        """Forget the request, because the restart was tried."""
         self._case = None
 
     def _check_limits(self) -> None:

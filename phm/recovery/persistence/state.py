@@ -13,7 +13,7 @@ from phm.recovery.holds.hold_registry import PersistedHold
 from phm.recovery.safety.armed_state import LastArmedState
 
 MAX_REPORTED = 32
-"""Steps kept of one fault."""
+"""Maximum number of steps that are kept of one fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class RecoveryState:
 
 @dataclass(frozen=True, slots=True)
 class PersistedState:
-    """All that is kept."""
+    """Everything that the state file keeps."""
 
     faults: tuple[Fault, ...] = ()
     given_up: tuple[Fault, ...] = ()

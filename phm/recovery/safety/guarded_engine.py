@@ -100,5 +100,5 @@ class GuardedEngine:
 
 
 def guarded(engine: DockerEngine, flight_critical_guard: FlightCriticalGuard, forbids: Forbids) -> DockerEngine:
-    """The same engine to its users."""
+    """The guarded engine, typed as the engine that actions use."""
     return cast(DockerEngine, GuardedEngine(engine, flight_critical_guard, forbids))

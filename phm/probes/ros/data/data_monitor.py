@@ -40,7 +40,7 @@ class DataMonitor:
         self._decoder: Decoder | None = None
         self._header: bool | None = None
         self._problem = ""
-        """Of the newest message."""
+        """The problem of the newest message, else empty."""
         self._publishers: dict[bytes | None, PublisherData] = {}
         self._next_s = float("-inf")
         self._samples = 0

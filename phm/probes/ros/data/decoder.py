@@ -79,7 +79,7 @@ class Decoder:
         return self._message is not None
 
     def read(self, data: bytes) -> Decoded:
-        """Raises Undecodable."""
+        """The values of a message. Raises Undecodable."""
         if len(data) > MAX_DECODED:
             raise Undecodable(
                 f"messages of more than {MAX_DECODED // 1000} kB are not decoded, this one has {len(data)} bytes"

@@ -257,5 +257,5 @@ class RateChange:
         return True
 
     def forget(self) -> None:
-        """Restart."""
+        """Restart the measurement."""
         self._looks, self._seconds, self._sign = 0, 0.0, 0

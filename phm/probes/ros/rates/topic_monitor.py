@@ -30,7 +30,7 @@ COUNTED_LOOKS = 4
 """Without sequence numbers, the queue has space for this many looks at the expected rate, so for up to this multiple of
 the rate."""
 TYPES = 3
-"""Maximum number that is named."""
+"""Maximum number of types that are named."""
 COUNTED, COUNTED_MOST = 10, 1000
 
 
