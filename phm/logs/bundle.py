@@ -68,7 +68,7 @@ class Bundle:
         for file, _base in sorted(found, key=lambda pair: _age(*pair)):
             if left <= 0 or not self.deadline.left(LOGS_SHARE):
                 why = (
-                    f"no time was left for it in {self.deadline.seconds:g} s"
+                    f"no time left for it in {self.deadline.seconds:g} s"
                     if left > 0
                     else f"more than {MOST_LOG_BYTES // 1_000_000} MB of logs"
                 )
@@ -107,7 +107,7 @@ class Bundle:
             for line in self._cleaned(lines, name):
                 spool.write(line.encode("utf-8", "surrogateescape") + b"\n")
                 if not self.deadline.left(LOGS_SHARE):
-                    self.missing.append((name, f"its rest: no time was left for it in {self.deadline.seconds:g} s"))
+                    self.missing.append((name, f"its rest: no time left for it in {self.deadline.seconds:g} s"))
                     break
             size = spool.tell()
             spool.seek(0)
@@ -188,7 +188,7 @@ def _copy(file: Path, limit: int, raw: IO[bytes], deadline: Deadline) -> str:
         for line in _lines(file, limit):
             raw.write(line.encode("utf-8", "surrogateescape") + b"\n")
             if not deadline.left(LOGS_SHARE):
-                return f"no time was left for it in {deadline.seconds:g} s"
+                return f"no time left for it in {deadline.seconds:g} s"
     except _BROKEN as error:
         return str(getattr(error, "strerror", None) or error)
     return ""
