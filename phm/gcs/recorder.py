@@ -1,4 +1,4 @@
-"""Records every event on disk, rotated and capped, with a snapshot every minute.
+"""Records every event on disk, rotated and capped, with a snapshot every minute, and the heartbeats by which `phm report` compares clocks.
 
 Stamps are of the ground's clocks alone. A line torn by a power cut stays on a separate line, and readers skip it
 (`phm.wire.json_log.read`).
@@ -57,6 +57,8 @@ class Recorder:
             last = self._stop.is_set()
             for item in self._queue.take(0.0 if last else LOOK_S):
                 self._lines.write(item.line)
+            if (heard := self._station.heard()) is not None:
+                self._lines.write(self._station.line(*heard))
             self._lines.retry()
             if self._clock.mono() >= self._snapshot_at or last:
                 self._snapshot_at = self._clock.mono() + SNAPSHOT_S

@@ -29,6 +29,7 @@ from phm.gcs.frames import Frame
 from phm.gcs.ingress_filter import IngressFilter
 from phm.gcs.operator import OperatorCommand
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
+from phm.reporters.heard_heartbeats import HeardHeartbeats
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.wire.gcs_marker import MONITOR
@@ -95,7 +96,9 @@ class GroundStation:
         self._lock, self._limits = threading.Lock(), threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-gcs", daemon=True)
+        self._heard = HeardHeartbeats(None, clock)
         self._hub.listen(self._hear, frames.IDS)
+        self._hub.on_heartbeat_sent(lambda number: self._heard.hear(*self.ids, number))
 
     def start(self) -> None:
         body = {"version": __version__, "system": self.ids[0], "component": self.ids[1], "links": self._urls}
@@ -171,6 +174,13 @@ class GroundStation:
             }
             return self._number, GcsEvent(at, "snapshot", body)
 
+    def heard(self) -> tuple[int, GcsEvent] | None:
+        """The heartbeats that were received and sent since the last call, in the numbering of the agents' logs, at most every 10 s;
+        and the number of the last event before. None: there is nothing yet."""
+        found = self._heard.take()
+        with self._lock:
+            return (self._number, GcsEvent(self._clock.stamp(), "heard", {"frames": found})) if found else None
+
     def line(self, number: int, event: GcsEvent) -> bytes:
         """The event as one line of JSON, without the line end."""
         return encode(event, self.run, number)
@@ -193,6 +203,8 @@ class GroundStation:
         with self._limits:
             allowed = self._filter.allow(sender, at.mono)
         if allowed:
+            if isinstance(frame, frames.Heartbeat):
+                self._heard.hear(*sender, message.get_seq())
             self._frames.put(Received(frame, raw, link, at))
 
     # ------------------------------------------------------------ the station's thread

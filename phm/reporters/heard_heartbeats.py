@@ -7,10 +7,12 @@ received it at the same time, except for delays of the links.
 from __future__ import annotations
 
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from phm.core.clock import Clock
-from phm.reporters.base import MavlinkSender
+
+if TYPE_CHECKING:
+    from phm.reporters.base import MavlinkSender
 
 HEARTBEAT_ID = 0
 EACH = 8
@@ -23,7 +25,7 @@ AGAIN_S = 5.0
 
 
 class HeardHeartbeats:
-    """Collects them between two lines of the log. `take` is called by the log's thread, `_hear` by the links'."""
+    """Collects them between two lines of the log. `take` is called by the log's thread, `hear` by the links'."""
 
     def __init__(self, mavlink: MavlinkSender | None, clock: Clock) -> None:
         self._clock = clock
@@ -32,7 +34,7 @@ class HeardHeartbeats:
         self._newest: dict[tuple[int, int], tuple[int, float]] = {}
         self._written_s = clock.mono()
         if mavlink is not None:
-            mavlink.listen(self._hear, (HEARTBEAT_ID,))
+            mavlink.listen(self._receive, (HEARTBEAT_ID,))
 
     def take(self) -> list[tuple[int, int, int, float]]:
         """System, component, frame number and monotonic second of each; empty until `WRITE_S` have passed."""
@@ -44,11 +46,14 @@ class HeardHeartbeats:
             frames, self._frames = self._frames, []
         return frames
 
-    def _hear(self, message: Any, link: str) -> None:
-        number = message.get_seq()
+    def _receive(self, message: Any, link: str) -> None:
+        self.hear(message.get_srcSystem(), message.get_srcComponent(), message.get_seq())
+
+    def hear(self, system: int, component: int, number: int) -> None:
+        """A heartbeat with this frame number arrived now, or was sent."""
         if number % EACH:
             return
-        sender, now_s = (message.get_srcSystem(), message.get_srcComponent()), self._clock.mono()
+        sender, now_s = (system, component), self._clock.mono()
         with self._lock:
             last = self._newest.get(sender)
             if (last is not None and last[0] == number and now_s - last[1] < AGAIN_S) or (

@@ -1,27 +1,41 @@
-"""The clocks of agents that the ground does not place, by the heartbeats that they and others received."""
+"""The clocks of runs that lines and armings do not place, by the heartbeats that the ground or another agent has, too.
+
+A frame has a number from 0 to 255, so the same number comes again and again, and the right offset is the one at which most frames of
+one sender agree. A sender of nothing but heartbeats has them at even intervals: then a record of another day agrees as well.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+import statistics
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Mapping, Sequence
 
 from phm.review.clocks import REFERENCE, RunClock, begin_of, end_of, taken
+from phm.review.ground_part import GroundRun
 from phm.review.run import Run
-from phm.review.votes import MOST_EACH, MOST_OTHER, NEAR_S, vote
+from phm.review.votes import MOST_EACH, MOST_OTHER, NEAR_S, Agreed, vote
 
 WIDTH_HEARD_S, HEARD_ERROR_S = 0.6, 0.2
-"""As the window and the error of votes: heartbeats that two agents received differ by delays of the links only."""
+"""As the window and the error of votes: heartbeats that two records have differ by delays of the links only."""
 LEAST_HEARD = 5
 """A smaller number of heartbeats could agree by chance."""
 SHARE_HEARD = 0.5
-"""Of the frames that both can have received at least this share must agree."""
+"""Of the frames that both can have at least this share must agree."""
+LEAST_UNEVEN = 5
+"""Above NEAR_S so many intervals must differ from even ones."""
+BY_GROUND = "heartbeats that the ground received or sent, too"
+BY_AGENT = "heartbeats that another agent received, too"
+Frame = tuple[int, int, int]
+Heard = Mapping[Frame, Sequence[float]]
+Source = tuple[Heard, RunClock]
 
 
-def align_together(runs: Sequence[tuple[Run, RunClock]]) -> None:
-    """Compare the runs that the ground does not place with those that it does, else with the longest one.
-
-    By heartbeats that both have received: a frame has a number from 0 to 255, so the same number comes again and again, and the
-    right offset is the one at which most of them agree.
-    """
+def align_by_heartbeats(runs: Sequence[tuple[Run, RunClock]], grounds: Sequence[tuple[GroundRun, RunClock]]) -> None:
+    """Compare the runs that are not placed with the grounds; then those that are still not with the others, or the longest one."""
+    for run, clock in runs:
+        if clock.offset_s is None and run.heard:
+            _align(run, clock, [(ground.heard, its) for ground, its in grounds], runs, BY_GROUND)
     placed = [one for one in runs if one[1].offset_s is not None]
     open_ones = [one for one in runs if one[1].offset_s is None and one[0].heard]
     chosen = None
@@ -32,39 +46,87 @@ def align_together(runs: Sequence[tuple[Run, RunClock]]) -> None:
         if any(run is other for other, _ in placed):
             continue
         others = [one for one in placed if (one[0].agent, one[0].agent_id) != (run.agent, run.agent_id)]
-        agreed = vote(list(_heard_by_both(run, clock, others)), WIDTH_HEARD_S, HEARD_ERROR_S, most_other=MOST_OTHER)
-        if agreed is None or agreed[2] < max(LEAST_HEARD, SHARE_HEARD * _expected(run, clock, others, agreed[0])):
-            continue
-        if abs(agreed[0]) > NEAR_S and taken(run, clock, agreed[0], runs):
-            clock.by = f"its own clock: {agreed[2]} heartbeats agree at {agreed[0]:+.1f} s, but another run of this agent is there"
-            continue
-        clock.offset_s, clock.error_s, clock.votes = agreed
-        clock.by = "heartbeats that another agent received, too"
-        clock.applied = abs(agreed[0]) > agreed[1]
-        if clock.applied:
-            clock.shift += agreed[0]
-        if chosen is not None:
+        found = _align(run, clock, [(other.heard, its) for other, its in others], runs, BY_AGENT)
+        if found and chosen is not None:
             chosen[1].by = REFERENCE
 
 
-def _expected(run: Run, clock: RunClock, placed: Sequence[tuple[Run, RunClock]], offset_s: float) -> int:
-    """How many frames both can have received at most if that is the offset: the fewer of those that each received meanwhile."""
+def _align(run: Run, clock: RunClock, others: Sequence[Source], runs: Sequence[tuple[Run, RunClock]], by: str) -> bool:
+    agreed = _best(run.heard, clock, others)
+    if agreed is None:
+        return False
+    if abs(agreed[0]) > NEAR_S and taken(run, clock, agreed[0], runs):
+        clock.by = (
+            f"its own clock: {agreed[2]} heartbeats agree at {agreed[0]:+.1f} s, but another run of this agent is there"
+        )
+        return False
+    clock.offset_s, clock.error_s, clock.votes = agreed
+    clock.by, clock.applied = by, abs(agreed[0]) > agreed[1]
+    if clock.applied:
+        clock.shift += agreed[0]
+    return True
 
-    def count(times: list[float], others: list[float]) -> int:
-        return sum(others[0] <= at <= others[-1] for at in times) if others else 0
 
-    mine = sorted(clock.t(at) + offset_s for times in run.heard.values() for at in times)
-    found = 0
-    for other, its in placed:
-        theirs = sorted(its.t(at) for times in other.heard.values() for at in times)
-        found = max(found, min(count(mine, theirs), count(theirs, mine)))
+def _best(heard: Heard, clock: RunClock, others: Sequence[Source]) -> Agreed | None:
+    """The offset with most votes of the senders that have enough of them. A router or an autopilot may give a sender's frames other
+    numbers on each link, so each sender is looked at on its own."""
+    found: list[Agreed] = []
+    for sender in sorted({frame[:2] for frame in heard}):
+        mine = {frame: [clock.t(at) for at in times] for frame, times in heard.items() if frame[:2] == sender}
+        theirs = [
+            {frame: [its.t(at) for at in their[frame]] for frame in their if frame[:2] == sender}
+            for their, its in others
+        ]
+        differences = list(_differences(mine, theirs))
+        near = [one for one in differences if abs(one) <= NEAR_S]
+        for chosen in (near, differences):
+            agreed = vote(chosen, WIDTH_HEARD_S, HEARD_ERROR_S, most_other=MOST_OTHER)
+            if agreed is not None and _enough(mine, theirs, agreed):
+                found.append(agreed)
+                break
+    return max(found, key=lambda one: one[2], default=None)
+
+
+def _enough(mine: Heard, theirs: Sequence[Heard], agreed: Agreed) -> bool:
+    offset_s, _, votes = agreed
+    if votes < max(LEAST_HEARD, SHARE_HEARD * _expected(mine, theirs, offset_s)):
+        return False
+    return abs(offset_s) <= NEAR_S or _uneven(mine, theirs, offset_s) >= LEAST_UNEVEN
+
+
+def _expected(mine: Heard, theirs: Sequence[Heard], offset_s: float) -> int:
+    """How many frames both can have at most if that is the offset: the fewer of those that each has meanwhile."""
+    own, found = sorted(at + offset_s for times in mine.values() for at in times), 0
+    for their in theirs:
+        other = sorted(at for times in their.values() for at in times)
+        if own and other:
+            meanwhile = bisect_right(own, other[-1]) - bisect_left(own, other[0])
+            found = max(found, min(meanwhile, bisect_right(other, own[-1]) - bisect_left(other, own[0])))
     return found
 
 
-def _heard_by_both(run: Run, clock: RunClock, placed: Sequence[tuple[Run, RunClock]]) -> Iterator[float]:
+def _uneven(mine: Heard, theirs: Sequence[Heard], offset_s: float) -> int:
+    """How many intervals between the frames that agree are not as long as the difference of their numbers says."""
+    both = sorted((at, frame[2]) for frame, times in mine.items() for at in times if _has(theirs, frame, at + offset_s))
+    steps = [
+        (after[0] - before[0], (after[1] - before[1]) % 256)
+        for before, after in itertools.pairwise(both)
+        if after[1] != before[1]
+    ]
+    if not steps:
+        return 0
+    period_s = statistics.median(length_s / count for length_s, count in steps)
+    return sum(abs(length_s - count * period_s) > WIDTH_HEARD_S for length_s, count in steps)
+
+
+def _has(theirs: Sequence[Heard], frame: Frame, at: float) -> bool:
+    return any(abs(other - at) <= WIDTH_HEARD_S for their in theirs for other in their.get(frame, ())[:MOST_EACH])
+
+
+def _differences(mine: Heard, theirs: Sequence[Heard]) -> Iterator[float]:
     """Of each frame number that both have, all differences of its times."""
-    for other, its in placed:
-        for frame, mine in run.heard.items():
-            for theirs in other.heard.get(frame, ())[:MOST_EACH]:
-                for own in mine[:MOST_EACH]:
-                    yield its.t(theirs) - clock.t(own)
+    for their in theirs:
+        for frame, times in mine.items():
+            for other in their.get(frame, ())[:MOST_EACH]:
+                for own in times[:MOST_EACH]:
+                    yield other - own

@@ -18,7 +18,7 @@ from phm.review.clocks import (
 )
 from phm.review.ground_clocks import align
 from phm.review.ground_part import GroundRun
-from phm.review.heard_clocks import align_together
+from phm.review.heard_clocks import align_by_heartbeats
 from phm.review.other import Other
 from phm.review.other_clocks import OtherClock, align_others
 from phm.review.part import Part
@@ -94,7 +94,7 @@ def build(part: Part) -> Record:
     align(placed, grounds)
     for run, clock in placed:
         agents.setdefault((run.agent, run.agent_id), AgentRecord(run.agent, run.agent_id)).runs.append((run, clock))
-    align_together([one for agent in agents.values() for one in agent.runs])
+    align_by_heartbeats([one for agent in agents.values() for one in agent.runs], grounds)
     for agent in agents.values():
         follow_machine(agent.runs)
     names = [name for name, _ in agents]

@@ -14,7 +14,7 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import MavlinkSettings
 from phm.facts import LinkFact
-from phm.transport.mavlink_codec import Codec, LinkCounters
+from phm.transport.mavlink_codec import V2, Codec, LinkCounters
 from phm.transport.mavlink_endpoint import RADIO_STATUS, Endpoint
 from phm.transport.mavlink_signing import Signer, Signing, read_key, unsigned_of
 from phm.transport.mavlink_traffic import Traffic
@@ -47,6 +47,7 @@ class MavlinkHub:
         self._signing = Signing(read_key(key), clock, state_dir) if key is not None else None
         self._listeners: tuple[tuple[Listener, frozenset[int]], ...] = ()
         self._watchers: tuple[Callable[[], None], ...] = ()
+        self._heartbeat_sent: Callable[[int], None] | None = None
         self._errors = 0
         self._agents = 1
         self._endpoints = tuple(
@@ -56,6 +57,7 @@ class MavlinkHub:
                 clock,
                 self._deliver,
                 self._changed,
+                self._sent,
             )
             for place, entry in enumerate(settings.endpoints)
         )
@@ -143,6 +145,11 @@ class MavlinkHub:
         """Have `callback` called with each message of these ids. Others are not even decoded."""
         self._listeners = (*self._listeners, (callback, frozenset(ids)))
 
+    def on_heartbeat_sent(self, callback: Callable[[int], None]) -> None:
+        """Have `callback` called by each endpoint's thread with the frame number of a HEARTBEAT that it has sent: each endpoint
+        counts its own frames."""
+        self._heartbeat_sent = callback
+
     def watch(self, callback: Callable[[], None]) -> None:
         """Have `callback` called when an endpoint opens or closes, and about twice a second meanwhile."""
         self._watchers = (*self._watchers, callback)
@@ -226,6 +233,11 @@ class MavlinkHub:
         for callback, ids in self._listeners:
             if number in ids:
                 self._guarded(lambda call=callback: call(message, link))  # type: ignore[misc]
+
+    def _sent(self, message: Any, frame: bytes) -> None:
+        callback = self._heartbeat_sent
+        if callback is not None and message.get_msgId() == HEARTBEAT:
+            self._guarded(lambda: callback(frame[4 if frame[0] == V2 else 2]))
 
     def _changed(self) -> None:
         for callback in self._watchers:

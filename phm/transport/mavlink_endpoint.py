@@ -38,7 +38,8 @@ class Endpoint:
     """See the module.
 
     `deliver` gets every message that a listener wants. `changed` is called when the endpoint opens or closes, and about
-    every IDLE_S meanwhile (every back-off while it is closed). Both are called in the endpoint's thread.
+    every IDLE_S meanwhile (every back-off while it is closed). `sent` gets each message that was sent, with its frame. All are
+    called in the endpoint's thread.
     """
 
     def __init__(
@@ -48,11 +49,12 @@ class Endpoint:
         clock: Clock,
         deliver: Callable[[Any, str], None],
         changed: Callable[[], None],
+        sent: Callable[[Any, bytes], None] = lambda message, frame: None,
     ) -> None:
         self.name, self.container = settings.key, settings.container
         self.to_peers, self._radio = settings.leads_to == "peers", settings.radio != "off"
         self.codec = codec
-        self._clock, self._deliver, self._changed = clock, deliver, changed
+        self._clock, self._deliver, self._changed, self._sent = clock, deliver, changed, sent
         self._queue = SendQueue(clock, settings.budget or None)
         self._stopping = threading.Event()
         self._soon = threading.Event()
@@ -205,6 +207,7 @@ class Endpoint:
             if taken:
                 self.codec.counters.sent += 1
                 self.codec.counters.bytes_out += len(frame)
+                self._sent(item.message, frame)
                 self._set_state(is_open=True)
 
     def _set_state(self, *, is_open: bool, error: str = "", code: int = 0) -> None:

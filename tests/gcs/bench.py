@@ -95,6 +95,9 @@ class Source:
     def snapshot(self) -> tuple[int, GcsEvent]:
         return self._number, GcsEvent(self._clock.stamp(), "snapshot", {"agents": []})
 
+    def heard(self) -> None:
+        """Nothing."""
+
     def line(self, number: int, news: GcsEvent) -> bytes:
         return encode(news, "run", number)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -194,6 +194,12 @@ class Ground:
             slot=slot,
             brief=brief,
         )
+
+    def heard(self, frames: Sequence[tuple[float, int, int, int]]) -> None:
+        """Heartbeats as (seconds, system, component, frame number), in lines of at most 64."""
+        for first in range(0, len(frames), 64):
+            some = frames[first : first + 64]
+            self.event(some[-1][0], "heard", frames=[(*sender, round(9000.0 + at, 3)) for at, *sender in some])
 
     def close(self) -> Path:
         self.path.write_bytes(b"".join(line + b"\n" for line in self.lines))

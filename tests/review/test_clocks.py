@@ -100,11 +100,15 @@ class Sender:
     def __init__(self, *agents: Flown, seed: int = 3, steps: tuple[int, ...] = (1, 1, 1, 2, 3)) -> None:
         """steps: by how much frame numbers rise between two heartbeats."""
         self.agents, self.number, self.steps = agents, 0, steps
+        self.sent: list[tuple[float, int, int, int]] = []
+        """Those whose number is a multiple of 8, as the ground that sends them records them."""
         self.draw = random.Random(seed)
 
     def until(self, seconds: float) -> None:
         """One heartbeat a second, received after a short delay of each agent's link."""
         while min(agent.now for agent in self.agents) < seconds:
+            if self.number % 8 == 0:
+                self.sent.append((self.agents[0].now + 1.0, 255, 190, self.number % 256))
             for agent in self.agents:
                 agent.until(agent.now + 1.0, every=20.0)
                 if self.draw.random() > 0.1:
@@ -166,3 +170,51 @@ def test_a_ground_that_received_the_end_of_a_long_run_places_it(tmp_path: Path) 
     (clock,) = report(tmp_path)["clocks"]["runs"]
     assert (clock["applied"], clock["votes"]) == (True, 10)
     assert clock["offset_s"] == pytest.approx(-19.8, abs=0.01)
+
+
+@pytest.mark.parametrize(("wrong_s", "steps"), [(-3600.0, (1, 1, 1, 2, 3)), (6.0, (1,))])
+def test_an_agent_without_a_fault_is_compared_by_the_heartbeats_of_the_ground(
+    tmp_path: Path, wrong_s: float, steps: tuple[int, ...]
+) -> None:
+    """The ground's record has those that it sent. At even intervals they correct some seconds."""
+    agent, ground = Flown(tmp_path / "log", wrong_s=wrong_s), Ground(tmp_path / "ground.jsonl")
+    sky = Sender(agent, steps=steps)
+    sky.until(900)
+    agent.close()
+    ground.heard([*sky.sent, *((at, 7, 1, number) for at, _, _, number in sky.sent)])
+    ground.close()
+    (clock,) = report(tmp_path)["clocks"]["runs"]
+    assert clock["applied"] and clock["by"] == "heartbeats that the ground received or sent, too"
+    assert clock["offset_s"] == pytest.approx(-wrong_s, abs=clock["error_s"]) and clock["error_s"] < 0.6
+
+
+def test_even_heartbeats_of_another_day_move_nothing(tmp_path: Path) -> None:
+    """A ground station begins with the number 0 each day and sends nothing else: all frames agree, at the wrong offset."""
+    ground = Ground(tmp_path / "ground.jsonl")
+    for day in (0.0, 86_400.0):
+        agent = Flown(tmp_path / f"{day:.0f}", start=day)
+        sky = Sender(agent, steps=(1,))
+        sky.until(day + 240.0)
+        agent.close()
+    ground.heard(sky.sent)
+    ground.close()
+    (clock,) = report(tmp_path / "0", tmp_path / "ground.jsonl")["clocks"]["runs"]
+    assert clock["offset_s"] is None
+    (clock,) = report(tmp_path / "86400", tmp_path / "ground.jsonl")["clocks"]["runs"]
+    assert clock["offset_s"] == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_sender_whose_frames_have_other_numbers_on_each_link_does_not_hide_another_one(tmp_path: Path) -> None:
+    """An autopilot numbers its frames on each link: of three senders that both have, one agrees."""
+    agent, ground = Flown(tmp_path / "log", wrong_s=-600.0), Ground(tmp_path / "ground.jsonl")
+    sky, draw, other = Sender(agent), random.Random(9), list[tuple[float, int, int, int]]()
+    for second in range(10, 900, 10):
+        sky.until(float(second))
+        for component in (1, 2):
+            agent.hear(1, component, 8 * draw.randrange(32))
+            other.append((agent.now, 1, component, 8 * draw.randrange(32)))
+    agent.close()
+    ground.heard([*sky.sent, *other])
+    ground.close()
+    (clock,) = report(tmp_path)["clocks"]["runs"]
+    assert clock["applied"] and clock["offset_s"] == pytest.approx(600.0, abs=0.5)
