@@ -41,7 +41,7 @@ export async function showChoices(place, name) {
   }
   render(place, [name, found, mayOperate()], () => [
     ...(mayOperate() ? found.choices.map((choice) => choiceButton(name, choice)) : []),
-    mayOperate() ? null : el("p", { class: "quiet", text: "This session may look, not act: its role is view." }),
+    mayOperate() ? null : el("p", { class: "quiet", text: "This session can only view: its role is view." }),
     found.note ? el("p", { class: "quiet" }, said(found.note)) : null,
   ]);
   return answered;

@@ -76,7 +76,7 @@ function show() {
   const agent = store.agents.get(shown);
   if (parts.gone) {
     parts.gone.hidden = Boolean(agent);
-    setText(parts.gone, "This agent is not known now.");
+    setText(parts.gone, "This agent is currently unknown.");
   }
   if (!agent) return;
   setText(parts.state, agent.how);
@@ -210,7 +210,7 @@ function views(agent) {
       differs ? el("strong", { class: "differs", text: " ≠ they differ" }) : ""),
     ...line("Received by", list(agent.heard_by)), ...line("Not received by", list(agent.not_heard_by)),
     ...line("It receives the ground", heard[String(agent.hears_ground)] ?? "not reported"),
-    ...(agent.view ? line("Its own view", `autopilot ${agent.view.autopilot ? "received" : "NOT received"}, radio ${agent.view.radio ? "works" : "NOT"}, `,
+    ...(agent.view ? line("Its own view", `autopilot ${agent.view.autopilot ? "received" : "NOT received"}, radio ${agent.view.radio ? "works" : "does NOT work"}, `,
       peers.length ? `peers not alive: ${peers.map(([number, seen]) => `A${number.padStart(2, "0")} ${seen}`).join(", ")}, ` : "all peers alive, ",
       since(agent.view.at)) : line("Its own view", "not received")));
 }

@@ -70,7 +70,7 @@ function banner() {
   // The sentence stays the same, so that a screen reader reads it once; the time is beside it.
   const seconds = (performance.now() - store.since) / 1000;
   render(byId("banner"), "down", () => [el("strong", { text: "No connection to the server. " }),
-    "What you see is old, and no age is known. The page connects again by itself. ", el("span", { id: "down-for", "aria-hidden": "true" })]);
+    "The data shown are old, and their age is unknown. The page reconnects by itself. ", el("span", { id: "down-for", "aria-hidden": "true" })]);
   setText(byId("down-for"), age(seconds));
 }
 

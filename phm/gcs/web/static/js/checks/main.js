@@ -188,7 +188,7 @@ async function begin() {
   await openSession();
   byId("login").hidden = !session.login;
   byId("editor").hidden = !mayOperate();
-  if (!mayOperate()) return say(session.login ? "" : "Configurations are for the role operate.");
+  if (!mayOperate()) return say(session.login ? "" : "Configurations need the role operate.");
   const about = await getJson("api/config");
   if (!about.edit) {
     byId("editor").hidden = true;
