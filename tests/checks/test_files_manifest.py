@@ -57,6 +57,7 @@ def test_files_that_were_not_read_are_not_ok(tree: api.TreeFact, word: str) -> N
 
 
 def test_a_difference_counts_before_all_is_read() -> None:
+    """One changed file is an error, even while others are still to be read."""
     assert judge(api.TreeFact(100, 1, 1, changed=("a",), pending=60)).level is api.Level.ERROR
 
 

@@ -59,6 +59,7 @@ def test_a_loss_is_conclusive_when_others_confirm_it() -> None:
     ],
 )
 def test_each_other_state_has_its_level_and_condition(peer: PeerFact, level: Level, condition: str) -> None:
+    """The unit of the peer has them, whatever the other peers are."""
     result = evaluate({2: ALIVE, 3: peer, 4: ALIVE})["peers/A03"]
     assert (result.level, result.condition) == (level, condition)
 
@@ -142,6 +143,7 @@ def test_a_common_loss_is_reported_immediately_and_single_agents_after_it() -> N
 
 
 def test_without_expected_agents_being_alone_is_ok() -> None:
+    """The result is a bypass: there is nothing to compare with."""
     result = evaluate({}, ())[SWARM]
     assert result.level is Level.OK
     assert result.bypass

@@ -83,6 +83,7 @@ def test_files_that_exist_are_kept(fake: FakeEngine, tmp_path: Path) -> None:
 
 
 def test_without_an_engine_the_remedy_is_printed(tmp_path: Path) -> None:
+    """The exit code is 1, and the message says what to start."""
     done = CliRunner().invoke(group, ["init", str(tmp_path), "--yes", "--socket", f"unix://{tmp_path}/none"])
     assert done.exit_code == 1 and "start the Docker Engine" in done.stderr
 
@@ -111,6 +112,8 @@ def test_nodes_of_the_graph_are_written(fake: FakeEngine, tmp_path: Path, monkey
 
 
 def test_a_graph_that_cannot_be_read_is_said(fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`phm init` continues without nodes."""
+
     def nodes(environment: dict[str, str]) -> tuple[str, ...]:
         raise ros_nodes.NoGraph("rclpy is not installed here")
 

@@ -150,6 +150,7 @@ def test_an_engine_that_is_not_there_costs_only_its_agents(tmp_path: Path, engin
 def test_containers_beyond_the_limit_are_named(
     tmp_path: Path, engine: FakeEngine, agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """With exit code 1; a pattern that chooses fewer containers is within the limit."""
     monkeypatch.setattr(log_sources, "MOST_CONTAINERS", 1)
     result = collect(tmp_path / "out", engine=engine)
     assert result.exit_code == 1 and "not asked: 1 of 2" in result.output, result.output

@@ -49,6 +49,7 @@ def test_a_mistake_names_what_is_similar(message: str, field: str, number: bool,
 
 
 def test_an_instance_needs_a_field_for_it() -> None:
+    """`instance` is refused for a message that does not number its sources."""
     with pytest.raises(UnknownMavlinkField, match="GPS_RAW_INT has no field that numbers its sources"):
         demand_field("GPS_RAW_INT", "eph", number=True, instance=True)
 

@@ -81,6 +81,7 @@ def test_unknown_types_have_no_fields(name: str) -> None:
     ],
 )
 def test_a_damaged_module_has_no_fields(package: Path, text: str) -> None:
+    """A generated Python module that cannot be read gives no fields, and no error."""
     (package / "_status.py").write_text(text, encoding="latin-1")
     assert fields_of(STATUS) is None
 

@@ -15,6 +15,7 @@ def test_a_key_has_a_burst_and_then_a_rate() -> None:
 
 
 def test_keys_do_not_affect_each_other() -> None:
+    """Each key has its own tokens."""
     limiter = RateLimiter(1.0, 1.0, 2)
     assert limiter.allow(0.0, "a") and not limiter.allow(0.0, "a")
     assert limiter.allow(0.0, "b")

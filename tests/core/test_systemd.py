@@ -47,6 +47,7 @@ def test_without_a_usable_socket_nothing_is_sent_and_nothing_raises(path: str) -
 
 
 def test_a_full_socket_does_not_block(tmp_path: Path) -> None:
+    """Notifications that systemd does not read are dropped."""
     path = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(path)

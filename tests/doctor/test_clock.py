@@ -21,5 +21,6 @@ def test_a_clock_is_ok_only_when_it_is_synchronized(
 
 
 def test_a_clock_without_a_battery_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A date before the first possible year means that the clock was never set."""
     monkeypatch.setattr(clock, "FIRST_YEAR", 9999)
     assert "is wrong" in row(list(clock.rows(surroundings(tmp_path))), "time").text

@@ -34,6 +34,7 @@ def test_without_an_engine_the_remedy_is_to_start_it(tmp_path: Path) -> None:
 
 
 def test_a_proxy_that_refuses_limits_the_rights(tmp_path: Path) -> None:
+    """An engine that answers with 403 is reached, but through a proxy that must allow more."""
     with FakeEngine(tmp_path / "engine.sock") as fake:
         fake.fault = Status(403, "no", route="/containers")
         found = list(rows(surroundings(tmp_path, docker={"socket": fake.url})))

@@ -28,6 +28,7 @@ def installed(monkeypatch: pytest.MonkeyPatch, found: dict[str, str] | None) -> 
 
 
 def test_the_installation_of_phm_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rows have distribution, rclpy, middleware and domain."""
     installed(monkeypatch, JAZZY)
     found = list(rows(surroundings(tmp_path, ros={"domain": 7})))
     assert row(found, "PHM").text == "jazzy, rclpy 7.1.4, rmw_fastrtps_cpp"

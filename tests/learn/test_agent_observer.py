@@ -62,6 +62,7 @@ def watch(engine: FakeEngine, *containers: str, **fields: Any) -> Observations:
 
 
 def test_all_that_run_are_watched_but_phm(engine: FakeEngine) -> None:
+    """Without a choice, all running containers are watched except PHM's own."""
     seen = watch(engine)
     assert [(one.key, one.fact.health, one.restarted) for one in seen.containers] == [("ros_app", "healthy", False)]
 
@@ -85,6 +86,7 @@ def test_a_configured_container_that_does_not_run_is_a_problem(engine: FakeEngin
 
 
 def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
+    """The missing engine is a problem in the result; it is an error only if a container was asked for."""
     settings = Settings.model_validate({"docker": {"socket": f"unix://{tmp_path}/none"}})
     seen = AgentObserver(settings, ObservationRequest(5.0, ros=False, links=False), PassingClock()).run()
     assert "containers were not watched" in seen.problems[0]

@@ -169,6 +169,7 @@ def test_the_name_of_a_file_is_never_a_pattern(where: str) -> None:
 
 
 def test_a_manifest_has_a_harmless_name() -> None:
+    """Characters of the folder's path that could leave the directory or need quotes are replaced."""
     name = manifest_name(ObservedFolder("app", "/../../etc/x y", {}, 0))
     assert "/" not in name and " " not in name and name.startswith("app")
 
@@ -182,6 +183,7 @@ def test_the_autopilot_sets_the_agents_id_and_its_timeout() -> None:
 
 
 def test_two_autopilots_are_not_guessed_at() -> None:
+    """Neither is configured; the note names both."""
     two = (ObservedAutopilot(7, "fc", 60, 1.0), ObservedAutopilot(8, "fc", 60, 1.0))
     found = learn(Observations(60.0, autopilots=two), 7)
     assert found.mavlink.values == {} and "7, 8" in found.mavlink.notes[""]

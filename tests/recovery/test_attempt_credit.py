@@ -60,6 +60,7 @@ def test_an_action_that_found_nothing_to_do_is_not_credited(agent: Agent) -> Non
 
 
 def test_an_action_may_report_another_cause(agent: Agent) -> None:
+    """The fault then ended by itself, and the log gives the cause."""
     agent.other_cause = lambda: "the moon has moved"
     by, said = resolved(agent, lambda key, context, fault: agent.bad.clear())
     assert by == "itself"

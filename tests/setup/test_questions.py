@@ -47,6 +47,7 @@ def test_defaults_watch_everything_and_restart_nothing() -> None:
 
 
 def test_one_container_on_the_hosts_network_decides() -> None:
+    """PHM then uses the host's network as well, unless an option says otherwise."""
     answers = defaults(interview(machine(APP, CAMERA)))[1]
     assert (answers.network, answers.mavlink) == ("host", "udpout:127.0.0.1:14550")
     assert defaults(interview(machine(APP, CAMERA), containers=["app"]))[1].network == "bridge"

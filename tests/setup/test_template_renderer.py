@@ -110,6 +110,7 @@ def test_ros_variables_are_those_of_the_application() -> None:
 
 
 def test_an_application_of_another_domain_is_named() -> None:
+    """One PHM has one ROS_DOMAIN_ID; the file names the containers with another one."""
     one, other = application("one", env={"ROS_DOMAIN_ID": "1"}), application("two", env={"ROS_DOMAIN_ID": "2"})
     assert "Other values are set in two" in made(one, other)["agent.env"]
 

@@ -320,6 +320,7 @@ def test_a_better_leader_waits_until_it_is_stable() -> None:
 
 
 def test_a_dead_leader_is_replaced_immediately() -> None:
+    """The next agent leads as soon as the leader is lost."""
     election = LeaderElection()
     election.leader(consensus({1: True, 2: True}), True, 0.0)
     assert election.leader(consensus({2: True}), True, 1.0) == 2

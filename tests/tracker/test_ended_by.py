@@ -32,6 +32,7 @@ def test_a_warning_that_states_the_end_closes_the_fault_first() -> None:
 
 
 def test_any_other_warning_leaves_the_fault_open() -> None:
+    """Only a result that is OK, or one that states the end, closes it."""
     bench = failing()
     bench.see("pilot", warn("weak", brief="weak", condition="weak"))
     bench.later(3)

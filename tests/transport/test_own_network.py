@@ -28,6 +28,7 @@ def test_a_container_on_the_network_of_the_host_sees_real_interfaces(tmp_path: P
 
 
 def test_outside_of_a_container_nothing_is_private(tmp_path: Path) -> None:
+    """Without the marker of a container, or without interfaces, the network is the host's."""
     net = interfaces(tmp_path, eth0=(7, 8))
     assert not is_private(net, (str(tmp_path / "missing"),))
     assert not is_private(str(tmp_path / "missing"), ("/",))

@@ -112,6 +112,7 @@ def test_the_queue_is_limited_and_drops_the_least_important() -> None:
 
 
 def test_an_unsent_message_returns_to_the_front() -> None:
+    """It keeps its place in the queue and is counted once."""
     budget = LinkBudget(10.0, 0.0)
     for name in "ab":
         budget.put(QueuedMessage(name, MessagePriority.TRANSITION, 40, None))

@@ -34,6 +34,7 @@ def test_sha256sum_reads_it(tmp_path: Path) -> None:
 
 
 def test_a_manifest_of_sha256sum_is_read(tmp_path: Path) -> None:
+    """Also with a name that sha256sum must escape."""
     (tmp_path / "line\nbreak").write_text("x")
     (tmp_path / "plain").write_text("x")
     done = subprocess.run("sha256sum ./*", shell=True, cwd=tmp_path, capture_output=True, check=True)

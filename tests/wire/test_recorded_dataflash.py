@@ -55,4 +55,5 @@ def test_the_texts_of_the_autopilot_are_not_taken_for_lines_of_phm(log: Path) ->
 
 
 def test_the_longest_line_fits_with_its_prefix() -> None:
+    """ArduPilot puts the sender before each received text in its own log."""
     assert len("SRC=250/250:") + MAX_CHARS <= MSG_CHARS

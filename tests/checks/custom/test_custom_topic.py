@@ -102,6 +102,7 @@ def test_silence_and_absence_are_failures() -> None:
 
 
 def test_only_the_arrival_counts_without_a_field() -> None:
+    """A custom topic check without `field` judges the age of the newest message alone."""
     assert evaluate(build(field="", max_age=2.0), silent_s=1.0).level is api.Level.OK
 
 

@@ -76,6 +76,7 @@ def test_a_commanded_reboot_is_a_reboot(record: Record) -> None:
 
 
 def test_a_mute_ground_station_is_one_fault(record: Record) -> None:
+    """Silence of the recorded ground station opens one fault, and its next heartbeat closes it."""
     made = flight(record)
     made.play(143.0)
     before = len(made.published())

@@ -78,6 +78,7 @@ def test_a_field_has_the_values_of_all_publishers() -> None:
 
 
 def test_nothing_is_known_without_a_message() -> None:
+    """There is no fact about a topic's data before its first message."""
     bench = Bench()
     bench.monitor.look(1.0, TYPE, [])
     assert bench.monitor.fact is None
