@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from phm.core.model import Level, Slot
 from phm.review.clocks import RunClock, machine
 from phm.review.events import WORDS
 from phm.review.ground_part import GroundRun
@@ -28,12 +29,14 @@ from phm.review.votes import (
     weigh,
     within,
 )
+from phm.wire import status_line
 
 NOTHING = "its own clock: the ground received nothing that the log has, too: no line about a change and no arming"
 SEVERAL = "its own clock: what the ground received, too, fits several offsets"
 BY = "lines and armings that the ground received, too"
 TAKEN = "but another run of this agent is there"
 ARMED = "armed"
+SLOTS = frozenset(each.value for each in Slot)
 Observed = dict[Key, list[float]]
 
 
@@ -156,9 +159,11 @@ def _group(members: list[tuple[Run, RunClock]]) -> _Group:
             if change.unit in failing:
                 key, since = failing.pop(change.unit)
                 made.failing.setdefault(key, []).append([since, at])
-            if not change.brief or change.level not in ("ERROR", "WARN"):
+            slot = run.units.get(change.unit, {}).get("slot")
+            if slot not in SLOTS or change.level not in ("ERROR", "WARN"):
                 continue
-            key = (run.units.get(change.unit, {}).get("slot"), change.level, change.brief)
+            line = status_line.failing(run.agent_id, Level[change.level], Slot(slot), change.brief or change.unit)
+            key = (slot, change.level, " ".join(line.split(" ", 3)[3:]))  # as the ground receives it
             failing[change.unit] = key, at
             if not change.text_only:
                 made.seen.setdefault(key, []).append(at)
