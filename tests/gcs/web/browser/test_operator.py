@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from phm.core.model import Level, Slot
+from phm.transport.dialect import mavlink
+from tests.fakes.until import until
 from tests.gcs.test_daemon import agent
 from tests.gcs.web.browser.scene import Fleet, GroundProcess, fleet, ground, tab
 
@@ -61,6 +65,32 @@ def test_a_restart_is_confirmed_and_the_refusal_says_why(page: Page, station: Gr
     expect(page.locator(".toasts .t-error")).to_contain_text("A07 restart app")
     expect(page.locator(".toasts .t-error")).to_contain_text("recover")
     expect(page.locator(".requests .g-error")).to_contain_text("recover")
+
+
+def test_an_approval_is_confirmed_and_the_answer_is_shown(page: Page, station: GroundProcess, agents: Fleet) -> None:
+    """The dialog names the action and how long the approval is valid; only then is the command sent."""
+    vehicle = agents.vehicles[3]
+
+    def approvals() -> list[Any]:
+        return [one for one in vehicle.hear() if one.get_type() == "COMMAND_LONG" and one.command == 31010]
+
+    agents.levels[3] = {Slot.CONTAINER: Level.ERROR}
+    try:
+        vehicle.beat(agents.levels[3])
+        agents.say(3, "A03 ADVISE 2 restart ros_app #17 60s", 4)
+        page.goto(f"{station.url}#/agent/A03")
+        page.get_by_role("button", name="approve restart ros_app (#17)").click()
+        dialog = page.get_by_role("dialog")
+        expect(dialog).to_contain_text("does what it advises for fault #17: restart ros_app. The approval is valid for")
+        assert not approvals()
+        dialog.get_by_role("button", name="Yes, approve").click()
+        (asked, *_) = until(approvals, "the command")
+        assert (asked.param1, asked.param2) == (2, 17)
+        to = asked.get_srcSystem(), asked.get_srcComponent()
+        vehicle.send(mavlink.MAVLink_command_ack_message(31010, mavlink.MAV_RESULT_ACCEPTED, 0, 0, *to))
+        expect(page.locator(".requests")).to_contain_text("A03 approve #17 restart ros_app: accepted")
+    finally:
+        del agents.levels[3]
 
 
 def test_a_hold_for_the_chosen_time_is_accepted_and_released(page: Page, station: GroundProcess) -> None:
