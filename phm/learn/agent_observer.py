@@ -48,7 +48,10 @@ class ObservationFailed(Exception):
 
 @dataclass
 class AgentObserver:
-    """One watch. progress: called with what happens now, in a few words, and the seconds that it takes (0: unknown)."""
+    """Observes one agent, once.
+
+    progress: called with what happens now, in a few words, and the seconds that it takes (0: unknown).
+    """
 
     settings: Settings
     request: ObservationRequest

@@ -18,7 +18,7 @@ NO_PACKAGE = {
     "interop": "ground software of others",
     "metrics": "metrics of the agent and of the ground station, which Prometheus reads together",
     "packaging": "the wheel, the images and their entry points",
-    "probes/docker": "probes that use the Docker Engine: one fixture with an engine and its containers",
+    "probes/docker": "probes that use the Docker Engine, and its client: one fixture with an engine and its containers",
     "probes/links": "probes that use MAVLink links; scripts/test runs them on one Python alone",
     "reporters/durability": "log files of a process that is killed",
     "ros": "phm.probes.ros and phm.beacon with real ROS nodes; its tests without nodes are in probes/ros",
