@@ -24,6 +24,8 @@ SHARE_HEARD = 0.5
 """Of the frames that both can have at least this share must agree."""
 LEAST_UNEVEN = 5
 """Above NEAR_S so many intervals must differ from even ones."""
+MOST_SENDERS = 256
+"""As agents log them; of more, those with most frames."""
 BY_GROUND = "heartbeats that the ground received or sent, too"
 BY_AGENT = "heartbeats that another agent received, too"
 Frame = tuple[int, int, int]
@@ -71,12 +73,11 @@ def _best(heard: Heard, clock: RunClock, others: Sequence[Source]) -> Agreed | N
     """The offset with most votes of the senders that have enough of them. A router or an autopilot may give a sender's frames other
     numbers on each link, so each sender is looked at on its own."""
     found: list[Agreed] = []
-    for sender in sorted({frame[:2] for frame in heard}):
-        mine = {frame: [clock.t(at) for at in times] for frame, times in heard.items() if frame[:2] == sender}
-        theirs = [
-            {frame: [its.t(at) for at in their[frame]] for frame in their if frame[:2] == sender}
-            for their, its in others
-        ]
+    mine_of = _by_sender(heard, clock)
+    theirs_of = [_by_sender(their, its) for their, its in others]
+    for sender in sorted(mine_of, key=lambda sender: (-len(mine_of[sender]), sender))[:MOST_SENDERS]:
+        mine = mine_of[sender]
+        theirs = [of_sender[sender] for of_sender in theirs_of if sender in of_sender]
         differences = list(_differences(mine, theirs))
         near = [one for one in differences if abs(one) <= NEAR_S]
         for chosen in (near, differences):
@@ -85,6 +86,14 @@ def _best(heard: Heard, clock: RunClock, others: Sequence[Source]) -> Agreed | N
                 found.append(agreed)
                 break
     return max(found, key=lambda one: one[2], default=None)
+
+
+def _by_sender(heard: Heard, clock: RunClock) -> dict[tuple[int, int], dict[Frame, list[float]]]:
+    """By system and component, on the reference's clock as far as that is known."""
+    found: dict[tuple[int, int], dict[Frame, list[float]]] = {}
+    for frame, times in heard.items():
+        found.setdefault(frame[:2], {})[frame] = [clock.t(at) for at in times]
+    return found
 
 
 def _enough(mine: Heard, theirs: Sequence[Heard], agreed: Agreed) -> bool:
