@@ -106,9 +106,13 @@ def test_after_the_end_nothing_is_connected() -> None:
         sockets.connect("127.0.0.1", 1, timeout_s=30)
 
 
-def test_a_lack_of_file_descriptors_is_not_a_failure_of_the_server(sockets: Sockets, serve: Serve) -> None:
-    """PHM's own shortage must not restart the container behind the server."""
-    port = serve(lambda connection: connection.recv(1))
+def test_a_lack_of_file_descriptors_is_not_a_failure_of_the_server(sockets: Sockets) -> None:
+    """PHM's own shortage must not restart the container behind the server.
+
+    The server has no thread: its `accept` would need a file descriptor, too.
+    """
+    listener = socket.create_server(("127.0.0.1", 0))
+    port = listener.getsockname()[1]
     calls: tuple[Callable[[], object], ...] = (
         lambda: sockets.connect("127.0.0.1", port, timeout_s=5),
         lambda: sockets.get(f"http://127.0.0.1:{port}/", timeout_s=5),
@@ -124,3 +128,4 @@ def test_a_lack_of_file_descriptors_is_not_a_failure_of_the_server(sockets: Sock
                 call()
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
+        listener.close()
