@@ -132,13 +132,14 @@ def _clocks(record: Record, cuts: Cuts) -> Json:
         "others": [
             {
                 "file": Path(clock.file).name,
-                "offset_s": None if clock.offset_s is None else round(clock.offset_s, 3),
+                "offset_s": None if clock.offset_s is None or not clock.placed else round(clock.offset_s, 3),
                 "error_s": None if clock.error_s is None else round(clock.error_s, 3),
                 "lines": clock.lines,
                 "applied": clock.offset_s is not None,
                 "by": clock.by,
             }
             for clock in record.other_clocks
+            if clock.placed or clock.offset_s is not None
         ],
     }
 

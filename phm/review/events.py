@@ -17,7 +17,7 @@ class Event(msgspec.Struct, gc=False):
     """Keys as in `docs/reference/logs.md` (with `boot_id`) and `docs/reference/gcs.md` (with `run`).
 
     A source of other records sets `agent`, `event`, `utc_s` and what it knows of the rest. mono: 0 where the record has no
-    monotonic clock.
+    monotonic clock. placed: False: `utc_s` counts from an arbitrary moment, as the record does not say when it was made.
     """
 
     event: str
@@ -57,6 +57,7 @@ class Event(msgspec.Struct, gc=False):
     text: str = ""
     number: int = 0
     began: bool = False
+    placed: bool = True
     continued: bool = False
     reason: str = ""
     version: str = ""

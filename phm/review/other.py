@@ -23,6 +23,9 @@ MOST_SYSTEMS = 256
 MOST_TEXT, MOST_BY = 200, 20
 EARLIEST_S = 946_684_800.0
 """2000-01-01: an earlier time is a clock that was never set."""
+UNPLACED_S = EARLIEST_S + 1.0
+"""The boot of an autopilot whose log does not say when it was: far from each flight, so most evidence is needed to place it."""
+NO_TIME = "no time of a GPS, and no lines of PHM that show when it was recorded (docs/reference/report.md): left out"
 _OURS = re.compile(r"A\d{1,3} ([A-Z]+)\b")
 _STEERING = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|[@-Z\\\]^_])")
 """Escape sequences of a terminal: PX4 and nodes of ROS 2 colour their texts."""
@@ -32,7 +35,8 @@ _FORWARDED = re.compile(r"SRC=(\d{1,3}/\d{1,3}):(.*)", re.DOTALL)
 
 class Other(NamedTuple):
     """One entry. t: UTC seconds by the record's own clock, until the clocks are compared. by: system/component of a text's sender.
-    file: path. began: armed or disarmed."""
+    file: path. began: armed or disarmed. placed: False: t counts from an arbitrary moment, and is of no use until lines of PHM in
+    the file say when it was."""
 
     t: float
     system: int
@@ -42,6 +46,7 @@ class Other(NamedTuple):
     by: str
     file: str
     began: bool
+    placed: bool = True
 
     @classmethod
     def of(cls, event: Event, file: str) -> Other | None:
@@ -53,7 +58,7 @@ class Other(NamedTuple):
         # A hostile line of JSON comes here too: none of its texts is kept unchanged.
         level = event.level if event.level in LEVELS else ""
         by = one_line(str(event.by)[:MOST_BY])
-        return cls(event.utc_s, event.system, event.event, text, level, by, file, event.began)
+        return cls(event.utc_s, event.system, event.event, text, level, by, file, event.began, event.placed)
 
 
 def plain(text: str) -> str:

@@ -14,7 +14,7 @@ import re
 import statistics
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from phm.core.model import Level, Slot
 from phm.review.clocks import RunClock
@@ -47,6 +47,8 @@ class OtherClock:
     error_s: float | None = None
     lines: int = 0
     by: str = NO_LINES
+    placed: bool = True
+    """False: the file does not say when it was made, and the offset is from its boot."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,10 @@ class _Log:
 
 
 def align_others(others: Iterable[Other], runs: Sequence[tuple[Run, RunClock]]) -> tuple[list[Other], list[OtherClock]]:
-    """The entries with the reference's times in the order of time, and the clock of each file. runs: with their clocks."""
+    """The entries with the reference's times in the order of time, and the clock of each file. runs: with their clocks.
+
+    Entries of a file that does not say when it was made, and of which PHM's lines do not say it either, are left out.
+    """
     by_file: dict[str, list[Other]] = {}
     for other in others:
         by_file.setdefault(other.file, []).append(other)
@@ -71,9 +76,11 @@ def align_others(others: Iterable[Other], runs: Sequence[tuple[Run, RunClock]]) 
     clocks: list[OtherClock] = []
     for file, entries in sorted(by_file.items()):
         span = [min(one.t for one in entries), max(one.t for one in entries)]
-        clock = _clock(file, _sorted(_received(entries)), span, log)
+        clock = replace(_clock(file, _sorted(_received(entries)), span, log), placed=all(one.placed for one in entries))
         clocks.append(clock)
         offset_s = clock.offset_s
+        if offset_s is None and not clock.placed:
+            continue
         moved += entries if offset_s is None else (one._replace(t=one.t + offset_s) for one in entries)
     return sorted(moved), clocks
 

@@ -19,7 +19,7 @@ from phm.review.clocks import (
 from phm.review.ground_clocks import align
 from phm.review.ground_part import GroundRun
 from phm.review.heard_clocks import align_by_heartbeats
-from phm.review.other import Other
+from phm.review.other import NO_TIME, Other
 from phm.review.other_clocks import OtherClock, align_others
 from phm.review.part import Part
 from phm.review.run import Change, Run, RunMark
@@ -111,6 +111,9 @@ def build(part: Part) -> Record:
         )
     owned, names_of = recordings.owned(part.others, list(agents.values()))
     moved, other_clocks = align_others(owned, [one for agent in agents.values() for one in agent.runs])
+    for other_clock in other_clocks:
+        if not other_clock.placed and other_clock.offset_s is None:
+            part.problems.add(NO_TIME, other_clock.file)
     others = recordings.without_ours(moved, {agent.id for agent in agents.values() if agent.runs})
     for number in sorted({other.system for other in others if other.system} - {agent.id for agent in agents.values()}):
         agents["", number] = AgentRecord(f"vehicle {number}", number)

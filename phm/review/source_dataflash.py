@@ -11,7 +11,7 @@ from phm.review import autopilot_names as names
 from phm.review.dataflash import FMT, HEAD, records
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
-from phm.review.other import MOST, blocks, text_event
+from phm.review.other import MOST, UNPLACED_S, blocks, text_event
 from phm.review.unpack import gunzipped
 
 WANTED = frozenset(("MODE", "ARM", "EV", "ERR", "MSG", "PARM", "GPS"))
@@ -35,9 +35,6 @@ def read(piece: Piece, problems: Problems) -> Iterator[Event]:
         log.take(name, row)
     if log.left_out:
         problems.add(f"more than {MOST} events; the others are left out", piece.path, count=log.left_out)
-    if log.events and not log.offsets:
-        problems.add("no time of a GPS: when it was recorded is not known, so it is left out", piece.path)
-        return
     yield from log.timed()
 
 
@@ -80,10 +77,11 @@ class _Log:
         return False
 
     def timed(self) -> Iterator[Event]:
-        offset = statistics.median(self.offsets) if self.offsets else 0.0
+        offset = statistics.median(self.offsets) if self.offsets else UNPLACED_S
         for boot_s, name, row in self.events:
             made = self._event(name, row, offset + boot_s)
             if made is not None:
+                made.placed = bool(self.offsets)
                 yield made
 
     def _event(self, name: str, row: dict[str, Any], utc_s: float) -> Event | None:

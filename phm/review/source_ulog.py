@@ -10,7 +10,7 @@ from typing import Any
 from phm.review import autopilot_names as names
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
-from phm.review.other import EARLIEST_S, MOST, blocks, text_event
+from phm.review.other import EARLIEST_S, MOST, UNPLACED_S, blocks, text_event
 from phm.review.ulog import MAGIC, messages
 from phm.review.unpack import gunzipped
 
@@ -33,12 +33,9 @@ def read(piece: Piece, problems: Problems) -> Iterator[Event]:
         log.take(name, row)
     if log.left_out:
         problems.add(f"more than {MOST} events; the others are left out", piece.path, count=log.left_out)
-    if log.events and not log.offsets:
-        problems.add("no time of a GPS: when it was recorded is not known, so it is left out", piece.path)
-        return
-    offset = statistics.median(log.offsets) if log.offsets else 0.0
+    offset = statistics.median(log.offsets) if log.offsets else UNPLACED_S
     for event in log.events:
-        event.system, event.utc_s = log.system, event.utc_s + offset
+        event.system, event.utc_s, event.placed = log.system, event.utc_s + offset, bool(log.offsets)
         yield event
 
 

@@ -74,7 +74,8 @@ def clock(row: Json) -> tuple[str, ...]:
 
 
 def other_clock(row: Json) -> tuple[str, ...]:
-    offset = "unknown" if row["offset_s"] is None else f"{row['offset_s']:+.2f} s"
+    none = "had no time" if row["applied"] else "unknown"
+    offset = none if row["offset_s"] is None else f"{row['offset_s']:+.2f} s"
     by = f"{row['lines']} {row['by']}" if row["applied"] else row["by"]
     return (row["file"], "-", offset, _seconds(row["error_s"]), by)
 

@@ -116,13 +116,13 @@ def test_failsafes_and_errors_are_distinguished(tmp_path: Path) -> None:
 
 
 def test_a_log_without_the_time_of_a_gps_is_left_out_and_named(tmp_path: Path) -> None:
-    """Its times would be wrong by an unknown amount."""
+    """Its times would be wrong by an unknown amount; the command says so and fails."""
     file = tmp_path / "1.bin"
     file.write_bytes(gzip.decompress((FOLDER / "dataflash.bin.gz").read_bytes()))
-    events, problems = read_dataflash(file)
-    assert not events and [what for what, _ in problems.found] == [
-        "no time of a GPS: when it was recorded is not known, so it is left out"
-    ]
+    events, _ = read_dataflash(file)
+    assert events and not any(event.placed for event in events)
+    result = CliRunner().invoke(group, ["report", str(file)])
+    assert result.exit_code == 1 and "no time of a GPS" in result.output and str(file) in result.output
 
 
 def test_long_texts_are_put_together(tmp_path: Path) -> None:

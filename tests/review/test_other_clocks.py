@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import random
 import shutil
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +84,39 @@ def test_the_offset_is_right_within_its_error(tmp_path: Path, wrong_s: float) ->
     assert clock["offset_s"] <= -wrong_s, "a line is never received before it was written"
     (other,) = [row for row in made["other"]["rows"] if row["text"] == "Mission: 1 Takeoff"]
     assert other["t"] == pytest.approx(T0 + 350.0, abs=clock["error_s"])
+
+
+def messages(log: bytes, lines: list[tuple[float, str]]) -> bytes:
+    """Messages MSG as ArduPilot writes them for lines that it received, by seconds since its boot."""
+    head = b"\xa3\x95\x80"
+    starts = (place for place in range(len(log)) if log[place : place + 3] == head)
+    kind = next(log[place + 3 : place + 4] for place in starts if log[place + 5 : place + 9] == b"MSG\0")
+    said = ((at, f"SRC=1/193:{text}".encode()) for at, text in lines)
+    return b"".join(b"\xa3\x95" + kind + struct.pack("<Q64s", int(at * 1e6), text) for at, text in said)
+
+
+def test_lines_of_phm_place_a_dataflash_log_without_a_gps(tmp_path: Path) -> None:
+    """A recorded log that never had a fix, with lines of PHM about changes added to it; boot was 50 s after T0."""
+    lines = flown(tmp_path / "log", times=THREE)
+    plain = gzip.decompress((FOLDER / "dataflash.bin.gz").read_bytes())
+    file = tmp_path / "1.bin"
+    file.write_bytes(plain + messages(plain, [(at + 0.1 - 50.0, text) for at, text in lines]))
+    made = report(tmp_path)
+    clock = clock_of(made, file)
+    assert (clock["applied"], clock["offset_s"]) == (True, None) and clock["lines"] >= 6
+    ours = [row for row in made["other"]["rows"] if row["text"] in {text for _, text in lines}]
+    assert [row["t"] - T0 for row in ours] == [pytest.approx(at, abs=0.02) for at, _ in lines]
+    assert len(made["other"]["rows"]) > len(ours), "what the autopilot itself logged is placed, too"
+
+
+def test_a_recorded_session_of_seconds_does_not_place_a_log_without_a_gps(tmp_path: Path) -> None:
+    """The session above, without the messages of its GPS: its changes are of too few moments."""
+    shutil.copy(PHM_LOG, tmp_path / "phm.jsonl.gz")
+    plain = gzip.decompress(DATAFLASH.read_bytes())
+    place = next(place for place in range(len(plain)) if plain[place : place + 9].endswith(b"GPS\0"))
+    (tmp_path / "1.bin").write_bytes(plain[: place + 5] + b"GPX\0" + plain[place + 9 :])
+    made = report(tmp_path)
+    assert made["other"]["rows"] == [] and "no time of a GPS" in made["files"]["problems"][0]["what"]
 
 
 def test_lines_that_waited_for_the_link_do_not_move_it(tmp_path: Path) -> None:

@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from phm.review import source_ulog
+from phm.review import source_ulog, tables
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
 from phm.review.other import Other, text_event
 from tests.review import crafted_ulog
 from tests.review.records import T0, report
+from tests.review.test_other_clocks import THREE, flown
 
 
 def read(file: Path) -> tuple[list[Any], Problems]:
@@ -45,11 +46,41 @@ def test_modes_arming_failsafes_and_texts_have_the_time_of_the_gps(tmp_path: Pat
 
 
 def test_a_log_without_a_fix_is_left_out_and_named(tmp_path: Path) -> None:
-    """Its times are not known."""
+    """Its times are not known, alone and beside a log of PHM of which it has no line."""
     file = tmp_path / "1.ulg"
     file.write_bytes(crafted_ulog.log(T0, fix=False))
-    events, problems = read(file)
-    assert not events and any("no time of a GPS" in what for what, _ in problems.found)
+    for alone in (True, False):
+        if not alone:
+            flown(tmp_path / "log", times=THREE)
+        made = report(tmp_path)
+        assert made["other"] == {"outside": 0, "left_out": 0, "rows": []} and made["clocks"]["others"] == []
+        assert [agent["agent"] for agent in made["agents"]] == ([] if alone else ["agent_1"])
+        (problem,) = made["files"]["problems"]
+        assert problem["file"] == str(file) and "no time of a GPS" in problem["what"]
+
+
+def test_lines_of_phm_place_a_log_without_a_fix(tmp_path: Path) -> None:
+    """An autopilot that flies indoors: boot was 7 s after T0, and each line arrived 0.2 s after it was written."""
+    lines = flown(tmp_path / "log", 7, times=THREE)
+    texts = [crafted_ulog.text(at + 0.2 - 7.0, 4, text) for at, text in lines]
+    file = tmp_path / "1.ulg"
+    file.write_bytes(crafted_ulog.log(T0, fix=False) + b"".join(texts))
+    made = report(tmp_path)
+    (clock,) = made["clocks"]["others"]
+    assert (clock["applied"], clock["lines"], clock["offset_s"]) == (True, 6, None)
+    times = {row["text"]: row["t"] - T0 for row in made["other"]["rows"] if row["what"] == "statustext"}
+    assert times["Failsafe activated"] == pytest.approx(90.5 + 7.0 - 0.2, abs=0.05)
+    assert clock["error_s"] >= 1.0 and not made["files"]["problems"]
+    assert "had no time" in tables.markdown(made)
+
+
+def test_one_failure_does_not_place_a_log_without_a_fix(tmp_path: Path) -> None:
+    """A node that dies says the same each day: lines in three moments are needed."""
+    lines = flown(tmp_path / "log", 7, times=THREE)
+    texts = [crafted_ulog.text(at, 4, text) for at, text in lines[:4]]
+    (tmp_path / "1.ulg").write_bytes(crafted_ulog.log(T0, fix=False) + b"".join(texts))
+    made = report(tmp_path)
+    assert made["other"]["rows"] == [] and len(made["files"]["problems"]) == 1
 
 
 def test_after_damage_it_continues_at_the_next_synchronization(tmp_path: Path) -> None:
