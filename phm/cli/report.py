@@ -120,11 +120,11 @@ def _add(merged: Record, dataset: str) -> dict[str, Any]:
 
 
 def _compare(paths: tuple[str, ...], flight: int | None, as_json: bool, as_markdown: bool) -> None:
-    from phm.review import compare, compare_text, tables
+    from phm.review import comparison, comparison_text, tables
 
     first, second = (_build((path,), number or flight) for path, number in map(_with_flight, paths))
-    made = compare.build(first, second)
-    said, shown = compare_text.sentences(made), compare_text.tables(made)
+    made = comparison.build(first, second)
+    said, shown = comparison_text.sentences(made), comparison_text.tables(made)
     if as_json:
         click.echo(json.dumps(made, separators=(",", ":")))
     elif as_markdown:
@@ -154,17 +154,17 @@ def _read(paths: tuple[str, ...]) -> Part:
     from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from phm.review import gather
+    from phm.review import record_reader
 
     try:
-        found = gather.find(paths)
-    except gather.NoRecord as error:
+        found = record_reader.find(paths)
+    except record_reader.NoRecord as error:
         raise click.ClickException(str(error)) from None
     console = Console(stderr=True)
     columns = (TextColumn("reading"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("reading", total=found.bytes)
-        return gather.read(found, lambda count: bar.advance(task, count))
+        return record_reader.read(found, lambda count: bar.advance(task, count))
 
 
 def _write_recording(merged: Record, made: dict[str, Any], path: str) -> None:

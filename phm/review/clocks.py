@@ -10,9 +10,9 @@ import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from phm.review.agent_run import Run
 from phm.review.ground_part import GroundRun
 from phm.review.part import STEP_S
-from phm.review.run import Run
 from phm.review.spans import both, joined, total
 from phm.review.votes import SAME_S
 

@@ -11,10 +11,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from phm.core.model import Level, Slot
+from phm.review.agent_run import Run
 from phm.review.clocks import RunClock, machine
 from phm.review.events import WORDS
 from phm.review.ground_part import GroundRun
-from phm.review.run import Run
 from phm.review.spans import Span, both, joined, total
 from phm.review.votes import (
     NEAR_S,

@@ -11,9 +11,9 @@ import statistics
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 
+from phm.review.agent_run import Run
 from phm.review.clocks import REFERENCE, RunClock, begin_of, end_of, taken
 from phm.review.ground_part import GroundRun
-from phm.review.run import Run
 from phm.review.votes import MOST_EACH, MOST_OTHER, NEAR_S, Agreed, vote
 
 WIDTH_HEARD_S, HEARD_ERROR_S = 0.6, 0.2

@@ -18,7 +18,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
-from phm.review import unpack
+from phm.review import decompression
 
 MAGIC = b"\x89MCAP0\r\n"
 MOST_CHUNK = 64 << 20
@@ -89,8 +89,10 @@ def rows(stream: IO[bytes], problem: Problem) -> Iterator[ChannelRow | MessageRo
         if len(body) < length:
             problem("ends within a record")
             return
-        if state.unpacked > unpack.FREE_BYTES + unpack.MOST_GROWTH * state.packed:
-            problem(f"chunks that unpack to more than {unpack.MOST_GROWTH} times their size: the rest is left out")
+        if state.unpacked > decompression.FREE_BYTES + decompression.MOST_GROWTH * state.packed:
+            problem(
+                f"chunks that unpack to more than {decompression.MOST_GROWTH} times their size: the rest is left out"
+            )
             return
     problem("ends without its last record: the recorder was not stopped")
 
@@ -143,7 +145,7 @@ def _chunk(state: _State, body: memoryview) -> Iterator[ChannelRow | MessageRow]
             state.problem("chunks that are not complete: what is there is read")
         elif chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
             raise ValueError("wrong checksum")
-    except unpack.TooLarge:
+    except decompression.TooLarge:
         state.problem("chunks that unpack to more than they say, or than is read: left out")
         state.unpacked += MOST_CHUNK
         return
@@ -175,11 +177,11 @@ def _unpacked(chunk: Chunk) -> bytes:
     """Raises ValueError: damaged, or larger than it says."""
     most = chunk.uncompressed_size
     if most > MOST_CHUNK:
-        raise unpack.TooLarge(str(most))
+        raise decompression.TooLarge(str(most))
     if chunk.compression == "zstd":
-        return unpack.zstd(chunk.data, most)
+        return decompression.zstd(chunk.data, most)
     if chunk.compression == "lz4":
-        return unpack.lz4(chunk.data, most)
+        return decompression.lz4(chunk.data, most)
     if chunk.compression:
         raise ValueError(chunk.compression)
     return chunk.data[:most]

@@ -8,9 +8,9 @@ import zlib
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from phm.review.decompression import GZIP
 from phm.review.events import LATEST_S, WORDS, Event
 from phm.review.lines import BLOCK, Problems
-from phm.review.unpack import GZIP
 from phm.wire.text import one_line
 
 RECORDED = frozenset(("diagnostic", "rosout", "topic", "gap"))

@@ -17,10 +17,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from phm.core.model import Level, Slot
+from phm.review.agent_run import Run
 from phm.review.clocks import RunClock
 from phm.review.events import WORDS
 from phm.review.other import LEVELS, Other
-from phm.review.run import Run
 from phm.review.spans import Span, both, joined
 from phm.review.votes import OWN_ERROR_S, WINDOW_S, Key, Times, candidate, compared, too_little, weigh, within
 from phm.wire import status_line

@@ -17,8 +17,8 @@ from typing import Any
 
 from phm.core.file_lock import locked
 from phm.review import parquet_rows
+from phm.review.agent_run import Run
 from phm.review.record import Record
-from phm.review.run import Run
 from phm.review.statistics import rate_limits
 from phm.wire.report import iso
 

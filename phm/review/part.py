@@ -6,12 +6,12 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from phm.review.agent_run import MOST_CHECKS, Change, Run, RunMark
 from phm.review.events import LATEST_S, Event, numbers
 from phm.review.ground_part import GroundRun
 from phm.review.lines import Problems
 from phm.review.measurements import PLOTTED
 from phm.review.other import EARLIEST_S, KINDS, MOST, Other
-from phm.review.run import MOST_CHECKS, Change, Run, RunMark
 
 MOST_RUNS = 2000
 MOST_UNITS = 1000

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phm.review import recordings
+from phm.review.agent_run import Change, Run, RunMark
 from phm.review.boot_clocks import continue_by_autopilot
 from phm.review.clocks import (
     RunClock,
@@ -22,7 +23,6 @@ from phm.review.heard_clocks import align_by_heartbeats
 from phm.review.other import NO_TIME, Other
 from phm.review.other_clocks import OtherClock, align_others
 from phm.review.part import Part
-from phm.review.run import Change, Run, RunMark
 from phm.review.spans import Cover, Span, joined
 
 QUIET_S = 30.0

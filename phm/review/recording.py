@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 
 from phm.review.cdr import Status
 from phm.review.cdr_read import line, statuses
+from phm.review.decompression import ZSTD, zstd
 from phm.review.events import Event
 from phm.review.lines import Problems
 from phm.review.other import MOST, MOST_SYSTEMS, plain
 from phm.review.topic_times import TopicTimes
-from phm.review.unpack import ZSTD, zstd
 
 TYPES = {
     "diagnostic_msgs/msg/DiagnosticArray": "diagnostics",

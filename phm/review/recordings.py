@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from typing import Protocol
 
+from phm.review.agent_run import Run
 from phm.review.clocks import RunClock
 from phm.review.other import Other
-from phm.review.run import Run
 
 OURS = "phm/"
 """Names of PHM's own diagnostics begin with this."""

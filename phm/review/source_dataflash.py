@@ -9,10 +9,10 @@ from typing import Any
 
 from phm.review import autopilot_names as names
 from phm.review.dataflash import FMT, HEAD, records
+from phm.review.decompression import gunzipped
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
 from phm.review.other import MOST, UNPLACED_S, blocks, text_event
-from phm.review.unpack import gunzipped
 
 WANTED = frozenset(("MODE", "ARM", "EV", "ERR", "MSG", "PARM", "GPS"))
 GPS_EPOCH_S = 315_964_800 - 18

@@ -6,10 +6,10 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
+from phm.review.decompression import damages, first_bytes, opened
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
 from phm.review.recording import MOST_MESSAGE, MOST_TOPICS, Recording
-from phm.review.unpack import damages, first_bytes, opened
 
 MAGIC = b"\x89MCAP0\r\n"
 MISSING = "needs mcap: install with `pip install 'phm-sidecar[report]'`"

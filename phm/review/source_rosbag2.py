@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import IO
 from urllib.parse import quote
 
+from phm.review.decompression import GZIP, ZSTD, damages, first_bytes, opened
 from phm.review.events import Event
 from phm.review.lines import BLOCK, Piece, Problems
 from phm.review.recording import MOST_MESSAGE, MOST_TOPICS, Recording
-from phm.review.unpack import GZIP, ZSTD, damages, first_bytes, opened
 
 MAGIC = b"SQLite format 3\0"
 TOPICS = "SELECT id, name, type, serialization_format FROM topics NOT INDEXED LIMIT ?"

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from phm.review import autopilot_names as names
+from phm.review.decompression import gunzipped
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
 from phm.review.other import EARLIEST_S, blocks, text_event
-from phm.review.unpack import gunzipped
 
 V1, V2, SIGNED = 0xFE, 0xFD, 0x01
 MARKER = re.compile(rb"[\xfd\xfe]")

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from phm.review import autopilot_names as names
+from phm.review.decompression import gunzipped
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
 from phm.review.other import EARLIEST_S, MOST, UNPLACED_S, blocks, text_event
 from phm.review.ulog import MAGIC, messages
-from phm.review.unpack import gunzipped
 
 STATUS, FIXES = "vehicle_status", ("vehicle_gps_position", "sensor_gps")
 WANTED = frozenset((STATUS, *FIXES))

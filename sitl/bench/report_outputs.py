@@ -54,7 +54,7 @@ class Page:
 
 def dataset(flights: int, made: list[report_records.Line], where: Path, batch: int = BATCH) -> Dataset:
     """made: the lines of one flight. Raises SystemExit if the dataset has not all of them."""
-    from phm.review import gather, parquet, record
+    from phm.review import parquet, record, record_reader
 
     text_bytes, write_s = 0, 0.0
     with tempfile.TemporaryDirectory(prefix="phm-bench-report-", dir=where) as name:
@@ -63,7 +63,7 @@ def dataset(flights: int, made: list[report_records.Line], where: Path, batch: i
             for number in range(first, min(first + batch, flights)):
                 text_bytes += _log(logs / str(number), made, number % AGENTS + 1, number // AGENTS + 1)
             began = time.monotonic()
-            parquet.write(record.build(gather.read(gather.find([str(logs)]))), str(folder))
+            parquet.write(record.build(record_reader.read(record_reader.find([str(logs)]))), str(folder))
             write_s += time.monotonic() - began
             shutil.rmtree(logs)
         times = []

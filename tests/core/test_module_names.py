@@ -33,13 +33,6 @@ EXEMPT = {
     "phm/reporters/notify.py": "the reporter of that section, under its name",
     "sitl/bench/load.py": "the noun: the load of a machine",
 }
-FOR_NOW = {
-    "phm/review/compare.py": "phm.review is being rewritten; its modules are renamed after that",
-    "phm/review/gather.py": "as compare.py",
-    "phm/review/run.py": "the noun: one recorded run of PHM",
-    "phm/review/unpack.py": "as compare.py",
-}
-"""These may go at any time, so the test does not require that they exist."""
 
 
 def names() -> Iterator[str]:
@@ -58,7 +51,7 @@ def bad(path: str) -> bool:
 def test_no_module_is_called_by_a_bare_verb_or_a_metaphor() -> None:
     """`loader`, not `load`: a verb says nothing about what it is done to, and is in each search a hundred times."""
     found = {path for path in names() if bad(path) and not path.startswith((NAMED_LIKE_COMMANDS, NAMED_LIKE_ACTIONS))}
-    assert sorted(found - EXEMPT.keys() - FOR_NOW.keys()) == []
+    assert sorted(found - EXEMPT.keys()) == []
     assert sorted(EXEMPT.keys() - found) == [], "these are no longer there: remove them from the list"
 
 

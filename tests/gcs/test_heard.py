@@ -16,7 +16,7 @@ from phm.gcs.recorder import Recorder
 from phm.gcs.station import COMPONENT, GroundStation
 from phm.gcs.web.replay import record
 from phm.reporters import heard_heartbeats
-from phm.review import gather
+from phm.review import record_reader
 from phm.wire import json_log
 from tests.fakes.mavlink import Sender, free_port, heartbeat
 from tests.fakes.until import until
@@ -83,7 +83,7 @@ def test_heartbeats_that_the_ground_sends_and_receives_are_in_its_record(
     until(lambda: sent <= frames(path), "what was sent")
     until(lambda: len([one for one in frames(path) if one[:2] == (7, 193)]) == 5, "what was received")
     book.close()
-    (run,) = gather.read(gather.find([str(path)])).grounds.values()
+    (run,) = record_reader.read(record_reader.find([str(path)])).grounds.values()
     assert run.heard.keys() >= sent and all(times == sorted(times) for times in run.heard.values())
     assert len(run.numbers.spans) == 1, "these lines do not count"
     assert "heard" not in {entry.line["event"] for entry in record.load(path).entries if entry.line}

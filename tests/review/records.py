@@ -30,7 +30,7 @@ from phm.core.settings import AgentSettings, LogSettings, Settings
 from phm.gcs.events import GcsEvent, encode
 from phm.reporters.base import MavlinkSender
 from phm.reporters.log import LogReporter
-from phm.review import document, gather, record
+from phm.review import document, record, record_reader
 from phm.testing import FakeClock
 from tests.fakes.records import context, unit
 
@@ -208,7 +208,7 @@ class Ground:
 
 def report(*paths: Path, flight: int | None = None) -> dict[str, Any]:
     """The document of these files and folders."""
-    part = gather.read(gather.find([str(path) for path in paths]))
+    part = record_reader.read(record_reader.find([str(path) for path in paths]))
     return document.build(record.build(part), flight)
 
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings, strategies as st
 from pymavlink import DFReader
 
 from phm.cli import group
-from phm.review import gather, page, source_dataflash, source_tlog
+from phm.review import page, record_reader, source_dataflash, source_tlog
 from phm.review.events import Event
 from phm.review.lines import Piece, Problems
 from phm.review.other import Other
@@ -178,8 +178,8 @@ def test_other_files_are_not_taken_for_records(tmp_path: Path) -> None:
     (tmp_path / "a.bin").write_bytes(b"\0" * 100)
     (tmp_path / "b.tlog").write_bytes(b"not a log, but longer than a stamp")
     (tmp_path / "c.gz").write_bytes(b"\x1f\x8b broken")
-    with pytest.raises(gather.NoRecord):
-        gather.find([str(tmp_path)])
+    with pytest.raises(record_reader.NoRecord):
+        record_reader.find([str(tmp_path)])
 
 
 def read_dataflash(file: Path) -> tuple[list[Any], Problems]:

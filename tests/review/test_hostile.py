@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hypothesis import given, settings, strategies as st
 
-from phm.review import document, gather, record
+from phm.review import document, record, record_reader
 from phm.review.events import parse
 from phm.review.lines import MAX_LINE, Piece, Problems, lines
 from phm.review.part import Part
@@ -134,6 +134,6 @@ def test_processes_give_the_same_as_one(tmp_path: Path) -> None:
     """A record that is read in pieces by several processes gives the same document."""
     one_flight(tmp_path / "a", 1).close()
     one_flight(tmp_path / "b", 2).close()
-    found = gather.find([str(tmp_path)])
-    alone, several = (document.build(record.build(gather.read(found, processes=count))) for count in (1, 2))
+    found = record_reader.find([str(tmp_path)])
+    alone, several = (document.build(record.build(record_reader.read(found, processes=count))) for count in (1, 2))
     assert alone == several

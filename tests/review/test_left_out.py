@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from phm.review import agent_row, document, levels, page, tables
+from phm.review.agent_run import MOST_POINTS, MOST_SERIES, Run
 from phm.review.ground_part import RADIO
 from phm.review.measurements import GROUPS, PLOTTED
 from phm.review.part import Part
-from phm.review.run import MOST_POINTS, MOST_SERIES, Run
 from tests.review import raw
 from tests.review.records import T0, Ground, report
 
@@ -172,7 +172,7 @@ def test_each_of_many_topics_has_a_plot(tmp_path: Path) -> None:
 
 def test_measurements_without_a_plot_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also when a record is read in pieces that are merged."""
-    monkeypatch.setattr("phm.review.run.MOST_SERIES", 3)
+    monkeypatch.setattr("phm.review.agent_run.MOST_SERIES", 3)
     events = [raw.unit(at, f"rates/t{number}", hz=1.0) for at in (0, 20) for number in range(5)]
     assert counts(report(raw.write(tmp_path, events))) == {"measurements without a plot": 2}
     one, two = Run("a", 1, "b"), Run("a", 1, "b")

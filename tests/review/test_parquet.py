@@ -16,7 +16,7 @@ import pytest
 
 from phm.core.file_lock import locked
 from phm.core.model import Fault, FaultClosed, Outcome
-from phm.review import gather, parquet, record
+from phm.review import parquet, record, record_reader
 from tests.review.records import T0, Flown, report
 from tests.review.test_command import phm
 from tests.review.test_document import one_flight
@@ -25,7 +25,7 @@ REPORT = Path(__file__).resolve().parents[2] / "docs" / "reference" / "report.md
 
 
 def add(folder: Path, dataset: Path) -> dict[str, int]:
-    return parquet.write(record.build(gather.read(gather.find([str(folder)]))), str(dataset))
+    return parquet.write(record.build(record_reader.read(record_reader.find([str(folder)]))), str(dataset))
 
 
 def rates(dataset: Path, check: str = "nodes") -> dict[str, Any]:

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from phm.cli.report import command
 from phm.core.model import Level
-from phm.review import compare
+from phm.review import comparison
 from tests.review.records import Flown, report
 
 
@@ -31,7 +31,7 @@ def flight(folder: Path, faults: int = 0, boot: str = "boot0001") -> Path:
 
 def test_a_record_without_any_fault_was_observed_all_the_same(tmp_path: Path) -> None:
     """Twenty faults against none in the same time are no chance, for the unit as for its check."""
-    made = compare.build(report(flight(tmp_path / "a", 20)), report(flight(tmp_path / "b")))
+    made = comparison.build(report(flight(tmp_path / "a", 20)), report(flight(tmp_path / "b")))
     for row in (made["checks"][0], made["faults"][0]):
         assert (row["verdict"], row["observed_s"], row["chance"]) == ("gone", [2000.0, 2000.0], False)
         assert row["probability"] == pytest.approx(2 * 0.5**20, abs=1e-6)
@@ -41,7 +41,7 @@ def test_a_check_that_one_record_does_not_have_was_not_observed_there(tmp_path: 
     """Its faults have no rate there to be compared with."""
     second = flight(tmp_path / "b") / "phm.jsonl"
     second.write_text("".join(line for line in second.read_text().splitlines(True) if '"nodes' not in line))
-    row = compare.build(report(flight(tmp_path / "a", 20)), report(second))["checks"][0]
+    row = comparison.build(report(flight(tmp_path / "a", 20)), report(second))["checks"][0]
     assert (row["check"], row["observed_s"], row["probability"], row["chance"]) == ("nodes", [2000.0, 0.0], None, True)
 
 

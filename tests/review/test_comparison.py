@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.review import compare
+from phm.review import comparison
 from phm.review.statistics import rate_limits, same_rate
 from tests.review.records import Flown, report
 
@@ -25,7 +25,7 @@ def flight(folder: Path, *units: str) -> Path:
 
 
 def rows(first: Path, second: Path) -> dict[str, dict[str, object]]:
-    return {row["check"]: row for row in compare.build(report(first), report(second))["checks"]}
+    return {row["check"]: row for row in comparison.build(report(first), report(second))["checks"]}
 
 
 def test_new_gone_worse_and_better_faults_are_named(tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_the_test_of_two_rates_is_the_binomial_one() -> None:
 
 def test_many_comparisons_make_chance_more_likely() -> None:
     """Holm: the smallest is multiplied by the number of comparisons, the next by one less, never below the one before."""
-    assert compare.holm([0.01, None, 0.04, 0.03]) == [
+    assert comparison.holm([0.01, None, 0.04, 0.03]) == [
         pytest.approx(0.03),
         None,
         pytest.approx(0.06),
