@@ -46,7 +46,7 @@ def disk(path: str, block: Path = BLOCK) -> str:
     name = f"{os.major(number)}:{os.minor(number)}"
     entry = (block / name).resolve()
     if not entry.exists():
-        raise LookupError(f"{path} is not on its own block device, so its speed cannot be limited")
+        raise LookupError(f"{path} is not on a block device, so its speed cannot be limited")
     return (entry.parent / "dev").read_text("ascii").strip() if (entry / "partition").exists() else name
 
 
