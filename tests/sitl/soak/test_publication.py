@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from sitl.campaign import seeds
+from sitl.campaign.report import between_marks
 from sitl.campaign.trial import NOMINAL, Trial
 from sitl.harness.compose_stack import ROOT
-from sitl.soak import publication
+from sitl.soak import publication, report
 from sitl.soak.main import main
 from sitl.soak.runner import load as load_runs
 from sitl.soak.sample import Sample, load
@@ -95,3 +96,13 @@ def test_an_incomplete_soak_or_one_of_an_unknown_commit_is_not_published(
     with pytest.raises(ValueError, match=words):
         publication.publish(samples(), runs(seconds), {**SETTING, **changes})
     assert contents(root) == before
+
+
+def test_the_published_page_is_that_of_the_published_record() -> None:
+    """No figure was edited by hand, and the rules that make them are those of today."""
+    folder = ROOT / publication.RECORD
+    setting = json.loads((folder / publication.SETTING).read_text("utf-8"))
+    trials = load_runs(folder / publication.RUNS)
+    found = report.document(load(folder / publication.SAMPLES), trials, setting)
+    page = (ROOT / publication.PAGE).read_text("utf-8")
+    assert page == between_marks(page, publication.as_markdown(found, trials), publication.BEGIN, publication.END)
