@@ -72,7 +72,9 @@ def test_an_approval_is_confirmed_and_the_answer_is_shown(page: Page, station: G
     vehicle = agents.vehicles[3]
 
     def approvals() -> list[Any]:
-        return [one for one in vehicle.hear() if one.get_type() == "COMMAND_LONG" and one.command == 31010]
+        """The station sends all commands on its one link: those to other agents arrive here, too."""
+        heard = [one for one in vehicle.hear() if one.get_type() == "COMMAND_LONG"]
+        return [one for one in heard if (one.target_system, one.command) == (3, 31010)]
 
     agents.levels[3] = {Slot.CONTAINER: Level.ERROR}
     try:
