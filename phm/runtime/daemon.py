@@ -184,7 +184,7 @@ class Daemon:
         self._subscribers = hub.subscribers() if hub is not None else ()
         try:
             yield
-        except BaseException:
+        except BaseException:  # whatever ends it, also a signal: raised again below
             if hub is not None:
                 hub.forget(each for each in hub.subscribers() if each not in self._subscribers)
             raise

@@ -8,7 +8,6 @@ from __future__ import annotations
 import gzip
 import socket
 import struct
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -112,7 +111,7 @@ class RecordedFlight(PathWorld):
                 endpoint._ring()
             return self.hub.traffic()[self._name].bytes_in >= self._sent and self.hub.read_at(self._name) == now
 
-        until(done, "PHM to have read the frames", step=lambda: time.sleep(0.0005))
+        until(done, "PHM to have read the frames", poll_s=0.0005)
 
     # ------------------------------------------------------------ what was published
 

@@ -10,19 +10,17 @@ LIMIT_S = 120.0
 POLL_S = 0.01
 
 
-def _poll() -> None:
-    time.sleep(POLL_S)
-
-
 def until(
     condition: Callable[[], Any],
     what: str = "the condition",
     seen: Callable[[], object] | None = None,
     *,
     limit_s: float = LIMIT_S,
-    step: Callable[[], object] = _poll,
+    poll_s: float = POLL_S,
+    step: Callable[[], object] | None = None,
 ) -> Any:
-    """Return the first true value of `condition`, calling `step` after each false one.
+    """Return the first true value of `condition`. After each false one call `step`, or without one wait for `poll_s`: longer where each
+    look is expensive, e.g. a question to the Docker Engine.
 
     After `limit_s` seconds of real time, fail with what was waited for and what was `seen` instead.
     """
@@ -31,5 +29,8 @@ def until(
         if time.monotonic() > end_s:
             instead = "" if seen is None else f"; seen: {seen()}"
             raise AssertionError(f"waited {limit_s:g} s for {what}{instead}")
-        step()
+        if step is None:
+            time.sleep(poll_s)
+        else:
+            step()
     return value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -218,7 +217,7 @@ class Agent:
 
     def _settle(self) -> None:
         """Wait until all current work is done: the threads of the bus, of recovery and of actions sleep again."""
-        until(self._is_idle, "all threads to be idle", step=lambda: time.sleep(0.0002))
+        until(self._is_idle, "all threads to be idle", poll_s=0.0002)
 
     def _is_idle(self) -> bool:
         return self.clock.sleepers >= len(self.bus._subscriptions) + len(self.executor._workers) + len(self._at_work)

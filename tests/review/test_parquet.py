@@ -193,7 +193,7 @@ def test_two_reports_do_not_write_into_one_dataset_at_once(tmp_path: Path) -> No
 
 
 def test_a_dataset_of_an_earlier_version_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    """Its files have runs that cannot be told apart, so they would count twice; nothing is written into it."""
+    """Its files have runs that cannot be distinguished, so they would count twice; nothing is written into it."""
     one_flight(tmp_path / "log").close()
     old = tmp_path / "set" / "checks" / "day=2026-03-01" / "agent=agent_1" / "2026-03-01T12_00_00Z-12345678.parquet"
     old.parent.mkdir(parents=True)

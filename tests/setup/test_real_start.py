@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import subprocess
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -106,7 +105,7 @@ def test_the_written_folder_starts_a_sidecar_that_sees_the_application(
     def seen() -> str:
         return f"{status(folder)}\n{run('docker', 'compose', 'logs', cwd=folder)}"
 
-    until(healthy, f"{wanted} to be OK", seen, limit_s=LIMIT_S, step=lambda: time.sleep(0.5))
+    until(healthy, f"{wanted} to be OK", seen, limit_s=LIMIT_S, poll_s=0.5)
     settings = run("docker", "compose", "exec", "-T", "phm", "env", cwd=folder)
     application = {line for line in client_environment(app) if line.startswith("ROS_")}
     assert {line for line in application if not line.endswith("=SUBNET")} <= set(settings.splitlines())

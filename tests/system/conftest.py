@@ -11,7 +11,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -235,4 +234,4 @@ def _command(process: psutil.Process) -> list[str]:
 
 def poll(condition: Callable[[], bool], what: str, limit_s: float = 20.0) -> None:
     """Wait until `condition` is true, with fewer looks than `until`: each may ask the Docker Engine."""
-    until(condition, what, limit_s=limit_s, step=lambda: time.sleep(0.05))
+    until(condition, what, limit_s=limit_s, poll_s=0.05)

@@ -54,16 +54,15 @@ class _NodeBeacon:
     copied_by: tuple[str, float] = ("", 0.0)
     turned_since: float | None = None
 
-    def follow(self, last: _NodeBeacon) -> None:
-        """Take over from the last beacon of the same process what this one does not contain."""
-        self.rivals, self.copied_by, self.turned_since = last.rivals, last.copied_by, last.turned_since
-        ran_since, turns = last.fact.ran_since, self.fact.turns - last.fact.turns
-        if last.fact.birth != self.fact.birth:
-            ran_since = self.turned_since = None
-        elif turns > 0:
-            # Turns that the last beacon did not count came after it.
-            ran_since, self.turned_since = last.at_s if turns > 1 else last.turned_since, last.at_s
-        self.fact = replace(self.fact, ran_since=ran_since)
+    def ran(self, later: BeaconFact) -> tuple[float | None, float | None]:
+        """Since when the executor has run twice, and once, as the next beacon of the same process shows: turns that this one does not
+        count came after it. None: unknown."""
+        turns = later.turns - self.fact.turns
+        if later.birth != self.fact.birth:
+            return None, None
+        if turns <= 0:
+            return self.fact.ran_since, self.turned_since
+        return self.at_s if turns > 1 else self.turned_since, self.at_s
 
     def now(self, now_s: float) -> BeaconFact:
         who, at_s = self.copied_by
@@ -182,7 +181,7 @@ class BeaconRegistry:
         return beacon is not None and beacon.fact.witness == witness
 
     def _add(self, name: str, fact: BeaconFact, at_s: float, *, has_views: bool) -> None:
-        known = self._beacons.get(name)
+        known, turned_since = self._beacons.get(name), None
         if known is None:
             others = len(self._beacons) - len(self._nodes & self._beacons.keys())
             if name not in self._nodes and others >= MAX_STRANGERS:
@@ -195,19 +194,21 @@ class BeaconRegistry:
             known = None
         else:
             neighbours = fact if has_views else known.fact
+            ran_since, turned_since = known.ran(fact)
             fact = replace(
                 fact,
                 rivals=known.fact.rivals,
                 copied_by=known.fact.copied_by,
                 views=neighbours.views,
                 full=neighbours.full,
+                ran_since=ran_since,
             )
         if known is None or has_views or known.doubt or _differs(known.fact, fact):
             self._changed.add(name)
         self._received.add(name)
-        new = self._beacons[name] = _NodeBeacon(fact, at_s)
+        new = self._beacons[name] = _NodeBeacon(fact, at_s, turned_since=turned_since)
         if known is not None:
-            new.follow(known)
+            new.rivals, new.copied_by = known.rivals, known.copied_by
 
 
 def _differs(old: BeaconFact, new: BeaconFact) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -51,7 +50,7 @@ while True:
 STREAM = "while :; do dd if=/dev/zero of=/tmp/data bs=1M count=200 2>/dev/null; cat /tmp/data >/dev/null; done"
 
 
-wait_until = partial(until, limit_s=LIMIT_S, step=lambda: time.sleep(LOOK_S))
+wait_until = partial(until, limit_s=LIMIT_S, poll_s=LOOK_S)
 
 
 class Agent:

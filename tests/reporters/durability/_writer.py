@@ -10,7 +10,6 @@ import contextlib
 import os
 import signal
 import struct
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -63,12 +62,13 @@ class Writer:
 
     def until(self, wanted: Callable[[], bool]) -> None:
         """Read until `wanted`; at most a minute."""
-        until(wanted, "the writer", lambda: (self.written, self.kept), limit_s=60.0, step=self._step)
 
-    def _step(self) -> None:
-        assert not os.waitpid(self.pid, os.WNOHANG)[0], (self.written, self.kept)
-        self.read()
-        time.sleep(0.001)
+        def seen() -> bool:
+            assert not os.waitpid(self.pid, os.WNOHANG)[0], (self.written, self.kept)
+            self.read()
+            return wanted()
+
+        until(seen, "the writer", lambda: (self.written, self.kept), limit_s=60.0, poll_s=0.001)
 
     def stop(self) -> None:
         """Suspend it: nothing is written from here."""
