@@ -8,6 +8,7 @@ from phm.commands.requests import AddNote, HoldContainer, OperatorRequest, Ping,
 from phm.commands.services import CommandServices
 from phm.core.clock import Clock
 from phm.core.model import Fault
+from phm.core.rate_limiter import RateLimiter
 from phm.wire.command import (
     ApproveAction,
     CommandResult,
@@ -28,7 +29,7 @@ class CommandHandler:
 
     def __init__(self, services: CommandServices, containers: Sequence[str], clock: Clock) -> None:
         self._services, self._containers, self._clock = services, tuple(containers), clock
-        self._checked = float("-inf")
+        self._checks = RateLimiter(1 / CHECK_EVERY_S, 1.0)
 
     @property
     def containers(self) -> tuple[str, ...]:
@@ -65,10 +66,8 @@ class CommandHandler:
                 return Reply(CommandResult.ACCEPTED, "PHM is running")
 
     def _run_checks(self) -> Reply:
-        now = self._clock.mono()
-        if now - self._checked < CHECK_EVERY_S:
+        if not self._checks.allow(self._clock.mono()):
             return Reply(CommandResult.TEMPORARILY_REJECTED, f"checks were requested less than {CHECK_EVERY_S:g} s ago")
-        self._checked = now
         self._services.run_checks()
         return Reply(CommandResult.ACCEPTED, "running all checks")
 

@@ -51,3 +51,9 @@ class RateLimiter:
             self._buckets.popitem(last=False)
         bucket.refill(now, self._rate, self._burst)
         return bucket.take()
+
+    def left(self, now: float, key: Hashable = None) -> float:
+        """How many events of this key are within the limit now, `burst` when there were none. Counts as none itself."""
+        bucket = self._buckets.get(key) or TokenBucket(self._burst, now)
+        bucket.refill(now, self._rate, self._burst)
+        return bucket.tokens

@@ -5,11 +5,11 @@ The words are those of the record (`summary`, `detail`, `values`); nothing is ju
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from phm.core.duplicate_filter import DuplicateFilter
 from phm.wire.text import one_line
 
 Json = Mapping[str, Any]
@@ -41,15 +41,15 @@ class Explainer:
     """Explains lines; remembers open faults, so that an explanation is not repeated."""
 
     def __init__(self) -> None:
-        self._faults: OrderedDict[tuple[str, str], str] = OrderedDict()
-        self._last: OrderedDict[str, tuple[object, int]] = OrderedDict()
+        self._faults: DuplicateFilter[tuple[str, str], str] = DuplicateFilter(_REMEMBERED)
+        self._last: DuplicateFilter[str, tuple[object, int]] = DuplicateFilter(_REMEMBERED)
 
     def explain(self, event: Json) -> Words:
         """A line in words. The text is empty if the line before has reported the fault that this transition opened."""
         name, made = event.get("event"), words(event)
         said = (_text(event, "agent"), _text(event, "fault"))
         if name == "fault_opened":
-            _keep(self._faults, said, _text(event, "summary"))
+            self._faults.add(said, _text(event, "summary"))
         elif name == "transition" and said[1] and self._faults.get(said) == _text(event, "summary"):
             values = tuple(detail for detail in made.details if detail[0] == "values")
             return replace(made, text="", details=values)
@@ -61,7 +61,7 @@ class Explainer:
         if not isinstance(seq, int):
             return 0
         before = self._last.get(agent)
-        _keep(self._last, agent, (boot, seq))
+        self._last.add(agent, (boot, seq))
         if before is None or before[0] != boot or event.get("event") == "lost":
             return 0
         return max(0, seq - before[1] - 1)
@@ -161,10 +161,3 @@ def _plain(value: object) -> str:
 
 def _safe(text: str) -> str:
     return one_line(text if len(text) <= MOST_TEXT else text[: MOST_TEXT - 1] + "…")
-
-
-def _keep(memory: OrderedDict[Any, Any], key: object, value: object) -> None:
-    memory[key] = value
-    memory.move_to_end(key)
-    if len(memory) > _REMEMBERED:
-        memory.popitem(last=False)

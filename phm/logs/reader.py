@@ -6,11 +6,11 @@ import gzip
 import hashlib
 import os
 import zlib
-from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from pathlib import Path
 from typing import IO, Any, cast
 
+from phm.core.duplicate_filter import DuplicateFilter
 from phm.wire import json_log
 
 MAX_LINE = 2_000_000
@@ -37,10 +37,10 @@ class LogReader:
         self._stream: IO[bytes] | None = None
         self._plain: IO[bytes] | None = None
         self._file = self.path
-        self._key: object = None
+        self._key: Hashable = None
         self._pending = b""
         self._skipping = False
-        self._seen: OrderedDict[object, None] = OrderedDict()
+        self._seen: DuplicateFilter[Hashable, bool] = DuplicateFilter(_REMEMBERED)
         self._nothing: object = None
 
     def again(self) -> LogReader:
@@ -115,10 +115,10 @@ class LogReader:
 
     def _finish(self) -> None:
         if self._stream is not None:
-            self._remember(self._key)
+            self._seen.add(self._key, True)
             try:
                 self._stream.seek(0)
-                self._remember(_key(self._stream))
+                self._seen.add(_key(self._stream), True)
             except _BROKEN as error:
                 self._damage(self._file, error)
         self.close()
@@ -155,7 +155,7 @@ class LogReader:
             except _BROKEN as error:
                 self._damage(file, error)
                 key = None
-            if key is not None and key not in self._seen:
+            if key is not None and not self._seen.get(key):
                 self._file, self._key = file, key
                 return True
             self.close()
@@ -173,17 +173,12 @@ class LogReader:
                 found.append((file, (about.st_dev, about.st_ino, about.st_size == 0)))
         return found
 
-    def _remember(self, key: object) -> None:
-        self._seen[key] = None
-        if len(self._seen) > _REMEMBERED:
-            self._seen.popitem(last=False)
-
     def _damage(self, file: Path, error: BaseException) -> None:
         if len(self.damaged) < json_log.MOST_FILES:
             self.damaged[str(file)] = getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
-def _key(stream: IO[bytes]) -> object:
+def _key(stream: IO[bytes]) -> Hashable:
     """A short key of a line's `json_log.identity`."""
     key = json_log.identity(stream)
     return hashlib.blake2b(key).digest() if isinstance(key, bytes) else key

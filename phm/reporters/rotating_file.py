@@ -53,6 +53,7 @@ class RotatingFile:
         self._fd = -1
         self._size = 0
         self._torn = self._dirty = False
+        # Not a BoundedQueue: one thread puts and takes, and a line leaves only when it is written.
         self._ring: deque[bytes] = deque()
         self._lost = 0
         self._last_lost = b""

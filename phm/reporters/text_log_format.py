@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 
+from phm.core.duplicate_filter import DuplicateFilter
 from phm.core.model import (
     ActionEvent,
     Event,
@@ -77,7 +77,7 @@ class TextLogFormatter:
 
     def __init__(self) -> None:
         self._slots: dict[str, Slot] = {}
-        self._escalated: deque[str] = deque(maxlen=_REMEMBERED)
+        self._escalated: DuplicateFilter[str, bool] = DuplicateFilter(_REMEMBERED)
         self._faults: dict[str, Fault] = {}
         self._open_report: int | None = None
 
@@ -132,9 +132,9 @@ class TextLogFormatter:
         kind = "ACTION"
         message = event.detail or _action_words(event)
         if event.phase is Phase.ESCALATED:
-            if event.fault in self._escalated:
+            if self._escalated.get(event.fault):
                 return
-            self._escalated.append(event.fault)
+            self._escalated.add(event.fault, True)
             kind, message = "ESCALATED", f"{event.unit}: {message}"
         elif event.phase is Phase.FAILED:
             message = f"failed: {message}"
@@ -149,8 +149,8 @@ class TextLogFormatter:
         if fault.outcome is Outcome.RESOLVED:
             by = "by itself" if fault.by in ("", "itself") else f"by {fault.by}"
             yield _line(event.at, "RESOLVED", fault.slot, f"{fault.unit}: resolved {by} {after}")
-        elif fault.outcome is Outcome.ESCALATED and fault.id not in self._escalated:
-            self._escalated.append(fault.id)
+        elif fault.outcome is Outcome.ESCALATED and not self._escalated.get(fault.id):
+            self._escalated.add(fault.id, True)
             yield _line(event.at, "ESCALATED", fault.slot, f"{fault.unit}: PHM has given up {after}")
         # REATTRIBUTED needs no line: the unit's own `STALE ... blocked by` shows it.
 

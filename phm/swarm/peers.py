@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from phm.core.duplicate_filter import DuplicateFilter
 from phm.core.scheduling_delay import Late, never_late
 from phm.swarm.agent_count import RECENT_S, STEADY
 from phm.swarm.group_loss import NEARLY, lost_together, most_significant_group, silent_peers
@@ -59,7 +60,9 @@ class Peer:
     """It was received regularly, and is silent for longer than ever before."""
     frames: dict[str, int] = field(default_factory=dict)
     """Newest frame number by link."""
-    recent_heartbeats: deque[tuple[str, int, int]] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    recent_heartbeats: DuplicateFilter[tuple[str, int, int], bool] = field(
+        default_factory=lambda: DuplicateFilter(REMEMBERED)
+    )
     """Link, frame number and word of the last heartbeats."""
     late_s: Late = never_late
 
@@ -69,13 +72,13 @@ class Peer:
     def count(self, frame: int, word: int, link: str, now: float) -> None:
         """Detect a sequence that goes back: a restart, or two senders with one id."""
         last, beat = self.frames.get(link), (link, frame, word)
-        known = beat in self.recent_heartbeats
+        known = self.recent_heartbeats.get(beat)
         if last is not None:
             back = (last - frame) % 256
             if back <= 128 and not (known and back <= REORDERED):
                 self.falls.append(now)
         if not known:
-            self.recent_heartbeats.append(beat)
+            self.recent_heartbeats.add(beat, True)
         if link in self.frames or len(self.frames) < MAX_LINKS:
             self.frames[link] = frame
 

@@ -21,6 +21,14 @@ def test_keys_do_not_affect_each_other() -> None:
     assert limiter.allow(0.0, "b")
 
 
+def test_what_is_left_of_a_key_is_known_before_it_is_used() -> None:
+    """To ask counts as no event."""
+    limiter = RateLimiter(1.0, 5.0, 2)
+    assert [limiter.left(0.0, "a") for _ in range(2)] == [5.0, 5.0]
+    assert "a" not in limiter and limiter.allow(0.0, "a")
+    assert (limiter.left(0.0, "a"), limiter.left(0.5, "a"), limiter.left(0.5, "b")) == (4.0, 4.5, 5.0)
+
+
 def test_the_key_used_longest_ago_is_forgotten_first() -> None:
     limiter = RateLimiter(1.0, 5.0, 2)
     for key in ("a", "b", "a", "c"):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections import deque
 from collections.abc import Callable, Iterator
 
 from aiohttp import web
@@ -31,7 +30,9 @@ class StreamClient:
 
     def __init__(self, request: web.Request, seen: int, now: float) -> None:
         self.request, self.seen = request, seen
-        self._waiting: deque[bytes] = deque()
+        # Not a BoundedQueue: a client that misses a message is of no use, so it is dropped instead of the message; and what is
+        # being sent counts too.
+        self._waiting = bytearray()
         self.bytes = 0
         self.moved = now
         """When the client last read data, or no data waited for it."""
@@ -43,7 +44,7 @@ class StreamClient:
         return self.request.remote or "?"
 
     def add(self, data: bytes) -> None:
-        self._waiting.append(data)
+        self._waiting += data
         self.bytes += len(data)
         self._ready.set()
 
@@ -63,8 +64,7 @@ class StreamClient:
         while True:
             await self._ready.wait()
             self._ready.clear()
-            data = b"".join(self._waiting)
-            self._waiting.clear()
+            data, self._waiting = bytes(self._waiting), bytearray()
             if data:
                 await response.write(data)
             self.bytes -= len(data)

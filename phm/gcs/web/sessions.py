@@ -5,16 +5,17 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import secrets
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from dataclasses import dataclass
 
+from phm.core.rate_limiter import RateLimiter
 from phm.gcs.web.options import OPERATE, VIEW, Tokens
 
 IDLE_S = 12 * 3600.0
 MAX_SESSIONS = 256
-FAILURES, FAILURES_ALL, WINDOW_S = 5, 50, 60.0
-"""Wrong tokens of one address within the window, and of all. Beyond the second, an address has one try; without a wrong one, or
-with a session, it is never kept out."""
+FAILURES, FAILURES_ALL, AGAIN_S = 5, 50, 60.0
+"""Wrong tokens of one address, and of all, after which there is one try per AGAIN_S: for the address, and beyond the second for
+each that has failed. An address without a wrong one, or with a session, is not kept out by others."""
 NETWORK_V6 = 64
 """Bits: one machine has all addresses of such a network."""
 MAX_ADDRESSES = 1000
@@ -36,8 +37,8 @@ class Sessions:
     def __init__(self, tokens: Tokens | None) -> None:
         self.tokens = tokens
         self._sessions: OrderedDict[str, Session] = OrderedDict()
-        self._failed: OrderedDict[str, deque[float]] = OrderedDict()
-        self._failed_all: deque[float] = deque(maxlen=FAILURES_ALL)
+        self._failures = RateLimiter(1 / AGAIN_S, FAILURES, MAX_ADDRESSES)
+        self._failures_all = RateLimiter(1 / AGAIN_S, FAILURES_ALL)
 
     def begin(self, role: str, now: float, address: str) -> tuple[str, Session]:
         """Begin a session; return its secret and the session."""
@@ -74,23 +75,18 @@ class Sessions:
     def blocked(self, address: str, now: float) -> bool:
         """Whether there were too many wrong tokens from this address, or one and too many from all together."""
         address = network(address)
-        recent = sum(now - at <= WINDOW_S for at in self._failed.get(address, ()))
-        if recent == 0 or recent >= FAILURES:
-            return recent > 0
-        recent_all = sum(now - at <= WINDOW_S for at in self._failed_all)
-        return recent_all >= FAILURES_ALL and not self._known(address, now)
+        left = self._failures.left(now, address)
+        if left < 1 or left >= FAILURES:
+            return left < 1
+        return self._failures_all.left(now) < 1 and not self._known(address, now)
 
     def _known(self, address: str, now: float) -> bool:
         """Whether a session exists for this address."""
         return any(each.address == address and now - each.used <= IDLE_S for each in self._sessions.values())
 
     def failed(self, address: str, now: float) -> None:
-        address = network(address)
-        self._failed.setdefault(address, deque(maxlen=FAILURES)).append(now)
-        self._failed.move_to_end(address)
-        self._failed_all.append(now)
-        while len(self._failed) > MAX_ADDRESSES:
-            self._failed.popitem(last=False)
+        self._failures.allow(now, network(address))
+        self._failures_all.allow(now)
 
 
 def network(address: str) -> str:

@@ -19,7 +19,7 @@ from phm.cli import group
 from phm.cli.web_options import listen_options
 from phm.gcs.web.clients import MAX_CLIENTS
 from phm.gcs.web.options import ListenOptions, OptionError, Tokens, is_loopback, read_tokens
-from phm.gcs.web.sessions import FAILURES, FAILURES_ALL, network
+from phm.gcs.web.sessions import AGAIN_S, FAILURES, FAILURES_ALL, Sessions, network
 from tests.fakes.until import until
 from tests.gcs.web.swarm import Client, Ground, ground
 
@@ -190,6 +190,19 @@ def test_tokens_cannot_be_guessed_quickly(locked: Ground) -> None:
     assert client.ask("GET", "/api/state")[0] == 403
     client.token = ""
     assert client.login(OPERATE)[0] == 429
+
+
+def test_a_wrong_token_counts_for_a_minute_and_not_longer() -> None:
+    """After FAILURES an address has one try per AGAIN_S; one wrong token is forgotten after it."""
+    sessions = Sessions(None)
+    for _ in range(FAILURES):
+        assert not sessions.blocked("10.0.0.7", 1000.0)
+        sessions.failed("10.0.0.7", 1000.0)
+    assert sessions.blocked("10.0.0.7", 1000.0 + 0.9 * AGAIN_S)
+    assert not sessions.blocked("10.0.0.7", 1000.0 + AGAIN_S)
+    sessions.failed("10.0.0.7", 1000.0 + AGAIN_S)
+    assert sessions.blocked("10.0.0.7", 1000.0 + 1.9 * AGAIN_S)
+    assert not sessions.blocked("10.0.0.8", 1000.0)
 
 
 def _login(page: Ground, address: str, token: str) -> int:
