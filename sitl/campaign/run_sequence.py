@@ -24,7 +24,6 @@ from sitl.faults import _inject_note, all_faults
 from sitl.faults.base import Agent, Fault
 from sitl.swarm import startup
 from sitl.swarm.options import Options
-from sitl.swarm.swarm import Swarm
 
 GUESS_S = 70.0
 """Of a trial, before one was made."""
@@ -42,7 +41,7 @@ def play(asked: argparse.Namespace, to_do: Schedule, file: Path, console: Consol
             progress(f"  A{agent.number:02d}: PHM's log has no note of {fault.name}: {why_not}")
 
     try:
-        swarm, ours = _swarm(asked, to_do, progress)
+        swarm, ours = startup.running_or_started(_options(asked, to_do), progress)
         busy = BusyLoad(swarm) if to_do.load == BUSY else None
         runner = Runner(swarm, all_faults(), to_do.profile, progress, busy, note if asked.note else None)
         if not ours:
@@ -65,35 +64,20 @@ def play(asked: argparse.Namespace, to_do: Schedule, file: Path, console: Consol
             swarm.down()
 
 
-def _swarm(asked: argparse.Namespace, to_do: Schedule, progress: Callable[[str], None]) -> tuple[Swarm, bool]:
-    """The running swarm of this name, or a new one; and whether the campaign must take it down."""
-    try:
-        swarm = Swarm.load(asked.name)
-    except LookupError:
-        options = Options(
-            agents=asked.agents,
-            name=asked.name,
-            interval_s=asked.interval,
-            autopilot=asked.autopilot,
-            autopilot_path=asked.autopilot_path,
-            autopilot_image=asked.autopilot_image,
-            seed=to_do.seeds[0],
-            changes=to_do.profile.changes,
-            profile=to_do.profile.name,
-            build=not asked.no_build,
-        )
-        swarm = Swarm(options)
-        progress(f"starting {asked.agents} agents")
-        startup.up(swarm, progress)
-        return swarm, True
-    down = f"take it down (`python -m sitl down --name {asked.name}`) or give the campaign another --name"
-    if len(swarm.agents) != asked.agents:
-        raise LookupError(f"the running swarm {asked.name} has {len(swarm.agents)} agents, not {asked.agents}: {down}")
-    if (swarm.options.profile, dict(swarm.options.changes)) != (to_do.profile.name, dict(to_do.profile.changes)):
-        raise LookupError(
-            f"the running swarm {asked.name} was not started for the profile {to_do.profile.name}: {down}"
-        )
-    return swarm, False
+def _options(asked: argparse.Namespace, to_do: Schedule) -> Options:
+    """Of the swarm of this campaign."""
+    return Options(
+        agents=asked.agents,
+        name=asked.name,
+        interval_s=asked.interval,
+        autopilot=asked.autopilot,
+        autopilot_path=asked.autopilot_path,
+        autopilot_image=asked.autopilot_image,
+        seed=to_do.seeds[0],
+        changes=to_do.profile.changes,
+        profile=to_do.profile.name,
+        build=not asked.no_build,
+    )
 
 
 class _Sequence:

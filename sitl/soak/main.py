@@ -162,10 +162,15 @@ def _play(asked: argparse.Namespace, plan: Plan, console: Console) -> None:
         return
     swarm, ours = None, False
     try:
-        swarm, ours = _swarm(asked, plan)
-        if ours:
-            progress(f"starting {asked.agents} agents")
-            startup.up(swarm, progress)
+        options = Options(
+            agents=asked.agents,
+            name=asked.name,
+            seed=plan.seed % 2**31,
+            changes=PROFILE.changes,
+            profile=PROFILE.name,
+            build=not asked.no_build,
+        )
+        swarm, ours = startup.running_or_started(options, progress)
         Soak(swarm, plan, asked.out / TRIALS, asked.out / SAMPLES, progress).run()
     except KeyboardInterrupt:
         progress("interrupted; the same command continues")
@@ -176,28 +181,6 @@ def _play(asked: argparse.Namespace, plan: Plan, console: Console) -> None:
             _keep_logs(swarm, asked.out / LOGS)
             if ours and not asked.keep:
                 swarm.down()
-
-
-def _swarm(asked: argparse.Namespace, plan: Plan) -> tuple[Swarm, bool]:
-    """The running swarm of this name, or a new one that is not started; and whether it is new."""
-    try:
-        swarm = Swarm.load(asked.name)
-    except LookupError:
-        options = Options(
-            agents=asked.agents,
-            name=asked.name,
-            seed=plan.seed % 2**31,
-            changes=PROFILE.changes,
-            profile=PROFILE.name,
-            build=not asked.no_build,
-        )
-        return Swarm(options), True
-    if len(swarm.agents) != asked.agents or swarm.options.profile != PROFILE.name:
-        raise LookupError(
-            f"the running swarm {asked.name} has {len(swarm.agents)} agents and the profile {swarm.options.profile}, not "
-            f"{asked.agents} and {PROFILE.name}: take it down (`python -m sitl down --name {asked.name}`) or give another --name"
-        )
-    return swarm, False
 
 
 def _keep_logs(swarm: Swarm, folder: Path) -> None:

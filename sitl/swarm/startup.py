@@ -19,6 +19,7 @@ from sitl.harness.config_overrides import write
 from sitl.simulation.ports import INSIDE
 from sitl.swarm import config, engine, external_autopilots, workspace
 from sitl.swarm.health import HealthMonitor
+from sitl.swarm.options import Options
 from sitl.swarm.swarm import Swarm, SwarmAgent
 
 BUILD_LIMIT_S = 1200.0
@@ -33,10 +34,33 @@ UP = b" is up"
 """What a node of the application prints when it is in the graph."""
 
 
-def up(swarm: Swarm, progress: Callable[[str], None] = print) -> None:
+def running_or_started(options: Options, progress: Callable[[str], None]) -> tuple[Swarm, bool]:
+    """The running swarm of this name, or one that was started for the caller; and whether it was.
+
+    A start that fails or is interrupted leaves only logs behind. LookupError: the running swarm has another size, profile or
+    configuration, and what to do about it. RuntimeError: as `up`.
+    """
+    try:
+        swarm = Swarm.load(options.name)
+    except LookupError:
+        swarm = Swarm(options)
+        progress(f"starting {options.agents} agents")
+        up(swarm, progress, clean=True)
+        return swarm, True
+    down = f"take it down (`python -m sitl down --name {options.name}`) or give another --name"
+    if len(swarm.agents) != options.agents:
+        raise LookupError(
+            f"the running swarm {options.name} has {len(swarm.agents)} agents, not {options.agents}: {down}"
+        )
+    if (swarm.options.profile, dict(swarm.options.changes)) != (options.profile, dict(options.changes)):
+        raise LookupError(f"the running swarm {options.name} was not started for the profile {options.profile}: {down}")
+    return swarm, False
+
+
+def up(swarm: Swarm, progress: Callable[[str], None] = print, *, clean: bool = False) -> None:
     """Start everything and wait until all is OK. RuntimeError says what did not start.
 
-    What was started stays for inspection until `Swarm.down`.
+    What was started stays for inspection until `Swarm.down`. clean: it is removed if not all of it starts.
     """
     # Report configuration errors before anything is made.
     config.text(swarm.options, 1)
@@ -49,7 +73,12 @@ def up(swarm: Swarm, progress: Callable[[str], None] = print) -> None:
         shutil.rmtree(swarm.folder, ignore_errors=True)
         swarm.folder.mkdir(parents=True)
         swarm.save()
-        swarm.took = _bring_up(swarm, lock, progress)
+        try:
+            swarm.took = _bring_up(swarm, lock, progress)
+        except BaseException:  # also when the user interrupts
+            if clean:
+                swarm.remove(keep_logs=True)
+            raise
         swarm.save()
 
 

@@ -90,13 +90,17 @@ class Swarm:
         Doing it twice is harmless. keep_logs: leave the folder with PHM's logs.
         """
         with workspace.locked(self.name, DOWN_LOCK_S):
-            removed = engine.remove(self.docker, self.name)
-            for device in engine.devices(self.name):
-                device.unlink(missing_ok=True)
-            (self.folder / "swarm.json").unlink(missing_ok=True)
-            release(self.folder)
-            if not keep_logs:
-                shutil.rmtree(self.folder, ignore_errors=True)
+            return self.remove(keep_logs=keep_logs)
+
+    def remove(self, *, keep_logs: bool) -> int:
+        """The same as `down`, by a caller that has the swarm's lock."""
+        removed = engine.remove(self.docker, self.name)
+        for device in engine.devices(self.name):
+            device.unlink(missing_ok=True)
+        (self.folder / "swarm.json").unlink(missing_ok=True)
+        release(self.folder)
+        if not keep_logs:
+            shutil.rmtree(self.folder, ignore_errors=True)
         return removed
 
     def save(self) -> None:

@@ -16,7 +16,7 @@ import yaml
 
 from phm.config import loads
 from sitl.application import graph
-from sitl.swarm import config, cost, workspace
+from sitl.swarm import config, cost, engine, startup, workspace
 from sitl.swarm.cli import main
 from sitl.swarm.health import MACHINE, Health
 from sitl.swarm.options import Options
@@ -262,6 +262,44 @@ def test_too_many_agents_are_rejected(agents: int) -> None:
     """Before anything is created."""
     with pytest.raises(ValueError, match="allowed are 1 to 24"):
         Swarm(Options(agents=agents))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (Options(agents=3, name="one"), "has 2 agents, not 3"),
+        (Options(agents=2, name="one", profile="shipped"), "was not started for the profile shipped"),
+        (Options(agents=2, name="one", changes={"a": "b"}), "was not started for the profile tuned"),
+    ],
+)
+def test_a_running_swarm_is_used_only_for_what_it_was_started_for(base: Path, options: Options, said: str) -> None:
+    """Of the same size, profile and configuration; else the error says how to take it down."""
+    running = Swarm(Options(agents=2, name="one"), ground_url="tcp:127.0.0.1:1")
+    running.folder.mkdir(parents=True)
+    running.save()
+    with pytest.raises(LookupError, match=f"{said}: take it down .`python -m sitl down --name one`"):
+        startup.running_or_started(options, print)
+    found, started = startup.running_or_started(Options(agents=2, name="one"), print)
+    assert (found.ground_url, started) == (running.ground_url, False)
+
+
+@pytest.mark.parametrize(("clean", "left"), [(True, False), (False, True)])
+def test_a_start_that_fails_is_removed_if_it_was_made_for_a_command(
+    base: Path, monkeypatch: pytest.MonkeyPatch, clean: bool, left: bool
+) -> None:
+    """Not after `sitl up`, where the user looks at it; never what another command has started."""
+    swarm, removed = Swarm(Options(agents=1, name="one", build=False)), []
+    swarm.docker = None
+    monkeypatch.setattr(engine, "resources", lambda docker, name: [])
+    monkeypatch.setattr(engine, "remove", lambda docker, name: removed.append(name))
+    monkeypatch.setattr(startup, "_air", lambda swarm, lock: (_ for _ in ()).throw(RuntimeError("did not start")))
+    with pytest.raises(RuntimeError, match="did not start"):
+        startup.up(swarm, print, clean=clean)
+    assert (removed == ["one"], (swarm.folder / "swarm.json").exists()) == (clean, left)
+    monkeypatch.setattr(engine, "resources", lambda docker, name: ["one-1"])
+    with pytest.raises(RuntimeError, match="already exists"):
+        startup.up(swarm, print, clean=True)
+    assert len(removed) == clean
 
 
 @pytest.mark.parametrize(
