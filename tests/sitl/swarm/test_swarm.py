@@ -289,7 +289,7 @@ def test_a_start_that_fails_is_removed_if_it_was_made_for_a_command(
 ) -> None:
     """Not after `sitl up`, where the user looks at it; never what another command has started."""
     swarm, removed = Swarm(Options(agents=1, name="one", build=False)), []
-    swarm.docker = None
+    monkeypatch.setattr(Swarm, "docker", None)
     monkeypatch.setattr(engine, "resources", lambda docker, name: [])
     monkeypatch.setattr(engine, "remove", lambda docker, name: removed.append(name))
     monkeypatch.setattr(startup, "_air", lambda swarm, lock: (_ for _ in ()).throw(RuntimeError("did not start")))
