@@ -9,9 +9,9 @@ from __future__ import annotations
 import contextlib
 import json
 import re
-import select
 import socket
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -25,7 +25,7 @@ import urllib3.connectionpool
 from docker import APIClient
 from requests.models import PreparedRequest, Response
 
-from phm.core import threads
+from phm.core import polling, threads
 from phm.transport.call_deadlines import PendingCall, shut_down
 from phm.transport.dns import Resolver
 from phm.transport.docker_errors import EngineBroken, EngineError
@@ -88,18 +88,18 @@ class _Socket(socket.socket):
 
     def unread(self) -> bool:
         """Whether received data have not been read yet, or the other end has closed."""
-        poll = select.poll()
         try:
-            poll.register(self, select.POLLIN)
+            return bool(polling.wait([(self.fileno(), polling.READ)], 0.0))
         except ValueError:
             return False  # closed here
-        return bool(poll.poll(0))
 
 
 class _UnixConnection(urllib3.connection.HTTPConnection):
     socket_path = ""
 
     def connect(self) -> None:
+        if sys.platform == "win32":
+            raise OSError("Python has no Unix sockets on Windows: reach the Docker Engine by tcp://HOST:PORT")
         sock = _Socket(socket.AF_UNIX, socket.SOCK_STREAM)
         sock.settimeout(_seconds(self.timeout))
         self.sock = _open(sock, self.socket_path)

@@ -7,7 +7,6 @@ sleep again. So an example is reproducible.
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -29,6 +28,7 @@ from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.target import Target
 from phm.testing import FakeClock
 from tests.fakes.agent_world import FIXES, Sim
+from tests.fakes.until import until
 
 REAL_LIMIT_S = 20.0
 KINDS = {kind.name: kind for kind in (Start, Restart, Unpause, Reconnect, JoinNetwork, Relaunch, RestoreFile)}
@@ -149,10 +149,10 @@ class SimRecovery:
         assert not self._broken, self._broken
 
     def _settle(self) -> None:
-        end = time.monotonic() + REAL_LIMIT_S
-        while self._clock.sleepers < len(self._executor._workers) + self._at_work:
-            assert time.monotonic() < end, "recovery does not come to rest"
-            time.sleep(0)
+        until(self._rests, "recovery to come to rest", limit_s=REAL_LIMIT_S, poll_s=0.0)
+
+    def _rests(self) -> bool:
+        return self._clock.sleepers >= len(self._executor._workers) + self._at_work
 
     def _publish(self, event: Event) -> None:
         """Called by the worker's own thread: from STARTED until it knows the result, the action's thread must sleep, too."""

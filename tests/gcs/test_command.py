@@ -96,11 +96,10 @@ def test_without_a_terminal_events_are_lines_of_text(agent_7: tuple[int, Callabl
     port, speak = agent_7
     done = run(f"udpin:127.0.0.1:{port}")
     assert done.stdout is not None
-    while "is open" not in done.stdout.readline():
-        pass
+    lines = done.stdout
+    until(lambda: "is open" in lines.readline(), "the link")
     speak()
-    while not (line := done.stdout.readline()).endswith("CRITICAL A07 FAIL 6 node_1 dead\n"):
-        assert line
+    until(lambda: lines.readline().endswith("CRITICAL A07 FAIL 6 node_1 dead\n"), "the line")
     done.send_signal(signal.SIGINT)
     assert done.communicate(timeout=30)[1] == ""
     assert done.returncode == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 from pathlib import Path
@@ -13,6 +14,7 @@ from phm.core.clock import SystemClock
 from phm.facts import CannotTell
 from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.host import Host
+from tests.fakes.until import until
 
 
 def probe(sysfs: Path, **host: object) -> Host:
@@ -122,17 +124,13 @@ def test_a_hung_call_costs_one_thread_and_is_rejected_until_it_returns() -> None
     assert sum(thread.name == "phm-test" for thread in threading.enumerate()) == 1
     release.set()
     assert back.wait(5)
-    assert _until_answered(worker) == 1
 
-
-def _until_answered(worker: BlockingCallWorker) -> int:
-    """Call until the worker is free; the hung call ends a moment after its last action."""
-    for _ in range(1000):
-        try:
+    def answered() -> int:
+        with contextlib.suppress(CannotTell):  # the hung call ends a moment after its last action
             return worker.call(lambda: 1, 5.0)
-        except CannotTell:
-            threading.Event().wait(0.005)
-    raise AssertionError("the worker did not become free")
+        return 0
+
+    assert until(answered, "the worker to be free") == 1
 
 
 def test_an_exception_is_raised_in_the_caller() -> None:

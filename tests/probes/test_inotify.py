@@ -13,6 +13,7 @@ from phm.core.clock import SystemClock
 from phm.probes.devices import Devices
 from phm.probes.inotify import FileWatcher, Watch
 from phm.testing import settings
+from tests.fakes.until import until
 
 LIMIT_S = 5.0
 
@@ -142,8 +143,7 @@ def test_an_entry_that_changes_all_the_time_is_reported_at_intervals(watcher: Fi
     assert listener.times < 10
     before = listener.times
     (tmp_path / "file").write_text("last")
-    while listener.times == before:
-        assert listener.called()
+    until(lambda: listener.times > before, "the last change")
 
 
 def test_a_listener_that_raises_does_not_end_the_watcher(watcher: FileWatcher, tmp_path: Path) -> None:
@@ -177,7 +177,6 @@ def test_a_device_behind_a_symlink_is_followed_through_all_steps(watcher: FileWa
         change()
         assert listener.called()
         devices.look("/dev/serial/by-id/radio", open_it=False)
-        while not listener.silent():
-            pass
+        until(listener.silent, "the last change")
     fact = devices.look("/dev/serial/by-id/radio", open_it=False)
     assert fact is not None and fact.path == "/dev/ttyUSB0"

@@ -30,6 +30,7 @@ from phm.transport.mavlink_codec import Codec
 from phm.transport.send_queue import SendQueue
 from phm.wire import status_word
 from tests.fakes.mavlink import FakePort, Sender, heartbeat
+from tests.fakes.until import until
 
 
 class Scene:
@@ -331,8 +332,7 @@ def test_answers_of_a_swarm_are_spread() -> None:
         scene = Scene(agent=agent).running()
         scene.port.hear(Sender(255, 190).received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
         before = scene.clock.mono()
-        while not scene.port.lines():
-            scene.pass_time(0.1)
+        until(scene.port.lines, "the answer", step=lambda scene=scene: scene.pass_time(0.1))  # type: ignore[misc]
         waits.append(scene.clock.mono() - before)
     assert waits[0] < waits[1] < 1.1 < waits[2] < 2.0
 

@@ -333,8 +333,7 @@ def test_a_file_is_the_same_by_volume_and_by_engine(real: Any, engine: DockerEng
     )
     docker = probe(engine, made.name)
     files = Files(docker, engine, settings().docker, SystemClock())
-    while files.look(made.name, "/data/done", digest=False) is None:
-        assert fact_of(docker, made.name).running
+    until(lambda: files.look(made.name, "/data/done", digest=False), "the files", lambda: fact_of(docker, made.name))
     wanted = hashlib.sha256(engine.read_file(made.name, "/opt/model", 4 << 20)).hexdigest()
     seen = {
         path: files.look(made.name, path, digest=True)
@@ -361,8 +360,7 @@ def test_symlinks_in_a_volume_show_nothing_of_the_host(real: Any, engine: Docker
     )
     docker = probe(engine, made.name)
     files = Files(docker, engine, settings().docker, SystemClock())
-    while files.look(made.name, "/data/done", digest=False) is None:
-        assert fact_of(docker, made.name).running
+    until(lambda: files.look(made.name, "/data/done", digest=False), "the files", lambda: fact_of(docker, made.name))
     seen = files.look(made.name, "/data/escape", digest=False)
     assert seen is not None
     assert (seen.kind, seen.seen_through) == ("file", "engine")
