@@ -172,10 +172,6 @@ class CheckScheduler:
         for thread in {id(thread): thread for unit in units if (thread := self._by_unit.get(unit))}.values():
             thread.wake(reason)
 
-    def wake_all(self, reason: str) -> None:
-        for thread in self.threads:
-            thread.wake(reason)
-
     def report_overdue(self) -> float:
         """Report runs past their deadline as STALE, once each. Return the seconds until the next current run is overdue."""
         now, next_s = self._clock.mono(), float("inf")

@@ -94,13 +94,6 @@ class DaemonWatchdog:
             process.wait(2 * LOOK_S)
 
 
-def state_of(pid: int) -> str:
-    """Process state as in /proc (`R`, `S`, `T`, ...); empty if the process does not exist."""
-    with contextlib.suppress(OSError), open(f"/proc/{pid}/stat", "rb", buffering=0) as stat:
-        return state_in(stat.fileno())
-    return ""
-
-
 def state_in(stat: int) -> str:
     """The same from an open /proc/PID/stat, at half the cost."""
     try:

@@ -30,8 +30,6 @@ LOGS_SHARE = 0.9
 _BROKEN = (OSError, EOFError, zlib.error)
 _ROOT = "phm-bundle"
 
-Tree = Callable[[], Any]
-
 
 @dataclass
 class Bundle:

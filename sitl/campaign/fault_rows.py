@@ -29,7 +29,6 @@ CLASSES = (
     "wrong cause",
     "alarms per fault",
 )
-TRIALS = ("trial", "agent", "fault", "detected", "reported", "recovered", "by", "alarms", "remarks")
 FAULTS = (
     "seed",
     "trial",

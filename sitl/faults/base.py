@@ -175,7 +175,7 @@ class Fault(ABC):
     unit: id of the unit at which PHM must see it, with ``{agent}`` for the agent's name, ``{id}`` for its number as in A01.
     condition: as what PHM must know it; it selects the ladder.
     level: ``ERROR``, for which a fault is opened, or ``WARN``, a transition.
-    others: unit at which all other agents of its swarm must see it, too, and others_condition as what; empty: nowhere.
+    others: unit at which all other agents of its swarm must see it, too; empty: nowhere.
     earlier: condition of the fault that is opened at `unit` before `condition` is known; empty: none.
     also: units of further faults that it causes, independent of the first, each with a separate alarm.
     healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
@@ -199,7 +199,6 @@ class Fault(ABC):
     condition: ClassVar[str]
     level: ClassVar[str] = "ERROR"
     others: ClassVar[str] = ""
-    others_condition: ClassVar[str] = ""
     earlier: ClassVar[str] = ""
     also: ClassVar[tuple[str, ...]] = ()
     healable: ClassVar[bool] = True

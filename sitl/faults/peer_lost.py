@@ -16,7 +16,7 @@ class Injection(Fault):
     layer = "link"
     cause = "an agent's radio to the others fails, or the agent is out of their range"
     healable = False
-    others, others_condition = "peers/{id}", "peer_lost"
+    others = "peers/{id}"
     needs = frozenset({"air", "peers"})
     least = 3
     evidence, evidence_s = "the first heartbeats of the peers, every 2 s in a swarm of eight, that do not arrive", 2.0

@@ -14,7 +14,7 @@ class Injection(Fault):
     condition = "split"
     layer = "link"
     cause = "the swarm has flown apart, or what relayed between its halves is gone"
-    others, others_condition = "peers/swarm", "split"
+    others = "peers/swarm"
     healable = False
     needs = frozenset({"air", "peers"})
     least = 4

@@ -75,9 +75,6 @@ class LinkEmulator:
     def control_port(self) -> int:
         return int(self._control.getsockname()[1])
 
-    def peers_port(self, number: int) -> int:
-        return int(self._peers[number].getsockname()[1])
-
     def stop(self) -> None:
         self._stopping.set()
 

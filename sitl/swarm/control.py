@@ -12,8 +12,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 LIMIT_S = 5.0
-LINKS = ("ground", "peers", "autopilot", "router")
-ORDERS = ("hang", "resume", "reboot", "arm", "disarm")
 
 
 class LinkEmulatorClient:

@@ -101,8 +101,8 @@ def test_a_check_that_is_woken_all_the_time_leaves_a_gap(rig: Rig) -> None:
     for count in (1, 2, 3):
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
         rig.clock.wait_for_sleepers(1)
-        engine.wake_all("test")
-        engine.wake_all("test")
+        engine.wake_units(["scripted"], "test")
+        engine.wake_units(["scripted"], "test")
         rig.clock.wait_for_sleepers(1)
         assert len(rig.batches) == count
         rig.clock.advance(0.05)
@@ -123,7 +123,7 @@ def test_a_crash_makes_a_unit_stale_and_the_check_continues(rig: Rig) -> None:
         until(lambda count=count: len(rig.batches) >= count, "the next result")  # type: ignore[misc]
         rig.clock.wait_for_sleepers(1)
         rig.clock.advance(0.05)
-        engine.wake_all("test")
+        engine.wake_units(["scripted"], "test")
     first, second, third = (batch.units["scripted"] for batch in rig.batches[:3])
     assert first.level is second.level is api.Level.STALE
     assert "ValueError: boom" in first.summary and "SystemExit" in second.summary
@@ -186,5 +186,5 @@ def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:
     until(lambda: len(calls) == 1, "the first call")
     rig.clock.wait_for_sleepers(1)
     rig.clock.advance(0.05)
-    engine.wake_all("test")
+    engine.wake_units(["scripted"], "test")
     until(lambda: len(calls) == 2, "the second call")

@@ -11,10 +11,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from phm.core import watchdog as watchdog_module
-from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, DaemonWatchdog, state_of, watch
+from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, DaemonWatchdog, watch
 from phm.runtime.shutdown_marker import ShutdownMarker
 from tests.fakes.until import until
 
@@ -57,7 +58,7 @@ def test_a_stopped_daemon_is_resumed_and_not_killed(watched: Watched) -> None:
     until(lambda: watched.kills, "the watchdog's first step")
     os.write(watched.pipe, b".")
     assert watched.kills[0] == signal.SIGCONT
-    until(lambda: state_of(watched.process.pid) != "T", "the daemon to resume")
+    until(lambda: psutil.Process(watched.process.pid).status() != psutil.STATUS_STOPPED, "the daemon to resume")
 
 
 def test_a_daemon_without_heartbeats_is_killed(watched: Watched) -> None:

@@ -58,7 +58,7 @@ def test_code_in_the_child_accesses_only_what_it_needs(bench: Bench, targets: di
     probe = bench.probe(environ=environ, installs=[targets["install"]])
     until(lambda: REFUSED_TEXT in stale(probe), "the intruder's report")
     assert set(json.loads(stale(probe).partition("; ")[2])) == ALLOWED
-    assert probe.sandbox == sandbox.COMPLETE
+    assert probe.sandbox == ""
 
 
 def test_the_same_code_accesses_everything_without_the_sandbox(targets: dict[str, object]) -> None:
@@ -85,7 +85,7 @@ def test_the_real_child_is_restricted_and_still_works(bench: Bench) -> None:
     status = Path(f"/proc/{probe.pid}/status").read_text(encoding="utf-8")
     assert "Seccomp:\t2" in status
     assert "NoNewPrivs:\t1" in status
-    assert probe.sandbox == sandbox.COMPLETE
+    assert probe.sandbox == ""
 
 
 def test_missing_kernel_features_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:

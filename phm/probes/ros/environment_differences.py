@@ -15,10 +15,10 @@ _UDP = ("", "DEFAULT", "UDPv4")
 """Values of FASTDDS_BUILTIN_TRANSPORTS with which a process can be reached over UDP on IPv4."""
 _OF_MIDDLEWARE = {"rmw_cyclonedds_cpp": "CYCLONEDDS_URI", "rmw_zenoh_cpp": "ZENOH_SESSION_CONFIG_URI"}
 OWN_PROFILE = "/etc/phm/fastdds.xml"
+"""Where images have PHM's profile, which changes leases alone (config/fastdds.xml)."""
 COPIED_PROFILE = "/etc/phm/application-fastdds.xml"
 """A copy of the application's profile that `phm init` made for PHM."""
-"""Where images have PHM's profile, which changes leases alone (config/fastdds.xml)."""
-SUBNET, LOCALHOST, OFF, SYSTEM = "SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"
+SUBNET, LOCALHOST, OFF = "SUBNET", "LOCALHOST", "OFF"
 
 
 def differences(

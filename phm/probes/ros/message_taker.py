@@ -13,8 +13,6 @@ from typing import Any
 Taken = tuple[bytes, bytes | None, int]
 """The serialized message, its writer, and when the middleware received it: nanoseconds of the system clock."""
 GID_BYTES = 16
-_TAKE_FAILED = 401
-"""RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message."""
 _KEPT_BYTES = 200_000
 """A buffer that a longer message has enlarged is released."""
 NO_SEQUENCE = 2**64 - 1

@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-COMPLETE = ""
 _SYSTEM = (
     "/usr", "/lib", "/lib64", "/opt/ros", "/etc/ld.so.cache", "/etc/ld.so.conf", "/etc/ld.so.conf.d", "/etc/hosts", "/etc/host.conf",
     "/etc/resolv.conf", "/etc/nsswitch.conf", "/etc/gai.conf", "/etc/localtime", "/etc/passwd", "/etc/group",
@@ -62,7 +61,7 @@ _SETTINGS = ("sched_setaffinity", "sched_setscheduler", "sched_setparam", "sched
 
 
 def enter(installs: Iterable[str] = (), environ: Callable[[str], str | None] = os.environ.get) -> str:
-    """Restrict this process. Returns the missing restrictions as text, or COMPLETE. Call it while there is one thread.
+    """Restrict this process. Returns the missing restrictions as text, empty: none. Call it while there is one thread.
 
     installs: folders of the application's packages (`ros.installs`), readable.
     """

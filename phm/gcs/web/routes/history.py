@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 from aiohttp import web
 
@@ -13,7 +13,6 @@ from phm.gcs.web.access import Handler, HttpProblem, answer, view
 from phm.gcs.web.history.reader import HistoryError, HistoryReader
 from phm.gcs.web.site import Site
 
-T = TypeVar("T")
 DEFAULT_S = 600.0
 MAX_TEXT = 200
 MAX_QUERIES, MAX_WAITING = 2, 64
