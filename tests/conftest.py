@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,15 @@ def pytest_configure() -> None:
     os.environ.pop("COLUMNS", None)
 
 
+@cache
+def _marks(path: Path) -> tuple[str, ...]:
+    """The marks of all tests of a file, by its place and name."""
+    if ROOT not in path.parents:
+        return ()
+    engine = ("engine",) if "real" in path.stem.split("_") else ()
+    return (*NEEDS.get(path.relative_to(ROOT).parts[0], ()), *engine)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark by directory; in any directory, a file named `test_real_*` or `test_*_real` uses a real engine.
@@ -33,13 +43,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     With `--dist loadgroup` (scripts/test), a file is a group, and tests that are marked `long` come first and alone.
     """
     for item in items:
-        if ROOT not in item.path.parents:
-            continue
-        folder, name = item.path.relative_to(ROOT).parts[0], item.path.stem
-        for mark in NEEDS.get(folder, ()):
+        for mark in _marks(item.path):
             item.add_marker(mark)
-        if "real" in name.split("_"):
-            item.add_marker("engine")
     if getattr(config.option, "loadgroup", False):
         items.sort(key=lambda item: item.get_closest_marker("long") is None)
         for item in items:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
+from collections.abc import Callable
 
 from phm.core.clock import ClockSteps
 from phm.core.model import Stamp
@@ -34,7 +35,8 @@ class FakeClock:
         self.steps.note(Stamp(utc, mono))
         self._lateness = SchedulingDelay()
         self._sleepers: list[_Sleeper] = []
-        self._moved = threading.Condition()
+        lock = threading.RLock()
+        self._moved, self._slept = threading.Condition(lock), threading.Condition(lock)
 
     def mono(self) -> float:
         with self._moved:
@@ -82,20 +84,24 @@ class FakeClock:
         with self._moved:
             return self._count()
 
-    def wait_for_sleepers(self, count: int, timeout_s: float = 5.0) -> None:
-        """Block, in real time, until at least `count` threads wait; TimeoutError when they do not come."""
+    def wait_for_sleepers(self, count: int | Callable[[], int], timeout_s: float = 5.0) -> None:
+        """Block, in real time, until at least `count` threads wait; TimeoutError when they do not come.
+
+        A function is asked for the count each time, as the woken threads may change it.
+        """
         limit = time.monotonic() + timeout_s
-        with self._moved:
-            while self._count() < count:
+        with self._slept:
+            while self._count() < (expected := count() if callable(count) else count):
                 if time.monotonic() >= limit:
-                    raise TimeoutError(f"{self._count()} threads wait on the fake clock, expected {count}")
-                self._moved.wait(_LOOK_S)
+                    raise TimeoutError(f"{self._count()} threads wait on the fake clock, expected {expected}")
+                self._slept.wait(_LOOK_S)
 
     def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
         """As `phm.core.clock.Clock.wait`, in the time of this clock."""
         with self._moved:
             sleeper = _Sleeper(event, None if timeout_s is None else self._mono + timeout_s)
             self._sleepers.append(sleeper)
+            self._slept.notify_all()
             try:
                 while self._asleep(sleeper):
                     self._moved.wait(_LOOK_S)

@@ -285,24 +285,24 @@ class World:
 
     def _is_stale_name(self, unit: str, at: float) -> bool:
         """Still listed; a node that was missing before the container stopped leaves no stale name."""
-        missing = any(span.covers(at) for spans in self.active.values() for span in spans if span.unit == unit)
-        listed = any(begin <= at < end for begin, end in self.stale_names)
-        return listed and not missing and unit.startswith(("nodes/", "topics/"))
+        if not unit.startswith(("nodes/", "topics/")) or not any(begin <= at < end for begin, end in self.stale_names):
+            return False
+        return not any(span.covers(at) for spans in self.active.values() for span in spans if span.unit == unit)
 
     def _is_bad(self, unit: str, at: float) -> bool:
         return any(span.covers(at) for span in self.bad.get(unit, ()))
 
     def changing(self, begin: float, end: float) -> set[str]:
         """The units of which something changes in that time. Only those that are bad at some time, and the health."""
-        units = {*self.bad, f"health/{TARGET}"}
-        return {unit for unit in units if any(begin <= change < end for change in self._changes(unit))}
-
-    def _changes(self, unit: str) -> Iterable[float]:
-        for span in self.bad.get(unit, ()):
-            yield from (span.begin, span.end)
-        if unit == f"health/{TARGET}":
-            starts = [life.at for life in self.lives] + [span.end for span in self.bad.get(f"container/{TARGET}", ())]
-            yield from (start + PROBING_S for start in starts)
+        changing = {
+            unit
+            for unit, spans in self.bad.items()
+            if any(begin <= span.begin < end or begin <= span.end < end for span in spans)
+        }
+        starts = (*(life.at for life in self.lives), *(span.end for span in self.bad.get(f"container/{TARGET}", ())))
+        if any(begin <= start + PROBING_S < end for start in starts):
+            changing.add(f"health/{TARGET}")
+        return changing
 
 
 class Sim:
@@ -356,13 +356,12 @@ class Sim:
             tick = self.now + TICK_S
             self._wake_on_changes(self.now, tick)
             while True:
-                index = min(range(len(self._next)), key=self._next.__getitem__)
-                begins = self._next[index]
+                begins = min(self._next)
                 delivered = self._deliveries[0][0] if self._deliveries else tick
                 if min(begins, delivered) >= tick:
                     break
                 if begins < delivered:
-                    self._begin(index, begins)
+                    self._begin(self._next.index(begins), begins)
                 else:
                     self._deliver()
             self.now = tick

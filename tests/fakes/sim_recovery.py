@@ -28,7 +28,6 @@ from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.target import Target
 from phm.testing import FakeClock
 from tests.fakes.agent_world import FIXES, Sim
-from tests.fakes.until import until
 
 REAL_LIMIT_S = 20.0
 KINDS = {kind.name: kind for kind in (Start, Restart, Unpause, Reconnect, JoinNetwork, Relaunch, RestoreFile)}
@@ -149,10 +148,7 @@ class SimRecovery:
         assert not self._broken, self._broken
 
     def _settle(self) -> None:
-        until(self._rests, "recovery to come to rest", limit_s=REAL_LIMIT_S, poll_s=0.0)
-
-    def _rests(self) -> bool:
-        return self._clock.sleepers >= len(self._executor._workers) + self._at_work
+        self._clock.wait_for_sleepers(lambda: len(self._executor._workers) + self._at_work, REAL_LIMIT_S)
 
     def _publish(self, event: Event) -> None:
         """Called by the worker's own thread: from STARTED until it knows the result, the action's thread must sleep, too."""

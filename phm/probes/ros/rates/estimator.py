@@ -180,7 +180,6 @@ class RateEstimator:
         steady = True
         for sample in samples:
             steady = self._add(sample) and steady
-        self._samples += len(samples)
         if self._silence is not None and before_s is not None and steady:
             self._silence.ended(self._quiet_s, now_s)
         self._quiet_s = self._paused_s = 0.0
@@ -211,6 +210,7 @@ class RateEstimator:
         self.sample_bytes += _SHARE * (sample.size - self.sample_bytes)
         track.window_s = self._wide_s if self._uneven else self._narrow_s
         last, hz = track.last, track.hz
+        self._samples += not self._again(sample, last)
         self._restarts.hear(sample, last)
         continues = track.add(sample)
         if track.turned:
@@ -218,6 +218,12 @@ class RateEstimator:
         if track.fell and last is not None:
             self._restarts.fell(last, hz)
         return continues and not new
+
+    def _again(self, sample: Sample, last: Sample | None) -> bool:
+        """Whether it is the message that a latched topic keeps, received again by a new subscription."""
+        if self._silence is not None or last is None:
+            return False
+        return (last.sequence, last.source_ns) == (sample.sequence, sample.source_ns)
 
     def _drop_gone(self, now_s: float, listening: Listening) -> None:
         """Forget publishers that fell silent while another continues; one that began since has replaced one."""

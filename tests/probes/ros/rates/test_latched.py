@@ -24,7 +24,7 @@ class Bench:
     """A topic, its listed publishers, and the message that a living one keeps: each new subscription receives it once."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now_s, self.kept = 100.0, False
+        self.now_s, self.kept, self.samples = 100.0, False, 0
         bench = self
 
         class KeptReader:
@@ -50,6 +50,7 @@ class Bench:
             self.now_s += TICK_S
             fact = self.monitor.look(self.now_s, tuple(map(end, publishers)))
             found.append(fact.silent_s is not None)
+            self.samples = fact.samples
         return found
 
 
@@ -81,3 +82,12 @@ def test_a_further_publisher_does_not_make_the_message_unknown(monkeypatch: pyte
     bench.received("/a/one")
     assert all(bench.received("/a/one", "/a/two"))
     assert all(bench.received("/a/two"))
+
+
+def test_a_message_that_is_received_again_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Discovery lists the publisher before the name of its node, and PHM subscribes again when that is known."""
+    bench = Bench(monkeypatch)
+    bench.kept = True
+    bench.received("")
+    bench.received("/a/one")
+    assert bench.samples == 1
