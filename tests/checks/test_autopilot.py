@@ -155,6 +155,7 @@ def test_a_reboot_ends_the_fault_of_the_silence_before() -> None:
 
 
 def test_an_earlier_reboot_does_not_end_a_later_silence() -> None:
+    """A reboot is credited only if it happened during the failure that it ends."""
     one = check()
     assert run(one, changed(rebooted_s=2.0, reboots=1)).evidence.ended_by == ""
     run(one, changed(age_s=4.0, rebooted_s=10.0, reboots=1))

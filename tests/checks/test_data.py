@@ -90,6 +90,7 @@ def test_only_a_small_age_can_be_due_to_starvation() -> None:
 
 
 def test_a_stamp_that_is_not_set_is_named() -> None:
+    """Not as an age of decades."""
     result = Bench().see("data_stamp", age_s=1.7e9, unset=True)
     assert result.brief == "odom stamp not set" and "header.stamp is not set (0)" in result.summary
 

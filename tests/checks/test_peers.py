@@ -29,6 +29,7 @@ def test_all_agents_alive_is_ok() -> None:
 
 
 def test_one_lost_agent_is_reported_by_its_own_unit() -> None:
+    """`peers/swarm` stays OK."""
     results = evaluate({2: ALIVE, 3: LOST, 4: ALIVE})
     assert (results["peers/A03"].level, results["peers/A03"].condition) == (Level.ERROR, "peer_lost")
     assert results["peers/A03"].brief == "A03 lost"
@@ -36,6 +37,7 @@ def test_one_lost_agent_is_reported_by_its_own_unit() -> None:
 
 
 def test_agents_that_still_receive_the_lost_one_are_named() -> None:
+    """So the operator sees that it lives, and who lost it since when."""
     results = evaluate({2: ALIVE, 3: PeerFact("lost", 20.0, (4,), (1, 2)), 4: ALIVE})
     assert "no heartbeat received by A01 A02, here for 20 s, but still received by A04" in results["peers/A03"].summary
 
@@ -70,6 +72,7 @@ def test_a_configured_agent_that_was_never_received_is_missing() -> None:
 
 
 def test_a_split_is_one_fault_and_the_cause_of_the_single_losses() -> None:
+    """Each agent's unit needs `peers/swarm`, which names both parts."""
     check = Peers((2, 3, 4))
     assert all(unit.needs == (SWARM,) for unit in check.units if unit.id != SWARM)
     result = evaluate({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM]
@@ -101,6 +104,7 @@ def test_agents_that_return_one_by_one_are_not_reported_each_time() -> None:
 
 
 def test_losing_all_agents_is_a_fault_of_the_own_radio() -> None:
+    """The condition is `alone`, not one fault for each agent."""
     result = evaluate({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[SWARM]
     assert (result.condition, result.brief) == ("alone", "all peers lost")
 
@@ -112,6 +116,7 @@ def test_an_agent_that_receives_others_is_not_isolated() -> None:
 
 
 def test_the_only_other_agent_lost_is_reported_as_lost() -> None:
+    """In a swarm of two a lost peer and an own radio that is off look alike."""
     results = evaluate({2: LOST}, (2,))
     assert results[SWARM].level is Level.OK
     assert results["peers/A02"].level is Level.ERROR
@@ -138,6 +143,7 @@ def test_without_configuration_a_received_agent_is_lost_no_sooner_than_a_configu
 
 
 def test_a_common_loss_is_reported_immediately_and_single_agents_after_it() -> None:
+    """Single losses settle, so that the cause is known first."""
     whole, *single = Peers((2, 3)).units
     assert (whole.settle_s, {unit.settle_s for unit in single}) == (0.0, {SETTLE_S})
 

@@ -201,6 +201,7 @@ def test_silence_behind_an_input_without_data_may_follow_from_starvation(
 
 
 def test_silence_without_evidence_of_the_node_may_follow_from_starvation() -> None:
+    """It is not conclusive."""
     assert not Bench().evaluate(0.0, 60.0).evidence.conclusive
 
 

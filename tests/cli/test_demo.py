@@ -36,6 +36,7 @@ def assert_nothing_left(base: int, folder: Path) -> None:
 
 @pytest.mark.long
 def test_three_agents_report_to_the_ground_until_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Real daemons, autopilots and a ground; SIGINT ends them all."""
     base = free_base()
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with (tmp_path.parent / "demo.err").open("w+") as errors:
@@ -70,6 +71,7 @@ def test_the_demo_ends_after_its_time(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_faults_are_injected_once_and_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The autopilot of agent 2 and the PHM of agent 3 end, and nothing else."""
     started: list[str] = []
     sleeper = [sys.executable, "-c", "import time; time.sleep(60)"]
 

@@ -31,6 +31,7 @@ def invoke(monkeypatch: pytest.MonkeyPatch, rows: list[Row], *words: str) -> tup
 
 
 def test_a_missing_row_is_exit_code_1_and_shows_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limited row is exit code 0."""
     code, output, _ = invoke(monkeypatch, [OK, BAD])
     assert code == 1 and "-> start it" in output
     assert invoke(monkeypatch, [OK, Row("x", "limited", "less", "do")])[0] == 0

@@ -91,6 +91,7 @@ def test_without_an_engine_the_remedy_is_printed(tmp_path: Path) -> None:
 def test_a_user_who_may_not_open_the_socket_learns_what_to_do(
     fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Exit code 1, and to use sudo."""
     monkeypatch.setattr("phm.cli.init.os.access", lambda *_: False)
     fake.fault = Status(403, "no")
     done = init(fake, tmp_path / "phm", "--yes")
@@ -123,6 +124,7 @@ def test_a_graph_that_cannot_be_read_is_said(fake: FakeEngine, tmp_path: Path, m
 
 
 def test_a_machine_without_an_application_gets_a_folder_too(fake: FakeEngine, tmp_path: Path) -> None:
+    """Its configuration has no containers, and the output says what to do first."""
     fake.containers.clear()
     done = init(fake, tmp_path, "--yes")
     assert done.exit_code == 0 and "start yours first" in done.output

@@ -41,6 +41,7 @@ def test_the_configuration_is_printed() -> None:
 
 
 def test_a_file_is_updated_and_keeps_its_comments(tmp_path: Path) -> None:
+    """What the user wrote stays, what was learned is added."""
     file = tmp_path / "phm.yaml"
     file.write_text("# mine\nagent: {id: 7}\n")
     assert invoke("-o", str(file)).exit_code == 0
@@ -48,6 +49,7 @@ def test_a_file_is_updated_and_keeps_its_comments(tmp_path: Path) -> None:
 
 
 def test_differences_are_printed_and_nothing_is_written(tmp_path: Path) -> None:
+    """`--diff` prints what would change."""
     file = tmp_path / "phm.yaml"
     file.write_text("agent: {id: 7}\n")
     result = invoke("-c", str(file), "--diff")
@@ -88,6 +90,7 @@ def test_invalid_options_are_refused_with_the_allowed_values(words: tuple[str, .
 
 
 def test_an_invalid_configuration_is_refused_with_its_line(tmp_path: Path) -> None:
+    """Exit code 78, before anything is observed."""
     (tmp_path / "phm.yaml").write_text("agent:\n  id: no\n")
     result = invoke("-c", "phm.yaml")
     assert result.exit_code == 78 and "phm.yaml:2: agent.id" in result.output

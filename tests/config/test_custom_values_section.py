@@ -110,6 +110,7 @@ def test_a_port_is_read_by_one_check() -> None:
 
 
 def test_the_calls_of_one_service_have_one_type() -> None:
+    """The second one is refused, with the line of the first."""
     call = "type: service, service: /s, call: "
     (found,) = problems(f"name: a, {call}std_srvs/srv/Empty", f"name: b, {call}std_srvs/srv/Trigger")
     assert found.startswith(

@@ -12,6 +12,7 @@ def test_pauses_double_up_to_the_longest() -> None:
 
 
 def test_a_success_starts_with_the_first_pause_again() -> None:
+    """`reset` forgets all failures."""
     backoff = Backoff(0.5, 3.0)
     backoff.next_s()
     backoff.next_s()
@@ -28,4 +29,5 @@ def test_many_failures_do_not_overflow() -> None:
 
 
 def test_a_first_pause_above_the_longest_is_cut() -> None:
+    """No pause is longer than `longest_s`."""
     assert pause_s(1, 10.0, 5.0) == 5.0

@@ -16,6 +16,7 @@ def age_s(clock: Clock, utc: float) -> float:
 
 
 def test_an_age_without_steps_is_the_difference() -> None:
+    """While the system clock is not set, it shows the age of a timestamp."""
     clock = testing.FakeClock()
     then = clock.utc()
     clock.advance(90.0)
@@ -42,6 +43,7 @@ def test_an_unobserved_step_before_the_start_makes_nothing_older(before_utc: flo
 
 
 def test_a_later_phm_continues_the_observation_if_the_clock_was_not_set() -> None:
+    """Ages count a step that the earlier process has observed."""
     earlier = testing.FakeClock(mono=60.0)
     old = earlier.utc() - HOUR_S
     earlier.advance(300.0)
@@ -54,6 +56,7 @@ def test_a_later_phm_continues_the_observation_if_the_clock_was_not_set() -> Non
 
 
 def test_an_unobserved_step_is_known_at_the_next_start() -> None:
+    """The clock was set while no PHM ran: an age counts from the start of the next one."""
     earlier = testing.FakeClock(mono=60.0)
     earlier.advance(300.0)
     later = testing.FakeClock(mono=400.0, utc=earlier.utc() + 40.0 + HOUR_S)
@@ -89,6 +92,7 @@ def test_an_ambiguous_timestamp_belongs_to_the_current_clock() -> None:
 
 
 def test_a_timestamp_in_the_future_is_from_a_clock_before_the_observation() -> None:
+    """Its age is the time of the observation, never negative."""
     clock = testing.FakeClock()
     clock.advance(20.0)
     assert age_s(clock, clock.utc() + HOUR_S) == pytest.approx(20.0)
@@ -109,6 +113,7 @@ def test_drift_is_not_a_step_and_steps_are_bounded() -> None:
 
 
 def test_a_new_timestamp_of_the_system_clock_has_no_age() -> None:
+    """Up to the smallest step that is noticed."""
     clock = SystemClock()
     before = clock.mono()
     assert before - STEP_S <= clock.latest(clock.utc()) <= clock.mono() + STEP_S

@@ -75,4 +75,5 @@ def test_the_text_has_the_messages_of_the_classes() -> None:
 
 
 def test_a_message_that_does_not_exist_has_no_class() -> None:
+    """None, not an exception."""
     assert message_class("NO_SUCH_MESSAGE") is None

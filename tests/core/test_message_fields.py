@@ -107,12 +107,14 @@ def test_a_field_may_be_nested() -> None:
     ],
 )
 def test_an_unknown_field_is_named_with_those_that_exist(name: str, words: str) -> None:
+    """The type at each level of the path, too."""
     with pytest.raises(UnknownField) as caught:
         field_type(FIX, name)
     assert words in str(caught.value)
 
 
 def test_ranges_are_for_numbers_and_arrays_of_numbers() -> None:
+    """Also booleans; not texts or messages."""
     for name in ("err", "status.seq", "status.sats", "status.cov", "status.ok", "status.other.x"):
         demand_number(FIX, name)
     for name in ("name", "status", "status.all", "status.level"):

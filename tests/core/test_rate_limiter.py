@@ -8,6 +8,7 @@ from phm.core.rate_limiter import RateLimiter, TokenBucket
 
 
 def test_a_key_has_a_burst_and_then_a_rate() -> None:
+    """After a pause the burst is available again, and not more."""
     limiter = RateLimiter(2.0, 10.0)
     assert sum(limiter.allow(0.0) for _ in range(100)) == 10
     assert sum(limiter.allow(1.0) for _ in range(100)) == 2
@@ -30,6 +31,7 @@ def test_what_is_left_of_a_key_is_known_before_it_is_used() -> None:
 
 
 def test_the_key_used_longest_ago_is_forgotten_first() -> None:
+    """When there are more than `max_keys`."""
     limiter = RateLimiter(1.0, 5.0, 2)
     for key in ("a", "b", "a", "c"):
         limiter.allow(0.0, key)
@@ -38,6 +40,7 @@ def test_the_key_used_longest_ago_is_forgotten_first() -> None:
 
 @given(st.lists(st.floats(0, 0.5), max_size=200))
 def test_no_more_than_burst_plus_rate_times_time_is_allowed(pauses: list[float]) -> None:
+    """Whatever the pauses between the events are."""
     limiter, now, allowed = RateLimiter(3.0, 7.0), 0.0, 0
     for pause in pauses:
         now += pause
@@ -46,12 +49,14 @@ def test_no_more_than_burst_plus_rate_times_time_is_allowed(pauses: list[float])
 
 
 def test_a_clock_that_goes_back_adds_no_tokens() -> None:
+    """And raises no error."""
     bucket = TokenBucket(0.0, 10.0)
     bucket.refill(5.0, 100.0, 100.0)
     assert not bucket.take()
 
 
 def test_a_bucket_without_a_limit_is_never_empty() -> None:
+    """Infinite rate and burst."""
     bucket = TokenBucket(float("inf"), 0.0)
     for now in (0.0, 0.0, 1.0):
         bucket.refill(now, float("inf"), float("inf"))

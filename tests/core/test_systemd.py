@@ -12,6 +12,7 @@ from phm.testing import FakeClock
 
 
 def test_each_notification_is_one_datagram_in_the_format_of_sd_notify(tmp_path: Path) -> None:
+    """The socket's name is not passed on to child processes."""
     path = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(path)
@@ -41,6 +42,7 @@ def test_an_abstract_socket_is_reached() -> None:
 
 @pytest.mark.parametrize("path", ["", "relative/path", "/nowhere/at/all", "vsock:2:1234"])
 def test_without_a_usable_socket_nothing_is_sent_and_nothing_raises(path: str) -> None:
+    """Neither without NOTIFY_SOCKET nor with one that does not exist."""
     notifier = SystemdNotifier(FakeClock(), {"NOTIFY_SOCKET": path} if path else {})
     notifier.ready()
     notifier.watchdog()

@@ -14,6 +14,7 @@ from tests.doctor.places import row, surroundings
 def test_a_clock_is_ok_only_when_it_is_synchronized(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, synchronized: bool | None, state: str
 ) -> None:
+    """Also a state that is not known is limited."""
     monkeypatch.setattr(clock, "clock_synchronized", lambda: synchronized)
     found = list(clock.rows(surroundings(tmp_path)))
     assert row(found, "time").state == state

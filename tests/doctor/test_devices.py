@@ -16,9 +16,11 @@ def test_serial_ports_and_missing_devices_are_listed(tmp_path: Path) -> None:
 
 
 def test_no_serial_port_is_not_a_defect(tmp_path: Path) -> None:
+    """Many agents reach their autopilot by IP."""
     assert states(list(rows(surroundings(tmp_path)))) == {"serial ports": "ok"}
 
 
 def test_a_missing_folder_of_devices_is_missing(tmp_path: Path) -> None:
+    """PHM_DEV_ROOT names the mount of the host's /dev."""
     there = surroundings(tmp_path, environ={"PHM_DEV_ROOT": str(tmp_path / "host-dev")})
     assert states(list(rows(there))) == {"folder": "missing"}

@@ -22,12 +22,14 @@ def test_an_engine_that_answers_is_ok(tmp_path: Path) -> None:
 
 
 def test_an_engine_that_is_too_old_is_limited(tmp_path: Path) -> None:
+    """The remedy names the oldest version that is supported."""
     with FakeEngine(tmp_path / "engine.sock", api="1.40") as fake:
         found = list(rows(surroundings(tmp_path, docker={"socket": fake.url})))
     assert row(found, "version").state == "limited" and "20.10" in row(found, "version").remedy
 
 
 def test_without_an_engine_the_remedy_is_to_start_it(tmp_path: Path) -> None:
+    """One row, whose text does not repeat the remedy."""
     (only,) = rows(surroundings(tmp_path))
     assert only.state == "missing" and only.remedy.startswith("start the Docker Engine")
     assert only.remedy not in only.text

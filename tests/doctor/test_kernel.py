@@ -35,6 +35,7 @@ def test_a_current_kernel_is_ok(tmp_path: Path) -> None:
 def test_features_that_an_old_kernel_lacks_are_limited_with_a_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """cgroup v2, PSI, Landlock and enough inotify watches: PHM runs without them."""
     monkeypatch.setattr(kernel, "_SANDBOX", "print('files: no Landlock (not supported)')")
     there = surroundings(tmp_path)
     kernel_of(there.proc, watches=100, psi=False)

@@ -22,6 +22,7 @@ def judged(there: Path, url: str, **more: Any) -> tuple[Row, Surroundings]:
 
 
 def test_a_port_in_use_is_missing_with_the_command_that_finds_the_program(tmp_path: Path) -> None:
+    """When the port is free again, the row is ok."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         url = f"udpin:127.0.0.1:{taken.getsockname()[1]}"

@@ -23,6 +23,7 @@ def test_a_socket_that_may_not_be_opened_names_the_group(tmp_path: Path, monkeyp
 
 
 def test_a_socket_that_may_be_opened_is_ok(tmp_path: Path) -> None:
+    """Permission alone: whether an engine answers is another row."""
     (tmp_path / "engine.sock").touch()
     there = surroundings(tmp_path, docker={"socket": f"unix://{tmp_path}/engine.sock"})
     assert row(list(rows(there)), "socket").state == "ok"

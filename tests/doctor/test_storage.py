@@ -19,6 +19,7 @@ def test_writable_folders_are_ok(tmp_path: Path) -> None:
 
 
 def test_a_missing_folder_is_missing_once_it_is_configured(tmp_path: Path) -> None:
+    """Without a configuration it is limited: PHM may be set up later."""
     there = surroundings(tmp_path)
     assert states(list(rows(there))) == {"log": "limited", "state": "limited"}
     there.configuration = "phm.yaml"
@@ -26,6 +27,7 @@ def test_a_missing_folder_is_missing_once_it_is_configured(tmp_path: Path) -> No
 
 
 def test_a_disk_without_room_for_the_log_is_limited(tmp_path: Path) -> None:
+    """Less free space than `log.max_size` needs."""
     (tmp_path / "log").mkdir()
     there = surroundings(tmp_path, log={"directory": str(tmp_path / "log"), "max_size": 1e18})
     assert row(list(rows(there)), "log").state == "limited"

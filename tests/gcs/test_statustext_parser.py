@@ -59,6 +59,7 @@ def test_a_recovery_names_the_unit_that_failed(by: str) -> None:
 
 
 def test_the_result_of_an_operators_request_resolves_no_failure() -> None:
+    """`done` says that the action ran, not that the container is OK."""
     line = read(status_line.operator_request(7, Slot.CONTAINER, "restart", "done", "ros_app"))
     assert not line.recovered
     assert not line.resolves("ros_app exited")

@@ -76,11 +76,13 @@ def test_configured_containers_keep_their_alias(engine: FakeEngine) -> None:
 
 
 def test_a_container_that_does_not_run_is_refused_by_name(engine: FakeEngine) -> None:
+    """The error lists those that run."""
     with pytest.raises(ObservationFailed, match=r"no running container ended; running: ros_app"):
         watch(engine, "ended")
 
 
 def test_a_configured_container_that_does_not_run_is_a_problem(engine: FakeEngine) -> None:
+    """It is named and left out."""
     seen = watch(engine, settings={"containers": [{"name": "ended"}]})
     assert seen.containers == () and "ended is exited" in seen.problems[0]
 
@@ -95,6 +97,7 @@ def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
 
 
 def test_a_folder_has_the_sums_of_its_files(engine: FakeEngine) -> None:
+    """With the container, and the path without its last slash."""
     (folder,) = watch(engine, folders=(("ros_app", "/data/"),)).folders
     assert (folder.container, folder.path, sorted(folder.files), folder.unstable) == (
         "ros_app",
@@ -105,6 +108,8 @@ def test_a_folder_has_the_sums_of_its_files(engine: FakeEngine) -> None:
 
 
 def test_files_that_change_meanwhile_are_left_out(engine: FakeEngine, tmp_path: Path) -> None:
+    """They are named as unstable."""
+
     class Changing(PassingClock):
         def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
             if threading.current_thread() is threading.main_thread():  # whose waits the time passes in
@@ -127,6 +132,7 @@ def test_files_that_change_meanwhile_are_left_out(engine: FakeEngine, tmp_path: 
     ],
 )
 def test_a_folder_that_cannot_be_read_is_refused(engine: FakeEngine, folder: tuple[str, str], problem: str) -> None:
+    """With the reason."""
     with pytest.raises(ObservationFailed, match=problem):
         watch(engine, folders=(folder,))
 

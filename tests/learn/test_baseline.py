@@ -42,6 +42,7 @@ def learned_topic(watched_s: float = 60.0, **fields: Any) -> Learned:
 
 
 def test_a_steady_topic_is_learned_without_a_doubt() -> None:
+    """Type, rate, publishers and subscribers, without a note."""
     found = learned_topic()
     wanted = {"type": TYPE, "rate": 10, "publishers": ["/a/lidar"], "subscribers": ["/a/planner"]}
     assert found.values == {"name": "/a/scan", **wanted}
@@ -56,6 +57,7 @@ def test_the_tolerance_follows_the_observed_spread() -> None:
 
 
 def test_a_rate_that_is_too_irregular_is_not_learned() -> None:
+    """A note says that it varied."""
     found = learned_topic(rates=(2.0, 10.0, 30.0) * 10)
     assert "rate" not in found.values and "varied" in found.notes["name"]
 
@@ -82,6 +84,7 @@ def test_a_topic_without_messages(durability: str, rate: int | None) -> None:
 
 
 def test_a_type_that_cannot_be_read_leaves_out_the_rate() -> None:
+    """A note says why."""
     found = learned_topic(rates=(), problem="type unknown: my_msgs is not installed")
     assert "rate" not in found.values and "type unknown" in found.notes["name"]
 
@@ -92,6 +95,7 @@ def test_topics_of_tools_are_left_out() -> None:
 
 
 def test_a_node_that_left_is_not_learned() -> None:
+    """A note names it; nodes of `ros2 launch` are left out."""
     found = learn(Observations(60.0, nodes={"/a/stays": True, "/a/left": False, "/launch_ros_123": True}))
     assert [node.name for node in found.nodes] == ["/a/stays"]
     assert any("/a/left" in note for note in found.notes)
@@ -143,6 +147,7 @@ def test_uncertain_values_of_a_container_have_notes() -> None:
 
 
 def test_a_container_on_the_network_of_the_host_has_no_network() -> None:
+    """`networks` lists networks of Docker that can be reconnected."""
     one = container(network_mode="host", networks=(Attachment("host", "id", ""),))
     assert "networks" not in learn(Observations(60.0, (one,))).containers[0].values
 

@@ -51,6 +51,7 @@ def changes(old: str, new: str) -> list[str]:
 
 
 def test_an_empty_file_becomes_a_valid_configuration() -> None:
+    """It has what was learned, and defaults else."""
     settings = loads(merge("", baseline(), {}), environ={})
     assert (settings.ros.topics[0].rate, settings.ros.topics[0].publishers) == (10.0, ["/a/lidar"])
 
@@ -70,6 +71,7 @@ def test_a_second_time_changes_nothing() -> None:
 
 
 def test_a_changed_rate_is_replaced_and_its_comment_stays() -> None:
+    """In its line, at its place."""
     new = merge(FILE, baseline(rate=5, tolerance=20), {})
     assert re.search(r"\n    rate: 5 +# by the data sheet\n", new)
     assert loads(new, environ={}).ros.topics[0].tolerance == 20
@@ -90,6 +92,7 @@ def test_names_with_variables_are_recognised() -> None:
 
 
 def test_an_entry_that_was_not_seen_is_kept_and_marked() -> None:
+    """PHM does not remove what a user configured; new entries follow."""
     new = merge(FILE, Baseline(nodes=(Learned({"name": "/a/other"}),), seen=frozenset({"a/other"})), {})
     assert "  - name: /${PHM_AGENT:-a}/lidar # learned: not seen while watching\n  - name: /a/other\n" in new
 
@@ -103,6 +106,7 @@ def test_comments_that_follow_stay_where_they_are() -> None:
 
 
 def test_the_shipped_configuration_keeps_every_comment() -> None:
+    """Also where entries are added in many sections."""
     more = Baseline(
         containers=(Learned({"name": "x", "healthcheck": "required", "networks": ["n"]}, key="ros_app"),),
         nodes=(Learned({"name": "/a/lidar"}),),

@@ -81,6 +81,7 @@ def test_pipes_are_not_opened(folder: Folder) -> None:
 
 @pytest.mark.usefixtures("old")
 def test_a_file_is_read_again_only_when_it_changed(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sums of the others are kept."""
     folder.write("a")
     folder.write("b")
     folder.read()
@@ -110,6 +111,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("coarse")
 def test_a_change_of_equal_size_is_seen_within_the_resolution_of_the_file_times(folder: Folder) -> None:
+    """Files that were written just now are read again."""
     for number in "123":
         folder.write("a", number)
         assert folder.read().sums == {"a": total(number)}
@@ -117,6 +119,7 @@ def test_a_change_of_equal_size_is_seen_within_the_resolution_of_the_file_times(
 
 @pytest.mark.usefixtures("coarse")
 def test_a_manifest_is_read_again_within_the_resolution_of_the_file_times(tmp_path: Path) -> None:
+    """The same for manifests."""
     path, manifests = tmp_path / "manifest", Manifests()
     for number in "123":
         path.write_bytes(manifest.encode({"a": total(number)}))
@@ -302,6 +305,7 @@ def test_a_manifest_that_is_ignored_entirely_is_not_ok() -> None:
 
 
 def test_a_manifest_is_read_again_when_it_changes(tmp_path: Path) -> None:
+    """Without a restart of PHM."""
     path, manifests = tmp_path / "m", Manifests()
     path.write_text(f"{'a' * 64}  one\n")
     assert set(manifests.read(str(path))) == {"one"}
@@ -311,6 +315,7 @@ def test_a_manifest_is_read_again_when_it_changes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", [None, "nonsense"])
 def test_a_manifest_that_cannot_be_read_says_so(tmp_path: Path, text: str | None) -> None:
+    """The remedy is `phm learn`, which writes it."""
     path = tmp_path / "m"
     if text is not None:
         path.write_text(text)

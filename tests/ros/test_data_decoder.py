@@ -55,6 +55,7 @@ def test_the_text_of_a_module_has_the_fields_of_its_class(name: str) -> None:
 
 
 def test_types_with_and_without_a_header_are_known() -> None:
+    """None for a type that is not installed."""
     assert [has_header(name) for name in (TWIST, "std_msgs/msg/String", "absent_msgs/msg/X")] == [
         True,
         False,

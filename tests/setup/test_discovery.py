@@ -53,6 +53,7 @@ def test_phm_and_finished_jobs_are_not_applications(fake: FakeEngine, tmp_path: 
 
 
 def test_the_owner_of_a_shared_network_is_found_by_id(fake: FakeEngine, tmp_path: Path) -> None:
+    """The engine names it by id, the configuration by name."""
     fake.containers["pod"] = described("pod")
     fake.containers["app"] = described("app", mode=f"container:{fake.containers['pod']['Id']}")
     found = look(DockerEngine(fake.url), tmp_path)

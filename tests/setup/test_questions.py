@@ -81,6 +81,7 @@ def test_a_container_brings_the_owner_of_its_network() -> None:
     ],
 )
 def test_an_impossible_option_is_refused_with_what_is_possible(given: dict[str, Any], said: str) -> None:
+    """The error names the option."""
     with pytest.raises(InvalidAnswer, match=said):
         interview(**given)
 
@@ -91,5 +92,6 @@ def test_open_questions_are_named_by_their_options() -> None:
 
 
 def test_a_log_folder_is_a_path_and_not_a_volume() -> None:
+    """Compose takes a bare name for a volume."""
     assert defaults(interview(logs="log"))[1].logs == "./log"
     assert defaults(interview(logs="/var/log/agent"))[1].logs == "/var/log/agent"

@@ -68,28 +68,33 @@ def test_a_bridged_application_has_its_networks_and_devices() -> None:
 
 
 def test_an_application_on_the_hosts_network_has_phm_there_too() -> None:
+    """There is no network to reconnect."""
     texts = made(application("app", mode="host"), network="host", mavlink="udpout:127.0.0.1:14550")
     assert service(texts)["network_mode"] == "host"
     assert settings(texts).containers[0].networks == []
 
 
 def test_phm_is_in_the_groups_that_own_socket_and_serial_ports() -> None:
+    """By number: the image does not know the names of the host."""
     assert service(made())["group_add"] == ["998", "20"]
 
 
 def test_a_serial_endpoint_is_mapped_into_the_container() -> None:
+    """At the same path."""
     texts = made(mavlink="/dev/ttyACM0")
     assert service(texts)["devices"] == ["/dev/ttyACM0:/dev/ttyACM0"]
     assert settings(texts).mavlink.endpoints[0].serial
 
 
 def test_an_engine_reached_over_tcp_needs_no_socket() -> None:
+    """No volume shows it to the container."""
     texts = render(machine(url="tcp://10.0.0.1:2375"), answers())
     assert settings(texts).docker.socket == "tcp://10.0.0.1:2375"
     assert not [volume for volume in service(texts)["volumes"] if "docker.sock" in volume]
 
 
 def test_nodes_name_their_container_where_there_are_several() -> None:
+    """A node whose container is not known names none."""
     nodes = (("/agent_7/camera", "b"), ("/agent_7/planner", ""))
     texts = made(application("a"), application("b"), nodes=nodes)
     assert [(node.name, node.container) for node in settings(texts).ros.nodes] == [
@@ -102,6 +107,7 @@ def test_nodes_name_their_container_where_there_are_several() -> None:
 
 
 def test_ros_variables_are_those_of_the_application() -> None:
+    """Of the application that has some; quoted where necessary."""
     env = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1;x y"}
     found = variables(made(application("web"), application("app", env={**env, "ROS_DISTRO": "jazzy"})))
     assert found["PHM_AGENT_ID"] == "7" and found["ROS_DOMAIN_ID"] == "7" and "ROS_DISTRO" not in found

@@ -56,6 +56,7 @@ class Swarm:
 
 
 def test_all_agents_agree_that_all_are_alive() -> None:
+    """Without faults, each has the same view."""
     swarm = Swarm(range(1, 9))
     swarm.run(20)
     for agent in swarm.agents:
@@ -64,6 +65,7 @@ def test_all_agents_agree_that_all_are_alive() -> None:
 
 
 def test_a_dead_agent_is_lost_for_all() -> None:
+    """Within LOST_PERIODS and two periods more; it remains a member, and nothing is a split."""
     swarm = Swarm(range(1, 9))
     swarm.run(20)
     swarm.down = {3}
@@ -90,6 +92,7 @@ def test_one_agent_without_reception_does_not_make_a_peer_lost() -> None:
 
 
 def test_a_peer_that_most_agents_lost_is_lost_and_dissent_is_shown() -> None:
+    """`heard_by` names those that still receive it."""
     swarm = Swarm(range(1, 7))
     swarm.run(20)
     swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
@@ -99,6 +102,7 @@ def test_a_peer_that_most_agents_lost_is_lost_and_dissent_is_shown() -> None:
 
 
 def test_a_split_network_is_reported_on_both_sides_and_recovers() -> None:
+    """Each side names the other; afterwards no agent is lost."""
     swarm = Swarm(range(1, 9))
     swarm.run(20)
     swarm.separate((1, 2, 3), (4, 5, 6, 7, 8))
@@ -127,6 +131,7 @@ def test_a_received_peer_did_not_vanish() -> None:
 
 
 def test_agents_that_die_one_after_another_are_not_a_split() -> None:
+    """A split needs a loss at one time."""
     swarm = Swarm(range(1, 6))
     swarm.run(20)
     swarm.down = {4}
@@ -138,6 +143,7 @@ def test_agents_that_die_one_after_another_are_not_a_split() -> None:
 
 
 def test_the_first_loss_is_late_before_it_is_lost() -> None:
+    """LATE after LATE_PERIODS, LOST after LOST_PERIODS."""
     peers = Peers(1, PERIOD_S)
     for at in range(0, 20, 2):
         peers.heartbeat(2, WELL, at)
@@ -155,6 +161,7 @@ def test_a_slower_peer_is_not_late() -> None:
 
 
 def test_an_agent_stopped_on_purpose_has_left() -> None:
+    """It announced its end, so it is no longer a member and not lost."""
     swarm = Swarm(range(1, 4))
     swarm.run(20)
     for hearer in (1, 2):
@@ -217,6 +224,7 @@ def test_the_budget_share_changes_slowly_and_returns() -> None:
 
 
 def test_a_member_that_was_never_received_is_never_seen() -> None:
+    """It is not lost."""
     swarm = Swarm(range(1, 5))
     swarm.down = {4}
     swarm.run(20)
@@ -277,6 +285,7 @@ def test_the_same_frame_by_two_links_is_not_a_duplicate_id() -> None:
 
 
 def test_our_own_frames_are_not_a_peer() -> None:
+    """A router may send them back."""
     peers = Peers(7, PERIOD_S)
     assert not peers.heartbeat(7, WELL, 0.0)
     assert not peers.add_view(7, PeerView(0, True, True, True), 0.0)
@@ -284,6 +293,7 @@ def test_our_own_frames_are_not_a_peer() -> None:
 
 
 def test_an_agent_without_its_ground_radio_is_named() -> None:
+    """By the others and by itself."""
     swarm = Swarm(range(1, 5), gcs=(1, 2, 4))
     swarm.run(20)
     assert without_gcs(swarm.agreed(1), own_gcs=True) == (3,)
@@ -291,6 +301,7 @@ def test_an_agent_without_its_ground_radio_is_named() -> None:
 
 
 def test_a_ground_station_that_all_have_lost_is_not_a_radio_failure() -> None:
+    """No agent is named."""
     swarm = Swarm(range(1, 5), gcs=())
     swarm.run(20)
     assert without_gcs(swarm.agreed(1), own_gcs=False) == ()
@@ -306,11 +317,13 @@ def consensus(fit: dict[int, bool], own: int = 5) -> Consensus:
 
 
 def test_the_lowest_agent_that_receives_the_ground_leads() -> None:
+    """If none receives it, there is no leader."""
     assert LeaderElection().leader(consensus({1: False, 2: True, 3: True}), True, 0.0) == 2
     assert LeaderElection().leader(consensus({1: False}), False, 0.0) is None
 
 
 def test_a_better_leader_waits_until_it_is_stable() -> None:
+    """It must receive the ground for STEADY_S without interruption."""
     election = LeaderElection()
     assert election.leader(consensus({3: True}), True, 0.0) == 3
     for at in range(int(STEADY_S)):
@@ -372,6 +385,7 @@ def bad(slot: Slot, level: Level = Level.ERROR) -> int:
     ],
 )
 def test_the_line_names_agents_that_are_not_ok(words: dict[int, int], lost: tuple[int, ...], line: str) -> None:
+    """With their bad layer; those that do not fit are counted."""
     assert digest.digest_line(statuses_of(words, lost)) == line
 
 
@@ -386,6 +400,7 @@ def test_the_line_always_fits(words: dict[int, int], data: st.DataObject) -> Non
 
 
 def test_an_agent_without_a_gcs_is_named_unless_it_has_a_worse_failure() -> None:
+    """One agent has one place in the line."""
     statuses = {
         2: MemberStatus(MemberState.ALIVE, gcs=False, word=WELL),
         3: MemberStatus(MemberState.ALIVE, gcs=False, word=bad(Slot.NODES)),

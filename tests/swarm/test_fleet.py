@@ -12,6 +12,7 @@ from tests.fakes.mavlink import Sender, heartbeat
 
 
 def test_one_agent_leads_and_its_line_is_not_repeated() -> None:
+    """All agents agree on the lowest one, and its line is no more than INFO while all are OK."""
     fleet = Fleet(8)
     fleet.run(60)
     assert {agent.probe.look().leader for agent in fleet.agents.values()} == {1}
@@ -21,6 +22,7 @@ def test_one_agent_leads_and_its_line_is_not_repeated() -> None:
 
 
 def test_a_lost_leader_is_replaced_and_reported() -> None:
+    """By the next lowest agent, whose line names it."""
     fleet = Fleet(8)
     fleet.run(60)
     fleet.lines()
@@ -116,6 +118,7 @@ def test_views_list_the_agents_that_an_agent_receives() -> None:
 
 
 def test_the_leader_stops_relaying_when_a_radio_returns() -> None:
+    """The line no longer names the agent."""
     fleet = Fleet(4)
     fleet.no_gcs = {3}
     fleet.run(60)
@@ -128,6 +131,7 @@ def test_the_leader_stops_relaying_when_a_radio_returns() -> None:
 
 
 def test_both_sides_of_a_split_have_their_own_leader() -> None:
+    """One leader again after its end."""
     fleet = Fleet(6)
     fleet.run(60)
     fleet.cut = {pair for a in (1, 2) for b in (3, 4, 5, 6) for pair in ((a, b), (b, a))}

@@ -156,6 +156,7 @@ def test_no_agent_is_lost_early_when_a_link_is_closed() -> None:
 
 
 def test_no_agent_is_lost_when_a_growing_swarm_slows_its_heartbeats() -> None:
+    """The new, longer period counts immediately."""
     air = Air(7, 8)
     air.run(LEARNED_S)
     last_received = max(peer.heard_s or 0.0 for peer in air.peers.all().values())
@@ -180,6 +181,7 @@ def test_one_steady_peer_is_lost_after_three_missed_heartbeats() -> None:
 
 
 def test_agents_that_fall_silent_one_after_another_have_not_vanished_together() -> None:
+    """The second one is not lost before its own time."""
     air = Air(7, 10)
     air.run(LEARNED_S)
     air.hears = lambda agent, now: agent != 2
@@ -202,6 +204,7 @@ def test_two_agents_with_one_id_are_never_lost_between_their_heartbeats() -> Non
 
 
 def test_a_peer_that_is_received_again_is_back() -> None:
+    """Within little more than a period."""
     air = Air(7, 11)
     air.run(LEARNED_S)
     air.cut(air.others)

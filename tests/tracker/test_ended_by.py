@@ -40,6 +40,7 @@ def test_any_other_warning_leaves_the_fault_open() -> None:
 
 
 def test_an_ok_that_states_the_end_names_it() -> None:
+    """In the fault's `by`."""
     bench = failing()
     bench.see("pilot", OK.with_evidence(REBOOT))
     assert bench.closed == [("pilot", Outcome.RESOLVED, "reboot")]

@@ -145,6 +145,7 @@ def test_a_measurement_above_the_limit_delays_a_symptom_before_there_is_a_warnin
 
 
 def test_a_measurement_above_the_limit_delays_no_longer_than_a_warning() -> None:
+    """A symptom waits WARN_WAIT_S for its cause, then it is a separate fault."""
     made = bench()
     rising = OK.with_evidence(Evidence(rising=True))
     made.later(0.1)

@@ -19,10 +19,12 @@ def interfaces(folder: Path, **pairs: tuple[int, int]) -> str:
 
 
 def test_a_bridged_container_has_only_ends_of_pairs(tmp_path: Path) -> None:
+    """Its interfaces have their other end in another namespace, so the network is private."""
     assert is_private(interfaces(tmp_path, eth0=(7, 8), eth1=(9, 12)), ("/",))
 
 
 def test_a_container_on_the_network_of_the_host_sees_real_interfaces(tmp_path: Path) -> None:
+    """So the network is not private."""
     net = interfaces(tmp_path, eth0=(2, 2), docker0=(3, 3), veth1=(8, 7))
     assert not is_private(net, ("/",))
 

@@ -58,6 +58,7 @@ def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[QueuedMess
 
 @given(st.lists(items, max_size=60))
 def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[QueuedMessage]) -> None:
+    """Without a limit; the order is by priority, then urgency, and each replacement is counted."""
     budget = LinkBudget(None, 0.0)
     for item in put:
         budget.put(item)
@@ -69,6 +70,7 @@ def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[QueuedMessage]
 
 
 def test_a_fault_is_sent_before_repeated_messages() -> None:
+    """A small refresh does not pass it while it waits for credit."""
     budget = LinkBudget(10.0, 0.0)
     budget.put(QueuedMessage("first", MessagePriority.TRANSITION, int(BURST_MIN), None))
     assert taken(budget, 0.0)
@@ -88,6 +90,7 @@ def test_heartbeats_use_the_common_budget() -> None:
 
 
 def test_heartbeats_of_a_large_swarm_leave_budget_for_faults() -> None:
+    """At least REST of the share."""
     budget = LinkBudget(20.0, 0.0)
     for at in range(10):
         budget.heartbeat(100, float(at))
@@ -95,6 +98,7 @@ def test_heartbeats_of_a_large_swarm_leave_budget_for_faults() -> None:
 
 
 def test_a_link_without_a_limit_delays_nothing() -> None:
+    """Up to MAX_WAITING messages leave together."""
     budget = LinkBudget(None, 0.0)
     for number in range(MAX_WAITING):
         budget.put(QueuedMessage(str(number), MessagePriority.REQUEST, 280, None))
@@ -102,6 +106,7 @@ def test_a_link_without_a_limit_delays_nothing() -> None:
 
 
 def test_the_queue_is_limited_and_drops_the_least_important() -> None:
+    """It is counted under its priority."""
     budget = LinkBudget(1.0, 0.0)
     for number in range(MAX_WAITING):
         budget.put(QueuedMessage(f"request {number}", MessagePriority.REQUEST, 280, None))
@@ -137,6 +142,7 @@ def test_outdated_messages_are_dropped() -> None:
 
 
 def test_a_full_radio_buffer_slows_down_and_an_empty_one_speeds_up() -> None:
+    """Between SLOWEST and the normal speed."""
     flow = FlowControl()
     for at in range(10):
         flow.txbuf(5, float(at))
@@ -147,6 +153,7 @@ def test_a_full_radio_buffer_slows_down_and_an_empty_one_speeds_up() -> None:
 
 
 def test_an_old_radio_status_does_not_count() -> None:
+    """After TXBUF_STALE_S the speed is normal."""
     flow = FlowControl()
     for at in range(10):
         flow.txbuf(5, float(at))
@@ -159,6 +166,7 @@ def test_an_old_radio_status_does_not_count() -> None:
     [(1, (2, 10)), (8, (2, 10)), (9, (5, 60)), (30, (5, 60)), (31, (15, 150)), (100, (15, 150)), (250, (40, 300))],
 )
 def test_the_larger_the_swarm_the_longer_the_periods(agents: int, wanted: tuple[float, float]) -> None:
+    """Seconds between heartbeats, and between refreshes."""
     assert default_periods(agents) == wanted
 
 

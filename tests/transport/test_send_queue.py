@@ -54,6 +54,7 @@ def test_waiting_heartbeats_are_replaced_and_old_lines_expire() -> None:
 
 
 def test_lines_wait_for_the_budget_and_heartbeats_do_not() -> None:
+    """The ground takes missing heartbeats for a lost agent."""
     clock = FakeClock()
     queue = SendQueue(clock, 10.0)
     for number in range(20):

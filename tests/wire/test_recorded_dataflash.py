@@ -51,6 +51,7 @@ def _kind(line: str) -> LineKind | None:
 
 
 def test_the_texts_of_the_autopilot_are_not_taken_for_lines_of_phm(log: Path) -> None:
+    """In a recorded log of ArduPilot."""
     assert not [text for _, text in texts(log) if not text.startswith("SRC=") and statustext_parser.parse(text)]
 
 

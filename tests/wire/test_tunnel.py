@@ -79,6 +79,7 @@ def test_arbitrary_bytes_are_parsed_or_rejected(payload: bytes) -> None:
     "payload", [b"", bytes(1), b"\x21", b"\x1f", bytes((0x12, 3, 4)), bytes((0x11, 0, 0, 251)), bytes(129)]
 )
 def test_a_payload_that_violates_the_contract_is_rejected(payload: bytes) -> None:
+    """Too short, too long, of an unknown kind, or with an impossible number."""
     with pytest.raises(TunnelError):
         decode(payload)
 
@@ -93,6 +94,7 @@ def test_a_payload_that_violates_the_contract_is_rejected(payload: bytes) -> Non
     ],
 )
 def test_values_out_of_range_are_not_encoded(message: TunnelMessage) -> None:
+    """ValueError, so that no agent sends what others must reject."""
     with pytest.raises(ValueError):
         encode(message)
 

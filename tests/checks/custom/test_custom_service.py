@@ -70,6 +70,7 @@ def test_the_answer_of_a_call_counts(fact: api.AnswerFact, words: str) -> None:
     ],
 )
 def test_an_answer_that_phm_does_not_have_is_not_known(fact: api.AnswerFact, words: str) -> None:
+    """CannotTell with the reason, not an ERROR."""
     with pytest.raises(api.CannotTell, match=words):
         evaluate(service(call=CALL), calls={SERVICE: fact})
 

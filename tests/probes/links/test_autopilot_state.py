@@ -183,6 +183,7 @@ def test_a_reordered_heartbeat_of_a_short_start_is_armed() -> None:
 
 
 def test_a_late_time_of_the_last_run_is_the_same_reboot() -> None:
+    """A message that was sent before the reboot and arrives after it counts as no second one."""
     pilot = AutopilotState()
     fly(pilot, times=True)
     for at, boot_ms in ((46.0, 900), (46.5, 130_000), (47.0, 1900)):
@@ -247,6 +248,7 @@ def test_two_autopilots_with_one_identity_hide_no_reboot_in_flight() -> None:
 
 
 def test_an_acknowledged_reboot_is_known_until_it_has_happened() -> None:
+    """`rebooting_s` is the time since the acknowledgement."""
     pilot = AutopilotState()
     receive_heartbeat(pilot, 0.0)
     pilot.commanded(1.0)

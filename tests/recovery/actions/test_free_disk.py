@@ -77,6 +77,7 @@ def waits_for(disk: Path, *rooms: dict[str, Any], clock: Clock) -> str:
 
 
 def test_the_oldest_files_are_removed_until_there_is_space(disk: Path) -> None:
+    """Only files that match a pattern, and no more than necessary."""
     oldest = put(disk / "bags/run_1/a.mcap", 20_000, 3 * HOUR_S)
     older = put(disk / "bags/b.mcap", 20_000, 2 * HOUR_S)
     newer = put(disk / "bags/c.mcap", 20_000, HOUR_S)
@@ -213,6 +214,7 @@ def test_a_directory_behind_a_link_is_not_entered(disk: Path, tmp_path_factory: 
 def test_a_directory_that_was_replaced_meanwhile_is_not_entered(
     disk: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
+    """A link in its place would lead out of the disk."""
     elsewhere = put(tmp_path_factory.mktemp("elsewhere") / "a.mcap", 10)
     (disk / "bags").mkdir()
     (disk / "bags/run").symlink_to(elsewhere.parent, target_is_directory=True)
@@ -240,12 +242,14 @@ def test_a_directory_on_another_disk_is_reported_and_not_emptied(disk: Path) -> 
 
 
 def test_nothing_is_removed_while_there_is_space(disk: Path) -> None:
+    """The action says that it removed no file."""
     kept = put(disk / "bags/a.mcap", 10_000)
     assert run(disk, {"files": ["*"]}).startswith("removed 0 old files")
     assert kept.exists()
 
 
 def test_free_disk_applies_to_disks_with_configured_files() -> None:
+    """To no container, and to no disk without `free_disk`."""
     without = Settings.model_validate({"agent": {"name": "a", "id": 1}})
     room = FreeDiskSettings(path="/data", files=["*.log"])
     allowed = without.model_copy(update={"host": without.host.model_copy(update={"free_disk": [room]})})
@@ -257,6 +261,7 @@ def test_free_disk_applies_to_disks_with_configured_files() -> None:
 
 
 def test_the_usage_of_a_real_disk_is_measured() -> None:
+    """A disk that cannot be measured fails the action."""
     assert 0.0 <= free_disk.used_percent("/") <= 100.0
     with pytest.raises(ActionFailed, match="cannot be read"):
         free_disk.used_percent("/no/such/disk")

@@ -210,6 +210,7 @@ def test_a_dependency_of_a_flight_critical_container_is_not_put_on_hold_while_ar
 
 
 def test_a_stop_that_takes_a_flight_critical_container_down_always_raises_an_alarm(scenes: Any) -> None:
+    """While armed, also with `on_manual_stop: respect`: no hold begins."""
     scene = scenes(on_manual_stop="respect")
     shared_network(scene)
     scene.armed = ArmedState.ARMED

@@ -68,6 +68,7 @@ def test_a_fault_affects_its_link_of_one_agent_and_restores_it(name: str, emulat
 
 @pytest.mark.parametrize("name", ["autopilot_silent", "autopilot_reboot"])
 def test_the_world_shows_whether_an_autopilot_is_back(name: str, emulator: LinkEmulatorClient) -> None:
+    """Before the fault, during it and after its end."""
     fault, agent = all_faults()[name], Agent("phm-test", "agent_3", mock.Mock(), number=3, air=emulator)
     assert fault.restored(agent) is True
     fault.inject(agent)

@@ -28,6 +28,7 @@ def leak(agent: int = 3) -> Trial:
 
 
 def test_a_leak_that_is_forecast_before_the_kill_came_true() -> None:
+    """Its lead is the time from the forecast to the kill."""
     run = leak()
     run.warned = [warned(-21, "memory_filling")]
     found = row([run], "memory_filling")
@@ -36,6 +37,7 @@ def test_a_leak_that_is_forecast_before_the_kill_came_true() -> None:
 
 
 def test_a_forecast_after_the_kill_or_of_another_agent_is_wrong() -> None:
+    """And the leak counts as not forecast."""
     run = leak()
     run.warned = [warned(3, "memory_filling"), warned(-21, "memory_filling", agent=4)]
     found = row([run], "memory_filling")
@@ -64,17 +66,20 @@ def test_wrong_forecasts_are_counted_per_agent_hour_of_all_runs() -> None:
 
 
 def test_restarts_state_no_limit_so_they_are_neither_true_nor_wrong() -> None:
+    """They are counted as reports only."""
     found = row([trial(warned=[warned(5, "restarts_rising", "container/ros_app")])], "restarts_rising")
     assert (found.reports, found.came_true, found.wrong) == (1, None, None)
 
 
 def test_a_unit_that_was_a_warning_already_has_no_time_for_the_forecast() -> None:
+    """The log does not say when the second reason began."""
     run = leak()
     run.warned = [warned(-21, "memory_pressure", more=("memory_filling",))]
     assert row([run], "memory_filling").reports == 0
 
 
 def test_the_command_reads_records_and_names_what_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As text and as JSON; another file is an error."""
     run = leak()
     run.warned = [warned(-21, "memory_filling")]
     append(tmp_path / "runs.jsonl", run)

@@ -109,6 +109,7 @@ def test_stamps_are_compared_with_the_reception() -> None:
 
 
 def test_a_stamp_that_was_never_set_is_reported() -> None:
+    """As `unset`, so that no age is computed from it."""
     bench = Bench(max_age_s=0.5)
     for _ in range(10):
         fact = bench.look(bench.message(stamped(0)))
