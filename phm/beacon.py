@@ -268,7 +268,7 @@ class _Hub:
                 self._beat(now_s, overslept_s=now_s - due_s)
             except Exception as error:
                 if not warned and self._context.ok():
-                    _warn(self._node, f"the PHM beacon failed and goes on trying: {error!r}")
+                    _warn(self._node, f"the PHM beacon failed and keeps trying: {error!r}")
                     warned = True
             due_s = max(due_s + self._period_s, now_s)
         with contextlib.suppress(Exception):

@@ -192,7 +192,7 @@ class Consensus(api.Check):
         return api.Result(
             Level.ERROR,
             f"{joined([one for one in words if one])}: {step}",
-            brief(last(dead[0].node), "dead by quorum"),
+            brief(last(dead[0].node), "dead by majority"),
             "quorum_dead",
             self._containers[received[0]] if received else "",
             values,

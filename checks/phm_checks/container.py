@@ -109,7 +109,7 @@ class Container(PerContainer):
             return api.warn(
                 f"{self.key} was restarted {self._trend.count} times in {span(self._trend.window_s)}, at ever shorter intervals: "
                 f"see `docker logs {fact.name}` and `docker inspect` for why, before it no longer starts",
-                brief=brief(self.key, f"{self._trend.count} restarts, rising"),
+                brief=brief(self.key, f"{self._trend.count} restarts, ever faster"),
                 condition="restarts_rising",
                 target="",
                 **values,

@@ -140,11 +140,11 @@ class Devices(PerContainer):
                 f"{wanted.path} was disconnected and is back, but {self.key} still has the old device file from its start: "
                 f"restart {self.key} so that it can use the device again"
             )
-            return self._bad(wanted.path, words, "plugged in again", "device_replugged")
+            return self._bad(wanted.path, words, "replugged, not usable", "device_replugged")
         if not problem:
             return api.ok(f"{found}, mapped into {self.key}")
         words = f"{wanted.path} exists, but {self.key} cannot use it: {problem}"
-        return self._bad(wanted.path, words, "not mapped", "device_unmapped")
+        return self._bad(wanted.path, words, "not in container", "device_unmapped")
 
     @staticmethod
     def _maps(world: api.World, mapping: api.DeviceMapping, path: str, fact: api.DeviceFact) -> bool:

@@ -135,7 +135,7 @@ class Link(api.Check):
         if link.code == errno.ENOENT:
             return (
                 f"the port {path} exists on the host but not in PHM's container: add it to `devices` of PHM's service",
-                f"{name} not mapped",
+                f"{name} not in PHM container",
             )
         if link.code in _REFUSED:
             return (

@@ -124,7 +124,7 @@ class Pressure(PerContainer):
             "Compose or `docker update --cpus`"
         )
         shown = self._steady.show("throttled", over.throttled)
-        by = "" if fact.cpu_limit is None else f" by {fact.cpu_limit:.2g} CPU"
+        by = "" if fact.cpu_limit is None else f", limit {fact.cpu_limit:.2g} CPU"
         return self._bad(level, words, f"throttled {shown:.0f}%{by}", "cpu_throttled")
 
     def _judge_memory(

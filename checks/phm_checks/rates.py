@@ -292,7 +292,7 @@ class Rates(api.Check):
         return self._bad(
             Level.WARN,
             "jitter_rising",
-            f"jitter rises, {forecast.short(soon)} half",
+            f"jitter too high {forecast.short(soon)}",
             f"{case.name}: its jitter of {1000 * jitter_s:.0f} ms rises to half of its period, {1000 * limit_s:.0f} ms, "
             f"{forecast.words(soon)}: look for a queue, a log or a disk that fills, and for growing load",
             case,

@@ -55,7 +55,7 @@ def _load(point: EntryPoint, base: type) -> Plugin:
     try:
         loaded = point.load()
     except ModuleNotFoundError as error:
-        return failed(f"module {point.module!r} cannot be imported: {error}; is its package fully installed?")
+        return failed(f"module {point.module!r} cannot be imported: {error}: install its package again")
     except AttributeError:
         return failed(f"module {point.module!r} has no {point.attr!r}: correct the entry point")
     except Exception as error:  # the plug-in's own code runs here; any exception is a problem of the plug-in
@@ -63,7 +63,9 @@ def _load(point: EntryPoint, base: type) -> Plugin:
     if not (isinstance(loaded, type) and issubclass(loaded, base)):
         return failed(f"{point.value!r} is not a subclass of {base.__module__}.{base.__name__}")
     if getattr(loaded, "name", None) != point.name:
-        return failed(f"{point.value!r} is named {getattr(loaded, 'name', None)!r}, its entry point {point.name!r}")
+        return failed(
+            f"{point.value!r} has the name {getattr(loaded, 'name', None)!r}, but its entry point is {point.name!r}: give both the same name"
+        )
     return Plugin(point.name, source, loaded)
 
 

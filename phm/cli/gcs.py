@@ -80,7 +80,7 @@ class WithRequests(click.Command):
     help="Agents to report as missing even if never received, e.g. 1,2,5-8.",
 )
 @click.option("--record", type=click.Path(dir_okay=False), help="Append every event to this file as JSON lines.")
-@click.option("--serve", metavar="[HOST:]PORT", callback=address, help="Serve the events to other programs by HTTP.")
+@click.option("--serve", metavar="[HOST:]PORT", callback=address, help="Serve the events to other programs over HTTP.")
 @web_options("all agents")
 @click.option(
     "--history",
@@ -101,7 +101,7 @@ class WithRequests(click.Command):
     metavar="FILE",
     multiple=True,
     type=click.Path(exists=True, dir_okay=False),
-    help="Configuration of an agent on this computer that the page may write; may be repeated.",
+    help="Configuration on this computer that the page may write; repeatable.",
 )
 @click.option(
     "--deliver",

@@ -71,7 +71,7 @@ def link_settings(urls: tuple[str, ...], baud: int, key: str | None, unsigned: s
 
     urls = urls or (DEFAULT_URL,)
     if len(set(urls)) < len(urls):
-        raise click.UsageError("A URL is given twice.")
+        raise click.UsageError("A URL is given twice: remove one.")
     endpoints = [{"url": url, "baud": baud, "budget": 0} for url in urls]
     # Not validated: an absolute path of Windows does not begin with a slash.
     signing = SigningSettings.model_construct(key=os.path.abspath(key) if key else None, unsigned=unsigned)

@@ -51,7 +51,7 @@ def _request_options(function: F) -> F:
             "urls",
             metavar="URL",
             multiple=True,
-            help=f"Where the agents are received, as for `phm gcs`; may be repeated.  [default: {DEFAULT_URL}]",
+            help=f"Where the agents are received, as for `phm gcs`; repeatable.  [default: {DEFAULT_URL}]",
         ),
         link_options(default_id=253),
         click.option(

@@ -29,11 +29,11 @@ SOCKET = "unix:///var/run/docker.sock"
     "containers",
     multiple=True,
     metavar="NAME",
-    help="Container to watch; repeat for several.  [default: all]",
+    help="Container to watch; repeatable.  [default: all]",
 )
 @click.option("--recover/--no-recover", default=None, help="Whether PHM may restart the containers.  [default: no]")
 @click.option(
-    "--flight-critical", multiple=True, metavar="NAME", help="Container not to restart in flight; repeat for several."
+    "--flight-critical", multiple=True, metavar="NAME", help="Container not to restart in flight; repeatable."
 )
 @click.option("--mavlink", metavar="URL", help="MAVLink endpoint, or none.  [default: port 14550 of this machine]")
 @click.option("--network", type=click.Choice(["bridge", "host"]), help="Network of PHM.  [default: as the containers]")

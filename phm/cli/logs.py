@@ -220,7 +220,7 @@ class _Printer:
 
         missing = self._explainer.gap(event)
         if missing:
-            self._put(Text(f"{missing} lines are missing here: torn, or never written", "yellow"))
+            self._put(Text(f"{missing} lines are missing here: incomplete, or never written", "yellow"))
         if not wanted:
             return
         said = self._explainer.explain(event)
@@ -243,6 +243,6 @@ def _close(logs: Sequence[LogReader]) -> None:
     for log in logs:
         log.close()
         for file, why in log.damaged.items():
-            click.echo(f"{file}: damaged or unreadable: {why}; what is before that is shown", err=True)
+            click.echo(f"{file}: damaged or unreadable: {why}; the lines before it are shown", err=True)
         if log.skipped:
-            click.echo(f"{log.path}: {log.skipped} lines are torn or not JSON and were left out", err=True)
+            click.echo(f"{log.path}: {log.skipped} lines are incomplete or not JSON and were left out", err=True)

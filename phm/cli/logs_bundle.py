@@ -33,7 +33,7 @@ SHARES = {
     "doctor.txt": 0.65,
 }
 """The part of the time after which each is not waited for, in this order: one that hangs must not cost what comes after it."""
-UNKNOWN_SECRETS = "not known, so it is not removed where it is elsewhere in the bundle"
+UNKNOWN_SECRETS = "its secrets are unknown and were not removed from the other files of the bundle"
 T = TypeVar("T")
 
 
@@ -48,7 +48,7 @@ T = TypeVar("T")
     type=Duration(),
     default="3min",
     show_default=True,
-    help="For everything; what was not collected by then is listed.",
+    help="Time limit; the output lists what was not collected by then.",
 )
 def bundle(file: Path, config: str | None, run_dir: str, timeout_s: float) -> None:
     """Write one file for a report of a problem, without secrets.
@@ -113,7 +113,7 @@ class _Known:
         except OSError:
             return
         except Late as error:
-            self.missing.append(("MAVLink signing key", f"{error}; it is {UNKNOWN_SECRETS}"))
+            self.missing.append(("MAVLink signing key", f"{error}; {UNKNOWN_SECRETS}"))
             return
         what = "MAVLink signing key"
         for text in (data.hex(), data.hex().upper(), data.decode("latin-1").strip()):
@@ -132,7 +132,7 @@ class _Known:
                 raise ValueError(f"larger than {MOST_CONFIGURATION} bytes")
             tree = yaml.safe_load(text)
         except Late as error:
-            self.missing.append(("phm.yaml", f"{path}: {error}; what is secret in it is {UNKNOWN_SECRETS}"))
+            self.missing.append(("phm.yaml", f"{path}: {error}; {UNKNOWN_SECRETS}"))
             return
         except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             # Without its structure, values of several lines cannot be found.
@@ -159,7 +159,7 @@ class _Known:
                     SHARES["containers"], partial(containers.inspected, engine, container)
                 )
             except (CannotTell, Late) as error:
-                why = f"{error}; what is secret in it is {UNKNOWN_SECRETS}"
+                why = f"{error}; {UNKNOWN_SECRETS}"
                 self.missing.append((f"container {container.key}", why))
                 continue
             self.secrets.learn_environment(containers.environment(inspected), f"container {container.key}")
@@ -263,4 +263,4 @@ def _show(file: Path, done: Bundle) -> None:
         click.echo(one_line(f"removed: {line}"))
     if len(removed) > SHOWN:
         click.echo(f"removed: {len(removed) - SHOWN} more, see REMOVED.txt in the bundle")
-    click.echo(one_line(f"written: {file}; look through it before you send it"))
+    click.echo(one_line(f"written: {file}; read it before you send it"))

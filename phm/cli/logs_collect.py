@@ -65,7 +65,9 @@ class _Engine(click.ParamType):  # type: ignore[type-arg]
     help="A Docker Engine: unix:///PATH, tcp://HOST:PORT, ssh://USER@HOST; repeatable.  [default: DOCKER_HOST, else this "
     "computer's, unless a PATH is given]",
 )
-@click.option("--container", "patterns", metavar="GLOB", multiple=True, help="Only such containers; repeatable.")
+@click.option(
+    "--container", "patterns", metavar="GLOB", multiple=True, help="Only containers with such a name; repeatable."
+)
 @click.option("--path", "place", default="/var/log/phm", show_default=True, help="Folder of the log in the containers.")
 @json_option
 def collect(

@@ -23,7 +23,9 @@ EXTRA = ("msgspec", "jinja2")
 
 @click.command(epilog="Example: phm report logs/ ground.jsonl --html flight.html")
 @click.argument("paths", metavar="PATH...", nargs=-1, required=True)
-@click.option("--flight", metavar="N", type=click.IntRange(min=1), help="Only this flight, as the report counts them.")
+@click.option(
+    "--flight", metavar="N", type=click.IntRange(min=1), help="Only the flight with this number in the report."
+)
 @click.option("--html", metavar="FILE", type=click.Path(dir_okay=False), help="Write one page that needs no network.")
 @json_option
 @click.option("--csv", "as_csv", is_flag=True, help="Print the faults as CSV.")

@@ -45,7 +45,7 @@ def web_options(what: str) -> Callable[[F], F]:
         ),
         click.option("--tls-cert", type=path, help="Certificate chain of the page (PEM), with --tls-key."),
         click.option("--tls-key", type=path, help="Private key of the page (PEM), with --tls-cert."),
-        click.option("--behind-proxy", is_flag=True, help="A proxy in front of the page ends TLS."),
+        click.option("--behind-proxy", is_flag=True, help="A proxy in front of the page terminates TLS."),
     ]
 
     def add(function: F) -> F:

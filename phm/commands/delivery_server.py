@@ -146,7 +146,7 @@ class DeliveryServer:
             raise NotADelivery("this is not a request of `phm deliver`") from None
         request = wire.read_request(line)
         if not wire.authentic(request, said, self._key):
-            raise NotADelivery("the key is not this agent's, or the request is a recording")
+            raise NotADelivery("the key is not this agent's, or the request was replayed: use this agent's key")
         return request
 
     async def _deliver(self, reader: asyncio.StreamReader, request: Request, who: str) -> DeliveryAnswer:
@@ -168,7 +168,7 @@ class DeliveryServer:
         except asyncio.IncompleteReadError:
             return DeliveryAnswer(False, "the configuration is incomplete")
         if hashlib.sha256(body).hexdigest() != request.version:
-            return DeliveryAnswer(False, "the configuration was changed on its way")
+            return DeliveryAnswer(False, "the configuration was altered in transit")
         try:
             text = body.decode("utf-8")
         except UnicodeDecodeError:

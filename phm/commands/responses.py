@@ -111,7 +111,7 @@ def details(fault: Fault, command: Command, others: Sequence[str] = ()) -> list[
     if fault.consequences:
         pieces.append(f"blocks {', '.join(fault.consequences)}")
     if fault.suspects:
-        pieces.append(f"also bad: {', '.join(fault.suspects)}")
+        pieces.append(f"possible cause: {', '.join(fault.suspects)}")
     numbers = [number for other in others if (number := fault_number(other)) is not None]
     if numbers:
         pieces.append(f"other open faults: {', '.join(map(str, numbers[:MOST_OTHERS]))}")

@@ -137,7 +137,9 @@ def watch(
             elif state not in tuple(left_alone):
                 silent += 1
             if silent >= SILENT_LOOKS:
-                _say(f"PHM (process {pid}) is unresponsive for {silent * look_s:.0f} s; killing it so that it restarts")
+                _say(
+                    f"PHM (process {pid}) has been unresponsive for {silent * look_s:.0f} s; killing it so that it restarts"
+                )
                 kill(pid, signal.SIGKILL)
                 return
 

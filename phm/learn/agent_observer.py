@@ -161,7 +161,7 @@ class AgentObserver:
             return None
         if fact is None or not fact.running:
             self.problems.append(
-                f"container {key} {'does not exist' if fact is None else f'is {fact.status}'}: nothing is learned of it"
+                f"container {key} {'does not exist' if fact is None else f'is {fact.status}'}: nothing is learned about it"
             )
             return None
         return fact

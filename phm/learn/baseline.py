@@ -118,7 +118,7 @@ def _container(one: ObservedContainer, seen: Observations, folders: Mapping[str,
         notes["name"] = "it was restarted while it was watched: check that the agent was healthy"
     if fact.healthcheck is None:
         values["healthcheck"] = "auto"
-        notes["healthcheck"] = "it has no HEALTHCHECK: that it runs is all that Docker knows"
+        notes["healthcheck"] = "it has no HEALTHCHECK: Docker knows only that it is running"
     elif fact.health == "healthy":
         values["healthcheck"] = "required"
     else:
@@ -128,7 +128,7 @@ def _container(one: ObservedContainer, seen: Observations, folders: Mapping[str,
         values["networks"] = networks
         if any(one.answers.get(name) is False for name in networks):
             values["address"] = False
-            notes["address"] = "its address did not answer: true would be a fault"
+            notes["address"] = "its address did not answer: `address: true` would be a fault now"
     nested = {"files": [_folder(folder, name) for name, folder in folders.items() if folder.container == one.key]}
     nested["devices"] = [
         _device(mapping.host_path, mapping.container_path)
@@ -204,7 +204,7 @@ def _topic(one: ObservedTopic, seen: Observations, nodes: frozenset[str]) -> Lea
         _rate(one, seen.watched_s, values, notes)
     values["publishers"] = publishers
     if len(publishers) > 1:
-        notes["publishers"] = f"{len(publishers)} publishers: rate of all together"
+        notes["publishers"] = f"{len(publishers)} publishers: the rate is their sum"
     if subscribers:
         values["subscribers"] = subscribers
     return Learned(values, notes)
@@ -218,7 +218,9 @@ def _rate(one: ObservedTopic, watched_s: float, values: dict[str, Any], notes: d
             notes.setdefault("name", f"`rate` is not learned: {one.problem}")
         elif latched and not rates:
             values["rate"] = 0
-            notes["rate"] = f"no message in {watched_s:.0f} s, and its publishers keep the last one: taken as latched"
+            notes["rate"] = (
+                f"no message in {watched_s:.0f} s, and its publishers keep the last one: assumed to be latched"
+            )
         else:
             notes.setdefault("name", f"`rate` is not learned: it was silent for a part of {watched_s:.0f} s")
         return
@@ -236,7 +238,7 @@ def _rate(one: ObservedTopic, watched_s: float, values: dict[str, Any], notes: d
     if spread > STEADY_PERCENT:
         notes["rate"] = f"varied by {spread:.0f} % within {watched_s:.0f} s"
     elif watched_s < SHORT_S or len(rates) < FEW:
-        notes["rate"] = f"measured for {watched_s:.0f} s only: its spread is not certain"
+        notes["rate"] = f"measured for {watched_s:.0f} s only: its spread is uncertain"
 
 
 def _short(hz: float) -> float | int:

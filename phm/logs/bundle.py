@@ -66,7 +66,7 @@ class Bundle:
         for file, _base in sorted(found, key=lambda pair: _age(*pair)):
             if left <= 0 or not self.deadline.left(LOGS_SHARE):
                 why = (
-                    f"no time left for it in {self.deadline.seconds:g} s"
+                    f"not reached within the time limit of {self.deadline.seconds:g} s"
                     if left > 0
                     else f"more than {MOST_LOG_BYTES // 1_000_000} MB of logs"
                 )
@@ -99,13 +99,15 @@ class Bundle:
                 self.missing.append((name, getattr(error, "strerror", None) or str(error)))
                 return 0
             if broken:
-                self.missing.append((name, f"its rest: {broken}"))
+                self.missing.append((name, f"the rest of it: {broken}"))
             raw.seek(0)
             lines = (line.rstrip(b"\n").decode("utf-8", "surrogateescape") for line in raw)
             for line in self._cleaned(lines, name):
                 spool.write(line.encode("utf-8", "surrogateescape") + b"\n")
                 if not self.deadline.left(LOGS_SHARE):
-                    self.missing.append((name, f"its rest: no time left for it in {self.deadline.seconds:g} s"))
+                    self.missing.append(
+                        (name, f"the rest of it: not reached within the time limit of {self.deadline.seconds:g} s")
+                    )
                     break
             size = spool.tell()
             spool.seek(0)
@@ -186,7 +188,7 @@ def _copy(file: Path, limit: int, raw: IO[bytes], deadline: Deadline) -> str:
         for line in _lines(file, limit):
             raw.write(line.encode("utf-8", "surrogateescape") + b"\n")
             if not deadline.left(LOGS_SHARE):
-                return f"no time left for it in {deadline.seconds:g} s"
+                return f"not reached within the time limit of {deadline.seconds:g} s"
     except _BROKEN as error:
         return str(getattr(error, "strerror", None) or error)
     return ""

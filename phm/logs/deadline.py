@@ -28,7 +28,7 @@ class Deadline:
         """What `work` returns or raises. Raises Late: it goes on in its thread, so it must not change anything that others use."""
         seconds = self.left(share)
         if seconds <= 0:
-            raise Late(f"no time left for it in {self.seconds:g} s")
+            raise Late(f"not started within the time limit of {self.seconds:g} s")
         done: list[tuple[bool, Any]] = []
 
         def run() -> None:

@@ -139,7 +139,7 @@ def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> Loo
     for number, (name, container, place) in enumerate(wanted):
         if number == MOST_CONTAINERS:
             missing.append(
-                (others, f"not asked: {len(wanted) - number} of {len(wanted)}; choose some with --container")
+                (others, f"{len(wanted) - number} of {len(wanted)} were not searched: choose some with --container")
             )
             break
         logs = ContainerLogs(engine, container, name, place)
@@ -149,7 +149,7 @@ def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> Loo
             missing.append((logs.name, str(error)))
             failures += 1
             if failures == MOST_FAILURES:
-                missing.append((others, "not asked, since others could not be looked at"))
+                missing.append((others, "not read, because others could not be read"))
                 break
             continue
         if has:
@@ -195,7 +195,9 @@ def of_path(path: Path, without: Path) -> Looked:
         if len(Path(place).relative_to(path).parts) >= MOST_DEPTH:
             folders.clear()
         if len(found) >= MOST_FOLDERS:
-            missing.append((f"the other folders in {path}", f"not looked at, since {MOST_FOLDERS} have logs"))
+            missing.append(
+                (f"the other folders in {path}", f"not searched: {MOST_FOLDERS} folders with logs are the limit")
+            )
             break
         if any(base in names or f"{base}.1" in names or f"{base}.1.gz" in names for base in BASES):
             found.append(FolderLogs(Path(place)))

@@ -72,7 +72,7 @@ class TreeReader:
         reading it after BUSY_S.
         """
         if not self._lock.acquire(timeout=BUSY_S):
-            raise CannotTell("an earlier look is still reading it: check that its disk or network volume answers")
+            raise CannotTell("an earlier run is still reading it: check that its disk or network volume answers")
         try:
             if fresh or self._clock.mono() >= self._next_s:
                 self._look(folder, ignore)
@@ -86,7 +86,7 @@ class TreeReader:
         """A failure is remembered like a listing: a walk that fails costs as much as one that does not."""
         began_s = self._clock.mono()
         walk = _Walk(self._clock, ignore, self._known, self._waiting)
-        self._problem = "the last look at it did not finish"
+        self._problem = "the previous run did not finish reading it"
         try:
             walk.run(folder)
             self._known, self._waiting, self._listing, self._problem = walk.found, walk.waiting, walk.listing, ""

@@ -17,7 +17,7 @@ _VERSION = r"/v1\.(?:2[4-9]|[3-9][0-9])"
 """Before 1.24, `start` took a body with mounts and privileges."""
 _REF = "[A-Za-z0-9][A-Za-z0-9_.-]*"
 _PLAIN = re.compile(r"/[A-Za-z0-9._/-]+")
-_REFUSAL = '{"message": "the socket proxy allows only the calls that `phm proxy-rules` made of the configuration"}'
+_REFUSAL = '{"message": "the socket proxy allows only the calls that `phm proxy-rules` derived from the configuration"}'
 _VARIABLES = {"detached": "x", "attached": "y"}
 """Beginnings of the names of variables with the id of the newest program in a container, by how it is started."""
 _SILENCE_S = 600

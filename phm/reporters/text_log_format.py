@@ -47,7 +47,7 @@ _WELL = {
     Slot.HOST: ("host limits", "are kept"),
 }
 # For checks that share a slot with another.
-_WELL_CHECKS = {"diagnostics": ("watched diagnostics", "say OK")}
+_WELL_CHECKS = {"diagnostics": ("watched diagnostics", "report OK")}
 _REMEMBERED = 64
 
 
@@ -175,14 +175,13 @@ def _unit_line(at: Stamp, state: UnitState, fault: Fault | None = None) -> str:
 def following(fault: Fault, text: str) -> str:
     """What follows a fault's sentence `text`: its consequences, and other failures that could be its cause.
 
-    ``: blocks nodes, topics, rates; host/disk is also bad``; ``; blocks ...`` after a sentence that has its colon.
+    ``: blocks nodes, topics, rates; possible cause: host/disk``; ``; blocks ...`` after a sentence that has its colon.
     """
     parts = []
     if fault.consequences:
         parts.append(f"{';' if ': ' in text else ':'} blocks {', '.join(fault.consequences)}")
     if fault.suspects:
-        is_bad = "is" if len(fault.suspects) == 1 else "are"
-        parts.append(f"; {', '.join(fault.suspects)} {is_bad} also bad")
+        parts.append(f"; possible cause: {', '.join(fault.suspects)}")
     return "".join(parts)
 
 

@@ -94,7 +94,7 @@ def follow_machine(runs: Sequence[tuple[Run, RunClock]]) -> None:
         if clock.offset_s is None and machine(run) and placed:
             best = max(placed, key=lambda one: one.votes)
             clock.shift, clock.offset_s, clock.error_s = best.shift, best.offset_s, best.error_s
-            clock.applied, clock.by = best.applied, "another run of the same start of the machine"
+            clock.applied, clock.by = best.applied, "another run since the same start of the machine"
 
 
 def taken(run: Run, clock: RunClock, offset_s: float, runs: Sequence[tuple[Run, RunClock]]) -> bool:

@@ -51,7 +51,7 @@ def records(
             # A message that is not followed by one was cut, and its rest is something else.
             if form is None or not (end == len(buffer) or buffer.startswith(HEAD, end)):
                 if not skipping:
-                    problems.add("bytes that are no message of a DataFlash log, skipped", path)
+                    problems.add("bytes that are not a message of a DataFlash log, skipped", path)
                 skipping, at = True, _next(buffer, at + 1)
                 continue
             skipping = False

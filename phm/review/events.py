@@ -97,7 +97,7 @@ def parse(line: bytes) -> tuple[Event | None, str]:
     except msgspec.ValidationError:
         return _without_wrong_types(line)
     except UNREADABLE:
-        return None, "not JSON, torn or nested too deeply"
+        return None, "not JSON, incomplete or nested too deeply"
     if not (0.0 <= event.mono < LATEST_S and 0.0 < event.utc_s < LATEST_S):
         return None, "no possible time"
     return event, wrong

@@ -31,9 +31,9 @@ from phm.review.votes import (
 )
 from phm.wire import status_line
 
-NOTHING = "its own clock: the ground received nothing that the log has, too: no line about a change and no arming"
-SEVERAL = "its own clock: what the ground received, too, fits several offsets"
-BY = "lines and armings that the ground received, too"
+NOTHING = "its own clock: the ground received no line about a change and no arming that is in the log"
+SEVERAL = "its own clock: the lines and armings that the ground also received fit several offsets"
+BY = "lines and armings that the ground also received"
 TAKEN = "but another run of this agent is there"
 ARMED = "armed"
 SLOTS = frozenset(each.value for each in Slot)
@@ -96,7 +96,7 @@ def _find(group: _Group, heard: _Heard) -> None:
         return
     mine, theirs = _weights(group, heard, agreed[0])
     if why := too_little(agreed[0], mine, theirs, overlapping=bool(both(heard.cover, group.cover))):
-        _say(group, f"its own clock: of the lines and armings that the ground received, too, {why}")
+        _say(group, f"its own clock: of the lines and armings that the ground also received, {why}")
         return
     group.found, group.votes = agreed, min(len(mine.agreed), len(theirs.agreed))
 

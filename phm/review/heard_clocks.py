@@ -26,8 +26,8 @@ LEAST_UNEVEN = 5
 """Above NEAR_S so many intervals must differ from even ones."""
 MOST_SENDERS = 256
 """As agents log them; of more, those with most frames."""
-BY_GROUND = "heartbeats that the ground received or sent, too"
-BY_AGENT = "heartbeats that another agent received, too"
+BY_GROUND = "heartbeats that the ground also received or sent"
+BY_AGENT = "heartbeats that another agent also received"
 Frame = tuple[int, int, int]
 Heard = Mapping[Frame, Sequence[float]]
 Source = tuple[Heard, RunClock]

@@ -28,9 +28,9 @@ from phm.wire import status_line
 LEAST_LINES, LEAST_CHANGES = 3, 2
 """This many lines must agree, and this many of them must be about changes: regular lines come at even intervals and fit many offsets."""
 MOST_VOTES = 200_000
-BY = "lines or diagnostics of PHM that its own log has, too"
-NO_LINES = "its own clock: no line and no diagnostic of PHM about a change is in it that PHM's log has, too"
-SEVERAL = "its own clock: the lines and diagnostics of PHM that its own log has, too, fit several offsets"
+BY = "lines or diagnostics of PHM that are also in its log"
+NO_LINES = "its own clock: it has no line and no diagnostic about a change that is also in PHM's log"
+SEVERAL = "its own clock: the lines and diagnostics that are also in PHM's log fit several offsets"
 _LINE = re.compile(r"A(\d{1,3}) ([A-Z]+) (?:([01-]{8})(?: |$)|(\d{1,2}) )")
 _STATUS = re.compile(r"phm/[^/:]+/\w+: (.+?): ")
 REFRESH, UNIT = "regular", "unit"
@@ -96,11 +96,11 @@ def _clock(file: str, received: Times, span: Span, log: _Log) -> OtherClock:
     few = f"its own clock: {len(changes)} lines about changes and {len(every) - len(changes)} regular ones agree with PHM's log"
     if len(every) < LEAST_LINES or len(changes) < LEAST_CHANGES:
         return OtherClock(
-            file, lines=len(every), by=f"{few}, {LEAST_LINES} with {LEAST_CHANGES} about changes are needed"
+            file, lines=len(every), by=f"{few}; {LEAST_LINES} lines are needed, {LEAST_CHANGES} of them about changes"
         )
     if why := _refused(received, span, log, agreed[0]):
         return OtherClock(
-            file, lines=len(every), by=f"its own clock: of the lines about changes that PHM's log has, too, {why}"
+            file, lines=len(every), by=f"its own clock: of the lines about changes that are also in PHM's log, {why}"
         )
     offset_s = statistics.median(changes)
     spread_s = max(max(every) - offset_s, offset_s - min(every))

@@ -80,7 +80,7 @@ def read(found: Found, progress: Progress = lambda _: None, *, processes: int | 
     pieces = list(_pieces(found))
     whole = Part()
     for file in found.twice:
-        whole.problems.add("has the first line of another file, and was left out", str(file))
+        whole.problems.add("begins with the same line as another file, so it is a copy and was left out", str(file))
     count = processes or min(os.cpu_count() or 1, 8)
     if count == 1 or (processes is None and found.bytes < ALONE_BYTES):
         for piece, source in pieces:

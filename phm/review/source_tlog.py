@@ -113,7 +113,7 @@ def _frames(path: str, problems: Problems) -> Iterator[tuple[float, bytes]]:
             t, length = _stamp(buffer, at), _length(buffer, at + STAMP)
             if t is None or not length:
                 if not skipping:
-                    problems.add("bytes that are no frame, skipped", path)
+                    problems.add("bytes that are not a frame, skipped", path)
                 skipping, at = True, _next(buffer, at + 1)
                 continue
             skipping = False

@@ -81,15 +81,15 @@ def too_little(offset_s: float, mine: Weight, theirs: Weight, *, overlapping: bo
     least, count = min((mine, theirs), key=lambda one: one.share), len(theirs.agreed)
     shown = f"{count} agree{'s' if count == 1 else ''} at {offset_s:+.1f} s"
     if (max(mine.share, theirs.share) if near else least.share) < SHARE:
-        return f"{shown}, but of {least.possible} that both could have at least half must"
+        return f"{shown}, less than half of the {least.possible} that both records can have"
     if near:
         return ""
     far = not overlapping or abs(offset_s) > FAR_S
     seen, needed = moments(at for _, at in theirs.agreed), MOMENTS_FAR if far else MOMENTS
     if seen < needed:
-        return f"{shown}, in {seen} moment{'' if seen == 1 else 's'} of the {needed} that are needed to move it so far"
+        return f"{shown}, at {seen} moment{'' if seen == 1 else 's'}: {needed} are needed for so large an offset"
     if far and seen < MOMENTS_ALIKE and len({one for one, _ in theirs.agreed}) < 2:
-        return f"{shown}, all of one kind: {MOMENTS_ALIKE} moments are needed to move it so far"
+        return f"{shown}, all of one kind: {MOMENTS_ALIKE} moments are needed for so large an offset"
     return ""
 
 

@@ -113,7 +113,7 @@ class Delivery:
         if not back:
             words = (
                 f"failed: {why}. The previous file is back, but PHM may run with the delivered one, because it could not reload again "
-                f"({again}): call `phm reload` on the agent"
+                f"({again}): run `phm reload` on the agent"
             )
         self.note(words)
         return False, words
@@ -175,7 +175,7 @@ class Delivery:
             return problem
         return changed(
             problem,
-            message="is wrong. The message has a value of the agent's variables: copy the file to the agent, and run `phm validate`",
+            message="is wrong. The reason contains a value of the agent's environment, so it is not sent: run `phm validate` on the agent",
         )
 
     def _version(self) -> str:

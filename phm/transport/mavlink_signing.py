@@ -203,11 +203,11 @@ class Signing:
             return
         except OSError as error:
             self._problem = (
-                f"cannot read {self._path}: {error.strerror or error}; the time of signing begins with the clock"
+                f"cannot read {self._path}: {error.strerror or error}; signing timestamps start from the clock"
             )
             return
         except (ValueError, KeyError, TypeError, RecursionError):
-            self._problem = f"{self._path} is damaged: the time of signing begins with the clock"
+            self._problem = f"{self._path} is damaged: signing timestamps start from the clock"
             return
         # If the clock has advanced since, it bounds the times used after the save; otherwise it does not.
         gone_on = self._now() > time

@@ -56,7 +56,7 @@ class MetricCatalog:
 LEFT_OUT = Metric(
     "phm_metrics_left_out",
     "gauge",
-    "Series that are not on this page because a metric already had the most that it may have",
+    "Series left out because their metric has reached its limit",
 )
 
 

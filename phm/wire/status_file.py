@@ -78,7 +78,7 @@ def unhealthy(document: dict[str, Any], *, now_mono: float | None = None) -> str
     if age_s > MAX_AGE_S:
         return f"the status is {age_s:.0f} s old, at most {MAX_AGE_S:.0f} s are allowed: PHM has stopped or hangs"
     if document.get("alive") is not True:
-        return "PHM's engine has stalled: see `phm status` for the checks that are overdue"
+        return "PHM's checks have stalled: see `phm status` for the checks that are overdue"
     namespace = document.get("pid_namespace")
     pid = document.get("pid")
     if namespace and namespace == here["pid_namespace"] and isinstance(pid, int) and not _exists(pid):

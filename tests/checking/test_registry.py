@@ -16,7 +16,7 @@ from phm.checking import registry
         ("no_such_module_anywhere:X", "cannot be imported"),
         ("phm.core.model:NoSuchName", "has no 'NoSuchName'"),
         ("phm.core.model:Level", "is not a subclass of phm.api.Check"),
-        ("phm.api:Check", "is named None"),
+        ("phm.api:Check", "has the name None"),
     ],
 )
 def test_each_load_error_has_its_own_text(value: str, words: str) -> None:

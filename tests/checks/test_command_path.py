@@ -170,7 +170,7 @@ def test_a_silent_router_with_one_sender_behind_it_is_not_blamed() -> None:
 
 PORTS = [
     (errno.ENOENT, False, "port: ttyUSB0 missing", "check its cable"),
-    (errno.ENOENT, True, "port: ttyUSB0 not mapped", "in PHM's container"),
+    (errno.ENOENT, True, "port: ttyUSB0 not in PHM container", "in PHM's container"),
     (errno.EACCES, True, "port: ttyUSB0 no permission", "dialout"),
     (errno.EAGAIN, True, "port: ttyUSB0 in use by mavproxy.py", "mavproxy.py (42)"),
     (errno.EIO, True, "port: ttyUSB0 failed", "driver"),

@@ -357,7 +357,7 @@ def test_a_node_that_most_nodes_do_not_receive_is_an_error() -> None:
     assert (early.level, early.condition) == (api.Level.WARN, "dissent")
     result = quorum.after(2, beacons)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "quorum_dead", "ros_app")
-    assert (result.brief, result.settle_s) == ("c dead by quorum", 0.0)
+    assert (result.brief, result.settle_s) == ("c dead by majority", 0.0)
     assert result.summary.startswith(
         "agent_1/c is dead by majority: it is not received by agent_1/a, agent_1/b, but is received by PHM"
     )
@@ -381,7 +381,7 @@ def test_a_split_with_a_majority_is_an_error_that_names_the_sides() -> None:
     """The nodes of the smaller side are dead by majority; without a majority it stays a split."""
     quorum = Quorum(*ALL)
     result = quorum.after(11, matrix(*ALL, not_received=both((A, B), (A, C), (A, D))))
-    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "quorum_dead", "a dead by quorum")
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "quorum_dead", "a dead by majority")
     assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not receive each other" in result.summary
     halves = matrix(*ALL, not_received=both((A, C), (A, D), (B, C), (B, D)))
     result = Quorum(*ALL).after(60, halves)

@@ -82,7 +82,7 @@ def test_a_container_throttled_by_its_cpu_limit_is_reported_within_two_checks() 
     results = bench.looks(2, **STARVED)
     assert results[-1].level is api.Level.ERROR and results[-1].condition == "cpu_throttled"
     assert results[-1].summary.startswith("ros_app throttled 97 % of the time by its limit of 0.03 CPUs: raise it")
-    assert results[-1].brief == "ros_app throttled 97% by 0.03 CPU" and len(results[-1].brief) <= BRIEF_MAX
+    assert results[-1].brief == "ros_app throttled 97%, limit 0.03 CPU" and len(results[-1].brief) <= BRIEF_MAX
     assert results[-1].target == "ros_app"
 
 

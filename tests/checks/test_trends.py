@@ -219,7 +219,7 @@ def test_restarts_that_become_more_frequent_are_reported() -> None:
     assert (result.level, result.condition, result.brief) == (
         api.Level.WARN,
         "restarts_rising",
-        "ros_app 5 restarts, rising",
+        "ros_app 5 restarts, ever faster",
     )
 
 

@@ -317,7 +317,7 @@ def test_a_stalled_scheduler_is_unhealthy(tmp_path: Path) -> None:
     running(tmp_path, alive=False)
     result = invoke("status", "--healthy", "--run-dir", str(tmp_path))
     assert result.exit_code == 1
-    assert result.stderr.startswith("PHM is not healthy: PHM's engine has stalled")
+    assert result.stderr.startswith("PHM is not healthy: PHM's checks have stalled")
 
 
 def test_without_a_daemon_status_says_so(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_the_bundle_has_what_a_reader_needs(agent: Path, tmp_path: Path) -> None
     texts = [json.loads(line).get("text") for line in inside["logs/phm.jsonl"].splitlines()]
     assert "an ordinary line" in texts and len(texts) == 6
     assert json.loads(inside["versions.json"])["phm"] and b"engine: " in inside["doctor.txt"]
-    assert b"status.json" in inside["MISSING.txt"] and b"logs/phm.jsonl.1: its rest" in inside["MISSING.txt"]
+    assert b"status.json" in inside["MISSING.txt"] and b"logs/phm.jsonl.1: the rest of it" in inside["MISSING.txt"]
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
 
 
@@ -139,7 +139,7 @@ def test_a_log_that_was_cut_says_so(agent: Path, tmp_path: Path, monkeypatch: py
         with tarfile.open(fileobj=io.BytesIO(), mode="w") as archive:
             made = bundles.Bundle(archive, Secrets())
             made.logs(log.parent)
-        assert (("logs/phm.jsonl", "its rest: too long") in made.missing) is said, made.missing
+        assert (("logs/phm.jsonl", "the rest of it: too long") in made.missing) is said, made.missing
 
 
 @pytest.mark.parametrize(

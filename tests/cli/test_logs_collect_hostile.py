@@ -153,7 +153,7 @@ def test_containers_beyond_the_limit_are_named(
     """With exit code 1; a pattern that chooses fewer containers is within the limit."""
     monkeypatch.setattr(log_sources, "MOST_CONTAINERS", 1)
     result = collect(tmp_path / "out", engine=engine)
-    assert result.exit_code == 1 and "not asked: 1 of 2" in result.output, result.output
+    assert result.exit_code == 1 and "1 of 2 were not searched" in result.output, result.output
     assert collect(tmp_path / "out", "--container", "phm", engine=engine).exit_code == 0, (
         "the limit is of those that are looked at"
     )

@@ -97,7 +97,7 @@ def test_watched_diagnostics_are_not_called_nodes() -> None:
     """Checks that share a slot have different wordings."""
     units = tuple(unit(f"diagnostics/camera: {name}", Slot.NODES) for name in ("Frequency", "Frames"))
     line = TextLogFormatter().format(Report(at(), 1, at(), units))[1]
-    assert line.endswith("(6) All 2 watched diagnostics say OK: camera: Frequency, camera: Frames")
+    assert line.endswith("(6) All 2 watched diagnostics report OK: camera: Frequency, camera: Frames")
 
 
 def test_a_bypassed_unit_does_not_count_as_failed() -> None:
@@ -202,7 +202,7 @@ def test_giving_up_is_logged_once() -> None:
     [
         ("ros_app exited 137 (killed)", (), "ros_app exited 137 (killed): blocks nodes, topics"),
         ("ros_app is dead: remove it", (), "ros_app is dead: remove it; blocks nodes, topics"),
-        ("ros_app exited", ("host/disk",), "ros_app exited: blocks nodes, topics; host/disk is also bad"),
+        ("ros_app exited", ("host/disk",), "ros_app exited: blocks nodes, topics; possible cause: host/disk"),
     ],
 )
 def test_a_failure_names_cause_and_consequences(summary: str, suspects: tuple[str, ...], logged: str) -> None:

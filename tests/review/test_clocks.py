@@ -132,7 +132,7 @@ def test_agents_are_compared_by_the_heartbeats_that_both_received(tmp_path: Path
     made = report(tmp_path)
     assert made["clocks"]["reference"] == "agent_1"
     clock = made["clocks"]["runs"][1]
-    assert clock["by"] == "heartbeats that another agent received, too" and clock["applied"]
+    assert clock["by"] == "heartbeats that another agent also received" and clock["applied"]
     assert clock["offset_s"] == pytest.approx(-wrong_s, abs=clock["error_s"]) and clock["error_s"] < 0.6
     assert made["faults"][0]["opened"] == pytest.approx(T0 + failed_s, abs=clock["error_s"])
 
@@ -184,7 +184,7 @@ def test_an_agent_without_a_fault_is_compared_by_the_heartbeats_of_the_ground(
     ground.heard([*sky.sent, *((at, 7, 1, number) for at, _, _, number in sky.sent)])
     ground.close()
     (clock,) = report(tmp_path)["clocks"]["runs"]
-    assert clock["applied"] and clock["by"] == "heartbeats that the ground received or sent, too"
+    assert clock["applied"] and clock["by"] == "heartbeats that the ground also received or sent"
     assert clock["offset_s"] == pytest.approx(-wrong_s, abs=clock["error_s"]) and clock["error_s"] < 0.6
 
 

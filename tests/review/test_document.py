@@ -136,7 +136,7 @@ def test_files_may_be_rotated_compressed_twice_there_and_in_any_folder(tmp_path:
         key: expected[key] for key in ("faults", "availability", "checks", "agents")
     }
     assert [problem["what"] for problem in made["files"]["problems"]] == [
-        "has the first line of another file, and was left out"
+        "begins with the same line as another file, so it is a copy and was left out"
     ]
 
 

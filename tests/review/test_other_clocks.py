@@ -66,7 +66,7 @@ def test_a_recorded_dataflash_log_gets_the_time_of_the_phm_beside_it(tmp_path: P
     # PHM's own log has this line at 1795306586.266.
     assert change["t"] == pytest.approx(1_795_306_586.266, abs=0.1)
     shown = CliRunner().invoke(group, ["report", str(tmp_path)], env={"COLUMNS": "200"}).output
-    assert "+2.16 s" in shown and "13 lines or diagnostics of PHM that its own log has, too" in shown
+    assert "+2.16 s" in shown and "13 lines or diagnostics of PHM that are also in its log" in shown
 
 
 @pytest.mark.parametrize("wrong_s", [-86_400.0, -7.5, 0.0, 3600.0])
@@ -216,8 +216,8 @@ def test_a_recorded_log_of_another_session_stays_where_it_was(tmp_path: Path) ->
     clock = clock_of(made, OTHER_SESSION)
     assert (clock["applied"], clock["offset_s"]) == (False, None)
     assert clock["by"] == (
-        "its own clock: of the lines about changes that PHM's log has, too, 2 agree at +305.2 s, "
-        "but of 5 that both could have at least half must"
+        "its own clock: of the lines about changes that are also in PHM's log, 2 agree at +305.2 s, "
+        "less than half of the 5 that both records can have"
     )
     assert not made["other"]["rows"] and made["other"]["outside"] > 20
 
@@ -231,7 +231,7 @@ def test_lines_of_another_day_do_not_agree_often_enough(tmp_path: Path) -> None:
     file.write_bytes(b"".join(heard(at + 86_400.0, text) for at, text in theirs))
     clock = clock_of(report(tmp_path), file)
     assert not clock["applied"]
-    assert clock["by"].endswith("6 agree at -86400.0 s, but of 16 that both could have at least half must")
+    assert clock["by"].endswith("6 agree at -86400.0 s, less than half of the 16 that both records can have")
 
 
 def test_repeated_lines_about_what_still_fails_are_no_evidence_against_an_offset(tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def test_the_verdict_topic_shows_a_node_that_the_majority_declares_dead(
     scene.nodes["c"].kill()
     bench.script(SCRIPT, "c", "--hello", "/elsewhere")
     result = scene.wait(2, "quorum_dead", observers=4)
-    assert result.level is api.Level.ERROR and result.brief == "c dead by quorum"
+    assert result.level is api.Level.ERROR and result.brief == "c dead by majority"
     assert until(lambda: received("c", "dead"), "the verdict on c") == (
         2,
         "dead: 1 alive, 2 dead",

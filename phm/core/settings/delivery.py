@@ -20,7 +20,7 @@ class DeliverySettings(Section):
     def _complete(self) -> DeliverySettings:
         if self.listen is not None and self.key is None:
             raise ValueError(
-                "listen needs a key: `openssl rand -hex 32 > delivery.key`, chmod 600, and its path as `key`"
+                "listen needs a key: `openssl rand -hex 32 > delivery.key`, `chmod 600 delivery.key`, and give its path as `key`"
             )
         return self
 

@@ -29,7 +29,7 @@ class Tokens:
 
 @dataclass(frozen=True, slots=True)
 class ListenOptions:
-    """Where the server listens; call `check` before use. behind_proxy: a proxy in front of the server ends TLS."""
+    """Where the server listens; call `check` before use. behind_proxy: a proxy in front of the server terminates TLS."""
 
     host: str = "127.0.0.1"
     port: int = 8080
@@ -51,7 +51,7 @@ class ListenOptions:
         if not self.loopback and self.tls is None and not self.behind_proxy:
             raise OptionError(
                 f"{where}: a token must not cross the network in the clear: add --tls-cert FILE and --tls-key FILE, or "
-                "--behind-proxy if a proxy in front of it ends TLS"
+                "--behind-proxy if a proxy in front of it terminates TLS"
             )
         if self.behind_proxy and self.tokens is None:
             raise OptionError("--behind-proxy needs --token-file FILE: everyone who reaches the proxy reaches the page")

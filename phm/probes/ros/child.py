@@ -34,7 +34,7 @@ from phm.probes.ros.second_look import SecondLook
 if TYPE_CHECKING:
     from phm.probes.ros.observer import Observer
 
-MISSED = "the ROS child looks with a new participant: the one before had missed {}"
+MISSED = "the ROS child discovers again with a new participant: the previous one missed {}"
 MAX_MISSED = 300
 _PR_SET_PDEATHSIG = 1
 OOM_MORE, OOM_MOST = 500, 1000

@@ -50,7 +50,7 @@ NOT_INSTALLED = (
 )
 COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
 OVERLONG = f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB and was dropped: its content is unknown"
-CROWDED = "more messages come on /phm/beacon than PHM reads: beacons may be lost; see which nodes publish there"
+CROWDED = "more messages arrive on /phm/beacon than PHM can read: beacons may be lost; see which nodes publish there"
 REPORTED_S = 30.0
 """How long a loss is reported."""
 MAX_LOG_TEXTS = 20

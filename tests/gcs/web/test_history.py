@@ -110,8 +110,8 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
         client = here.client()
         until(lambda: events_or_none(client), "the new history")
         problem = until(lambda: client.get("/api/state")["ground"]["history"]["problem"], "the note")
-        assert "set aside" in problem
-        assert "set aside" in here.page.about()
+        assert "a new one was started" in problem
+        assert "a new one was started" in here.page.about()
     assert [one.read_bytes()[:5] for one in tmp_path.glob("history.db.damaged-*")] == [b"not a"]
 
 

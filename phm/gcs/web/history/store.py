@@ -250,12 +250,12 @@ class HistoryStore:
         try:
             os.replace(self.path, kept)
         except OSError as error:
-            self._fail(f"the history is damaged ({reason}) and cannot be set aside: {error.strerror or error}")
+            self._fail(f"the history is damaged ({reason}) and cannot be renamed: {error.strerror or error}")
             return
         for suffix in ("-wal", "-shm"):
             with contextlib.suppress(OSError):
                 os.replace(f"{self.path}{suffix}", f"{kept}{suffix}")
-        self._aside = f"the history was damaged ({reason}): it is set aside as {kept.name}, and a new one has begun"
+        self._aside = f"the history was damaged ({reason}): it is now {kept.name}, and a new one was started"
         logger.warning("%s", self._aside)
 
     def _disconnect(self) -> None:

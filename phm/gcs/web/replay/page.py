@@ -21,7 +21,7 @@ from phm.gcs.web.server import WebServer
 from phm.gcs.web.site import Site
 from phm.gcs.web.view import View, dumps
 
-NO_REQUESTS = "a record is replayed: there is no agent to ask"
+NO_REQUESTS = "a record is being replayed: no request can be sent"
 WRITE_LIMIT_S = 60.0
 SAMPLES = 1000
 """One line of a record gives fewer samples than this."""
