@@ -254,6 +254,7 @@ class Check(ABC):
 
 
 def ok(summary: str, **values: Value) -> Result:
+    """The unit is OK. values: measurements for the log; the name of each has its unit, e.g. ``battery_v=14.8``."""
     return Result(Level.OK, summary, values=values)
 
 
@@ -263,10 +264,19 @@ def bypass(summary: str, **values: Value) -> Result:
 
 
 def warn(summary: str, *, brief: str, condition: str = "", target: str = "", **values: Value) -> Result:
+    """A warning: it opens no fault and starts no recovery. Arguments: as of `error`; `condition` may be empty."""
     return Result(Level.WARN, summary, brief, condition, target, values)
 
 
 def error(summary: str, *, brief: str, condition: str, target: str = "", **values: Value) -> Result:
+    """An error, which opens a fault.
+
+    summary:   for the log: what is wrong, what was expected, what to do.
+    brief:     for the operator's line, at most 38 characters, e.g. ``battery 13.2 V``.
+    condition: one word such as ``battery_low``; `recovery.ladders` selects the actions by it.
+    target:    what an action is applied to: the key of a container, or ``disk:PATH``; empty: no action.
+    values:    as of `ok`.
+    """
     return Result(Level.ERROR, summary, brief, condition, target, values)
 
 

@@ -120,6 +120,7 @@ class Pipeline:
         self._apply(lambda now: self._tracker.put_on_hold(target, words, conditions, now))
 
     def end_hold(self, target: str) -> None:
+        """The hold of the target is over: see `Tracker.end_hold`."""
         self._apply(lambda now: self._tracker.end_hold(target, now))
 
     def expect_stop(self, target: str, at_most_s: float) -> None:
@@ -195,6 +196,7 @@ class Pipeline:
             return self._tracker.states()
 
     def undecided(self) -> tuple[str, ...]:
+        """Units that need more time or more results before their level is published: see `Tracker.undecided`."""
         with self._lock:
             return self._tracker.undecided(self._clock.stamp())
 

@@ -27,7 +27,7 @@ def address(ctx: click.Context, param: click.Parameter, value: str | None) -> tu
 
 
 def web_options(what: str) -> Callable[[F], F]:
-    """`web`, `token_file`, `tls_cert`, `tls_key`, `behind_proxy`. what: the page shows."""
+    """Add `--web`, `--token-file`, `--tls-cert`, `--tls-key` and `--behind-proxy` to a verb. what: shown by the page, for the help."""
     path = click.Path(dir_okay=False)
     options = [
         click.option(

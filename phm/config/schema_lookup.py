@@ -54,7 +54,7 @@ def model_at(path: Path) -> type[BaseModel] | None:
 
 
 def without_types(path: Path) -> Path:
-    """A path of pydantic's, which names the `type` of an entry after its index, as a place of the file."""
+    """The path of a value in the file, from the path in an error of pydantic, which adds the `type` of a list entry after its index."""
     kept: list[str | int] = []
     for end, part in enumerate(path):
         field = field_at(path[: end - 1]) if end >= 2 and isinstance(path[end - 1], int) else None

@@ -101,7 +101,7 @@ class Trend:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """The slope of some points, per second, and the lowest and highest of its confidence interval."""
+    """The slope of some points, in units per second, with the limits of its confidence interval."""
 
     slope: float
     low: float

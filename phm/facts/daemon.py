@@ -29,4 +29,7 @@ class SelfFact:
 
 
 class SelfProbe(Protocol):
-    def look(self) -> SelfFact: ...
+    """Reads the state of PHM itself."""
+
+    def look(self) -> SelfFact:
+        """Return the present state."""

@@ -162,6 +162,8 @@ class OtherContainer:
 
 
 class DockerProbe(Protocol):
+    """Reads containers and networks from the Docker Engine. Methods raise CannotTell if it does not answer."""
+
     def engine(self) -> str:
         """Return the version of the engine. Raises CannotTell if it does not answer in time."""
 

@@ -43,6 +43,8 @@ class TreeFact:
 
 
 class FileProbe(Protocol):
+    """Reads configured files inside of containers, and compares folders with their manifests."""
+
     def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         """Return the file at `path` inside the container, or None if it does not exist.
 
@@ -80,6 +82,8 @@ MAX_MATCHES = 100
 
 
 class DeviceProbe(Protocol):
+    """Reads the host's device files."""
+
     def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
         """Return the host's device at `path`, or None if it does not exist.
 

@@ -45,4 +45,7 @@ class HostFact:
 
 
 class HostProbe(Protocol):
-    def read(self) -> HostFact: ...
+    """Reads the resources of the computer on which PHM runs."""
+
+    def read(self) -> HostFact:
+        """Return the newest reading. Raises CannotTell."""

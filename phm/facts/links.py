@@ -172,6 +172,8 @@ class LinkFact:
 
 
 class LinkProbe(Protocol):
+    """Reads the MAVLink endpoints and who was received on them."""
+
     def gcs_age_s(self) -> float | None:
         """Return the seconds since the last HEARTBEAT of any ground station that count as silence; None: never received."""
 

@@ -34,6 +34,8 @@ class LogMemory:
 
 
 class LogProbe(Protocol):
+    """Reads new lines of files and of container logs."""
+
     def follow(
         self, reader: str, *, patterns: Sequence[str], timeout_s: float, path: str = "", container: str = ""
     ) -> LogFact:

@@ -35,6 +35,8 @@ class MessageValue:
 
 
 class MessageProbe(Protocol):
+    """Reads fields of MAVLink messages that were received."""
+
     def values(self, message: str, field: str, *, component: int, instance: int | None) -> Sequence[MessageValue]:
         """Return the field `name` or `name[0]` for each instance that was received, or for the one named. Only of messages
         that own checks name, on links that lead to the autopilot, from this vehicle. Empty: none was received."""

@@ -65,6 +65,8 @@ class ConsumerFact:
 
 
 class PressureProbe(Protocol):
+    """Reads what containers use and what they wait for."""
+
     def container(self, name: str) -> PressureFact | None:
         """Return the counters of the container configured as `name`; None if it is not running.
 

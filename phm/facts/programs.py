@@ -19,6 +19,8 @@ class ProgramFact:
 
 
 class ProgramProbe(Protocol):
+    """Runs programs, and lists processes."""
+
     def run(self, argv: Sequence[str], *, timeout_s: float, container: str = "") -> ProgramFact:
         """Run a program and wait for its end, in a container or beside PHM; no shell is used.
 

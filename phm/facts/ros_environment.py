@@ -68,6 +68,8 @@ class EnvironmentDifference:
 
 
 class EnvironmentProbe(Protocol):
+    """Compares the ROS environment of containers with that of PHM."""
+
     def differences(self, container: str) -> tuple[EnvironmentDifference, ...]:
         """Return what may keep PHM from receiving nodes of the container configured as `container`, certain ones first.
 

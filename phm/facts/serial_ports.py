@@ -21,6 +21,8 @@ class SerialFact:
 
 
 class SerialProbe(Protocol):
+    """Reads serial ports."""
+
     def look(self, path: str, *, baud: int, line: str) -> SerialFact:
         """Return what arrived on the host's `path`. The first call opens it; it is read until PHM ends.
 

@@ -59,5 +59,7 @@ class SwarmFact:
 
 
 class SwarmProbe(Protocol):
+    """Reads what this agent and its peers know about the swarm."""
+
     def look(self) -> SwarmFact:
         """Never fails: unknown values are marked as unknown."""

@@ -39,6 +39,7 @@ def encode(event: GcsEvent, run: str, number: int) -> bytes:
 
 
 def severity_name(severity: int) -> str:
+    """The name of a MAVLink severity; a number outside of 0 to 7 is returned as text."""
     return SEVERITIES[severity] if 0 <= severity < len(SEVERITIES) else str(severity)
 
 

@@ -69,8 +69,9 @@ class ObservedAutopilot:
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """All of it. watched_s: how long topics were measured. nodes: by full name, whether it was there until the end.
+    """Everything that `phm learn` observed.
 
+    watched_s: how long topics were measured. nodes: full name to whether the node was there until the end.
     problems: what could not be observed, in sentences.
     """
 

@@ -91,6 +91,7 @@ class Docker:
         return tuple(sorted(found, key=lambda other: other.name))
 
     def network_id(self, name: str) -> str:
+        """The id of the network with this name; empty if it does not exist. Raises CannotTell."""
         try:
             network = self._engine.inspect_network(name)
         except EngineMissing:

@@ -52,6 +52,7 @@ class ConsensusReporter(Reporter):
             self.tick()
 
     def tick(self) -> None:
+        """Publish the consensus if it has changed or the last publication is old enough."""
         if not self._context.alive():
             return
         result, now = self._context.newest(UNIT), self._context.clock.mono()

@@ -40,7 +40,10 @@ class RunClock:
 
 
 def own_clock(clock: Sequence[tuple[float, float]], end: float) -> RunClock:
-    """By the run's own UTC: of the differences of its two clocks the one that held longest. clock: as in `Run.clock`."""
+    """The clock of a run by its own UTC: the difference of UTC and monotonic time that held longest.
+
+    clock: as in `Run.clock`. end: of the run, in monotonic seconds.
+    """
     if not clock:
         return RunClock(0.0)
     held: list[tuple[float, float, float]] = []
@@ -108,8 +111,10 @@ def taken(run: Run, clock: RunClock, offset_s: float, runs: Sequence[tuple[Run, 
 
 
 def begin_of(spans: Sequence[Sequence[float]]) -> float:
+    """The earliest begin of the spans, in seconds; 0 without a span."""
     return min((span[0] for span in spans), default=0.0)
 
 
 def end_of(spans: Sequence[Sequence[float]]) -> float:
+    """The latest end of the spans, in seconds; 0 without a span."""
     return max((span[1] for span in spans), default=0.0)

@@ -31,7 +31,7 @@ class SilentPeer:
 
     @property
     def due_s(self) -> float:
-        """When the first heartbeat after the last one was due."""
+        """When the first missed heartbeat was due, in monotonic seconds."""
         return self.heard_s + self.stats.period_s
 
 

@@ -94,6 +94,7 @@ class Endpoint:
         return self._read_at
 
     def traffic(self) -> Traffic:
+        """Bytes and frames since the endpoint was created, and what was received from each sender."""
         counters = self.codec.counters
         return Traffic(
             counters.bytes_in, counters.bytes_out, counters.received, counters.bad, self.codec.senders.now(), self._line

@@ -117,7 +117,7 @@ def authentic(request: Request, said: Hello, key: bytes) -> bool:
 
 
 def answer_line(answer: DeliveryAnswer, key: bytes | None = None, request: Request | None = None) -> bytes:
-    """Without key and request: for a sender that is not known."""
+    """The answer as one signed line. Without key and request it is not signed: for a sender that has not proven to have the key."""
     text = answer.as_json()
     mac = _mac(key, ["phm delivery answer", request.mac, text]) if key is not None and request is not None else ""
     return _line({"answer": text, "mac": mac})

@@ -33,4 +33,5 @@ def limits_are_in_order(root: ConfigNode) -> None:
 
 
 def disks_are_unique(root: ConfigNode) -> None:
+    """Each disk is in `host.disks` once."""
     report_duplicates("disk", ((same_path(place.text), place) for place in root.get("host", "disks").texts))

@@ -51,8 +51,12 @@ class Station(Protocol):
 class Taker(Protocol):
     """Takes what arrives, in the thread of the feed; must not wait."""
 
-    def frame(self, received: Received) -> None: ...
-    def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None: ...
+    def frame(self, received: Received) -> None:
+        """A frame was received."""
+
+    def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None:
+        """An event happened. line: the same as in a record."""
+
     def turn(self, now: float) -> None:
         """Do what is due now. Called several times a second."""
 

@@ -51,7 +51,7 @@ class _Message(ctypes.Structure):
 
 
 class MessageTaker:
-    """For a raw subscription that no executor spins."""
+    """Takes serialized messages from one raw subscription that no executor spins."""
 
     def __init__(self, subscription: Any) -> None:
         self._subscription = subscription

@@ -75,9 +75,11 @@ class Player:
     # ------------------------------------------------------------ as a station
 
     def subscribe(self, queue: SubscriberQueue) -> None:
+        """Put each event of the record into `queue` while it is played."""
         self._queues = (*self._queues, queue)
 
     def watch(self, queue: BoundedQueue[Received]) -> None:
+        """Also put each received frame of the record into `queue` while it is played."""
         self._watchers = (*self._watchers, queue)
 
     def snapshot(self, *, moments: bool = False, only: Collection[int] | None = None) -> tuple[int, GcsEvent]:
