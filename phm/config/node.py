@@ -74,4 +74,5 @@ class ConfigNode:
         return self.tree.line(self.path)
 
     def add_problem(self, message: str) -> None:
+        """Report a mistake at this place of the file. message: what is wrong and what is allowed, without the name of the key."""
         self.problems.append(Problem(self.file, self.line, dotted(self.path), message))

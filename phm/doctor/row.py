@@ -31,4 +31,5 @@ def limited(name: str, text: str, remedy: str) -> Row:
 
 
 def missing(name: str, text: str, remedy: str) -> Row:
+    """A row for something that PHM needs and cannot use. remedy: what to do."""
     return Row(name, "missing", text, remedy)

@@ -127,6 +127,8 @@ class DataFact:
 
 @dataclass(frozen=True, slots=True)
 class TopicFact:
+    """One topic in the newest snapshot of the graph."""
+
     publishers: tuple[EndpointFact, ...] = ()
     subscribers: tuple[EndpointFact, ...] = ()
     rate: RateFact | None = None

@@ -51,7 +51,7 @@ class Collection:
 
     @contextlib.contextmanager
     def open(self) -> Iterator[None]:
-        """Raises InUse, and OSError if it cannot be written."""
+        """Lock the folder while the context lasts. Raises InUse if another collection writes into it, and OSError if it cannot be written."""
         self.folder.mkdir(parents=True, exist_ok=True)
         busy = InUse(f"another `phm logs collect` writes into {self.folder}")
         with locked(self.folder / f"{INDEX}.lock", busy):

@@ -78,6 +78,7 @@ class Links:
     # ------------------------------------------------------------ queries of checks
 
     def gcs_age_s(self) -> float | None:
+        """Seconds since the last heartbeat of a ground station; None: none was received."""
         gcs = self._fact(self._any_gcs)
         return None if gcs is None else gcs.silent_s
 

@@ -25,7 +25,7 @@ AGAIN_S = 5.0
 
 
 class HeardHeartbeats:
-    """Collects them between two lines of the log. `take` is called by the log's thread, `hear` by the links'."""
+    """Collects received heartbeats of other senders between two lines of the log. `take` is called by the log's thread, `hear` by the links'."""
 
     def __init__(self, mavlink: MavlinkSender | None, clock: Clock) -> None:
         self._clock = clock

@@ -24,7 +24,7 @@ class Problems:
     more: int = 0
 
     def add(self, what: str, path: str, line: int = 0, count: int = 1) -> None:
-        """line: number in the file, or in the piece of it; 0: unknown."""
+        """Count a problem of this kind in a file. line: number in the file, or in the piece of it; 0: unknown."""
         entry = self.found.get((what, path))
         if entry is not None:
             entry[0] += count

@@ -99,7 +99,7 @@ class Recording:
             self.problem(f"damaged messages of {topic.kind}, of which only the time is read")
 
     def events(self) -> Iterator[Event]:
-        """All, with the agent that they are about as far as it is known."""
+        """All events of the recording, each with its agent where that is known."""
         end = max((topic.times.last for topic in self.topics.values() if topic.times.count), default=0.0)
         for topic in self.topics.values():
             self._times(topic, end)

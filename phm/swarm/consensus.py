@@ -69,6 +69,7 @@ class Consensus:
 
     @property
     def lost(self) -> tuple[int, ...]:
+        """Ids of the agents that the swarm counts as lost."""
         return tuple(agent for agent, status in self.statuses.items() if status.state is MemberState.LOST)
 
 

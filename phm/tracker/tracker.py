@@ -133,6 +133,7 @@ class Tracker:
         )
 
     def open_faults(self) -> tuple[Fault, ...]:
+        """The faults that are open now, without those that were given up."""
         return tuple(record.fault for record in self._units.values() if record.fault is not None)
 
     def given_up(self) -> tuple[Fault, ...]:

@@ -114,7 +114,7 @@ def first_broken_hop(states: Sequence[UnitState]) -> str | None:
 
 
 def decode(payload: bytes) -> FleetStatus:
-    """The reverse. What is missing or of a wrong type, or of another version, raises ValueError: it comes from outside."""
+    """The status in a payload. Raises ValueError if a part is missing, of a wrong type, or of another version: it comes from outside."""
     if len(payload) > MAX_BYTES:
         raise ValueError(f"a status of {len(payload)} bytes is too long: {MAX_BYTES} are allowed")
     try:

@@ -44,7 +44,9 @@ class Station(Protocol):
     silent: bool
 
     def subscribe(self, queue: SubscriberQueue) -> None: ...
-    def watch(self, queue: BoundedQueue[Received]) -> None: ...
+    def watch(self, queue: BoundedQueue[Received]) -> None:
+        """Also put each received frame into `queue`."""
+
     def snapshot(self, *, moments: bool = False, only: Collection[int] | None = None) -> tuple[int, GcsEvent]: ...
 
 

@@ -22,8 +22,10 @@ from phm.gcs.web.view import View
 
 
 class GroundPage:
-    """Listens once it is constructed. Raises OSError if it cannot. history: the file; None: it ends with the program.
-    extra: see `Site`."""
+    """The server of the page; it listens once it is constructed. Raises OSError if it cannot.
+
+    history: the file; None: the history ends with the program. extra: see `Site`.
+    """
 
     def __init__(
         self,

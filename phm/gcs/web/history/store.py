@@ -65,7 +65,7 @@ class _NotOurs(Exception):
 
 @dataclass(frozen=True, slots=True)
 class HistorySample:
-    """who: name of an agent, or `link:` and a name. at: UTC seconds. value: None where a line is to be interrupted."""
+    """One point of a series. who: name of an agent, or `link:` and a name. at: UTC seconds. value: None interrupts the line of the plot."""
 
     who: str
     kind: str
