@@ -166,10 +166,12 @@ def _action_words(event: ActionEvent) -> str:
 
 
 def _unit_line(at: Stamp, state: UnitState, fault: Fault | None = None) -> str:
-    known = fault if fault is not None and fault.id == state.fault else None
-    return _line(
-        at, unit_kind(state), state.slot, _message(state) + (following(known, state.result.summary) if known else "")
-    )
+    message = _message(state)
+    # The fault of a unit that is OK again closes a moment later; it blocks nothing any more.
+    if fault is not None and fault.id == state.fault and state.level is not Level.OK:
+        more = following(fault, state.result.summary)
+        message = message.rstrip(".") + more if more else message
+    return _line(at, unit_kind(state), state.slot, message)
 
 
 def following(fault: Fault, text: str) -> str:

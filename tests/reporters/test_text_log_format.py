@@ -202,6 +202,7 @@ def test_giving_up_is_logged_once() -> None:
     [
         ("ros_app exited 137 (killed)", (), "ros_app exited 137 (killed): blocks nodes, topics"),
         ("ros_app is dead: remove it", (), "ros_app is dead: remove it; blocks nodes, topics"),
+        ("ros_app is dead: remove it.", (), "ros_app is dead: remove it; blocks nodes, topics"),
         ("ros_app exited", ("host/disk",), "ros_app exited: blocks nodes, topics; possible cause: host/disk"),
     ],
 )
@@ -216,6 +217,7 @@ def test_a_failure_names_cause_and_consequences(summary: str, suspects: tuple[st
     )
     assert lines.format(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {logged}"]
     assert lines.format(Report(at(), 1, at(), (state,)))[1] == f"{STAMP} ---- FAILURE: (2) {logged}"
+    assert lines.format(transition(replace(state, level=Level.OK))) == [f"{STAMP} ---- SUCCESS: (2) {summary}"]
     lines.format(closed(state, Outcome.RESOLVED, "itself", 1.0))
     assert lines.format(transition(state)) == [f"{STAMP} ---- FAILURE: (2) {summary}"]
 
