@@ -178,7 +178,7 @@ def test_rotated_and_compressed_files_are_read_in_order(tmp_path: Path) -> None:
     (tmp_path / "phm.jsonl").write_bytes(b"\0\0\n[1]\n" + b"".join(lines[7:]))
     result = logs(tmp_path, "--json")
     assert [json.loads(line)["seq"] for line in result.stdout.splitlines()] == list(range(1, 11))
-    assert "phm.jsonl.2.gz: damaged" in result.stderr and "2 lines are torn" in result.stderr
+    assert "phm.jsonl.2.gz: damaged" in result.stderr and "2 lines are incomplete" in result.stderr
 
 
 def test_missing_lines_are_shown(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def test_a_recorded_request_is_refused_later(bench: Bench) -> None:
     with bench.connect() as stream:
         recorded = _signed(stream)
         assert "reloaded" in bench.say(recorded, stream)
-    assert "recording" in bench.say(recorded)
+    assert "replayed" in bench.say(recorded)
     assert len(bench.executed) == 1
 
 
@@ -141,7 +141,7 @@ def test_a_configuration_that_was_changed_on_its_way_is_refused(bench: Bench) ->
     """Its SHA-256 is in the signed request."""
     with bench.connect() as stream:
         data = _signed(stream)
-        assert "changed on its way" in bench.say(data[:-2] + b"2}", stream)
+        assert "altered in transit" in bench.say(data[:-2] + b"2}", stream)
     assert bench.executed == []
 
 

@@ -118,8 +118,8 @@ def test_a_current_status_of_a_live_process_is_healthy(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"alive": False}, "engine has stalled"),
-        ({"alive": "yes"}, "engine has stalled"),
+        ({"alive": False}, "checks have stalled"),
+        ({"alive": "yes"}, "checks have stalled"),
         ({"machine_boot": "another-boot"}, "before the machine's last start"),
         ({"written_mono": None}, "does not say when"),
         ({"written_mono": True}, "does not say when"),
@@ -190,4 +190,4 @@ def test_a_health_check_without_packages_gives_the_same_result(tmp_path: Path) -
     (tmp_path / "status.json").write_text(json.dumps(fresh(tmp_path, alive=False)))
     stalled = answer()
     assert stalled.returncode == 1
-    assert "engine has stalled" in stalled.stdout
+    assert "checks have stalled" in stalled.stdout

@@ -345,4 +345,4 @@ def test_large_foreign_beacons_displace_no_configured_node(bench: Bench) -> None
     first_s = probe.look().up_s
     seen(probe, advances, "its beacons beside many others", 60.0)
     assert probe.restarts == 0 and began
-    assert all(problem.startswith("more messages come on") for problem in probe.problems()), "on a busy machine alone"
+    assert all(problem.startswith("more messages arrive on") for problem in probe.problems()), "on a busy machine alone"

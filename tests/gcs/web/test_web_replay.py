@@ -135,8 +135,8 @@ def test_the_history_ends_at_the_time_that_is_shown(client: Client, live: Live) 
 
 def test_requests_are_refused(client: Client, live: Live) -> None:
     """There is no agent; wrong controls are refused, too."""
-    assert "a record is replayed" in client.post("/api/requests", {"agent": "A07", "do": "check"}, 409)["error"]
-    assert "a record is replayed" in client.get("/api/choices?agent=A07")["note"]
+    assert "a record is being replayed" in client.post("/api/requests", {"agent": "A07", "do": "check"}, 409)["error"]
+    assert "a record is being replayed" in client.get("/api/choices?agent=A07")["note"]
     for body in ({"do": "rewind"}, {"do": "seek"}, {"do": "speed", "speed": 0}, {"do": "speed", "speed": True}):
         assert client.post("/api/replay", body, 400)["error"]
 
