@@ -112,7 +112,7 @@ class Host(api.Check):
             f"the computer waited for memory {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/memory), with "
             f"{fact.memory_available_bytes / 1e6:.0f} MB available: find the leak, or give its container a memory limit"
         )
-        shown = f"waits for memory {self._steady.show('memory stalls', mean):.0f} %"
+        shown = f"host waits for memory {self._steady.show('memory stalls', mean):.0f} %"
         return self._bad(level, words, shown, "memory_pressure", {})
 
     def _judge_io(self, fact: api.HostFact, now: float) -> api.Result:
@@ -130,7 +130,9 @@ class Host(api.Check):
             f"{self._io_limit.warn:g} %: a slow or worn SD card, or a program that writes more than it can handle; write less, or to "
             "another disk"
         )
-        return self._bad(level, words, f"waits for disk {self._steady.show('io', mean):.0f} %", "io_pressure", values)
+        return self._bad(
+            level, words, f"host waits for disk {self._steady.show('io', mean):.0f} %", "io_pressure", values
+        )
 
     def _judge_disks(self, fact: api.HostFact, now: float) -> api.Result:
         if not fact.disks:

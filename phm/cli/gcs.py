@@ -108,7 +108,7 @@ class WithRequests(click.Command):
     metavar="FILE HOST:PORT KEY",
     nargs=3,
     multiple=True,
-    help="Let the page send a file of --edit to its agent: its delivery.listen, and the file with its key; may be repeated.",
+    help="Let the page send FILE, one of --edit, to the agent that listens at HOST:PORT; KEY: file with its key; repeatable.",
 )
 @click.option(
     "--json",

@@ -158,7 +158,11 @@ def test_disks_that_stall_the_machine_are_reported_after_a_while() -> None:
     assert {result.level for result in bench.looks(5, "host/io", io_stalled_percent=99.0)} == {api.Level.OK}
     bench.looks(10, "host/io", io_stalled_percent=10.0)
     result = bench.looks(12, "host/io", io_stalled_percent=98.0)[-1]
-    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "io_pressure", "waits for disk 98 %")
+    assert (result.level, result.condition, result.brief) == (
+        api.Level.ERROR,
+        "io_pressure",
+        "host waits for disk 98 %",
+    )
     assert "waited for its disks 98 % of the last 10 s" in result.summary and "SD card" in result.summary
     assert bench.looks(12, "host/io", io_stalled_percent=1.0)[-1].level is api.Level.OK
 
@@ -176,7 +180,7 @@ def test_memory_stalls_are_reported_together_with_memory_usage() -> None:
     assert (result.level, result.condition, result.brief) == (
         api.Level.ERROR,
         "memory_pressure",
-        "waits for memory 45 %",
+        "host waits for memory 45 %",
     )
     result = bench.looks(1, "host/memory", memory_percent=99.0)[-1]
     assert "waited for memory 45 %" in result.summary and "memory at 99 %" in result.summary
