@@ -1,53 +1,71 @@
-"""One attempt to recover from a fault: lock the target, act, verify, release."""
+"""One attempt to recover from a fault: lock the target, act, verify, release. The action gets a guarded engine."""
 
 from __future__ import annotations
 
 import contextlib
+import inspect
 import logging
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
-from phm.checking.pipeline import Pipeline
 from phm.core import threads
-from phm.core.clock import Clock
 from phm.core.model import Fault, Phase
 from phm.facts import CannotTell, NotPermitted
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded, NotYet
-from phm.recovery.containers.container_generation import GenerationTracker
+from phm.recovery.base import (
+    Action,
+    ActionContext,
+    ActionFailed,
+    FlightCriticalError,
+    Impact,
+    NotNeeded,
+    NotYet,
+    Target,
+)
+from phm.recovery.ownership import Shared, TargetBusy
 from phm.recovery.safety.armed_state import ArmedState
-from phm.recovery.safety.flight_critical import FlightCriticalError, FlightCriticalGuard, Impact
-from phm.recovery.safety.guarded_engine import GuardedEngine
-from phm.recovery.safety.target_locks import TargetBusy, TargetLocks
-from phm.recovery.target import Target
-from phm.recovery.verification import VerificationHooks, VerificationResult, Verifier
-from phm.transport.docker import DockerEngine
+from phm.recovery.safety.flight_critical import FlightCriticalGuard
+from phm.recovery.verification import VerificationHooks, VerificationResult, Verifier, other_cause
+from phm.transport.docker import DockerEngine, EngineNotConnected, EngineTimeout, EngineUnreachable
 
 logger = logging.getLogger(__name__)
 
 MARGIN_S = 20.0
 """Beyond the action's deadline and `verify`, the action hold lasts this long: what needs the target may recover last."""
-OTHER_CAUSE_S = 5.0
-"""`Action.other_cause` must answer within this time."""
-
-
-@dataclass(frozen=True, slots=True)
-class ActionResult:
-    """What an action has done: a sentence for the log, and whether it was done.
-
-    refused:    PHM is not permitted to do it.
-    forbidden:  not done: the vehicle was armed between the decision and the call to the engine.
-    postponed:  not done: something that the action needs is missing.
-    not_needed: there was nothing to do.
-    """
-
-    detail: str
-    ok: bool = False
-    refused: bool = False
-    forbidden: bool = False
-    postponed: bool = False
-    not_needed: bool = False
+READS = frozenset(
+    {
+        "ping",
+        "version",
+        "list",
+        "running",
+        "inspect",
+        "inspect_network",
+        "top",
+        "stat_path",
+        "read_file",
+        "copy_file",
+        "fetch_file",
+        "events",
+    }
+)
+"""Calls that change nothing; every other one is checked."""
+REACH = {
+    "start": Impact.NOTHING,
+    "unpause": Impact.NOTHING,
+    "exec_detached": Impact.NOTHING,
+    "put_file": Impact.NOTHING,
+    "set_cpu_shares": Impact.NOTHING,
+    "connect": Impact.NETWORK,
+    "disconnect": Impact.NETWORK,
+}
+"""What a call takes down; a call that is not listed: the container."""
+BRINGS_BACK = frozenset({"start", "unpause", "connect"})
+"""Never refused for what the same action took down: an action that is half done is worse than one that is complete."""
+STARTS = frozenset({"start", "restart"})
+"""Calls that start a container; the engine may still carry them out after it gave no answer."""
+BEGINS_OR_ENDS = STARTS | {"stop", "kill"}
+"""Calls after which the engine reports that a container ends or starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +74,7 @@ class AttemptOutcome:
 
     refused:     PHM is not permitted to act; the action is not tried again for this fault.
     superseded:  the container was started by something else meanwhile: it gets its grace before the next attempt.
-    not_counted: the failure says nothing about the target (`phm.recovery.history`).
+    not_counted: the failure says nothing about the target (`phm.recovery.fault_cases`).
     forbidden:   not done: the vehicle was armed meanwhile.
     postponed:   not done: something that the action needs is missing. This does not count as an attempt.
     undecided:   only time can show whether it worked; until then the attempt has not failed.
@@ -84,7 +102,7 @@ class AttemptOutcome:
 
 
 class Attempt:
-    """`begin`, then `run`, then `release`. It owns its locks and action holds (`phm.recovery.safety.target_locks`)."""
+    """`begin`, then `run`, then `release`. It owns its locks and action holds (`phm.recovery.ownership`)."""
 
     def __init__(
         self,
@@ -95,27 +113,24 @@ class Attempt:
         last: bool,
         approved_at: ArmedState | None = None,
         context: ActionContext,
-        pipeline: Pipeline,
-        clock: Clock,
-        locks: TargetLocks,
-        generations: GenerationTracker,
-        guard: FlightCriticalGuard,
-        verifier: Verifier,
+        shared: Shared,
+        guard: FlightCriticalGuard | None,
         verify_s: float,
     ) -> None:
         """last: no step of the ladder follows. approved_at: the armed state at which an operator approved it; None: not.
-        verify_s: limit of the verification.
+        guard: None when no container is flight-critical. verify_s: limit of the verification.
         """
-        self._target, self._fault, self._last, self._approved_at = target, fault, last, approved_at
+        self._target, self._fault, self._last = target, fault, last
         self._type, self._action = action_type, action_type()
-        self._context, self._pipeline, self._clock, self._locks = context, pipeline, clock, locks
-        self._generations, self._guard, self._verifier, self._verify_s = generations, guard, verifier, verify_s
-        self._engine = GuardedEngine(context.engine, guard, self._forbids)
+        self._context, self._verify_s = context, verify_s
+        self._pipeline, self._clock, self._locks = shared.pipeline, shared.clock, shared.locks
+        self._generations, self._verifier = shared.generations, Verifier(shared, verify_s)
+        self._engine = GuardedEngine(context.engine, guard, approved_at)
         # An action that does not disturb its target does not suppress the target's faults either.
         name = target.name
         self._held = name if action_type.impact is not Impact.OTHERS else f"{action_type.name}:{name}"
-        self._began, self._credited = clock.mono(), True
-        self._result: list[ActionResult] = []
+        self._began, self._credited = self._clock.mono(), True
+        self._result: list[str | AttemptOutcome] = []
         self._go, self._finished, self._abandoned = threading.Event(), threading.Event(), False
 
     def waits_for(self) -> str:
@@ -155,20 +170,13 @@ class Attempt:
         """Act and verify. wanted: whether another fault of the target calls for an action (`VerificationHooks`)."""
         name, target = self._type.name, self._target.name
         report(Phase.STARTED, f"{name} {target} for: {self._fault.result.summary}")
-        result = self._act()
-        if not result.ok:
-            return AttemptOutcome(
-                False,
-                result.detail,
-                result.refused,
-                not_counted=result.forbidden or result.postponed,
-                forbidden=result.forbidden,
-                postponed=result.postponed,
-            )
-        report(Phase.DONE, result.detail)
+        said = self._act()
+        if isinstance(said, AttemptOutcome):
+            return said
+        report(Phase.DONE, said)
         hooks = VerificationHooks(stopping, self._end_hold, wanted)
         verified = self._verifier.verify(self._fault, target, self._action, hooks)
-        return self._outcome(verified, not_needed=result.not_needed)
+        return self._outcome(verified, not_needed=isinstance(said, NotNeeded))
 
     def release(self, *, worked: bool) -> None:
         """End the hold, and unlock the target if that has not happened."""
@@ -198,32 +206,24 @@ class Attempt:
         words = f"{name} {target} did not recover {verified.missing}"
         return AttemptOutcome(False, words, not_counted=verified.not_counted, partly=verified.partly)
 
+    def _other_cause(self) -> str:
+        return other_cause(self._action, self._target, self._fault, self._context)
+
     def _end_hold(self) -> None:
         self._locks.end_hold(self._held, self, worked=True)
 
-    def _other_cause(self) -> str:
-        """What else has made the unit OK, see `Action.other_cause`; a plug-in that hangs or crashes says nothing."""
-        causes: list[str] = []
-
-        def ask() -> None:
-            with contextlib.suppress(CannotTell):
-                causes.append(self._action.other_cause(self._target, self._fault, self._context))
-
-        name = f"phm-credit-{self._type.name}-{self._target.name}"
-        thread = threading.Thread(target=ask, name=name, daemon=True)
-        if threads.start_now(thread):
-            thread.join(OTHER_CAUSE_S)
-        return causes[0] if causes else ""
-
     # ------------------------------------------------------------ acting
 
-    def _act(self) -> ActionResult:
-        """Run the action and unlock the target. A plug-in that hangs costs its deadline and no more."""
+    def _act(self) -> str | AttemptOutcome:
+        """Run the action and unlock the target. Returns what the action said, or how the attempt failed.
+
+        A plug-in that hangs costs its deadline and no more.
+        """
         self._go.set()
         try:
             if self._clock.wait(self._finished, self._type.deadline_s):
                 return self._result[0]
-            return ActionResult(f"{self._type.name} did not return within {self._type.deadline_s:g} s")
+            return AttemptOutcome(False, f"{self._type.name} did not return within {self._type.deadline_s:g} s")
         finally:
             self._unlock()
 
@@ -241,23 +241,24 @@ class Attempt:
         finally:
             self._finished.set()
 
-    def _run_action(self) -> ActionResult:
+    def _run_action(self) -> str | AttemptOutcome:
         context = replace(self._context, engine=cast(DockerEngine, self._engine), lock_dependent=self._hold_dependent)
         try:
             with self._expect_start():
                 said = self._action.run(self._target, self._fault, context)
-            return ActionResult(str(said), ok=True, not_needed=isinstance(said, NotNeeded))
+            return said if isinstance(said, NotNeeded) else str(said)
         except FlightCriticalError as error:
-            return ActionResult(str(error), forbidden=True)
+            return AttemptOutcome(False, str(error), not_counted=True, forbidden=True)
         except NotPermitted as error:
-            return ActionResult(f"recovery is not permitted: {error}; PHM only reports this fault", refused=True)
+            words = f"recovery is not permitted: {error}; PHM only reports this fault"
+            return AttemptOutcome(False, words, refused=True)
         except NotYet as error:
-            return ActionResult(str(error), postponed=True)
+            return AttemptOutcome(False, str(error), not_counted=True, postponed=True)
         except (ActionFailed, CannotTell) as error:
-            return ActionResult(str(error))
+            return AttemptOutcome(False, str(error))
         except BaseException as error:  # plug-in code, which may also exit: its thread is ours, and the attempt failed
             logger.exception("action %s crashed", self._type.name)
-            return ActionResult(f"the action crashed: {type(error).__name__}: {error}")
+            return AttemptOutcome(False, f"the action crashed: {type(error).__name__}: {error}")
 
     def _expect_start(self) -> contextlib.AbstractContextManager[None]:
         """Attribute a start of the container to PHM, unless the action starts nothing: then it is an operator's."""
@@ -265,9 +266,6 @@ class Attempt:
             return contextlib.nullcontext()
         name = self._target.name
         return self._generations.acting(name, name, self._engine.take_unanswered, lambda: self._engine.disturbs)
-
-    def _forbids(self, key: str, impact: Impact) -> str:
-        return self._guard.forbids(key, impact, self._approved_at)
 
     @contextlib.contextmanager
     def _hold_dependent(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
@@ -284,3 +282,59 @@ class Attempt:
                     yield
             finally:
                 self._locks.end_hold(key, self, worked=True)
+
+
+class GuardedEngine:
+    """The engine as one run of an action gets it, with the methods of `DockerEngine`.
+
+    Before each call that changes a container, the armed state is checked again: time passes between the decision and the
+    call, and between the calls of one action. Such a call raises FlightCriticalError while it is forbidden. Every call of an
+    action passes through here, also those of plug-ins.
+    """
+
+    def __init__(
+        self, engine: DockerEngine, guard: FlightCriticalGuard | None, approved_at: ArmedState | None = None
+    ) -> None:
+        """guard: None when no container is flight-critical. approved_at: the armed state at which an operator approved it."""
+        self._engine, self._guard, self._approved_at = engine, guard, approved_at
+        self._down: set[str] = set()
+        self._unanswered = 0
+        self.disturbs = False
+        """Whether a call that begins or ends the life of a container has been made: until then, a stop is an operator's."""
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._engine, name)
+        if name in READS or not callable(found):
+            return found
+
+        def guarded(*args: Any, **kwargs: Any) -> Any:
+            given = inspect.signature(found).bind(*args, **kwargs).arguments
+            self._ask(name, str(given.get("container") or given.get("ref") or ""))
+            self.disturbs |= name in BEGINS_OR_ENDS
+            try:
+                return found(*args, **kwargs)
+            except EngineNotConnected:
+                raise
+            except (EngineTimeout, EngineUnreachable):
+                self._unanswered += name in STARTS
+                raise
+
+        return guarded
+
+    def take_unanswered(self) -> int:
+        """How many calls that start a container were sent and not answered since the last `take_unanswered`."""
+        count, self._unanswered = self._unanswered, 0
+        return count
+
+    def _ask(self, call: str, ref: str) -> None:
+        """Raises FlightCritical, and CannotTell when the engine does not say which container is meant."""
+        if not ref or (call in BRINGS_BACK and ref in self._down):
+            return
+        if self._guard is not None and not self._guard.inactive:
+            key = self._guard.key_of(ref)
+            reach = REACH.get(call, Impact.CONTAINER)
+            why = self._guard.forbids(key, reach, self._approved_at) if key else ""
+            if why:
+                raise FlightCriticalError(f"{call} of {key} was not done: {why}")
+        if REACH.get(call) is not Impact.NOTHING and call not in BRINGS_BACK:
+            self._down.add(ref)

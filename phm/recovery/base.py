@@ -1,25 +1,99 @@
-"""What a recovery action is: one step on one target, idempotent, with a deadline.
+"""What a recovery action is, what it acts on and may use, and which ones are installed.
 
-Found through the entry-point group ``phm.actions``; the entry point's name is the name used in ladders.
+An action is one step on one target, idempotent, with a deadline. Found through the entry-point group ``phm.actions``; the
+entry point's name is the name used in ladders.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import ClassVar
 
 from phm.core.clock import Clock, SystemClock
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings, Settings
+from phm.core.settings import ContainerSettings, RecoverySettings, Settings
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
-from phm.recovery.containers.cpu_weights import CpuWeights
+from phm.recovery.actions.cpu_weights import CpuWeights
+from phm.recovery.actions.ladders import LADDERS
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.recovery.safety.flight_critical import Impact
-from phm.recovery.target import Target
 from phm.transport.docker import DockerEngine
+
+
+class TargetKind(str, Enum):
+    """The kind of a target; disks and links are named with it as a prefix, e.g. ``disk:/data``."""
+
+    CONTAINER = "container"
+    DISK = "disk"
+    LINK = "link"
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One target of recovery.
+
+    key:       the container's key in the configuration, the disk's path, or the endpoint's name.
+    opted_in:  whether the configuration allows actions on it: `recover: true` of a container. A disk always has: an action
+               removes only files that the configuration names. A link never has: only actions on PHM itself apply to it.
+    container: the container's settings; None for other kinds and for a container that is not configured.
+    """
+
+    kind: TargetKind
+    key: str
+    opted_in: bool = False
+    container: ContainerSettings | None = None
+
+    @classmethod
+    def parse(cls, name: str, containers: Iterable[ContainerSettings]) -> Target:
+        """The target that a result names (`Result.target`). containers: those of the configuration."""
+        for kind in (TargetKind.DISK, TargetKind.LINK):
+            key = name.removeprefix(f"{kind.value}:")
+            if key and key != name:
+                return cls(kind, key, opted_in=kind is TargetKind.DISK)
+        container = next((entry for entry in containers if entry.key == name), None)
+        return cls.of(container) if container is not None else cls(TargetKind.CONTAINER, name)
+
+    @classmethod
+    def of(cls, container: ContainerSettings) -> Target:
+        """The target that is a configured container."""
+        return cls(TargetKind.CONTAINER, container.key, container.recover, container)
+
+    @property
+    def name(self) -> str:
+        """As in `Result.target`, events and logs: a container's key, ``disk:PATH`` or ``link:NAME``."""
+        return self.key if self.kind is TargetKind.CONTAINER else f"{self.kind.value}:{self.key}"
+
+    @property
+    def configured(self) -> bool:
+        """False for a container that is not in the configuration."""
+        return self.kind is not TargetKind.CONTAINER or self.container is not None
+
+    def manual_step(self) -> str:
+        """What an operator can do after PHM has given up."""
+        if self.kind is TargetKind.DISK:
+            return f"free space on {self.key} manually: old logs, bags and images (`docker system df`)"
+        if self.kind is TargetKind.LINK:
+            return f"check the device behind {self.key}: power, cable, settings"
+        name = self.container.name if self.container is not None and self.container.name else self.key
+        return f"check it manually: docker logs --tail 50 {name}"
+
+
+class Impact(Enum):
+    """What an action takes down for a moment, beside what it does to its target.
+
+    OTHERS:    not the target; calls on other containers are checked one by one.
+    NOTHING:   no other container.
+    NETWORK:   the network, also of the containers that share the target's network namespace.
+    CONTAINER: the target, and with it the containers that depend on it (`phm.recovery.actions.restart.dependents`).
+    """
+
+    OTHERS = "others"
+    NOTHING = "nothing"
+    NETWORK = "network"
+    CONTAINER = "container"
 
 
 class NotNeeded(str):
@@ -39,11 +113,8 @@ class NotYet(ActionFailed):
     """
 
 
-def container_settings(target: Target) -> ContainerSettings:
-    """The settings of a container. Raises ActionFailed for another kind of target."""
-    if target.container is None:
-        raise ActionFailed(f"{target.name} is not a configured container: correct recovery.ladders")
-    return target.container
+class FlightCriticalError(CannotTell):
+    """Not done, because something flight-critical would be disturbed while the vehicle may be armed."""
 
 
 def _no_graph() -> Mapping[str, int]:
@@ -74,7 +145,7 @@ def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractC
 class ActionContext:
     """What an action may use. Actions are plug-ins and may read any section of the configuration, so `settings` is all of it.
 
-    engine:     refuses calls that would disturb something flight-critical while armed (`phm.recovery.safety.guarded_engine`).
+    engine:     refuses calls that would disturb something flight-critical while armed (`phm.recovery.attempt.GuardedEngine`).
     container:  the engine's view of a configured container now, or None when there is none.
     own_container: PHM's own container, or None when it runs on the host.
     last_attachment: how a container was attached to a network when that was last observed.
@@ -151,3 +222,80 @@ class Action(ABC):
         Empty: the action is credited. Raises CannotTell, which counts as empty.
         """
         return ""
+
+
+def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
+    """The user's ladder for the condition, else the built-in one, else none."""
+    return tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
+
+
+class ActionCatalog:
+    """By the names used in ladders.
+
+    unrestricted:   actions on PHM's own container and links: mode, opt-in and armed state do not apply to them.
+    container_wide: actions on an entire container, which would recover all of its faults.
+    """
+
+    def __init__(self, actions: Mapping[str, type[Action]], settings: Settings) -> None:
+        self._actions, self._settings = actions, settings
+        self.unrestricted = frozenset(name for name, action in actions.items() if action.on_phm_itself)
+        self.container_wide = frozenset(
+            name for name, action in actions.items() if action.impact is Impact.CONTAINER and not action.on_phm_itself
+        )
+
+    def get(self, name: str) -> type[Action] | None:
+        """The action of this name; None when no installed package provides it."""
+        return self._actions.get(name)
+
+    def impact(self, name: str) -> Impact:
+        """What the action takes down; an action that is not installed counts as taking its container down."""
+        action = self.get(name)
+        return action.impact if action is not None else Impact.CONTAINER
+
+    def may_start(self, name: str) -> bool:
+        """Whether the action may start its container; True also for one that is no longer installed."""
+        action = self.get(name)
+        return action is None or action.starts
+
+    def usable(self, target: Target, fault: Fault) -> frozenset[str] | None:
+        """The steps of the fault's ladder that apply to it; None when the target is not configured.
+
+        A step that is not installed stays, so that it is reported.
+        """
+        if not target.configured:
+            return None
+        return frozenset(
+            step
+            for step in ladder_of(fault.result.condition, self._settings.recovery)
+            if self._applies(step, target, fault)
+        )
+
+    def is_last(self, target: Target, fault: Fault, name: str) -> bool:
+        """Whether no step of the fault's ladder follows this one."""
+        usable = self.usable(target, fault)
+        steps = [
+            step
+            for step in ladder_of(fault.result.condition, self._settings.recovery)
+            if usable is None or step in usable
+        ]
+        return name not in steps[:-1]
+
+    def _applies(self, step: str, target: Target, fault: Fault) -> bool:
+        action = self.get(step)
+        return action is None or action.applies(target, fault, self._settings)
+
+
+def container_settings(target: Target) -> ContainerSettings:
+    """The settings of a container. Raises ActionFailed for another kind of target."""
+    if target.container is None:
+        raise ActionFailed(f"{target.name} is not a configured container: correct recovery.ladders")
+    return target.container
+
+
+def present(target: Target, context: ActionContext) -> ContainerFact:
+    """The engine's view of the target. Raises ActionFailed when there is none."""
+    key = container_settings(target).key
+    fact = context.container(key)
+    if fact is None:
+        raise ActionFailed(f"there is no container {key}: create it, e.g. docker compose up -d")
+    return fact

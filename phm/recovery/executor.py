@@ -10,25 +10,16 @@ from functools import partial
 from phm.checking.pipeline import Pipeline
 from phm.core.clock import Clock
 from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Level, Outcome, Transition
-from phm.recovery.actions.catalog import ActionCatalog
 from phm.recovery.attempt import Attempt
-from phm.recovery.base import Action, ActionContext
-from phm.recovery.containers.container_generation import GenerationTracker
-from phm.recovery.containers.external_changes import ExternalChanges
-from phm.recovery.fault_cases import FaultCases
-from phm.recovery.history import History
+from phm.recovery.base import Action, ActionCatalog, ActionContext, Target, TargetKind
+from phm.recovery.fault_cases import History, PersistedCase
 from phm.recovery.holds.hold_registry import HoldRegistry
-from phm.recovery.operator.announcements import ActionReporter
-from phm.recovery.operator.approvals import Approvals
-from phm.recovery.operator.manual_restart import ManualRestart
-from phm.recovery.operator.refusals import NotAllowed, NotApprovable, NotNow
-from phm.recovery.persistence.state import PersistedCase, PersistedState, RecoveryState
-from phm.recovery.safety.action_limits import ActionLimits
+from phm.recovery.operator.approval import NotAllowed, NotApprovable, NotNow
+from phm.recovery.ownership import GenerationTracker, Shared, TargetLocks
+from phm.recovery.persistence.state import PersistedState, RecoveryState
+from phm.recovery.policy import ActionRules
 from phm.recovery.safety.armed_state import ArmedStatus
-from phm.recovery.safety.flight_critical import FlightCriticalGuard
-from phm.recovery.safety.target_locks import TargetLocks
-from phm.recovery.target import Target, TargetKind
-from phm.recovery.verification import Verifier
+from phm.recovery.safety.flight_critical import FlightCriticalGuard, critical_containers
 from phm.recovery.worker import TargetWorker
 
 __all__ = ["Executor", "NotAllowed", "NotApprovable", "NotNow"]
@@ -61,25 +52,24 @@ class Executor:
         holds: HoldRegistry | None = None,
     ) -> None:
         self._pipeline, self._publish, self._clock, self._context = pipeline, publish, clock, context
-        self._armed, self._grace_s, self._below = armed, grace_s, below
+        self._below = below
         settings = context.settings
-        self._rules, self._containers, self._start_s = settings.recovery, settings.containers, settings.ros.grace
-        verify_s = self._rules.verify
+        self._containers, self._verify_s = settings.containers, settings.recovery.verify
         self.holds = holds if holds is not None else HoldRegistry()
         self.catalog = ActionCatalog(actions, settings)
         self.locks = TargetLocks(pipeline, clock)
-        self._guard = FlightCriticalGuard(self._containers, context.container, context.own_container, armed)
-        self._generations = GenerationTracker(context.container, clock, verify_s)
+        self._generations = GenerationTracker(context.container, clock, self._verify_s)
+        guard = None
+        if critical_containers(self._containers):
+            guard = FlightCriticalGuard(self._containers, context.container, context.own_container, armed)
+        self._shared = Shared(pipeline, clock, self.locks, self._generations, grace_s)
+        self._rules = ActionRules(settings.recovery, settings.ros.grace, self.catalog, self.holds, armed, guard)
         self._new_attempt = partial(
             Attempt,
             context=replace(context, armed=armed),
-            pipeline=pipeline,
-            clock=clock,
-            locks=self.locks,
-            generations=self._generations,
-            guard=self._guard,
-            verifier=Verifier(pipeline, clock, self._generations, grace_s, verify_s),
-            verify_s=verify_s,
+            shared=self._shared,
+            guard=guard,
+            verify_s=self._verify_s,
         )
         self._workers: dict[str, TargetWorker] = {}
         self._histories: dict[str, History] = {}
@@ -128,7 +118,7 @@ class Executor:
 
     def _recovered(self, fault: Fault) -> None:
         """Inform the targets that need what has recovered; the verification of one attempt reaches that far back."""
-        down_from = fault.opened.mono - self._rules.verify
+        down_from = fault.opened.mono - self._verify_s
         for target, units in self._below(fault.unit).items():
             if target in self._histories:
                 self._worker(target).dependency_recovered(units, down_from)
@@ -143,36 +133,12 @@ class Executor:
         with self._lock:
             worker = self._workers.get(name)
             if worker is None:
-                worker = self._workers[name] = self._new_worker(Target.parse(name, self._containers))
+                target = Target.parse(name, self._containers)
+                history = self._histories.setdefault(name, History())
+                worker = self._workers[name] = TargetWorker(
+                    target, history, self._shared, self._rules, self._new_attempt, self._publish
+                )
             return worker
-
-    def _new_worker(self, target: Target) -> TargetWorker:
-        name, pipeline, clock, rules = target.name, self._pipeline, self._clock, self._rules
-        history = self._histories.setdefault(name, History())
-        reporter = ActionReporter(name, clock, self._publish)
-        limits = ActionLimits(name, self.catalog, self.holds, self._guard, clock)
-        approvals = Approvals(name, clock, self._generations, self._armed, rules.approval, reporter)
-        return TargetWorker(
-            target,
-            history,
-            FaultCases(name),
-            rules=rules,
-            start_s=self._start_s,
-            catalog=self.catalog,
-            limits=limits,
-            changes=ExternalChanges(
-                name, history, pipeline, clock, self._generations, self.locks, limits, self._grace_s
-            ),
-            approvals=approvals,
-            manual_restart=ManualRestart(target, history, rules, limits, approvals, reporter, pipeline, clock),
-            reporter=reporter,
-            new_attempt=self._new_attempt,
-            pipeline=pipeline,
-            generations=self._generations,
-            locks=self.locks,
-            clock=clock,
-            grace_s=self._grace_s,
-        )
 
     # ------------------------------------------------------------ over a restart of PHM
 

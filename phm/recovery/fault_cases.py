@@ -1,14 +1,106 @@
-"""The open faults of one target, as its worker handles them."""
+"""What recovery knows about one target: what was tried, its open faults, and what changes from outside do to both.
+
+The budget counts every attempt. Two flags keep an attempt out of back-off and out of the count of failures:
+
+- `backoff_reset`: something that the unit needs has recovered since, so the next attempt may follow immediately.
+- `not_counted`: made while something that the unit needs was down, or on an earlier generation of the container
+  (`phm.recovery.ownership`). The container did not cause that failure: counted, it would use up the attempts before one was
+  made that could have worked. A dependency that flaps does not cause more actions than the budget allows.
+"""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field, replace
 
-from phm.core.model import Fault
+from phm.core.clock import Clock
+from phm.core.model import ActionEvent, Event, Fault, Phase
+from phm.recovery.actions.ladders import DOWN
 from phm.recovery.operator.approval import Approval
-from phm.recovery.persistence.state import MAX_REPORTED, PersistedCase
+from phm.recovery.ownership import Generation, Shared, by_phm
+
+CLEAN_S = 600.0
+"""After this long without an attempt, counts and back-off start again."""
+KEPT = 100
+"""Attempts remembered per target; more than any budget allows."""
+MAX_REPORTED = 32
+"""Maximum number of steps that are kept of one fault."""
+HOLD = "hold"
+"""The subject of a report that the target is on hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptRecord:
+    """One action that was carried out: when it began (monotonic seconds), for what, and whether it was verified."""
+
+    at: float
+    unit: str
+    condition: str
+    action: str
+    worked: bool
+    backoff_reset: bool = False
+    """Back-off does not wait because of it."""
+    not_counted: bool = False
+    """It does not count as a failure of the target."""
+    partly: bool = False
+    """The unit itself recovered, but not everything that needs it."""
+
+
+@dataclass(slots=True)
+class History:
+    """Attempts on one target, newest last, capped. The list is replaced and never changed: any thread may read it."""
+
+    attempts: list[AttemptRecord] = field(default_factory=list)
+
+    def add(self, attempt: AttemptRecord) -> None:
+        self.attempts = [*self.attempts, attempt][-KEPT:]
+
+    def within(self, since: float) -> list[AttemptRecord]:
+        """Attempts that began at `since` (monotonic seconds) or later."""
+        return [attempt for attempt in self.attempts if attempt.at >= since]
+
+    def reset_backoff(self, units: Collection[str], down_from: float) -> frozenset[str]:
+        """Something that `units` need has recovered, after it was down from `down_from` (monotonic seconds).
+
+        Returns the units with an attempt that no longer counts.
+        """
+        not_counted = {each.unit for each in self.attempts if each.unit in units and each.at >= down_from}
+        self.attempts = [
+            replace(each, backoff_reset=True, not_counted=each.not_counted or each.at >= down_from)
+            if each.unit in units
+            else each
+            for each in self.attempts
+        ]
+        return frozenset(not_counted)
+
+    def discount_before(self, since: float) -> bool:
+        """A new generation of the container began at `since` (monotonic seconds); whether an attempt counts no longer."""
+        old = [each for each in self.attempts if each.at < since and not (each.backoff_reset and each.not_counted)]
+        self.attempts = [
+            replace(each, backoff_reset=True, not_counted=True) if each.at < since else each for each in self.attempts
+        ]
+        return bool(old)
+
+
+@dataclass(frozen=True, slots=True)
+class PersistedCase:
+    """What recovery knows of one open fault. `reported` is what was published about it, so that it is not published twice.
+
+    approved: the action that an operator has approved and that was not begun; empty: none.
+    """
+
+    refused: bool = False
+    reported: tuple[str, ...] = ()
+    approved: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class UnfinishedAction:
+    """An action that had started and not ended."""
+
+    fault: str
+    attempt: AttemptRecord
 
 
 @dataclass(slots=True)
@@ -34,6 +126,15 @@ class FaultCase:
     def __post_init__(self) -> None:
         self.generation = self.fault.generation
 
+    def recheck_after(self, mono: float) -> None:
+        """Nothing is done before a run that began at `mono` (monotonic seconds) or later has found the unit in ERROR."""
+        self.recheck_from = mono if self.recheck_from is None else max(mono, self.recheck_from)
+
+    def persisted(self) -> PersistedCase:
+        """For the state file."""
+        approved = self.approval.situation.action if self.approval is not None else ""
+        return PersistedCase(self.refused, tuple(sorted(self.reported)[:MAX_REPORTED]), approved)
+
     def update_fault(self, fault: Fault) -> None:
         """The condition may have changed, and with it the actions that apply."""
         if fault.result.condition != self.fault.result.condition:
@@ -58,9 +159,12 @@ class FaultCases:
             else:
                 self._of[fault.unit] = FaultCase(fault)
 
-    def put(self, case: FaultCase) -> None:
+    def restore(self, fault: Fault, known: PersistedCase, recheck_from: float, *, interrupted: bool) -> FaultCase:
+        """The case of a fault of an earlier run of PHM."""
+        case = FaultCase(fault, set(known.reported), known.refused, recheck_from=recheck_from, interrupted=interrupted)
         with self._lock:
-            self._of[case.fault.unit] = case
+            self._of[fault.unit] = case
+        return case
 
     def closed(self, unit: str) -> FaultCase | None:
         with self._lock:
@@ -86,9 +190,142 @@ class FaultCases:
         """The cases for the state file, by fault id."""
         with self._lock:
             cases = list(self._of.values())
-        return {case.fault.id: _persisted(case) for case in cases}
+        return {case.fault.id: case.persisted() for case in cases}
 
 
-def _persisted(case: FaultCase) -> PersistedCase:
-    approved = case.approval.situation.action if case.approval is not None else ""
-    return PersistedCase(case.refused, tuple(sorted(case.reported)[:MAX_REPORTED]), approved)
+class ActionReporter:
+    """Publishes the steps of actions on the target of this name."""
+
+    def __init__(self, target: str, clock: Clock, publish: Callable[[Event], None]) -> None:
+        self._target, self._clock, self._publish = target, clock, publish
+
+    def report(self, fault: Fault, action: str, phase: Phase, detail: str, attempt: int = 1) -> None:
+        """Publish one step."""
+        stamp = self._clock.stamp()
+        self._publish(ActionEvent(stamp, fault.id, fault.unit, action, self._target, phase, detail, attempt))
+
+    def report_once(self, case: FaultCase, action: str, phase: Phase, detail: str) -> None:
+        """Publish one step, unless it was published for this fault before."""
+        step = f"{phase.value} {action}"
+        if step not in case.reported:
+            case.reported.add(step)
+            self.report(case.fault, action, phase, detail)
+
+
+class ExternalChanges:
+    """Changes of one target that its own attempts do not cause, and what they do to its attempts and cases: the container is
+    started by others, a dependency recovers, or another recovery restarts it as a dependent.
+
+    Used by the target's worker thread, except `dependency_recovered`, which any thread may call.
+    """
+
+    def __init__(self, target: str, history: History, shared: Shared) -> None:
+        self._target, self._history = target, history
+        self._pipeline, self._clock, self._grace_s = shared.pipeline, shared.clock, shared.grace_s
+        self._generations, self._locks = shared.generations, shared.locks
+        self._generation: Generation | None = None
+        self._recovered: list[tuple[Collection[str], float]] = []
+        self._lock = threading.Lock()
+
+    def dependency_recovered(self, units: Collection[str], down_from: float) -> None:
+        """A dependency of these units of the target has recovered; it was down from this time on."""
+        with self._lock:
+            self._recovered.append((units, down_from))
+
+    def update(self, cases: Iterable[FaultCase]) -> bool:
+        """Apply the changes to the history and the cases. Returns whether any attempt counts, so that further changes
+        matter."""
+        given_up = [fault.unit for fault in self._pipeline.given_up() if fault.result.target == self._target]
+        with self._lock:
+            recovered, self._recovered = self._recovered, []
+        for units, down_from in recovered:
+            reset = self._history.reset_backoff(units, down_from).intersection(given_up)
+            self._pipeline.clear_given_up(*reset)
+        if not given_up and not self._history.within(self._clock.mono() - CLEAN_S):
+            self._generations.forget(self._target)
+            self._generation = None
+            return False
+        since = self._generations.external_start(self._target)
+        if since is not None and (self._history.discount_before(since) or given_up):
+            self._pipeline.note("PHM", f"{self._target} was started again outside PHM: recovery attempts reset")
+            self._pipeline.clear_given_up(*given_up)
+        self._follow_generation(cases)
+        return True
+
+    def attempted(
+        self, cases: Iterable[FaultCase], mine: FaultCase, before: Generation | None, *, superseded: bool
+    ) -> None:
+        """An attempt on the target, for the case `mine`, has ended: the current generation is expected.
+
+        Earlier results do not decide what to do next, for that case and for the others. The others get the grace of
+        their units if the container is no longer in the generation `before`.
+        """
+        now, self._generation = self._clock.mono(), self._generations.current(self._target)
+        restarted = self._generation is not None and not self._generation.same(before)
+        for case in cases:
+            self._expect_current(case)
+            waits = superseded or (restarted and case.fault.id != mine.fault.id)
+            case.recheck_after(now + (self._grace_s(case.fault.unit) if waits else 0.0))
+
+    def generation_changed(self, case: FaultCase) -> bool:
+        """Whether the container is no longer in the generation in which the fault was found: it has already been
+        restarted.
+
+        A run that begins after the grace of that restart must then find the unit in ERROR before any action.
+        """
+        generation = self._generations.current(self._target)
+        if generation is None or case.generation in ("", generation.name):
+            return False
+        case.generation = generation.name
+        case.recheck_after(self._clock.mono() + self._grace_s(case.fault.unit))
+        return True
+
+    def note_hold(self, case: FaultCase, *, on_hold: bool) -> None:
+        """After a hold, or once it is decided that an operator did not stop the container, a new run must confirm the fault."""
+        if case.on_hold and not on_hold:
+            case.reported.discard(f"{Phase.REFUSED.value} {HOLD}")
+            case.recheck_after(self._clock.mono())
+        case.on_hold = on_hold
+
+    def left_down(self) -> list[Fault]:
+        """Faults that recovery has given up on, of a container that was down then and is still down in a newer run."""
+        last = self._history.attempts[-1].at if self._history.attempts else float("-inf")
+        return [
+            fault
+            for fault in self._pipeline.given_up()
+            if fault.result.target == self._target
+            and fault.result.condition in DOWN
+            and self._pipeline.bad_since(fault.unit, last)
+        ]
+
+    def unconfirmed_since(self, case: FaultCase) -> float | None:
+        """A run that begins after this must find the unit in ERROR before any action; None: one has."""
+        recheck_from = self._recheck_from(case)
+        confirmed = recheck_from is None or self._pipeline.bad_since(case.fault.unit, recheck_from)
+        return None if confirmed else recheck_from
+
+    def _recheck_from(self, case: FaultCase) -> float | None:
+        restarted_at = self._locks.dependent_restart_at(self._target)
+        if restarted_at == float("-inf"):
+            return case.recheck_from
+        after_restart = restarted_at + self._grace_s(case.fault.unit)
+        return after_restart if case.recheck_from is None else max(after_restart, case.recheck_from)
+
+    def _expect_current(self, case: FaultCase) -> None:
+        if self._generation is not None:
+            case.generation = self._generation.name
+
+    def _follow_generation(self, cases: Iterable[FaultCase]) -> None:
+        """The container was started without an attempt: its parts get their grace. If others started it, the action
+        hold of an interrupted action ends. If PHM did, the engine has completed the request of an attempt late."""
+        before, self._generation = self._generation, self._generations.current(self._target)
+        if self._generation is None or before is None or self._generation.same(before):
+            return
+        now, mine = self._clock.mono(), self._generation.by == by_phm(self._target)
+        for case in cases:
+            self._expect_current(case)
+            if case.interrupted and not mine:
+                case.interrupted = False
+                self._locks.end_hold(self._target, case, worked=False)
+            if case.recheck_from is None or mine:
+                case.recheck_after(now + self._grace_s(case.fault.unit))

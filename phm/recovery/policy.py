@@ -18,90 +18,50 @@ Actions on PHM's own container and links are limited by rules 1, 6, 7 and 9 only
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from phm.core.backoff import pause_s
 from phm.core.model import Fault
 from phm.core.settings import RecoverySettings
-from phm.recovery.history import AttemptRecord, Failures, History
-from phm.recovery.holds.hold_registry import BEING_STOPPED
-from phm.recovery.target import Target
+from phm.recovery.actions.ladders import ADVISED, AGAIN_WHILE_IT_LASTS, DOWN, GENTLE, LEARNED, ONCE_WELL, PATIENT
+from phm.recovery.base import ActionCatalog, Target, ladder_of
+from phm.recovery.fault_cases import CLEAN_S, HOLD, AttemptRecord, History
+from phm.recovery.holds.hold_registry import ALL, BEING_STOPPED, NOTHING_REQUESTED, HoldRegistry, HoldStatus
+from phm.recovery.safety.armed_state import ArmedStatus
+from phm.recovery.safety.flight_critical import FlightCriticalGuard
 
-HOLD, STARVED, START = "hold", "starved", "start"
-LADDERS: Mapping[str, tuple[str, ...]] = {
-    "exited": ("start", "restart"),
-    "oom": ("start", "restart"),
-    "created": ("start",),
-    "paused": ("unpause", "restart"),
-    "unhealthy": ("restart",),
-    "disconnected": ("reconnect", "restart"),
-    "address_silent": ("reconnect", "restart"),
-    "sidecar_disconnected": ("join_network",),
-    "node_missing": ("relaunch", "restart"),
-    "node_hung": ("restart",),
-    "quorum_dead": ("restart",),
-    "silent": ("relaunch", "restart"),
-    "rate_low": ("relaunch", "restart"),
-    "publisher_lost": ("restart",),
-    "subscriber_lost": ("restart",),
-    "qos_mismatch": ("restart",),
-    "node_duplicate": ("restart",),
-    "not_ready": ("restart",),
-    "transport_blocked": ("restart",),
-    "data_frozen": ("restart",),
-    "data_stamp": ("restart",),
-    "data_gaps": ("restart",),
-    "data_range": ("restart",),
-    "file_missing": ("restore_file",),
-    "file_not_executable": ("restore_file",),
-    "file_altered": ("restore_file",),
-    "device_replugged": ("restart",),
-    "link_silent": ("reopen",),
-    "radio_silent": ("reopen",),
-    "autopilot_silent": ("reopen",),
-    "disk_full": ("free_disk",),
-    "cpu_starved": ("relieve",),
-    "custom_failed": ("restart",),
-}
-"""Built-in ladders by condition. Conditions that are not listed are only reported: `restarting` because the engine's
-own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,
-`not_received` because a restart does not open a transport that was never open."""
-_DATA = frozenset({"data_frozen", "data_stamp", "data_gaps", "data_range"})
-_TOPIC = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"}) | _DATA
-PATIENT = _TOPIC | {"node_duplicate", "not_ready"}
-"""Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
-create its endpoints again by itself, be activated again, or be replaced by a copy that starts before it ends."""
-LEARNED = _TOPIC
-"""Of these, the ones whose pauses PHM knows after a while: see `patience_s`. A second node is started by someone, at any time."""
+STARVED, START = "starved", "start"
 PAUSES = 2.0
 """PHM waits this many times the longest pause after which a topic came back."""
-DOWN = frozenset({"exited", "oom", "created"})
-"""Conditions of a container that does not run. A start makes nothing worse as long as its dependents are not restarted, so it
-is tried for as long as the container is down: a part of the budget is reserved for it, and when that is used up, or recovery
-has given up, it is tried once per `recovery.backoff_max`."""
-GENTLE = frozenset({"relieve"})
-"""Actions that disturb no container: limited by back-off only, they use up no budget."""
-OUTSIDE = frozenset({"network_missing"})
-"""Conditions that come from outside of every container: no action on a container causes them."""
-AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
-"""Conditions that only the first step of the ladder can end: a restart connects nothing. The next step is for what needs the unit
-and has not recovered although the unit itself has."""
-ADVISED = frozenset({"data_gaps", "data_range"})
-"""Conditions for which the built-in ladder is only advised: the messages arrive and most of them are usable, and whether a restart
-helps depends on the sensor or input behind the node. A user's own ladder is carried out."""
-ONCE_WELL = frozenset(
-    {"transport_blocked", "qos_mismatch", "node_duplicate", "quorum_dead", "data_frozen", "data_stamp", "not_ready"}
-)
-"""Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
-namespace, a publisher that was created again, a second node started by an operator, a node that its neighbours no longer
-receive, a source that repeats old data, a wrong clock on another computer, a node that was deactivated.
-Where the unit was OK in this generation,
-a restart restores what the start had, and is tried once; where it never was, nothing is done. A user's own ladder is used
-unchanged."""
 ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0
 """Seconds for which a unit must have been reported OK to count as OK in this generation: beyond the grace of the start, in which
 parts come up and names of the previous generation disappear; and where the container started before PHM did. A check that
 knows better says so (`phm.core.model.Evidence.never_ok`)."""
+ARMED_AGAIN_S = STARVED_AGAIN_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class ActionRules:
+    """What decides about actions, for every target.
+
+    start_s: how long a start may take (`ros.grace`).
+    armed:   the armed state of the vehicle now.
+    guard:   None when no container is flight-critical.
+    """
+
+    settings: RecoverySettings
+    start_s: float
+    catalog: ActionCatalog
+    holds: HoldRegistry
+    armed: Callable[[], ArmedStatus]
+    guard: FlightCriticalGuard | None
+
+    def hold_status(self, target: str, now: float, *, ended: bool = False) -> HoldStatus:
+        """What keeps recovery from the target on request; mostly nothing was requested. ended: as of `HoldRegistry.status`."""
+        if not ended and self.holds.concerned.isdisjoint((ALL, target)):
+            return NOTHING_REQUESTED
+        return self.holds.status(target, now, ended=ended)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +107,6 @@ class Skip:
 
 
 Decision = Act | Advise | Wait | GiveUp | Skip
-ARMED_AGAIN_S = STARVED_AGAIN_S = 2.0
 
 
 def decide(
@@ -292,11 +251,6 @@ def _when(
     return Wait(ready, "backing off") if now < ready else act
 
 
-def ladder_of(condition: str, settings: RecoverySettings) -> tuple[str, ...]:
-    """The user's ladder for the condition, else the built-in one, else none."""
-    return tuple(settings.ladders.get(condition, LADDERS.get(condition, ())))
-
-
 def _step(ladder: tuple[str, ...], condition: str, same: list[AttemptRecord], settings: RecoverySettings) -> str:
     """The step that follows this many failed attempts."""
     again = condition in AGAIN_WHILE_IT_LASTS and condition not in settings.ladders
@@ -328,3 +282,66 @@ def _in_vain_elsewhere(action: str, attempts: int, unit: str) -> str:
 
 def _in_vain(attempts: int) -> str:
     return "one attempt did not help" if attempts == 1 else f"{attempts} attempts did not help"
+
+
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """What `history` says about an attempt for `fault` at `now` (monotonic seconds).
+
+    lasting_s: a recovery that lasted for less does not count: a container that starts and exits again is failing.
+
+    A longer time in which the unit was OK, e.g. because an operator repaired it, resets the counts. Attempts with
+    `not_counted` are neither a success nor a failure.
+    """
+
+    history: History
+    fault: Fault
+    now: float
+    lasting_s: float
+
+    def of_the_unit(self) -> list[AttemptRecord]:
+        """Attempts for the same unit and condition that did not help, since the last one that did."""
+        return self._failed([attempt for attempt in self._counted() if self._own(attempt)])
+
+    def of_the_action(self, action: str) -> list[AttemptRecord]:
+        """Executions of `action`, for any fault of the target, that did not help, since the last one that did.
+
+        An execution that helped another fault and did not last counts for that fault only.
+        """
+        return self._failed([attempt for attempt in self._counted() if attempt.action == action])
+
+    def ready_at(self, settings: RecoverySettings, elsewhere: Sequence[AttemptRecord] = ()) -> float:
+        """Back-off: the first attempt immediately, then 1, 2, 4 ... seconds after the last, whether it helped or not.
+
+        What helped and failed again so soon counts too, or a flapping container would be restarted without pause; an
+        attempt with `backoff_reset` does not. elsewhere: attempts for other faults of the container that count as well.
+        """
+        mine = [attempt for attempt in self._within() if self._own(attempt)]
+        others = [attempt for attempt in elsewhere if attempt not in mine]
+        same = sorted((each for each in (*mine, *others) if not each.backoff_reset), key=lambda attempt: attempt.at)
+        if not same:
+            return self.now
+        return same[-1].at + pause_s(len(same), settings.backoff, settings.backoff_max)
+
+    def _within(self) -> list[AttemptRecord]:
+        return self.history.within(self.now - CLEAN_S)
+
+    def _counted(self) -> list[AttemptRecord]:
+        """Newest first, without those before a long time in which the unit was OK."""
+        since = self.fault.opened.mono if self.fault.ok_s > self.lasting_s else float("-inf")
+        return [attempt for attempt in reversed(self._within()) if attempt.at >= since]
+
+    def _own(self, attempt: AttemptRecord) -> bool:
+        return (attempt.unit, attempt.condition) == (self.fault.unit, self.fault.result.condition)
+
+    def _failed(self, newest_first: Sequence[AttemptRecord]) -> list[AttemptRecord]:
+        failures: list[AttemptRecord] = []
+        broke_again = self.fault.opened.mono
+        for attempt in newest_first:
+            if attempt.worked and broke_again - attempt.at > self.lasting_s:
+                break
+            if attempt.not_counted or (attempt.worked and not self._own(attempt)):
+                continue
+            failures.append(attempt)
+            broke_again = attempt.at
+        return failures

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from phm.checking.pipeline import Pipeline
-from phm.core.clock import Clock
+from phm.core import threads
 from phm.core.model import Fault, Level, Result
-from phm.recovery.base import Action
-from phm.recovery.containers.container_generation import ENGINE, Generation, GenerationTracker, by_phm
-from phm.recovery.policy import OUTSIDE
+from phm.facts import CannotTell
+from phm.recovery.actions.ladders import OUTSIDE
+from phm.recovery.base import Action, ActionContext, Target
+from phm.recovery.ownership import ENGINE, Generation, Shared, by_phm
 from phm.tracker.starvation import explanation
 
 POLL_S = 0.05
@@ -20,6 +21,8 @@ RERUN_S = 0.5
 """While a verification waits, the checks run again this often."""
 STARVED_S = 60.0
 """Dependents that starvation can explain get this much more time while it lasts: nodes need up to 50 s to start at four busy threads per core."""
+OTHER_CAUSE_S = 5.0
+"""`Action.other_cause` must answer within this time."""
 STILL_BAD_S = 2.0
 """A run that began this long after the action (beyond the unit's grace) and is still ERROR ends the wait."""
 
@@ -149,18 +152,11 @@ class VerificationHooks:
 
 
 class Verifier:
-    """Waits until verifications are decided. grace_s: of a unit, seconds. verify_s: `recovery.verify`."""
+    """Waits until verifications are decided. verify_s: `recovery.verify`."""
 
-    def __init__(
-        self,
-        pipeline: Pipeline,
-        clock: Clock,
-        generations: GenerationTracker,
-        grace_s: Callable[[str], float],
-        verify_s: float,
-    ) -> None:
-        self._pipeline, self._clock, self._generations = pipeline, clock, generations
-        self._grace_s, self._verify_s = grace_s, verify_s
+    def __init__(self, shared: Shared, verify_s: float) -> None:
+        self._pipeline, self._clock, self._generations = shared.pipeline, shared.clock, shared.generations
+        self._grace_s, self._verify_s = shared.grace_s, verify_s
 
     def verify(self, fault: Fault, target: str, action: Action, hooks: VerificationHooks) -> VerificationResult:
         """Verify an action that has just ended. A start of the container that the action did not cause ends the wait."""
@@ -208,3 +204,17 @@ def superseded_by(now: Generation | None, expected: Generation | None, target: s
     owner = now.whose
     by = f"by the recovery of {owner}" if owner else "outside PHM"
     return VerificationResult(superseded_by=by, not_counted=bool(owner))
+
+
+def other_cause(action: Action, target: Target, fault: Fault, context: ActionContext) -> str:
+    """What else has made the unit OK, see `Action.other_cause`; a plug-in that hangs or crashes says nothing."""
+    causes: list[str] = []
+
+    def ask() -> None:
+        with contextlib.suppress(CannotTell):
+            causes.append(action.other_cause(target, fault, context))
+
+    thread = threading.Thread(target=ask, name=f"phm-credit-{action.name}-{target.name}", daemon=True)
+    if threads.start_now(thread):
+        thread.join(OTHER_CAUSE_S)
+    return causes[0] if causes else ""

@@ -13,26 +13,24 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
 
-from phm.checking.pipeline import Pipeline
 from phm.core import threads
-from phm.core.clock import Clock
-from phm.core.model import Fault, Phase
-from phm.core.settings import RecoverySettings
-from phm.recovery.actions.catalog import ActionCatalog
+from phm.core.model import Event, Fault, Phase
 from phm.recovery.attempt import Attempt
-from phm.recovery.containers.container_generation import GenerationTracker
-from phm.recovery.containers.external_changes import ExternalChanges
-from phm.recovery.fault_cases import FaultCase, FaultCases
-from phm.recovery.history import AttemptRecord, History
-from phm.recovery.operator.announcements import ActionReporter, announce
-from phm.recovery.operator.approvals import Approvals
-from phm.recovery.operator.manual_restart import RESTART, ManualRestart
-from phm.recovery.operator.refusals import NotApprovable
-from phm.recovery.persistence.state import PersistedCase, UnfinishedAction
-from phm.recovery.policy import Act, Advise, Decision, GiveUp, Wait, decide
-from phm.recovery.safety.action_limits import ActionLimits
-from phm.recovery.safety.target_locks import TargetLocks
-from phm.recovery.target import Target
+from phm.recovery.base import Target
+from phm.recovery.fault_cases import (
+    ActionReporter,
+    AttemptRecord,
+    ExternalChanges,
+    FaultCase,
+    FaultCases,
+    History,
+    PersistedCase,
+    UnfinishedAction,
+)
+from phm.recovery.operator.approval import NotApprovable
+from phm.recovery.operator.requests import RESTART, OperatorRequests
+from phm.recovery.ownership import Shared
+from phm.recovery.policy import Act, ActionRules, Advise, Decision, GiveUp, Wait, decide
 
 logger = logging.getLogger(__name__)
 
@@ -53,36 +51,26 @@ class TargetWorker:
     """The thread of one target. Invariant: at most one action on the target at any time.
 
     `history` is changed by the thread alone. new_attempt: makes an `Attempt` for a target, a fault and an action.
-    grace_s: of a unit, seconds. start_s: how long a start may take (`ros.grace`).
     """
 
     def __init__(
         self,
         target: Target,
         history: History,
-        cases: FaultCases,
-        *,
-        rules: RecoverySettings,
-        start_s: float,
-        catalog: ActionCatalog,
-        limits: ActionLimits,
-        changes: ExternalChanges,
-        approvals: Approvals,
-        manual_restart: ManualRestart,
-        reporter: ActionReporter,
+        shared: Shared,
+        rules: ActionRules,
         new_attempt: Callable[..., Attempt],
-        pipeline: Pipeline,
-        generations: GenerationTracker,
-        locks: TargetLocks,
-        clock: Clock,
-        grace_s: Callable[[str], float],
+        publish: Callable[[Event], None],
     ) -> None:
-        self._target, self._name, self._history, self._cases = target, target.name, history, cases
-        self._rules, self._start_s = rules, start_s
-        self._catalog, self._limits, self._changes = catalog, limits, changes
-        self._approvals, self._manual_restart, self._reporter = approvals, manual_restart, reporter
-        self._new_attempt, self._pipeline, self._generations = new_attempt, pipeline, generations
-        self._locks, self._clock, self._grace_s = locks, clock, grace_s
+        self._target, self._name, self._history, self._shared, self._rules = target, target.name, history, shared, rules
+        self._catalog, self._new_attempt = rules.catalog, new_attempt
+        self._pipeline, self._clock, self._locks = shared.pipeline, shared.clock, shared.locks
+        self._grace_s, self._generations = shared.grace_s, shared.generations
+        self._cases = FaultCases(self._name)
+        self._changes = ExternalChanges(self._name, history, shared)
+        self._reporter = ActionReporter(self._name, shared.clock, publish)
+        self._requests: OperatorRequests | None = None
+        self._lock = threading.Lock()
         self._under_way: UnfinishedAction | None = None
         self._left_down: dict[str, FaultCase] = {}
         self._wake = threading.Event()
@@ -124,15 +112,12 @@ class TargetWorker:
         """
         grace_s = self._grace_s(fault.unit)
         recheck_from = self._clock.mono() + grace_s
-        mine = FaultCase(
-            fault, set(case.reported), case.refused, recheck_from=recheck_from, interrupted=interrupted is not None
-        )
-        self._cases.put(mine)
+        mine = self._cases.restore(fault, case, recheck_from, interrupted=interrupted is not None)
         if case.approved:
-            self._approvals.expire(mine, case.approved, "PHM has been restarted")
+            self._operator().approvals.expire(mine, case.approved, "PHM has been restarted")
         if interrupted is not None:
-            action = interrupted.attempt.action
-            self._locks.start_hold(self._name, mine, fault.unit, action, grace_s + INTERRUPTED_S)
+            at_most_s = grace_s + INTERRUPTED_S
+            self._locks.start_hold(self._name, mine, fault.unit, interrupted.attempt.action, at_most_s)
         self._wake.set()
 
     def persisted(self) -> tuple[dict[str, PersistedCase], UnfinishedAction | None]:
@@ -147,17 +132,25 @@ class TargetWorker:
         case = self._cases.find(fault_id)
         if case is None:
             raise NotApprovable(f"{fault_id} is not being handled by recovery")
-        detail = self._approvals.approve(
-            case, self._decide(case.fault, approved=False), self._decide(case.fault, approved=True)
-        )
+        unapproved, approved = (self._decide(case.fault, approved=given) for given in (False, True))
+        detail = self._operator().approvals.approve(case, unapproved, approved)
         self._wake.set()
         return detail
 
     def restart(self, by: str) -> str:
         """An operator requests a restart; what will be done. Raises NotAllowed, and NotNow when it may be possible later."""
-        accepted = self._manual_restart.request(by, busy=self._under_way is not None)
+        accepted = self._operator().restart(by, busy=self._under_way is not None)
         self._wake.set()
         return accepted
+
+    def _operator(self) -> OperatorRequests:
+        """Made for the first request: mostly there is none."""
+        with self._lock:
+            if self._requests is None:
+                self._requests = OperatorRequests(
+                    self._target, self._history, self._shared, self._rules, self._forbids, self._reporter
+                )
+            return self._requests
 
     # ------------------------------------------------------------ deciding
 
@@ -176,8 +169,8 @@ class TargetWorker:
         """Do the most upstream thing there is to do; seconds to wait (0: decide again now, None: until woken)."""
         cases = self._current()
         waits = [GENERATION_S] if self._changes.update(cases) else []
-        if self._manual_restart.pending:
-            waits.append(self._restart_manually())
+        if self._requests is not None and self._requests.pending:
+            waits.append(self._restart_manually(self._requests))
         for case in cases:
             if 0 in waits:
                 return 0
@@ -188,7 +181,7 @@ class TargetWorker:
 
     def _handle(self, case: FaultCase) -> list[float]:
         """Act on one fault or wait; seconds until it needs attention again, empty: only an event can change it."""
-        self._changes.note_hold(case)
+        self._changes.note_hold(case, on_hold=self._on_hold())
         recheck_from = self._changes.unconfirmed_since(case)
         if recheck_from is not None:
             return [self._wait_for_confirmation(case.fault.unit, recheck_from)]
@@ -200,11 +193,11 @@ class TargetWorker:
             return [self._perform(case, decision)]
         return self._wait_until(self._report(case, decision))
 
-    def _restart_manually(self) -> float:
-        case = self._manual_restart.next()
+    def _restart_manually(self, requests: OperatorRequests) -> float:
+        case = requests.next()
         wait_s = self._perform(case, Act(RESTART, 1)) if case is not None else 0
         if wait_s == 0:
-            self._manual_restart.end()
+            requests.end()
         return wait_s
 
     def _keep_starting(self, waits: list[float]) -> float | None:
@@ -230,7 +223,7 @@ class TargetWorker:
         if case.approval is None:
             return []
         decision = self._decide(case.fault, approved=True)
-        return self._approvals.check(case, decision.action if isinstance(decision, Act) else "")
+        return self._operator().approvals.check(case, decision.action if isinstance(decision, Act) else "")
 
     def _current(self) -> list[FaultCase]:
         """The tracker knows first what is over and what is wrong now; its event may still be on its way through the bus."""
@@ -245,8 +238,8 @@ class TargetWorker:
         )
 
     def _wait_for_confirmation(self, unit: str, recheck_from: float) -> float:
-        now, hold = self._clock.mono(), self._limits.hold()
-        if hold is not None:
+        now = self._clock.mono()
+        if (hold := self._rules.hold_status(self._name, now).hold) is not None:
             return hold.until - now  # until then its units are STALE, whatever their checks find
         left_s = recheck_from - now
         if left_s > 0:
@@ -255,32 +248,48 @@ class TargetWorker:
         return RETRY_S
 
     def _decide(self, fault: Fault, *, approved: bool, given_up: bool = False) -> Decision:
-        now, hold = self._clock.stamp(), self._limits.hold()
+        now, rules = self._clock.stamp(), self._rules
+        status = rules.hold_status(self._name, now.mono, ended=fault.result.condition == ENDED)
         return decide(
             fault,
             self._history,
             now.mono,
             target=self._target,
-            forbids=self._limits.forbids,
-            settings=self._rules,
+            forbids=self._forbids,
+            settings=rules.settings,
             unrestricted=self._catalog.unrestricted,
             usable=self._catalog.usable(self._target, fault),
-            start_s=self._start_s,
+            start_s=rules.start_s,
             approved=approved,
             given_up=given_up,
             container_wide=self._catalog.container_wide,
             starved=self._pipeline.starved_by(fault.unit),
-            hold=(hold.until, hold.words(now)) if hold is not None else None,
-            undecided=self._limits.undecided(ended=fault.result.condition == ENDED),
-            stopped_by_hand=self._limits.stopped_by_hand,
+            hold=(status.hold.until, status.hold.words(now)) if status.hold is not None else None,
+            undecided=status.undecided,
+            stopped_by_hand=status.stopped_by_hand,
         )
+
+    def _forbids(self, action: str) -> str:
+        """Why the action must wait until the vehicle is disarmed; empty: it need not."""
+        guard = self._rules.guard
+        return guard.forbids(self._name, self._catalog.impact(action)) if guard is not None else ""
+
+    def _on_hold(self) -> bool:
+        status = self._rules.hold_status(self._name, self._clock.mono())
+        return status.hold is not None or status.undecided is not None
 
     def _report(self, case: FaultCase, decision: Decision) -> float | None:
         """Report a decision that is not to act, once; when to decide again, or None when only an event helps."""
-        announced = announce(decision, self._target)
-        if announced is not None:
-            self._reporter.report_once(case, announced.action, announced.phase, announced.detail)
-        if isinstance(decision, GiveUp):
+        name = self._name
+        if isinstance(decision, Advise):
+            words = f"advised: {decision.action} {name} ({decision.why})"
+            self._reporter.report_once(case, decision.action, Phase.ADVISED, words)
+        elif isinstance(decision, Wait) and decision.report:
+            words = f"no action on {name} for now: {decision.why}"
+            self._reporter.report_once(case, decision.subject, Phase.REFUSED, words)
+        elif isinstance(decision, GiveUp):
+            words = f"gave up on {name}: {decision.why}; {self._target.manual_step()}"
+            self._reporter.report_once(case, decision.action, Phase.ESCALATED, words)
             case.refused = True
             self._pipeline.escalate(case.fault.id)
         if isinstance(decision, Wait):
@@ -302,13 +311,12 @@ class TargetWorker:
         attempt = self._new_attempt(self._target, fault, action, last=last, approved_at=approved_at)
         missing = attempt.waits_for()
         if missing:
-            words = f"no action on {self._name} for now: {missing}"
-            self._reporter.report_once(case, act.action, Phase.REFUSED, words)
+            self._reporter.report_once(case, act.action, Phase.REFUSED, f"no action on {self._name} for now: {missing}")
             return MISSING_S
         record = AttemptRecord(self._clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
         if not attempt.begin():
             return RETRY_S  # another attempt restarts this container: decided again when that has ended
-        if act.action not in self._catalog.unrestricted and self._limits.on_hold:
+        if act.action not in self._catalog.unrestricted and self._on_hold():
             attempt.release(worked=False)  # put on hold, or stopped by an operator, since the decision
             return RETRY_S
         case.approval, case.interrupted = None, False

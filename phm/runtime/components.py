@@ -26,9 +26,9 @@ from phm.core.settings import Settings
 from phm.core.watchdog import DaemonWatchdog
 from phm.facts import SelfFact
 from phm.probes.docker_event import DockerEvent
+from phm.recovery.actions.cpu_weights import CpuWeights
 from phm.recovery.actions.join_network import JOINED
 from phm.recovery.base import Action, ActionContext
-from phm.recovery.containers.cpu_weights import CpuWeights
 from phm.recovery.executor import Executor, NotNow
 from phm.recovery.holds.hold_registry import HoldRegistry
 from phm.recovery.holds.hold_service import HoldInputs, HoldService

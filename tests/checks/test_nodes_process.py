@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from phm import api
-from phm.recovery.policy import LADDERS
+from phm.recovery.actions.ladders import LADDERS
 from phm_checks._liveness import HANG_S
 from phm_checks._process_table import BLIND_S
 from phm_checks.nodes import BUSY_S

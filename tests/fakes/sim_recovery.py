@@ -22,10 +22,9 @@ from phm.recovery.actions.restart import Restart
 from phm.recovery.actions.restore_file import RestoreFile
 from phm.recovery.actions.start import Start
 from phm.recovery.actions.unpause import Unpause
-from phm.recovery.base import Action, ActionContext
+from phm.recovery.base import Action, ActionContext, Target
 from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.recovery.target import Target
 from phm.testing import FakeClock
 from tests.fakes.agent_world import FIXES, Sim
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.containers.container_generation import Generation
-from phm.recovery.history import AttemptRecord
-from phm.recovery.persistence.state import PersistedCase, PersistedState, RecoveryState, UnfinishedAction
+from phm.recovery.fault_cases import AttemptRecord, PersistedCase, UnfinishedAction
+from phm.recovery.ownership import Generation
+from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.persistence.state_codec import decode, encode
 from phm.recovery.persistence.state_file import NAME, StateFile
 from phm.testing import FakeClock

@@ -5,17 +5,17 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import cast
 
 from phm.core.clock import SystemClock
 from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import Settings
 from phm.facts import ContainerFact
 from phm.probes.docker import Docker
-from phm.recovery.base import Action, ActionContext
+from phm.recovery.attempt import GuardedEngine
+from phm.recovery.base import Action, ActionContext, Target
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
-from phm.recovery.safety.guarded_engine import guarded
-from phm.recovery.target import Target
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
 from tests.proxy.haproxy import BehindProxy
@@ -24,6 +24,11 @@ from tests.proxy.haproxy import BehindProxy
 def fault(unit: str, condition: str, evidence: Evidence | None = None) -> Fault:
     result = Result(Level.ERROR, "it is broken", "broken", condition, "app", evidence=evidence or Evidence())
     return Fault("F1", unit, Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, 0.0))
+
+
+def guarded(engine: DockerEngine, guard: FlightCriticalGuard) -> DockerEngine:
+    """The guarded engine, typed as the engine that actions use."""
+    return cast(DockerEngine, GuardedEngine(engine, guard))
 
 
 @dataclass
@@ -54,7 +59,7 @@ class Bench:
     def context(self) -> ActionContext:
         flight_critical_guard = FlightCriticalGuard(self.settings.containers, self.fact, lambda: None, self._armed)
         return ActionContext(
-            guarded(self.engine, flight_critical_guard, flight_critical_guard.forbids),
+            guarded(self.engine, flight_critical_guard),
             self.settings,
             self.fact,
             lambda: None,

@@ -16,11 +16,10 @@ from phm.core.bus import Bus
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note, Phase
 from phm.core.settings import ContainerSettings, Settings
-from phm.recovery.base import Action, ActionContext, NotNeeded
+from phm.recovery.base import Action, ActionContext, NotNeeded, Target
 from phm.recovery.executor import Executor
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, ArmedStatus
-from phm.recovery.target import Target
 from phm.tracker import TrackedUnit, Tracker, graph_of
 from phm.transport.docker import EngineError
 from tests.fakes.until import until

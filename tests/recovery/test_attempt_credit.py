@@ -13,8 +13,7 @@ from phm import testing
 from phm.core.model import ActionEvent, Fault, Layer, Level, Phase, Result, Slot, Stamp
 from phm.facts import AutopilotFact, LinkFact
 from phm.recovery.actions.reopen import BEHIND_S, BOOT_S, PROMPT_S, Reopen
-from phm.recovery.base import ActionContext, NotNeeded
-from phm.recovery.target import Target, TargetKind
+from phm.recovery.base import ActionContext, NotNeeded, Target, TargetKind
 from phm.testing import settings
 from tests.recovery.simulated_agent import Agent, Containers, Of
 

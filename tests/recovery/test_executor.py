@@ -16,10 +16,9 @@ from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Phase
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
-from phm.recovery.base import Action, ActionContext, ActionFailed
+from phm.recovery.base import Action, ActionContext, ActionFailed, Target
 from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.recovery.target import Target
 from phm.tracker import TrackedUnit, Tracker, graph_of
 from tests.fakes.until import until
 

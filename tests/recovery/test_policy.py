@@ -9,9 +9,9 @@ import pytest
 
 from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import ContainerSettings, RecoverySettings
-from phm.recovery.history import AttemptRecord, History
+from phm.recovery.base import Target
+from phm.recovery.fault_cases import AttemptRecord, History
 from phm.recovery.policy import Act, Advise, GiveUp, Skip, Wait, decide, patience_s
-from phm.recovery.target import Target
 
 APP = Target.of(ContainerSettings(name="app", recover=True))
 RULES = RecoverySettings()

@@ -16,9 +16,7 @@ from phm.core.model import Fault
 from phm.core.settings import FreeDiskSettings, Settings
 from phm.facts.disk_space import space
 from phm.recovery.actions._paths import FOLDER, open_plain
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
-from phm.recovery.safety.flight_critical import Impact
-from phm.recovery.target import Target, TargetKind
+from phm.recovery.base import Action, ActionContext, ActionFailed, Impact, NotNeeded, Target, TargetKind
 
 ENOUGH = 0.9
 """Files are deleted until the disk is at this share of `host.disk.warn`: at the limit itself it would soon be full

@@ -6,8 +6,7 @@ from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import NotPermitted
 from phm.recovery.actions._networks import missing, network_id, not_there
-from phm.recovery.base import Action, ActionContext, NotNeeded, container_settings
-from phm.recovery.target import Target
+from phm.recovery.base import Action, ActionContext, NotNeeded, Target, container_settings
 
 JOINED = "PHM joined network"
 """In the sentence of each action that has put PHM on a network."""

@@ -7,13 +7,20 @@ import contextlib
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact, NotPermitted
-from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
 from phm.recovery.actions.join_network import join_networks
 from phm.recovery.actions.restart import Restart, restart_dependents, restart_gracefully
-from phm.recovery.base import Action, ActionContext, NotNeeded, NotYet, container_settings
-from phm.recovery.safety.flight_critical import FlightCriticalError, Impact
-from phm.recovery.target import Target
+from phm.recovery.base import (
+    Action,
+    ActionContext,
+    FlightCriticalError,
+    Impact,
+    NotNeeded,
+    NotYet,
+    Target,
+    container_settings,
+    present,
+)
 
 
 class Reconnect(Action):

@@ -5,10 +5,7 @@ from __future__ import annotations
 from phm.core.model import Fault
 from phm.core.settings import NodeSettings, Settings
 from phm.facts import CannotTell
-from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
-from phm.recovery.safety.flight_critical import Impact
-from phm.recovery.target import Target
+from phm.recovery.base import Action, ActionContext, ActionFailed, Impact, NotNeeded, Target, present
 
 
 class Relaunch(Action):

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from phm.core.model import Fault
 from phm.core.settings import Settings
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
-from phm.recovery.containers.cpu_weights import LOW_SHARES
-from phm.recovery.safety.flight_critical import Impact
-from phm.recovery.target import Target
+from phm.recovery.actions.cpu_weights import LOW_SHARES
+from phm.recovery.base import Action, ActionContext, ActionFailed, Impact, NotNeeded, Target
 
 
 class Relieve(Action):

@@ -6,8 +6,7 @@ import threading
 
 from phm.core.model import Fault
 from phm.facts import AutopilotFact
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded
-from phm.recovery.target import Target, TargetKind
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded, Target, TargetKind
 
 OPEN_S = 8.0
 """Timeout of a connection attempt: 5 s."""

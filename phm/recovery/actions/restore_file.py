@@ -12,11 +12,17 @@ import stat
 from phm.core.model import Fault
 from phm.core.settings import FileSettings, Settings
 from phm.facts import ContainerFact
-from phm.recovery.actions._common import present
 from phm.recovery.actions._paths import open_plain
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded, container_settings
-from phm.recovery.safety.flight_critical import Impact
-from phm.recovery.target import Target
+from phm.recovery.base import (
+    Action,
+    ActionContext,
+    ActionFailed,
+    Impact,
+    NotNeeded,
+    Target,
+    container_settings,
+    present,
+)
 from phm.transport.docker import DockerEngine, EngineMissing, FileCopy
 
 LIMIT = 16 << 20

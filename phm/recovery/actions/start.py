@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from phm.core.model import Fault, Outcome
-from phm.recovery.actions._common import present
 from phm.recovery.actions._networks import missing, not_there, reconnect_stopped, stale
 from phm.recovery.actions.restart import restart_dependents
-from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded, container_settings
-from phm.recovery.safety.flight_critical import Impact
-from phm.recovery.target import Target
+from phm.recovery.base import (
+    Action,
+    ActionContext,
+    ActionFailed,
+    Impact,
+    NotNeeded,
+    Target,
+    container_settings,
+    present,
+)
 
 
 class Start(Action):

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from phm.core.model import Fault
-from phm.recovery.actions._common import present
-from phm.recovery.base import Action, ActionContext, NotNeeded
-from phm.recovery.safety.flight_critical import Impact
-from phm.recovery.target import Target
+from phm.recovery.base import Action, ActionContext, Impact, NotNeeded, Target, present
 
 
 class Unpause(Action):

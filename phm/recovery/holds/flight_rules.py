@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from phm.core.settings import ContainerSettings
 from phm.facts import ContainerFact
-from phm.recovery.containers.dependents import dependents
+from phm.recovery.actions.restart import dependents
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 
 

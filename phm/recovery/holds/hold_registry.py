@@ -58,6 +58,29 @@ class PersistedHold:
     left_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class HoldStatus:
+    """What keeps recovery from one target on request.
+
+    hold:            the one that ends last; None: it is not on hold.
+    undecided:       when it is decided whether an operator stopped it (monotonic seconds); None: it is decided.
+    stopped_by_hand: an operator stopped it, and PHM only advises then (`recovery.on_manual_stop`).
+    """
+
+    hold: Hold | None = None
+    undecided: float | None = None
+    stopped_by_hand: bool = False
+
+    def words(self, now: Stamp) -> str:
+        """Why nothing may be done to the target, as part of a sentence; empty: something may."""
+        if self.hold is not None:
+            return self.hold.words(now)
+        return BEING_STOPPED if self.undecided is not None else ""
+
+
+NOTHING_REQUESTED = HoldStatus()
+
+
 class HoldRegistry:
     """All holds, at most one for each target and source. Thread-safe; `changed` is called after each change."""
 
@@ -66,6 +89,8 @@ class HoldRegistry:
         self._by_hand: set[str] = set()
         self._undecided: dict[str, float] = {}
         self._done: dict[tuple[str, str], None] = {}
+        self.concerned: frozenset[str] = frozenset()
+        """Targets, or ALL, of which anything is known here. The set is replaced and never changed: any thread may read it."""
         self.armed_before = False
         """Whether the vehicle was armed as far as the previous PHM knew: what was on hold then may stay so."""
         self.explained_until: Callable[[float], float | None] = lambda now: None
@@ -79,6 +104,7 @@ class HoldRegistry:
             self._of[hold.target, hold.source] = hold
             while len(self._of) > MAX_HOLDS:
                 del self._of[min(self._of, key=lambda key: self._of[key].until)]
+            self._update_concerned()
         self.changed()
 
     def remove(self, holds: Iterable[Hold]) -> None:
@@ -86,6 +112,7 @@ class HoldRegistry:
             for hold in holds:
                 if self._of.get((hold.target, hold.source)) == hold:
                     del self._of[hold.target, hold.source]
+            self._update_concerned()
         self.changed()
 
     def all(self) -> tuple[Hold, ...]:
@@ -102,15 +129,19 @@ class HoldRegistry:
         return target in self._by_hand
 
     def mark_stopped(self, target: str, stopped: bool) -> None:
-        (self._by_hand.add if stopped else self._by_hand.discard)(target)
+        with self._lock:
+            (self._by_hand.add if stopped else self._by_hand.discard)(target)
+            self._update_concerned()
 
     def set_undecided(self, target: str, until: float | None) -> None:
         """Until when (monotonic seconds) it is decided whether an operator stopped it; None: that is decided."""
-        before = self._undecided.get(target)
-        if until is None:
-            self._undecided.pop(target, None)
-        else:
-            self._undecided[target] = until
+        with self._lock:
+            before = self._undecided.get(target)
+            if until is None:
+                self._undecided.pop(target, None)
+            else:
+                self._undecided[target] = until
+            self._update_concerned()
         if before != until:
             self.changed()
 
@@ -124,18 +155,17 @@ class HoldRegistry:
             return self.explained_until(now) if ended else None
         return max(until, now)
 
-    def binds(self, target: str, now: float) -> bool:
-        """Whether nothing may be done to the target now."""
-        return self.on(target, now) is not None or self.undecided(target, now) is not None
+    def status(self, target: str, now: float, *, ended: bool = False) -> HoldStatus:
+        """All of it at `now` (monotonic seconds). ended: as of `undecided`."""
+        return HoldStatus(self.on(target, now), self.undecided(target, now, ended=ended), self.stopped_by_hand(target))
 
     def why_not_start(self, target: str, now: Stamp) -> str:
         """Why the target must not be restarted as a dependent; empty: it may be."""
-        hold = self.on(target, now.mono)
-        if hold is not None:
-            return hold.words(now)
-        if self.undecided(target, now.mono) is not None:
-            return BEING_STOPPED
-        return "stopped by hand" if self.stopped_by_hand(target) else ""
+        status = self.status(target, now.mono)
+        return status.words(now) or ("stopped by hand" if status.stopped_by_hand else "")
+
+    def _update_concerned(self) -> None:
+        self.concerned = frozenset({target for target, _source in self._of} | self._by_hand | self._undecided.keys())
 
     # ------------------------------------------------------------ over a restart of PHM
 
@@ -169,7 +199,8 @@ class HoldRegistry:
         armed: bool = False,
     ) -> None:
         """armed: whether the vehicle was armed when the previous PHM stopped."""
-        self._by_hand.update(stops)
+        for target in stops:
+            self.mark_stopped(target, True)
         self.armed_before = armed
         for target, occurrence in done:
             self.finish(target, occurrence)

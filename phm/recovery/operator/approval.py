@@ -1,4 +1,4 @@
-"""An operator's approval: for one action, in the situation in which it was given, for a limited time. Pure."""
+"""An operator's approval: for one action, in the situation in which it was given, for a limited time; and refusals. Pure."""
 
 from __future__ import annotations
 
@@ -44,3 +44,15 @@ class Approval:
 
 def _in_words(state: ArmedState) -> str:
     return "neither reliably armed nor disarmed" if state is ArmedState.UNKNOWN else state.value
+
+
+class NotApprovable(Exception):
+    """There is nothing to approve about this fault."""
+
+
+class NotAllowed(Exception):
+    """It is not done, whenever it is requested."""
+
+
+class NotNow(Exception):
+    """It is not done now and may be later."""

@@ -6,34 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from phm.core.model import Fault
-from phm.recovery.containers.container_generation import Generation
-from phm.recovery.containers.cpu_weights import LoweredWeight
-from phm.recovery.history import AttemptRecord
+from phm.recovery.actions.cpu_weights import LoweredWeight
+from phm.recovery.fault_cases import AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.holds.hold_registry import PersistedHold
+from phm.recovery.ownership import Generation
 from phm.recovery.safety.armed_state import LastArmedState
-
-MAX_REPORTED = 32
-"""Maximum number of steps that are kept of one fault."""
-
-
-@dataclass(frozen=True, slots=True)
-class PersistedCase:
-    """What recovery knows of one open fault. `reported` is what was published about it, so that it is not published twice.
-
-    approved: the action that an operator has approved and that was not begun; empty: none.
-    """
-
-    refused: bool = False
-    reported: tuple[str, ...] = ()
-    approved: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class UnfinishedAction:
-    """An action that had started and not ended."""
-
-    fault: str
-    attempt: AttemptRecord
 
 
 @dataclass(frozen=True, slots=True)

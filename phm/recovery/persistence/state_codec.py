@@ -11,11 +11,11 @@ from typing import Any
 
 from phm.core.clock import MAX_STEPS
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.containers.container_generation import Generation
-from phm.recovery.containers.cpu_weights import LoweredWeight
-from phm.recovery.history import CLEAN_S, KEPT, AttemptRecord
+from phm.recovery.actions.cpu_weights import LoweredWeight
+from phm.recovery.fault_cases import CLEAN_S, KEPT, MAX_REPORTED, AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.holds.hold_registry import MAX_DONE, MAX_HOLDS, Hold, PersistedHold, carried
-from phm.recovery.persistence.state import MAX_REPORTED, PersistedCase, PersistedState, RecoveryState, UnfinishedAction
+from phm.recovery.ownership import Generation
+from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.safety.armed_state import LastArmedState
 
 VERSION = 4

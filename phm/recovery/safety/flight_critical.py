@@ -3,31 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from enum import Enum
 
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact
-from phm.recovery.containers.dependents import dependents
+from phm.recovery.actions.restart import dependents
+from phm.recovery.base import Impact
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-
-
-class Impact(Enum):
-    """What an action takes down for a moment, beside what it does to its target.
-
-    OTHERS:    not the target; calls on other containers are checked one by one.
-    NOTHING:   no other container.
-    NETWORK:   the network, also of the containers that share the target's network namespace.
-    CONTAINER: the target, and with it the containers that depend on it (`phm.recovery.containers.dependents`).
-    """
-
-    OTHERS = "others"
-    NOTHING = "nothing"
-    NETWORK = "network"
-    CONTAINER = "container"
-
-
-class FlightCriticalError(CannotTell):
-    """Not done, because something flight-critical would be disturbed while the vehicle may be armed."""
 
 
 def critical_containers(containers: Sequence[ContainerSettings]) -> tuple[str, ...]:

@@ -17,8 +17,7 @@ from phm.core.clock import Clock
 from phm.core.settings import FreeDiskSettings, Settings
 from phm.recovery.actions import free_disk
 from phm.recovery.actions.free_disk import FreeDisk
-from phm.recovery.base import ActionFailed
-from phm.recovery.target import Target
+from phm.recovery.base import ActionFailed, Target
 
 DISK_BYTES = 100_000
 HOUR_S = 3600.0

@@ -9,10 +9,9 @@ import pytest
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.core.settings import ContainerSettings
 from phm.recovery.actions.reopen import Reopen
-from phm.recovery.base import ActionContext, ActionFailed
-from phm.recovery.history import History
+from phm.recovery.base import ActionContext, ActionFailed, Target, TargetKind
+from phm.recovery.fault_cases import History
 from phm.recovery.policy import Act, Skip, decide
-from phm.recovery.target import Target, TargetKind
 from phm.testing import settings
 
 GROUND = Target.parse("link:ground", ())

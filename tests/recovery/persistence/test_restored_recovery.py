@@ -16,11 +16,10 @@ from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Note, Phase, Transition
 from phm.core.settings import ContainerSettings, Settings
-from phm.recovery.base import Action, ActionContext
+from phm.recovery.base import Action, ActionContext, Target
 from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.recovery.target import Target
 from phm.tracker import TrackedUnit, Tracker, graph_of
 from tests.fakes.until import LIMIT_S, until
 

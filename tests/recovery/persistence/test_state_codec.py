@@ -13,10 +13,10 @@ import pytest
 
 from phm import testing
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.containers.container_generation import OTHERS, Generation
-from phm.recovery.containers.cpu_weights import LoweredWeight
-from phm.recovery.history import AttemptRecord
-from phm.recovery.persistence.state import PersistedCase, PersistedState, RecoveryState, UnfinishedAction
+from phm.recovery.actions.cpu_weights import LoweredWeight
+from phm.recovery.fault_cases import AttemptRecord, PersistedCase, UnfinishedAction
+from phm.recovery.ownership import OTHERS, Generation
+from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.persistence.state_codec import InvalidState, convert_time, decode, encode
 from phm.recovery.persistence.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
 from phm.recovery.safety.armed_state import LastArmedState

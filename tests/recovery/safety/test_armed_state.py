@@ -10,9 +10,8 @@ import pytest
 
 from phm.core.model import Fault, Phase
 from phm.facts.links import AutopilotFact
-from phm.recovery.base import ActionContext
+from phm.recovery.base import ActionContext, FlightCriticalError
 from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, LastArmedState, assess
-from phm.recovery.safety.flight_critical import FlightCriticalError
 from phm.testing import FakeClock
 from tests.recovery.simulated_agent import Agent, Containers, Of
 

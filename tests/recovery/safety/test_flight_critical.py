@@ -11,11 +11,13 @@ import pytest
 from phm import testing
 from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact
+from phm.recovery.attempt import READS
+from phm.recovery.base import FlightCriticalError, Impact
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
-from phm.recovery.safety.flight_critical import FlightCriticalError, FlightCriticalGuard, Impact
-from phm.recovery.safety.guarded_engine import READS, guarded
+from phm.recovery.safety.flight_critical import FlightCriticalGuard
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
+from tests.recovery.action_bench import guarded
 
 NOT_ABOUT_A_CONTAINER = {"create_from_image", "exec_read", "exec_exit_code"}
 """Creates a container that is never started; concern a program that `exec_create` has prepared in a named container."""
@@ -88,7 +90,7 @@ class Calls:
 
 def engine(scene: Scene) -> tuple[DockerEngine, Calls]:
     calls = Calls(scene)
-    return guarded(cast(DockerEngine, calls), scene.flight_critical_guard, scene.flight_critical_guard.forbids), calls
+    return guarded(cast(DockerEngine, calls), scene.flight_critical_guard), calls
 
 
 @pytest.mark.parametrize("state", [ArmedState.ARMED, ArmedState.UNKNOWN])

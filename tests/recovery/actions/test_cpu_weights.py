@@ -9,12 +9,12 @@ from typing import Any, cast
 import pytest
 
 from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
+from phm.recovery.actions.cpu_weights import CALM_S, DEFAULT_SHARES, LOW_SHARES, CpuWeights
 from phm.recovery.actions.relieve import Relieve
 from phm.recovery.actions.unpause import Unpause
 from phm.recovery.attempt import Attempt
-from phm.recovery.base import Action, NotNeeded
-from phm.recovery.containers.cpu_weights import CALM_S, DEFAULT_SHARES, LOW_SHARES, CpuWeights
-from phm.recovery.target import Target
+from phm.recovery.base import Action, NotNeeded, Target
+from phm.recovery.ownership import Shared
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
 from tests.recovery.action_bench import Bench, bench, fault
@@ -148,17 +148,16 @@ def test_relieve_does_not_hold_the_starved_container(kind: type[Action], held: s
     pipeline = SimpleNamespace(is_stopping=lambda target: False)
     named = settings(containers=[{"name": "app", "flight_critical": True}], recovery={"relieve": []})
     context = SimpleNamespace(settings=named, engine=None)
-    others = {"generations": None, "guard": None, "verifier": None, "verify_s": 30.0}
+    shared = Shared(cast(Any, pipeline), FakeClock(), cast(Any, locks), cast(Any, None), lambda unit: 0.0)
     attempt = Attempt(
         Target.of(named.containers[0]),
         STARVED,
         kind,
         last=True,
         context=cast(Any, context),
-        pipeline=cast(Any, pipeline),
-        clock=FakeClock(),
-        locks=cast(Any, locks),
-        **cast(Any, others),
+        shared=shared,
+        guard=None,
+        verify_s=30.0,
     )
     assert attempt.begin()
     assert holds == [held]

@@ -1,8 +1,14 @@
-"""Generations of a container, one from each start to the next, and who started it: PHM, the restart policy, or others.
+"""Who acts on a target now, and who started its container: PHM, the restart policy, or others.
 
-A container that others have recreated or started again is not the one on which PHM's attempts failed: attempts are reset
-(`phm.recovery.history`), and what was given up may be acted on again. The rules keep a container that exits again and again
-from resetting the attempts each time:
+**Locks.** One action at a time on each container, however recoveries overlap: two containers may share a dependent, and a
+dependent has its own worker and faults. An attempt locks each container that it acts on, its own target first and the
+dependents that it restarts one by one, later. Two attempts that wait for each other's container would deadlock: the request
+that would close the circle is refused immediately, and every wait is limited. The action hold, by which the tracker knows
+which faults follow from an action, belongs to the attempt that acted last; only that attempt ends it.
+
+**Generations** of a container, one from each start to the next. A container that others have recreated or started again is
+not the one on which PHM's attempts failed: attempts are reset (`phm.recovery.policy`), and what was given up may be acted on
+again. The rules keep a container that exits again and again from resetting the attempts each time:
 
 - **A new id** resets immediately: only a person or a tool creates a container, never PHM. Unless the container that it
   replaces had existed for less than `recovery.verify`: recreating at that pace is a crash loop, too.
@@ -21,6 +27,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
+from phm.checking.pipeline import Pipeline
 from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact
 
@@ -28,9 +35,11 @@ FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recrea
 """Who started a generation: unknown, it ran at the first observation; the restart policy; others; others, with a new
 container; and others, after the attempts were reset for it. PHM is `phm:` and the container for which it acted."""
 UNFINISHED_S = 600.0
-"""How long a call without a response may take effect; older attempts do not count (`phm.recovery.history.CLEAN_S`)."""
+"""How long a call without a response may take effect; older attempts do not count (`phm.recovery.policy.CLEAN_S`)."""
 SETTLED_S = 0.5
 """A change observed up to this long after an action of PHM belongs to it: the probe's data may be 0.2 s old."""
+POLL_S = 0.05
+"""A lock that another attempt has is tried again this often."""
 
 
 def by_phm(whose: str) -> str:
@@ -224,3 +233,105 @@ class GenerationTracker:
             if actor.over(began):
                 del self._actors[key]
         return fact
+
+
+class TargetBusy(CannotTell):
+    """Another attempt is acting on the target."""
+
+
+class TargetLocks:
+    """Shared by all workers. An owner is the object of one attempt, compared by identity.
+
+    Invariant: `_owners` has at most one owner for a target, `_waiting_for` at most one target for an owner.
+    """
+
+    def __init__(self, pipeline: Pipeline, clock: Clock) -> None:
+        self._pipeline, self._clock = pipeline, clock
+        self._owners: dict[str, object] = {}
+        self._waiting_for: dict[object, str] = {}
+        self._hold_owners: dict[str, object] = {}
+        self._dependent_restart_at: dict[str, float] = {}
+        self._lock = threading.Lock()
+
+    def acquire(self, target: str, owner: object) -> bool:
+        """Lock the target unless another owner has it; the caller releases it."""
+        with self._lock:
+            return self._owners.setdefault(target, owner) is owner
+
+    def release(self, target: str, owner: object) -> None:
+        """Unlock the target, if this owner has it."""
+        with self._lock:
+            if self._owners.get(target) is owner:
+                del self._owners[target]
+
+    @contextlib.contextmanager
+    def locked_dependent(self, target: str, owner: object, at_most_s: float) -> Iterator[None]:
+        """Lock a dependent as well, waiting for it at most this long. Raises TargetBusy."""
+        self._wait_for(target, owner, at_most_s)
+        self._dependent_restart_at[target] = float("inf")
+        try:
+            yield
+        finally:
+            self._dependent_restart_at[target] = self._clock.mono()
+            self.release(target, owner)
+
+    def dependent_restart_at(self, target: str) -> float:
+        """When the target was last restarted as a dependent (monotonic seconds); infinite while it is being restarted,
+        -inf: never. Earlier results do not describe its current state."""
+        return self._dependent_restart_at.get(target, float("-inf"))
+
+    def _wait_for(self, target: str, owner: object, at_most_s: float) -> None:
+        end = self._clock.mono() + at_most_s
+        try:
+            while not self.acquire(target, owner):
+                with self._lock:
+                    self._waiting_for[owner] = target
+                    if self._would_deadlock(target, owner):
+                        raise TargetBusy(f"{target} is locked by a recovery that waits for this one")
+                if self._clock.mono() >= end:
+                    raise TargetBusy(f"another recovery was acting on {target} for {at_most_s:g} s")
+                self._clock.wait(threading.Event(), POLL_S)
+        finally:
+            with self._lock:
+                self._waiting_for.pop(owner, None)
+
+    def _would_deadlock(self, target: str, owner: object) -> bool:
+        """Whether the owner of `target` waits, directly or through others, for something that `owner` has locked."""
+        seen: set[str] = set()
+        wanted: str | None = target
+        while wanted is not None and wanted not in seen:
+            seen.add(wanted)
+            holder = self._owners.get(wanted)
+            if holder is owner:
+                return True
+            wanted = self._waiting_for.get(holder)
+        return False
+
+    # ------------------------------------------------------------ action holds in the tracker
+
+    def start_hold(
+        self, target: str, owner: object, unit: str, action: str, at_most_s: float, *, proving: bool = False
+    ) -> None:
+        """From now on, failures in the target follow from the recovery of `unit`: see `Tracker.begin_action`."""
+        with self._lock:
+            self._hold_owners[target] = owner
+            self._pipeline.begin_action(target, unit, action, at_most_s, proving=proving)
+
+    def end_hold(self, target: str, owner: object, *, worked: bool) -> None:
+        """End the action hold, if it is still this owner's."""
+        with self._lock:
+            if self._hold_owners.get(target) is not owner:
+                return
+            del self._hold_owners[target]
+            self._pipeline.end_action(target, worked=worked)
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What the workers and attempts of all targets share. grace_s: of a unit, seconds."""
+
+    pipeline: Pipeline
+    clock: Clock
+    locks: TargetLocks
+    generations: GenerationTracker
+    grace_s: Callable[[str], float]

@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 
 from phm import testing
-from phm.recovery.safety.target_locks import TargetBusy, TargetLocks
+from phm.recovery.ownership import TargetBusy, TargetLocks
 from tests.fakes.until import until
 
 LIMIT_S = 10.0

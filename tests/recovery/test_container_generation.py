@@ -8,7 +8,7 @@ import pytest
 
 from phm import testing
 from phm.facts import CannotTell, ContainerFact
-from phm.recovery.containers.container_generation import (
+from phm.recovery.ownership import (
     COUNTED,
     ENGINE,
     FOUND,

@@ -1,1 +1,0 @@
-"""What recovery knows about containers: generations, dependents, external changes, lowered CPU weights."""
