@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from functools import cache
 from pathlib import Path
 
@@ -23,8 +24,11 @@ hypothesis_settings.load_profile("phm")
 
 
 def pytest_configure() -> None:
-    """Remove the terminal width from the environment of programs that tests start, in a terminal as in a pipe."""
+    """Give the programs that tests start the same terminal width in a terminal and in a pipe, and Ctrl-C also where the shell has
+    started the tests in the background, which then ignore it and all that they start."""
     os.environ.pop("COLUMNS", None)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @cache
