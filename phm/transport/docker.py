@@ -1,23 +1,17 @@
 """Calls to the Docker Engine through docker-py, with a wall-clock deadline for each.
 
 The probes and the recovery actions use one `DockerEngine`. The calls are here; deadlines, clients and errors are in
-`phm.transport.docker_session`.
+`phm.transport.docker_session`, calls about files in `phm.transport.docker_files`.
 """
 
 from __future__ import annotations
 
-import base64
-import json
-import posixpath
-import tarfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 from urllib.parse import quote
 
-import requests
 from docker import APIClient
-from docker.errors import create_api_error_from_http_exception
 from requests.models import Response
 
 from phm.transport import docker_bodies, docker_frames
@@ -32,9 +26,10 @@ from phm.transport.docker_errors import (
     EngineUnreachable,
     translate,
 )
+from phm.transport.docker_files import DockerFiles
 from phm.transport.docker_http import EventStream
-from phm.transport.docker_session import FAILURES, Answer, DockerSession, mapping
-from phm.transport.docker_tar import FileCopy, pack, unpack
+from phm.transport.docker_session import FAILURES, Answer, mapping, raise_for_status
+from phm.transport.docker_tar import FileCopy
 
 __all__ = [
     "DockerEngine",
@@ -50,8 +45,6 @@ __all__ = [
     "FileCopy",
 ]
 
-ACT_MARGIN_S = 10.0
-"""Additional seconds for changing calls: the engine waits this long for a kill to take effect."""
 NEVER_STARTED = -1
 """In the place of the exit code of a program."""
 NOT_MODIFIED = 304
@@ -60,7 +53,7 @@ EVENT_SILENCE_S = 60.0
 """An event stream silent for longer is closed, so that a half-open TCP connection ends."""
 
 
-class DockerEngine(DockerSession):
+class DockerEngine(DockerFiles):
     """The engine at `url` (``unix:///path``, ``tcp://host:port``, ``ssh://user@host``). Thread-safe; nothing is opened here.
 
     Every method raises a subclass of `EngineError` (itself a `phm.facts.CannotTell`): EngineTimeout,
@@ -92,7 +85,7 @@ class DockerEngine(DockerSession):
 
         def ask(client: APIClient) -> Sequence[Answer]:
             response = client.get(f"{client.base_url}/v{client.api_version}/containers/json", timeout=client.timeout)
-            _raise_for_status(response)
+            raise_for_status(response)
             return [mapping(entry) for entry in response.json()]
 
         return self.call(ask, what="list running containers")
@@ -122,63 +115,6 @@ class DockerEngine(DockerSession):
         """One JSON object; anything else is invalid, EngineBroken."""
         return self.call(lambda client: mapping(fn(client)), deadline_s=deadline_s, what=what)
 
-    def stat_path(self, container: str, path: str, *, deadline_s: float | None = None) -> Answer:
-        """`name`, `size`, `mode` (Go's FileMode), `mtime` and `linkTarget` of a path in a container.
-
-        A symbolic link is not followed; `linkTarget` is its final target. EngineMissing if the path or the container
-        does not exist.
-        """
-
-        def ask(client: APIClient) -> Answer:
-            response = client.head(_archive_url(client, container), params={"path": path}, timeout=client.timeout)
-            _raise_for_status(response)
-            return _stat(response)
-
-        return self.call(ask, deadline_s=deadline_s, what=f"look at {path} in {container}")
-
-    def read_file(self, container: str, path: str, limit: int = 1 << 20) -> bytes:
-        """The content of a regular file of at most `limit` bytes."""
-        content = bytearray()
-        self.copy_file(container, path, content.extend, limit=limit)
-        return bytes(content)
-
-    def copy_file(
-        self, container: str, path: str, sink: Callable[[bytes], object], *, limit: int, deadline_s: float | None = None
-    ) -> int:
-        """Pass the content of a regular file to `sink` in pieces. Returns its size in bytes.
-
-        Raises CannotTell if the path is not a regular file (a link is not followed) or exceeds `limit`.
-        """
-        return self.copy_with_stat(container, path, sink, limit=limit, deadline_s=deadline_s)[0]
-
-    def copy_with_stat(
-        self, container: str, path: str, sink: Callable[[bytes], object], *, limit: int, deadline_s: float | None = None
-    ) -> tuple[int, Answer]:
-        """The same; also returns what `stat_path` says, at about the moment of the copy: compare the sizes."""
-        member, stat = self._fetch(container, path, sink, limit, deadline_s)
-        return member.size, stat
-
-    def fetch_file(self, container: str, path: str, limit: int) -> FileCopy:
-        """The file with its mode and owner; like `copy_file`, with the deadline of an action."""
-        content = bytearray()
-        member, _ = self._fetch(container, path, content.extend, limit, self.timeout_s + ACT_MARGIN_S)
-        return FileCopy(bytes(content), member.mode & 0o7777, member.uid, member.gid)
-
-    def _fetch(
-        self, container: str, path: str, sink: Callable[[bytes], object], limit: int, deadline_s: float | None
-    ) -> tuple[tarfile.TarInfo, Answer]:
-        def ask(client: APIClient) -> tuple[tarfile.TarInfo, Answer]:
-            response = client.get(
-                _archive_url(client, container), params={"path": path}, stream=True, timeout=client.timeout
-            )
-            try:
-                _raise_for_status(response)
-                return unpack(response, sink, f"{path} in {container}", limit), _stat(response)
-            finally:
-                response.close()
-
-        return self.call(ask, deadline_s=deadline_s, what=f"read {path} in {container}")
-
     def events(self, since: str = "", filters: Mapping[str, Sequence[str]] | None = None) -> EventStream:
         """Open the stream of events; iterate over it in this thread, `close` it from any.
 
@@ -192,7 +128,7 @@ class DockerEngine(DockerSession):
         with self.calling("follow events", None) as (client, call):
             url = f"{client.base_url}/v{client.api_version}/events"
             response = client.get(url, params=params, stream=True, timeout=(client.timeout, EVENT_SILENCE_S))
-            _raise_for_status(response)
+            raise_for_status(response)
             sockets = call.finish()
         explain = partial(translate, call=call, url=self.url, limit_s=EVENT_SILENCE_S, what="follow events")
         return EventStream(response, sockets, FAILURES, explain)
@@ -205,43 +141,43 @@ class DockerEngine(DockerSession):
         def ask(client: APIClient) -> bool:
             url = f"{client.base_url}/v{client.api_version}/containers/{quote(ref, safe='')}/start"
             response = client.post(url, timeout=client.timeout)
-            _raise_for_status(response)
+            raise_for_status(response)
             return bool(response.status_code != NOT_MODIFIED)
 
-        return bool(self._act(ask, f"start {ref}"))
+        return bool(self.act(ask, f"start {ref}"))
 
     def restart(self, ref: str, stop_timeout_s: float = 5.0) -> None:
         """SIGTERM, SIGKILL after `stop_timeout_s` (rounded up to whole seconds), then start."""
         grace = _whole(stop_timeout_s)
-        self._act(lambda client: client.restart(ref, timeout=grace), f"restart {ref}", grace)
+        self.act(lambda client: client.restart(ref, timeout=grace), f"restart {ref}", grace)
 
     def stop(self, ref: str, stop_timeout_s: float = 5.0) -> None:
         grace = _whole(stop_timeout_s)
-        self._act(lambda client: client.stop(ref, timeout=grace), f"stop {ref}", grace)
+        self.act(lambda client: client.stop(ref, timeout=grace), f"stop {ref}", grace)
 
     def pause(self, ref: str) -> None:
-        self._act(lambda client: client.pause(ref), f"pause {ref}")
+        self.act(lambda client: client.pause(ref), f"pause {ref}")
 
     def unpause(self, ref: str) -> None:
-        self._act(lambda client: client.unpause(ref), f"unpause {ref}")
+        self.act(lambda client: client.unpause(ref), f"unpause {ref}")
 
     def kill(self, ref: str, signal: str = "SIGKILL") -> None:
-        self._act(lambda client: client.kill(ref, signal=signal), f"kill {ref}")
+        self.act(lambda client: client.kill(ref, signal=signal), f"kill {ref}")
 
     def set_cpu_shares(self, container: str, shares: int) -> None:
         """Set the CPU weight of a container while it runs; 1024 is the engine's default."""
         path, body = f"/containers/{quote(container, safe='')}/update", docker_bodies.cpu_shares(shares)
-        self._act(lambda client: _post(client, path, body), f"set the CPU weight of {container}")
+        self.act(lambda client: _post(client, path, body), f"set the CPU weight of {container}")
 
     def disconnect(self, network: str, container: str, force: bool = False) -> None:
         """Disconnect a container from a network; `force` also if the container is gone or half connected."""
         path, body = f"/networks/{quote(network, safe='')}/disconnect", docker_bodies.disconnect(container, force=force)
-        self._act(lambda client: _post(client, path, body), f"disconnect {container} from {network}")
+        self.act(lambda client: _post(client, path, body), f"disconnect {container} from {network}")
 
     def connect(self, network: str, container: str, aliases: Sequence[str] = (), address: str = "") -> None:
         """Connect a container to a network, with `aliases` and, if given, a fixed `address` (IPv4 or IPv6)."""
         path, body = f"/networks/{quote(network, safe='')}/connect", docker_bodies.connect(container, aliases, address)
-        self._act(lambda client: _post(client, path, body), f"connect {container} to {network}")
+        self.act(lambda client: _post(client, path, body), f"connect {container} to {network}")
 
     def exec_detached(self, container: str, argv: Sequence[str], user: str = "") -> None:
         """Start a program in a running container, with its environment and as its user unless another is given.
@@ -253,7 +189,7 @@ class DockerEngine(DockerSession):
             made = _post(client, f"/containers/{quote(container, safe='')}/exec", docker_bodies.exec_(argv, user))
             _post(client, f"/exec/{quote(made.json()['Id'], safe='')}/start", docker_bodies.START_EXEC)
 
-        self._act(ask, f"run {argv[0] if argv else 'nothing'} in {container}")
+        self.act(ask, f"run {argv[0] if argv else 'nothing'} in {container}")
 
     def exec_create(self, container: str, argv: Sequence[str]) -> str:
         """Prepare a program to run in a container, with its environment and as its user. Returns its id. No shell is involved."""
@@ -298,28 +234,12 @@ class DockerEngine(DockerSession):
             params = docker_bodies.logs(since, tail)
             response = client.get(url, params=params, stream=True, timeout=client.timeout)
             try:
-                _raise_for_status(response)
+                raise_for_status(response)
                 return docker_frames.merged(docker_frames.beginning(response.raw, limit))
             finally:
                 response.close()
 
         return self.call(ask, deadline_s=deadline_s, what=f"read the log of {container}")
-
-    def put_file(
-        self, container: str, path: str, data: bytes, mode: int, uid: int = 0, gid: int = 0, *, base: str = ""
-    ) -> None:
-        """Write a regular file at `path`, replacing an existing one; a folder is never replaced.
-
-        base: an existing folder above it (default: its own folder); folders below that are created.
-        """
-        folder = base or posixpath.dirname(path)
-        made = pack(posixpath.relpath(path, folder), FileCopy(data, mode, uid, gid), self._clock.utc())
-
-        def ask(client: APIClient) -> None:
-            url, params = _archive_url(client, container), docker_bodies.upload(folder)
-            _raise_for_status(client.put(url, params=params, data=made, timeout=client.timeout))
-
-        self._act(ask, f"put {path} into {container}")
 
     def create_from_image(self, image: str, labels: Mapping[str, str], name: str = "") -> str:
         """Create a container without network that is never started, to read files of an image. Returns its id."""
@@ -331,30 +251,15 @@ class DockerEngine(DockerSession):
             )
             return str(made["Id"])
 
-        return self.call(ask, deadline_s=self.timeout_s + ACT_MARGIN_S, what=f"make a container of {image}")
+        return self.call(ask, deadline_s=self.act_limit_s, what=f"make a container of {image}")
 
     def remove(self, ref: str) -> None:
         """Remove a stopped container, with its anonymous volumes."""
-        self._act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
-
-    def _act(self, fn: Callable[[APIClient], Any], what: str, grace_s: float = 0.0) -> Any:
-        try:
-            return self.call(fn, deadline_s=self.timeout_s + grace_s + ACT_MARGIN_S, what=what)
-        finally:
-            self.on_change()
+        self.act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
 
 
 def _whole(seconds: float) -> int:
     return max(0, -int(-seconds // 1))
-
-
-def _stat(response: Response) -> Answer:
-    """The engine's description of the path."""
-    return mapping(json.loads(base64.b64decode(response.headers["X-Docker-Container-Path-Stat"])))
-
-
-def _archive_url(client: APIClient, container: str) -> str:
-    return f"{client.base_url}/v{client.api_version}/containers/{quote(container, safe='')}/archive"
 
 
 def _post(client: APIClient, path: str, body: str, *, stream: bool = False) -> Response:
@@ -365,12 +270,5 @@ def _post(client: APIClient, path: str, body: str, *, stream: bool = False) -> R
         timeout=client.timeout,
         stream=stream,
     )
-    _raise_for_status(response)
+    raise_for_status(response)
     return response
-
-
-def _raise_for_status(response: Response) -> None:
-    try:
-        response.raise_for_status()
-    except requests.HTTPError as error:
-        create_api_error_from_http_exception(error)

@@ -15,7 +15,8 @@ from typing import Any, TypeVar
 
 import requests
 from docker import APIClient
-from docker.errors import DockerException
+from docker.errors import DockerException, create_api_error_from_http_exception
+from requests.models import Response
 from urllib3.exceptions import HTTPError
 
 from phm.core.clock import Clock, SystemClock
@@ -31,6 +32,8 @@ API_WANTED = (1, 44)
 """The newest API version that this module uses; an older engine is called with its own."""
 API_FALLBACK = "1.41"
 """Used if a socket proxy hides /version: Docker 20.10 and later support it."""
+ACT_MARGIN_S = 10.0
+"""Additional seconds for changing calls: the engine waits this long for a kill to take effect."""
 FAILURES = (
     requests.RequestException,
     HTTPError,
@@ -65,10 +68,22 @@ class DockerSession:
         """Called after each call that may have changed something, also after a failed one: earlier readings are
         outdated."""
 
+    @property
+    def act_limit_s(self) -> float:
+        """The deadline of a call that changes something, in seconds."""
+        return self.timeout_s + ACT_MARGIN_S
+
     def call(self, fn: Callable[[APIClient], T], *, deadline_s: float | None = None, what: str = "answer") -> T:
         """Run `fn` on this thread's docker-py client with a deadline of `deadline_s` (default: the timeout)."""
         with self.calling(what, deadline_s) as (client, _):
             return fn(client)
+
+    def act(self, fn: Callable[[APIClient], T], what: str, grace_s: float = 0.0) -> T:
+        """The same for a call that changes something. grace_s: how long the engine waits for a process to end."""
+        try:
+            return self.call(fn, deadline_s=self.act_limit_s + grace_s, what=what)
+        finally:
+            self.on_change()
 
     def close(self) -> None:
         """Interrupt running calls; every later call fails immediately."""
@@ -116,6 +131,14 @@ class DockerSession:
             newest, oldest = _numbers(answer["ApiVersion"]), _numbers(answer.get("MinAPIVersion") or "1.24")
             self._api = "{}.{}".format(*max(min(newest, API_WANTED), oldest))
         return self._api
+
+
+def raise_for_status(response: Response) -> None:
+    """Raises docker-py's APIError, with the engine's message."""
+    try:
+        response.raise_for_status()
+    except requests.HTTPError as error:
+        create_api_error_from_http_exception(error)
 
 
 def _numbers(version: str) -> tuple[int, int]:

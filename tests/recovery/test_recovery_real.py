@@ -254,7 +254,7 @@ def test_restarts_that_the_engine_finishes_late_are_attributed_to_phm(
     failures PHM gives up, and the lives that PHM itself started do not make it resume.
     """
     monkeypatch.setattr(
-        "phm.transport.docker.ACT_MARGIN_S", -7.0
+        "phm.transport.docker_session.ACT_MARGIN_S", -7.0
     )  # the call fails after a second, the stop takes three
     made = real.container("trap '' TERM; while :; do sleep 0.1; done")
     made.exec_run(["touch", NEEDED])

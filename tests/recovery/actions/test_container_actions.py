@@ -406,7 +406,7 @@ def test_each_engine_call_has_a_deadline(
     fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
     """An engine that accepts the request and never answers costs the action's time limit and no more."""
-    monkeypatch.setattr("phm.transport.docker.ACT_MARGIN_S", 0.0)
+    monkeypatch.setattr("phm.transport.docker_session.ACT_MARGIN_S", 0.0)
     fake.containers["app"] = container("app")
     ask.version()
     ask.timeout_s = 0.5
