@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 STEP_S = 0.2
 END_S = 3.0
+START_S = 30.0
+"""The times of the faults count from when all daemons run, or from here: a small computer takes seconds to start them."""
 
 
 @click.command(epilog="Example: phm demo --web --for 600")
@@ -32,7 +34,7 @@ END_S = 3.0
     type=click.IntRange(1024, 65000),
     default=14600,
     show_default=True,
-    help="First of 21 ports for autopilots.",
+    help="Ports of the autopilots: this one plus the id of the agent.",
 )
 @click.option(
     "--web",
@@ -49,7 +51,7 @@ def command(ctx: click.Context, seconds: int, ground_port: int, first_port: int,
     Needs neither Docker nor ROS.
 
     Starts three real PHM daemons with simulated autopilots, and shows them in `phm gcs`. After 18 s the autopilot of agent 2
-    is killed (it is back after 40 s), after 28 s the PHM of agent 3. All of it ends with the command, and nothing is kept.
+    is killed (it is back after 45 s), after 28 s the PHM of agent 3. All of it ends with the command, and nothing is kept.
     Only loopback is used.
     """
     if sys.platform != "linux":
@@ -74,11 +76,14 @@ def command(ctx: click.Context, seconds: int, ground_port: int, first_port: int,
 def _watch(demo: Demo, seconds: int, port: int, web: int | None) -> int:
     page = [] if web is None else ["--web", f"127.0.0.1:{web}", "--history", "none"]
     words = [sys.executable, "-m", "phm.cli", "gcs", "--for", str(seconds), *page, f"udpin:127.0.0.1:{port}"]
-    started = time.monotonic()
+    started, ready = time.monotonic(), False
     gcs = subprocess.Popen(words)
     try:
         while True:
-            demo.step(time.monotonic() - started)
+            if not ready and (demo.running() or time.monotonic() - started > START_S):
+                started, ready = time.monotonic(), True
+            if ready:
+                demo.step(time.monotonic() - started)
             with contextlib.suppress(subprocess.TimeoutExpired):  # `phm gcs` still runs
                 return gcs.wait(STEP_S)
     except KeyboardInterrupt:

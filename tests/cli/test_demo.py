@@ -90,8 +90,8 @@ def test_faults_are_injected_once_and_in_order(tmp_path: Path, monkeypatch: pyte
         assert demo._autopilots[2].poll() is not None
         assert demo._daemons[3].wait(10) != 0
         assert demo._daemons[2].poll() is None
-        demo.step(40.0)
-        demo.step(41.0)
+        demo.step(45.0)
+        demo.step(46.0)
         assert started == [*before, "autopilot2"]
     finally:
         demo.close()

@@ -1,4 +1,4 @@
-"""Generated examples and pictures of the documents match the code."""
+"""Generated examples of the documents match the code."""
 
 from __future__ import annotations
 
@@ -17,13 +17,6 @@ def test_examples_are_up_to_date(page: Path) -> None:
     """Each marked block contains the output of the code."""
     text = page.read_text("utf-8")
     assert text == examples.updated(text), AGAIN
-
-
-@pytest.mark.parametrize("name", examples.SHOWN)
-def test_pictures_are_up_to_date(name: str) -> None:
-    """Each picture shows the output of the code, and a document shows the picture."""
-    assert (examples.PICTURES / name).read_text("utf-8") == examples.SHOWN[name](), AGAIN
-    assert any(f"pictures/{name}" in page.read_text("utf-8") for page in examples.pages())
 
 
 def test_each_example_is_used() -> None:

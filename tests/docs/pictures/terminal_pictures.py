@@ -1,0 +1,99 @@
+"""The pictures of `phm status`, `phm gcs` and `phm demo`: real processes in a terminal, real faults, a real recovery."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.text import Text
+
+from phm.simulation.demo import DemoPorts
+from tests.docs.pictures import catalog
+from tests.docs.pictures.agents import BUSY, DEAD, PictureAgents, agents
+from tests.docs.pictures.terminal import terminal, write_svg
+from tests.fakes.until import until
+
+PHM = (sys.executable, "-m", "phm.cli")
+STATUS_COLUMNS, STATUS_ROWS = 116, 60
+TABLE_COLUMNS, TABLE_ROWS = 110, 24
+LOOK_S = 0.2
+PROVEN_S = 10.0
+"""How long PHM has received the autopilot before its connection fails: longer than the settling of a start."""
+
+
+def take(state: Path, folder: Path, ports: DemoPorts, demo_ports: DemoPorts) -> None:
+    """Write each picture into `folder`. Raises AssertionError where a picture would not show what its caption says.
+
+    state: an empty folder for the agents.
+    """
+    for name in ("agents", "demo"):
+        (state / name).mkdir()
+    _status_and_gcs(state / "agents", folder, ports)
+    _demo(state / "demo", folder, demo_ports)
+
+
+def _status_and_gcs(state: Path, folder: Path, ports: DemoPorts) -> None:
+    words = [*PHM, "gcs", "--pilot", f"udpin:127.0.0.1:{ports.ground}"]
+    with terminal(words, TABLE_COLUMNS, TABLE_ROWS) as gcs, agents(state, ports) as swarm:
+
+        def seen() -> object:
+            return swarm.logs(), gcs.screen().plain
+
+        until(lambda: _well(swarm), "four agents without a fault", seen, poll_s=LOOK_S)
+        swarm.relay.stall()
+        until(lambda: _resolved(swarm.status(BUSY)), "the reopened connection", seen, poll_s=LOOK_S)
+        swarm.kill_planner(BUSY)
+        until(lambda: _blocked(swarm.status(BUSY)), "the fault of the planner", seen, poll_s=LOOK_S)
+        swarm.kill_daemon(DEAD)
+        lost = f"A{DEAD:02d} broken at companion"
+        until(lambda: lost in gcs.screen().plain, "the loss of an agent", seen, poll_s=LOOK_S)
+        table = gcs.screen()
+        with terminal([*PHM, "status", "--run-dir", str(swarm.run_dir(BUSY))], STATUS_COLUMNS, STATUS_ROWS) as status:
+            shown = status.output()
+    _write(folder, "status.svg", "phm status", _until_array(shown), STATUS_COLUMNS)
+    _write(folder, "gcs.svg", "phm gcs", table, TABLE_COLUMNS)
+
+
+def _demo(state: Path, folder: Path, ports: DemoPorts) -> None:
+    options = ("--for", "300", "--first-port", str(ports.first), "--ground-port", str(ports.ground))
+    with terminal([*PHM, "demo", *options], TABLE_COLUMNS, TABLE_ROWS, {"TMPDIR": str(state)}) as demo:
+        until(
+            lambda: "A03 broken at companion" in demo.screen().plain,
+            "both faults",
+            lambda: demo.screen().plain,
+            poll_s=LOOK_S,
+        )
+        shown = demo.screen()
+    _write(folder, "demo.svg", "phm demo", shown, TABLE_COLUMNS)
+
+
+def _well(swarm: PictureAgents) -> bool:
+    """Whether no agent has a fault and each has known its autopilot for a while."""
+    documents = [swarm.status(agent) for agent in swarm.agents]
+    if not all(document.get("checks") for document in documents):
+        return False
+    levels = {check["level"] for document in documents for check in document["checks"]}
+    up_s = min(document["health"]["uptime_s"] for document in documents)
+    return not levels & {"ERROR", "STALE"} and up_s > PROVEN_S
+
+
+def _resolved(document: dict[str, Any]) -> bool:
+    return any(fault["by"] == "reopen" for fault in document["faults"]["closed"]) and not document["faults"]["open"]
+
+
+def _blocked(document: dict[str, Any]) -> bool:
+    return any(fault["unit"] == "custom/planner" and fault["blocks"] for fault in document["faults"]["open"])
+
+
+def _until_array(shown: Text) -> Text:
+    """Without what follows the Status Array: priority and counters of PHM's own process, which are of this machine."""
+    lines = shown.split("\n")
+    last = next(number for number, line in enumerate(lines) if line.plain.startswith("Status Array"))
+    return Text("\n").join(lines[: last + 1])
+
+
+def _write(folder: Path, name: str, title: str, shown: Text, columns: int) -> None:
+    catalog.check(name, shown.plain)
+    write_svg(folder / name, title, shown, columns)
+    catalog.check(name, "\n".join(catalog.svg_lines((folder / name).read_text("utf-8"))))
