@@ -75,6 +75,7 @@ def _checks(browser: Browser, state: Path, folder: Path) -> None:
         ground(state, "--edit", "config/phm.yaml") as station,
         _open(browser, f"{station.url}checks", WIDTH_PX, "light") as page,
     ):
+        expect(page.locator("#state")).to_contain_text("not changed, valid")  # what is done before that is lost
         page.get_by_label("Type of a new entry of custom").select_option("tcp")
         page.get_by_role("button", name="Add to custom").click()
         for key, text in (("name", "planner"), ("host", "127.0.0.1"), ("port", "80800")):
