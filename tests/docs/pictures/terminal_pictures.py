@@ -16,8 +16,9 @@ from tests.fakes.until import until
 
 PHM = (sys.executable, "-m", "phm.cli")
 STATUS_COLUMNS, STATUS_ROWS = 116, 60
-TABLE_COLUMNS, TABLE_ROWS = 110, 24
+TABLE_COLUMNS, TABLE_ROWS = 110, 32
 LOOK_S = 0.2
+FIRST_FAULT = "A02 FAIL 10"
 PROVEN_S = 10.0
 """How long PHM has received the autopilot before its connection fails: longer than the settling of a start."""
 
@@ -44,15 +45,15 @@ def _status_and_gcs(state: Path, folder: Path, ports: DemoPorts) -> None:
         swarm.relay.stall()
         until(lambda: _resolved(swarm.status(BUSY)), "the reopened connection", seen, poll_s=LOOK_S)
         swarm.kill_planner(BUSY)
-        until(lambda: _blocked(swarm.status(BUSY)), "the fault of the planner", seen, poll_s=LOOK_S)
         swarm.kill_daemon(DEAD)
+        until(lambda: _blocked(swarm.status(BUSY)), "the fault of the planner", seen, poll_s=LOOK_S)
         lost = f"A{DEAD:02d} broken at companion"
         until(lambda: lost in gcs.screen().plain, "the loss of an agent", seen, poll_s=LOOK_S)
         table = gcs.screen()
         with terminal([*PHM, "status", "--run-dir", str(swarm.run_dir(BUSY))], STATUS_COLUMNS, STATUS_ROWS) as status:
             shown = status.output()
     _write(folder, "status.svg", "phm status", _until_array(shown), STATUS_COLUMNS)
-    _write(folder, "gcs.svg", "phm gcs", table, TABLE_COLUMNS)
+    _write(folder, "gcs.svg", "phm gcs", _since_fault(table), TABLE_COLUMNS)
 
 
 def _demo(state: Path, folder: Path, ports: DemoPorts) -> None:
@@ -65,7 +66,7 @@ def _demo(state: Path, folder: Path, ports: DemoPorts) -> None:
             poll_s=LOOK_S,
         )
         shown = demo.screen()
-    _write(folder, "demo.svg", "phm demo", shown, TABLE_COLUMNS)
+    _write(folder, "demo.svg", "phm demo", _since_fault(shown), TABLE_COLUMNS)
 
 
 def _well(swarm: PictureAgents) -> bool:
@@ -91,6 +92,14 @@ def _until_array(shown: Text) -> Text:
     lines = shown.split("\n")
     last = next(number for number, line in enumerate(lines) if line.plain.startswith("Status Array"))
     return Text("\n").join(lines[: last + 1])
+
+
+def _since_fault(shown: Text) -> Text:
+    """As a lower terminal shows it: the table, and the newest lines from the first fault on."""
+    lines = shown.split("\n")
+    keys = next(number for number, line in enumerate(lines) if line.plain.startswith("up/down"))
+    first = next((number for number, line in enumerate(lines) if FIRST_FAULT in line.plain and number > keys), keys + 1)
+    return Text("\n").join([*lines[: keys + 1], *lines[first:]])
 
 
 def _write(folder: Path, name: str, title: str, shown: Text, columns: int) -> None:
