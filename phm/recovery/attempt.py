@@ -327,7 +327,7 @@ class GuardedEngine:
         return count
 
     def _ask(self, call: str, ref: str) -> None:
-        """Raises FlightCritical, and CannotTell when the engine does not say which container is meant."""
+        """Raises FlightCriticalError, and CannotTell when the engine does not say which container is meant."""
         if not ref or (call in BRINGS_BACK and ref in self._down):
             return
         if self._guard is not None and not self._guard.inactive:
