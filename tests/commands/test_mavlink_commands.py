@@ -237,8 +237,9 @@ def test_stalled_checks_are_not_reported() -> None:
 
 def details_of(sent: list[Any]) -> tuple[str, str]:
     """Fault id and text of the details among the sent messages."""
-    parts = [tunnel.decode(bytes(m.payload[: m.payload_length])) for m in sent if m.get_type() == "TUNNEL"]
-    assert all(isinstance(part, tunnel.FaultDetail) for part in parts)
+    decoded = [tunnel.decode(bytes(m.payload[: m.payload_length])) for m in sent if m.get_type() == "TUNNEL"]
+    parts = [part for part in decoded if isinstance(part, tunnel.FaultDetail)]
+    assert len(parts) == len(decoded)
     assert [part.part for part in parts] == list(range(parts[0].parts))
     return parts[0].fault, b"".join(part.text for part in parts).decode()
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from tests.docs.examples import MARK, ROOT, pages
 
+FENCED_LINE = re.compile(r"^ *(?:```|~~~)", re.MULTILINE)
 FENCE = re.compile(r"^( *)```(\w*)[^\n]*\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 
 
@@ -24,6 +25,12 @@ class Block:
     def __str__(self) -> str:
         return f"{self.page}:{self.line}"
 
+    @property
+    def shown(self) -> list[str]:
+        """The lines of a console block that no one types: what a command prints."""
+        lines = self.text.replace("\\\n", " ").splitlines()
+        return [line for line in lines if not line.startswith("$ ")]
+
 
 def blocks(*languages: str) -> list[Block]:
     """All blocks of these languages, in all documents."""
@@ -37,3 +44,8 @@ def blocks(*languages: str) -> list[Block]:
             name = str(page.relative_to(ROOT))
             found.append(Block(name, line, match[2], textwrap.dedent(match[3]), generated))
     return [block for block in found if block.language in languages] if languages else found
+
+
+def containing(language: str, words: str) -> list[Block]:
+    """Blocks of a language, not generated, with these words, each of which one checker understands."""
+    return [block for block in blocks(language) if words in block.text and not block.generated]

@@ -32,6 +32,8 @@ from tests.gcs.bench import Ground, phm_heartbeat, pilot, text_frame, tunnel_fra
 
 MARK = re.compile(r"(<!-- example: ([\w-]+) -->\n+ *```\w*\n)(.*?)(^ *```$)", re.MULTILINE | re.DOTALL)
 WIDTH = 120
+TOP = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
+"""The documents outside of docs/. CHANGELOG.md has no examples: it describes earlier versions."""
 
 
 def _console(width: int) -> Console:
@@ -166,7 +168,7 @@ EXAMPLES: dict[str, Callable[[], str]] = {
 
 def pages() -> Iterator[Path]:
     """The documents of the project."""
-    yield from (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("**/*.md")))
+    yield from (*(ROOT / name for name in TOP), *sorted((ROOT / "docs").glob("**/*.md")))
 
 
 def updated(text: str) -> str:

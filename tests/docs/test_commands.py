@@ -1,16 +1,19 @@
-"""Commands of the documents exist, with their options, scripts and files."""
+"""Commands of the documents are valid shell; their programs, options, scripts and files exist."""
 
 from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
 
 import click
 import pytest
 
 from phm.cli import VERBS, group
-from tests.docs.blocks import blocks
+from tests.docs.blocks import Block, blocks
 from tests.docs.examples import ROOT, pages
 
 FOREIGN = frozenset(
@@ -38,6 +41,7 @@ FOREIGN = frozenset(
         "jq",
         "kill",
         "ls",
+        "mavlogdump.py",
         "mavproxy.py",
         "mkdir",
         "mv",
@@ -59,6 +63,7 @@ FOREIGN = frozenset(
         "timedatectl",
         "touch",
         "udevadm",
+        "ulog_messages",
         "usermod",
     ]
 )
@@ -67,6 +72,8 @@ INLINE = re.compile(r"`(?:\$ )?((?:phm|scripts/\w+|python -m \w[\w.]*)(?: [^`\n]
 FILES = re.compile(r"^(?:docker|config|scripts|docs|sitl|tests|phm|checks)/[\w./-]+$")
 GENERATED = {"docker/agent.env", "docker/compose.override.yaml"}
 """Made by the reader."""
+OF_PYTEST = "--hypothesis-profile"
+"""Options of pytest's plug-ins, for scripts that pass their arguments on."""
 
 
 def simple_commands(line: str) -> list[list[str]]:
@@ -89,13 +96,10 @@ def simple_commands(line: str) -> list[list[str]]:
     return [words for words in found if words]
 
 
-def console_lines() -> list[tuple[str, str]]:
-    """Each typed line of the console blocks, continued lines joined."""
-    lines = []
-    for block in blocks("console", "bash"):
-        text = block.text.replace("\\\n", " ")
-        lines += [(str(block), line[2:]) for line in text.splitlines() if line.startswith("$ ")]
-    return lines
+def typed(block: Block) -> list[str]:
+    """Each typed line of a console block, continued lines joined."""
+    text = block.text.replace("\\\n", " ")
+    return [line[2:] for line in text.splitlines() if line.startswith("$ ")]
 
 
 def inline_lines() -> list[tuple[str, str]]:
@@ -119,15 +123,60 @@ def problem(words: list[str]) -> str:
         return of_phm(arguments)
     if program.startswith((".venv/bin/phm", "/opt/phm/")):
         return of_phm(arguments)
-    if program == "docker" and "phm" in arguments:
-        after = arguments[len(arguments) - arguments[::-1].index("phm") :]
-        return of_phm(after) if after and arguments.count("phm") > 1 else ""
+    if program == "docker":
+        return of_phm(in_container(arguments))
     if program == "python" and "-m" in arguments:
-        module = arguments[arguments.index("-m") + 1]
-        return "" if module.startswith("pytest") or find_spec(module) else f"there is no module {module}"
-    if program == "python" or program in FOREIGN or program.startswith("scripts/"):
+        at = arguments.index("-m") + 1
+        return of_module(arguments[at], arguments[at + 1 :])
+    if program.startswith("scripts/"):
+        return of_script(program, arguments)
+    if program == "python" or program in FOREIGN:
         return ""
     return f"{program} is not a program that the documents may name: see FOREIGN"
+
+
+def in_container(arguments: list[str]) -> list[str]:
+    """What `docker run`, `docker exec` and those of Compose pass to `phm`; empty: another command."""
+    if "--entrypoint" in arguments:
+        return []
+    if "exec" in arguments and arguments.count("phm") > 1:
+        return arguments[len(arguments) - arguments[::-1].index("phm") :]
+    if "run" in arguments:
+        starts = (at for at, word in enumerate(arguments) if re.fullmatch(r"phm|phm-sidecar(?::\w+)?", word))
+        return next((arguments[at + 1 :] for at in starts if arguments[at - 1] != "--name"), [])
+    return []
+
+
+def of_module(module: str, arguments: list[str]) -> str:
+    """Whether the module exists, and its source or that of its package names these options."""
+    if module == "pytest":
+        return ""
+    return unknown(arguments, module_source(module), module)
+
+
+def of_script(script: str, arguments: list[str]) -> str:
+    """Whether the script, or the module that it starts, names these options."""
+    text = (ROOT / script).read_text("utf-8")
+    started = re.findall(r"-m (sitl[\w.]*|tests[\w.]*)", text)
+    more = OF_PYTEST if "pytest" in text else ""
+    return unknown(arguments, text + "".join(map(module_source, started)) + more, script)
+
+
+def unknown(arguments: list[str], source: str, program: str) -> str:
+    if not source:
+        return f"there is no module {program}"
+    options = [word.partition("=")[0] for word in arguments if word.startswith("--")]
+    missing = [option for option in options if not re.search(rf"(?<![\w-]){option}(?![\w-])", source)]
+    return f"{program} has no option {missing[0]}" if missing else ""
+
+
+@cache
+def module_source(module: str) -> str:
+    """Its file and those beside and below it, of which one has the options; empty: there is no such module."""
+    spec = find_spec(module)
+    if spec is None or spec.origin is None:
+        return ""
+    return "".join(path.read_text("utf-8") for path in sorted(Path(spec.origin).parent.rglob("*.py")))
 
 
 def of_phm(arguments: list[str]) -> str:
@@ -152,11 +201,16 @@ def of_phm(arguments: list[str]) -> str:
     return ""
 
 
-@pytest.mark.parametrize(("place", "line"), console_lines())
-def test_a_console_line_can_be_run(place: str, line: str) -> None:
-    """Verbs, options, modules, scripts and files exist."""
-    for words in simple_commands(line):
-        assert not problem(words), f"{place}: {line}: {problem(words)}"
+@pytest.mark.parametrize("block", blocks("console"), ids=str)
+def test_a_console_block_can_be_run(block: Block) -> None:
+    """It has a typed line, bash can parse each, and verbs, options, modules, scripts and files exist."""
+    lines = typed(block)
+    assert lines, f"{block}: no line begins with `$ `: write the command, or label the block `text`"
+    parsed = subprocess.run(["bash", "-n"], input="\n".join(lines), capture_output=True, text=True)
+    assert (parsed.returncode, parsed.stderr) == (0, ""), f"{block}: {parsed.stderr}"
+    for line in lines:
+        for words in simple_commands(line):
+            assert not problem(words), f"{block}: {line}: {problem(words)}"
 
 
 @pytest.mark.parametrize(("place", "line"), inline_lines())
@@ -168,4 +222,6 @@ def test_a_command_in_the_text_can_be_run(place: str, line: str) -> None:
 
 def test_the_verbs_of_the_group_are_the_documented_ones() -> None:
     """An unknown verb is rejected, so the tests above are effective."""
+    assert problem(shlex.split("docker compose run --rm phm validat")) and problem(["scripts/soak", "--hourly"])
+    assert problem(shlex.split("python -m sitl up --agent-count 8")) and problem(["python", "-m", "sitl.none"])
     assert of_phm(["statsu"]) and of_phm(["status", "--no-such-option"]) and not of_phm(["status", "--watch"])

@@ -8,11 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.docs import walk
-from tests.docs.examples import ROOT
-from tests.docs.walk import Shell, Step
+from tests.docs.walk import PAGE, Shell, Step
 from tests.fakes import overlay
-
-PAGE = ROOT / "docs" / "guides" / "write-a-check.md"
 
 
 @pytest.fixture

@@ -16,9 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, Queue
 
-from tests.docs.blocks import FENCE
+from tests.docs.blocks import FENCE, Block
+from tests.docs.examples import ROOT
 from tests.fakes.until import until
 
+PAGE = ROOT / "docs" / "guides" / "write-a-check.md"
 BEGIN, END = "<!-- walk: begin", "<!-- walk: end -->"
 FOLDER = "/tmp/ten"
 """Of the reader, in the document; the walk has another."""
@@ -45,7 +47,7 @@ def steps(text: str) -> list[Step]:
     for match in FENCE.finditer(part):
         contents = textwrap.dedent(match[3])
         if match[2] == "console":
-            found += _commands(contents)
+            found += commands(contents)
         else:
             named = FILE.findall(part[: match.start()].rpartition("```")[2])
             assert named, f"no file is named before the block {contents[:60]!r}"
@@ -53,7 +55,8 @@ def steps(text: str) -> list[Step]:
     return found
 
 
-def _commands(text: str) -> list[Step]:
+def commands(text: str) -> list[Step]:
+    """Each typed command of a console block, with the lines below it."""
     found: list[Step] = []
     for line in text.splitlines():
         if line.startswith("$ "):
@@ -72,6 +75,13 @@ def pattern(line: str, folder: Path) -> str:
 def _volatile(word: str) -> str:
     time_of_day = re.fullmatch(r"[\d:.TZ-]*\d{2}:\d{2}:\d{2}[\d:.TZ-]*|\d{4}-\d{2}-\d{2}|\d+\.\d+s?", word)
     return r"\S+" if time_of_day else re.escape(word)
+
+
+def walked(block: Block) -> bool:
+    """Whether a block is carried out: it is of the page, between its marks."""
+    text = PAGE.read_text("utf-8")
+    first, last = (text.count("\n", 0, text.index(mark)) + 1 for mark in (BEGIN, END))
+    return block.page == str(PAGE.relative_to(ROOT)) and first < block.line < last
 
 
 class Shell:
