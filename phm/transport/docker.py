@@ -144,40 +144,40 @@ class DockerEngine(DockerFiles):
             raise_for_status(response)
             return bool(response.status_code != NOT_MODIFIED)
 
-        return bool(self.act(ask, f"start {ref}"))
+        return bool(self._act(ask, f"start {ref}"))
 
     def restart(self, ref: str, stop_timeout_s: float = 5.0) -> None:
         """SIGTERM, SIGKILL after `stop_timeout_s` (rounded up to whole seconds), then start."""
         grace = _whole(stop_timeout_s)
-        self.act(lambda client: client.restart(ref, timeout=grace), f"restart {ref}", grace)
+        self._act(lambda client: client.restart(ref, timeout=grace), f"restart {ref}", grace)
 
     def stop(self, ref: str, stop_timeout_s: float = 5.0) -> None:
         grace = _whole(stop_timeout_s)
-        self.act(lambda client: client.stop(ref, timeout=grace), f"stop {ref}", grace)
+        self._act(lambda client: client.stop(ref, timeout=grace), f"stop {ref}", grace)
 
     def pause(self, ref: str) -> None:
-        self.act(lambda client: client.pause(ref), f"pause {ref}")
+        self._act(lambda client: client.pause(ref), f"pause {ref}")
 
     def unpause(self, ref: str) -> None:
-        self.act(lambda client: client.unpause(ref), f"unpause {ref}")
+        self._act(lambda client: client.unpause(ref), f"unpause {ref}")
 
     def kill(self, ref: str, signal: str = "SIGKILL") -> None:
-        self.act(lambda client: client.kill(ref, signal=signal), f"kill {ref}")
+        self._act(lambda client: client.kill(ref, signal=signal), f"kill {ref}")
 
     def set_cpu_shares(self, container: str, shares: int) -> None:
         """Set the CPU weight of a container while it runs; 1024 is the engine's default."""
         path, body = f"/containers/{quote(container, safe='')}/update", docker_bodies.cpu_shares(shares)
-        self.act(lambda client: _post(client, path, body), f"set the CPU weight of {container}")
+        self._act(lambda client: _post(client, path, body), f"set the CPU weight of {container}")
 
     def disconnect(self, network: str, container: str, force: bool = False) -> None:
         """Disconnect a container from a network; `force` also if the container is gone or half connected."""
         path, body = f"/networks/{quote(network, safe='')}/disconnect", docker_bodies.disconnect(container, force=force)
-        self.act(lambda client: _post(client, path, body), f"disconnect {container} from {network}")
+        self._act(lambda client: _post(client, path, body), f"disconnect {container} from {network}")
 
     def connect(self, network: str, container: str, aliases: Sequence[str] = (), address: str = "") -> None:
         """Connect a container to a network, with `aliases` and, if given, a fixed `address` (IPv4 or IPv6)."""
         path, body = f"/networks/{quote(network, safe='')}/connect", docker_bodies.connect(container, aliases, address)
-        self.act(lambda client: _post(client, path, body), f"connect {container} to {network}")
+        self._act(lambda client: _post(client, path, body), f"connect {container} to {network}")
 
     def exec_detached(self, container: str, argv: Sequence[str], user: str = "") -> None:
         """Start a program in a running container, with its environment and as its user unless another is given.
@@ -189,7 +189,7 @@ class DockerEngine(DockerFiles):
             made = _post(client, f"/containers/{quote(container, safe='')}/exec", docker_bodies.exec_(argv, user))
             _post(client, f"/exec/{quote(made.json()['Id'], safe='')}/start", docker_bodies.START_EXEC)
 
-        self.act(ask, f"run {argv[0] if argv else 'nothing'} in {container}")
+        self._act(ask, f"run {argv[0] if argv else 'nothing'} in {container}")
 
     def exec_create(self, container: str, argv: Sequence[str]) -> str:
         """Prepare a program to run in a container, with its environment and as its user. Returns its id. No shell is involved."""
@@ -255,7 +255,7 @@ class DockerEngine(DockerFiles):
 
     def remove(self, ref: str) -> None:
         """Remove a stopped container, with its anonymous volumes."""
-        self.act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
+        self._act(lambda client: client.remove_container(ref, v=True), f"remove {ref}")
 
 
 def _whole(seconds: float) -> int:

@@ -91,7 +91,7 @@ class DockerFiles(DockerSession):
             url, params = _archive_url(client, container), docker_bodies.upload(folder)
             raise_for_status(client.put(url, params=params, data=made, timeout=client.timeout))
 
-        self.act(ask, f"put {path} into {container}")
+        self._act(ask, f"put {path} into {container}")
 
 
 def _stat(response: Response) -> Answer:

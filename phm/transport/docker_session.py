@@ -78,7 +78,7 @@ class DockerSession:
         with self.calling(what, deadline_s) as (client, _):
             return fn(client)
 
-    def act(self, fn: Callable[[APIClient], T], what: str, grace_s: float = 0.0) -> T:
+    def _act(self, fn: Callable[[APIClient], T], what: str, grace_s: float = 0.0) -> T:
         """The same for a call that changes something. grace_s: how long the engine waits for a process to end."""
         try:
             return self.call(fn, deadline_s=self.act_limit_s + grace_s, what=what)

@@ -41,6 +41,7 @@ def test_a_failed_check_restarts_its_container_only_on_request(
         app.exec_run(["rm", "/tmp/well"])
         phm.until(lambda: phm.count(Phase.VERIFIED) == 1, "the verified restart")
         assert [fault.unit for fault in faults(phm, FaultOpened)] == ["custom/alone", "custom/pump"], phm.seen()
+        phm.until(lambda: faults(phm, FaultClosed), "the end of its fault")  # published once the container is released
         assert len(faults(phm, FaultClosed)) == 1, (faults(phm, FaultClosed), phm.seen())
         (closed,) = faults(phm, FaultClosed)
         assert (closed.unit, closed.outcome, closed.by) == ("custom/pump", Outcome.RESOLVED, "restart")

@@ -105,7 +105,7 @@ def test_a_low_cpu_limit_is_reported_until_it_is_raised(real: Any, engine: Docke
     agent.is_ok()
     made.update(cpu_quota=3000, cpu_period=100000)
     result = agent.is_error("cpu_throttled")
-    assert "% of the time by its limit of 0.03 CPUs: raise it" in result.summary and "by 0.03 CPU" in result.brief
+    assert "% of the time by its limit of 0.03 CPUs: raise it" in result.summary and "limit 0.03 CPU" in result.brief
     made.update(cpu_quota=-1)
     agent.is_ok()
 
