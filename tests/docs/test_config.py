@@ -6,15 +6,19 @@ without them it is a fragment, valid when it is added to `MINIMAL`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 from phm.config import ConfigError, load
 from phm.core.settings import Settings
+from sitl.application import graph
 from tests.docs.blocks import Block, blocks
 from tests.docs.examples import ROOT
+from tests.metrics.test_dashboards import published
 
 MINIMAL = "agent: {name: agent_1, id: 1}\ncontainers: [{name: ros_app, recover: true}]\n"
 SECTIONS = frozenset(Settings.model_fields)
@@ -60,8 +64,31 @@ SERVICE = frozenset(
         "volumes",
     ]
 )
-OTHERS = {"docs/reference/ros.md": {"analyzers"}, "docs/development/sitl.md": {"nodes"}}
-"""Files of other programs, by their top-level key."""
+
+
+def analyzers(found: Any) -> str:
+    """Why diagnostic_aggregator groups PHM's statuses wrongly; it takes those whose name begins with one of the texts."""
+    parameters = found["analyzers"]["ros__parameters"]
+    (name,) = (key for key, value in parameters.items() if isinstance(value, dict))
+    for key, one in parameters[name]["analyzers"].items():
+        begins = tuple(one.get("startswith", []) + one.get("find_and_remove_prefix", []))
+        if not any(status.startswith(begins) for status in published(name)):
+            return f"{key} takes no status of {name}"
+        if any(status.startswith(begins) for status in published(f"{name}0")):
+            return f"{key} also takes statuses of {name}0"
+    return ""
+
+
+def nodes(found: Any) -> str:
+    """Why `python -m sitl up --graph` refuses the graph."""
+    try:
+        return "" if graph.read(found) else "no nodes"
+    except ValueError as error:
+        return str(error)
+
+
+OTHERS: dict[str, Callable[[Any], str]] = {"analyzers": analyzers, "nodes": nodes}
+"""Files of other programs, by their only key, and what is wrong with one."""
 ENVIRONMENT = {"PHM_AGENT": "agent_3", "PHM_AGENT_ID": "3"}
 
 
@@ -72,14 +99,17 @@ def kind(block: Block) -> str:
         return "configuration"
     if keys <= COMPOSE:
         return "compose"
-    return "other" if keys <= OTHERS.get(block.page, set()) else f"unknown: {sorted(keys)}"
+    return "other" if len(keys) == 1 and keys <= set(OTHERS) else f"unknown: {sorted(keys)}"
 
 
 @pytest.mark.parametrize("block", blocks("yaml"), ids=str)
 def test_a_yaml_block_is_valid(block: Block, tmp_path: Path) -> None:
     """The program that reads it accepts it, with and without the environment."""
     what = kind(block)
-    assert what in ("configuration", "compose", "other")
+    assert what in ("configuration", "compose", "other"), f"{block}: {what}"
+    if what == "other":
+        ((key, _),) = (found := yaml.safe_load(block.text)).items()
+        assert not OTHERS[key](found), f"{block}: {OTHERS[key](found)}"
     if what == "configuration":
         fragment = not {"agent", "containers"} & set(yaml.safe_load(block.text))
         (tmp_path / "phm.yaml").write_text((MINIMAL if fragment else "") + block.text)

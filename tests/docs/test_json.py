@@ -1,18 +1,19 @@
-"""JSON, Python and TOML of the documents: it can be parsed, and its names exist."""
+"""JSON of the documents: an event has the keys of the code, and PHM does what a button of QGroundControl says."""
 
 from __future__ import annotations
 
-import ast
 import json
-from importlib import import_module
 from typing import Any
 
 import pytest
 
+from phm.wire.command import CommandResult
+from tests.commands.test_mavlink_commands import Scene, long
 from tests.docs.blocks import Block, blocks
 from tests.docs.story import play
 
-GROUPS = ("phm.checks", "phm.reporters", "phm.actions", "phm.verbs")
+BUTTONS = {("look",): "Run all checks", ("restart", "app"): "Restart the first container"}
+"""What the scene did, and the words of the document."""
 
 
 def objects(value: Any) -> list[dict[str, Any]]:
@@ -24,34 +25,24 @@ def objects(value: Any) -> list[dict[str, Any]]:
     return []
 
 
+def pressed(button: dict[str, Any]) -> str:
+    """What PHM does when an operator presses a button of QGroundControl, in the words of the document."""
+    assert set(button) - {"param2"} == {"label", "description", "mavCmd", "compId", "param1"}
+    scene = Scene("check", "restart")
+    request = long(button["mavCmd"], button["param1"], button.get("param2", 0), to=(7, button["compId"]))
+    assert scene.result(request) is CommandResult.ACCEPTED
+    (done,) = scene.did
+    return BUTTONS[tuple(done.split()[:2])]
+
+
 @pytest.mark.parametrize("block", blocks("json"), ids=str)
 def test_a_json_block_has_the_keys_of_the_code(block: Block) -> None:
-    """An event has exactly the keys that the log writes for it."""
+    """An event has exactly the keys that the log writes for it; a button of QGroundControl does what it says."""
     keys = {str(line["event"]): set(line) for line in play().record}
-    for found in objects(json.loads(block.text)):
+    examined = [found for found in objects(json.loads(block.text)) if {"event", "mavCmd"} & set(found)]
+    assert examined or block.generated, f"{block}: neither an event nor a button"
+    for found in examined:
         if "event" in found:
             assert set(found) == keys[found["event"]], str(block)
-
-
-@pytest.mark.parametrize("block", blocks("python"), ids=str)
-def test_a_python_block_imports_existing_names(block: Block) -> None:
-    """It can be parsed, and each name from phm, or from an alias of it, exists."""
-    tree = ast.parse(block.text)
-    modules: dict[str, Any] = {}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "phm":
-            module = import_module(node.module or "")
-            for name in node.names:
-                assert hasattr(module, name.name) or import_module(f"{node.module}.{name.name}"), str(block)
-                if node.module == "phm":
-                    modules[name.asname or name.name] = import_module(f"phm.{name.name}")
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
-            assert hasattr(modules[node.value.id], node.attr), f"{block}: {node.value.id}.{node.attr}"
-
-
-@pytest.mark.parametrize("block", blocks("toml"), ids=str)
-def test_an_entry_point_is_of_a_group_that_phm_reads(block: Block) -> None:
-    """Its table is one of PHM's groups."""
-    heads = [line for line in block.text.splitlines() if line.startswith("[")]
-    assert heads and all(any(f'"{group}"' in head for group in GROUPS) for head in heads), str(block)
+        if "mavCmd" in found:
+            assert pressed(found) == found["description"], str(block)

@@ -22,7 +22,7 @@ CHECKERS: dict[str, tuple[str, ...]] = {
     "dockerfile": ("test_images.test_a_block_is_a_part_of_a_dockerfile",),
     "json": ("test_json.test_a_json_block_has_the_keys_of_the_code",),
     "json5": ("test_json5.test_the_router_accepts_the_block",),
-    "python": ("test_json.test_a_python_block_imports_existing_names",),
+    "python": ("test_python.test_a_python_block_imports_existing_names",),
     "sql": ("test_sql.test_the_query_has_the_answer_of_the_records",),
     "text": (
         "test_messages.test_a_message_is_the_one_of_the_code",
@@ -32,7 +32,7 @@ CHECKERS: dict[str, tuple[str, ...]] = {
         "test_text.test_the_file_of_tokens_is_accepted",
         "test_text.test_the_line_is_the_first_of_the_shipped_file",
     ),
-    "toml": ("test_json.test_an_entry_point_is_of_a_group_that_phm_reads",),
+    "toml": ("test_python.test_an_entry_point_is_of_a_group_that_phm_reads",),
     "yaml": ("test_config.test_a_yaml_block_is_valid",),
 }
 """By label: `FILE.FUNCTION` in this folder."""
