@@ -19,11 +19,13 @@ from tests.docs.examples import ROOT, pages
 FOREIGN = frozenset(
     [
         "./waf",
+        "apt",
         "arducopter",
         "bash",
         "cat",
         "cd",
         "chmod",
+        "chown",
         "colcon",
         "cp",
         "curl",
@@ -56,14 +58,15 @@ FOREIGN = frozenset(
         "sha256sum",
         "source",
         "stat",
-        "sudo",
         "sysctl",
         "systemctl",
         "tail",
+        "tee",
         "timedatectl",
         "touch",
         "udevadm",
         "ulog_messages",
+        "useradd",
         "usermod",
     ]
 )
@@ -117,11 +120,10 @@ def problem(words: list[str]) -> str:
     missing = [word for word in words if FILES.match(word) and word not in GENERATED and not (ROOT / word).exists()]
     if missing:
         return f"{missing[0]} does not exist"
-    if program in (".venv/bin/python", ".venv-kilted/bin/python"):
-        program = "python"
+    if program == "sudo":
+        return problem(arguments[2:] if arguments[:1] == ["-u"] else arguments)
+    program = re.sub(r"^[\w./~-]+/bin/", "", program)  # of an environment
     if program == "phm":
-        return of_phm(arguments)
-    if program.startswith((".venv/bin/phm", "/opt/phm/")):
         return of_phm(arguments)
     if program == "docker":
         return of_phm(in_container(arguments))
@@ -224,4 +226,5 @@ def test_the_verbs_of_the_group_are_the_documented_ones() -> None:
     """An unknown verb is rejected, so the tests above are effective."""
     assert problem(shlex.split("docker compose run --rm phm validat")) and problem(["scripts/soak", "--hourly"])
     assert problem(shlex.split("python -m sitl up --agent-count 8")) and problem(["python", "-m", "sitl.none"])
+    assert problem(shlex.split("sudo -u phm /opt/phm/bin/phm statsu")) and problem(["sudo", "unknown"])
     assert of_phm(["statsu"]) and of_phm(["status", "--no-such-option"]) and not of_phm(["status", "--watch"])
