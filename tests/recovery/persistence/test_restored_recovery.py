@@ -213,8 +213,7 @@ def test_an_unwritable_directory_is_only_a_problem(tmp_path: Path) -> None:
     blocked.write_text("")
     life = Life(blocked, testing.FakeClock())
     life.behave = lambda name: setattr(life, "healthy", True)
-    life.until(lambda: Phase.VERIFIED in life.phases() and bool(life.memory.problem()))
-    assert "cannot write" in life.memory.problem()
+    life.until(lambda: Phase.VERIFIED in life.phases() and "cannot write" in life.memory.problem())
     life.die()
 
 

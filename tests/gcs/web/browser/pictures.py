@@ -101,8 +101,7 @@ def _shoot(page: Page, folder: Path, name: str, last: Locator) -> None:
         f"the texts of {name}",
         lambda: page.locator("body").inner_text(),
     )
-    box = last.bounding_box()
-    assert box is not None
+    box = until(last.bounding_box, f"the end of {name}")  # none while the page puts a new line in its place
     low = box["y"] + box["height"] + MARGIN_PX
     assert low <= TALL_PX, f"{name}: {low:g} px high"
     size = page.viewport_size
