@@ -1,10 +1,11 @@
 """Publishes forged samples on the topic with node names of the rmw layer, `ros_discovery_info`, twice a second.
 
-python tests/fakes/ros_discovery_forger.py COUNT [BAD]
+python tests/fakes/ros_discovery_forger.py COUNT [BAD [STALE]]
 
 Its own node is `/elsewhere/forger`, which has an endpoint. Its participant claims COUNT nodes in `/x`, and with BAD one
 whose name is not UTF-8: `node`, or `topic`, which gives that name to the publisher of /agent_1/topic_1 too;
-with `name` a topic has such a name instead.
+with `name` a topic has such a name instead. With STALE, a participant that does not exist claims one node of this full
+name instead, as in the last announcement of a node that is processed after its end.
 
 rclpy does not support this topic, which has no `rt/` prefix: it is accessed through rmw's C functions.
 """
@@ -105,7 +106,15 @@ def gid_of(info: Any) -> Any:
     return Gid(data=list(data[:size].ljust(size, b"\0")))
 
 
-def main(count: str, bad: str = "") -> int:
+def stale_announcement(full_name: str, participant: Any) -> bytes:
+    """The sample of a participant that differs from this one in the bytes of its process."""
+    namespace, _, name = full_name.rpartition("/")
+    gid = Gid(data=[*participant.data[:8], *(255 - byte for byte in participant.data[8:12]), *participant.data[12:]])
+    info = NodeEntitiesInfo(node_namespace=namespace, node_name=name)
+    return bytes(serialize_message(ParticipantEntitiesInfo(gid=gid, node_entities_info_seq=[info])))
+
+
+def main(count: str, bad: str = "", stale: str = "") -> int:
     rclpy.init(args=[])
     node = rclpy.create_node("forger", namespace="/elsewhere")
     publish = forged_publisher(node)
@@ -127,6 +136,8 @@ def main(count: str, bad: str = "") -> int:
         )
     data = serialize_message(ParticipantEntitiesInfo(gid=participant, node_entities_info_seq=nodes))
     data = data.replace(PLACEHOLDER.encode(), NO_UTF8.ljust(len(PLACEHOLDER), b"_")[: len(PLACEHOLDER)])
+    if stale:
+        data = stale_announcement(stale, participant)
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     while rclpy.ok():

@@ -204,6 +204,9 @@ SLEEPY = (
 def test_a_change_of_the_graph_is_seen_immediately(bench: Bench) -> None:
     """Nodes and endpoints that appear and disappear, and a publisher recreated with another QoS, do not wait for a
     poll.
+
+    The node is killed: a node that shuts down may stay listed until PHM compares its view with a second participant's,
+    which needs polls (`test_second_look.py`).
     """
     probe = bench.probe(
         [{"name": TOPIC}], command=(sys.executable, "-c", SLEEPY), limits=SupervisorLimits(start_s=60.0, silent_s=60.0)
@@ -220,7 +223,7 @@ def test_a_change_of_the_graph_is_seen_immediately(bench: Bench) -> None:
         lambda fact: [end.reliability for end in fact.topics[TOPIC].publishers] == ["best_effort"],
         "the recreated publisher",
     )
-    node.terminate()
+    node.kill()
     seen(probe, lambda fact: not fact.nodes and not fact.topics[TOPIC].publishers, "its absence")
 
 

@@ -1,4 +1,4 @@
-"""Entities that PHM's own participant missed permanently are seen with a second one, and not reported dead."""
+"""A second participant shows what PHM's own one missed, which is not reported dead, and what it lists after its end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ import sys
 from collections.abc import Callable
 
 from phm.facts import RosFact
-from phm.probes.ros.second_look import CALM_S, CONFIRM_S, OPEN_S, REST_MOST_S, REST_S, Known, SecondLook
+from phm.probes.ros.second_look import (
+    CALM_S,
+    CONFIRM_S,
+    CONFIRM_STALE_S,
+    OPEN_S,
+    REST_MOST_S,
+    REST_S,
+    Known,
+    SecondLook,
+)
 from tests.fakes.ros_bench import Bench, seen
 
 TOPIC, NODE, OTHER = "/agent_1/topic_1", "/agent_1/node_1", "/agent_1/node_2"
@@ -48,11 +57,11 @@ class World:
         return self.scouts[-1]
 
     def run(self, until_s: float, known: Known, *, lacking: bool = False) -> list[tuple[float, list[str]]]:
-        """When something was found to be missed, and what."""
+        """When something was found to be missed or stale, and what."""
         found = []
         while self.now_s < until_s:
-            if missed := self.look.look(self.now_s, known, lacking=lacking):
-                found.append((self.now_s, list(missed)))
+            if differences := self.look.look(self.now_s, known, lacking=lacking):
+                found.append((self.now_s, [*differences.missed, *differences.stale]))
             self.now_s += TICK_S
         return found
 
@@ -149,8 +158,46 @@ def test_the_first_participant_is_kept_when_no_second_can_be_opened() -> None:
 
     look = SecondLook(refuse, 0.0)
     for now_s in map(float, range(200)):
-        assert look.look(now_s, NOTHING, lacking=True) == ()
+        assert look.look(now_s, NOTHING, lacking=True) is None
     assert tried == [CALM_S, CALM_S + 2 * REST_S, CALM_S + 6 * REST_S]
+
+
+BEHIND: Known = frozenset({(NODE,)})
+"""What is left of a node whose last announcement was processed after its end: no endpoint."""
+STALE_S = CALM_S + TICK_S + CONFIRM_STALE_S
+
+
+def test_a_node_that_only_the_first_participant_lists_is_found() -> None:
+    """It ended: the second participant knows everything else for some seconds, and never the node."""
+    rest = ALL - {(NODE,), (TOPIC, "publisher", NODE)}
+    world = World(lambda now_s: rest)
+    assert world.run(20.0, rest | BEHIND) == [(STALE_S, [NODE])]
+    assert [scout.open for scout in world.scouts] == [False]
+
+
+def test_the_only_node_is_found_when_it_is_stale() -> None:
+    """Nothing else exists that the second participant could know."""
+    world = World(lambda now_s: NOTHING)
+    assert world.run(20.0, BEHIND) == [(STALE_S, [NODE])]
+
+
+def test_a_node_with_an_endpoint_is_not_stale() -> None:
+    """The endpoint proves that the middleware still considers the node's process alive."""
+    world = World(lambda now_s: NOTHING)
+    assert world.run(200.0, ALL) == []
+
+
+def test_a_second_participant_that_knows_less_proves_nothing() -> None:
+    """On an overloaded machine it discovers the others late, and may discover this node even later."""
+    world = World(lambda now_s: NOTHING)
+    assert world.run(200.0, frozenset({(NODE,), (OTHER,), (TOPIC, "subscriber", OTHER)})) == []
+
+
+def test_a_node_that_the_second_participant_discovers_late_is_not_stale() -> None:
+    """The time counts from the moment when it knows everything else."""
+    late_s = CALM_S + CONFIRM_STALE_S
+    world = World(lambda now_s: BEHIND if now_s > late_s else NOTHING)
+    assert world.run(200.0, BEHIND) == []
 
 
 BLIND = (
@@ -179,3 +226,17 @@ def test_a_child_that_permanently_missed_a_node_gets_a_new_participant(bench: Be
     seen(probe, complete, "the node and its rate")
     assert (probe.pid, probe.restarts) == (first, 0)
     assert [note for note in bench.notes if "a new participant" in note and NODE in note]
+
+
+def test_a_node_that_stays_listed_after_its_end_is_removed_with_a_new_participant(bench: Bench) -> None:
+    """The last announcement of the node comes, as by that race, from a participant that no longer exists."""
+    node = bench.node("node_1", "--publish", "topic_1:10", "--no-beacon")
+    probe = bench.probe([{"name": TOPIC}], nodes=[{"name": NODE}])
+    seen(probe, lambda fact: fact.topics[TOPIC].publishers, "the publisher")
+    forger = bench.script("ros_discovery_forger.py", "0", "", NODE)
+    seen(probe, lambda fact: fact.nodes.get(NODE) == 2, "the announcement")
+    forger.kill()
+    node.kill()
+    seen(probe, lambda fact: not fact.topics[TOPIC].publishers and NODE in fact.nodes, "a node without endpoints")
+    seen(probe, lambda fact: NODE not in fact.nodes, "its absence", limit_s=120.0)
+    assert [note for note in bench.notes if f"still listed {NODE}, which has ended" in note]

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from phm.probes.ros.observer import Observer
 
 MISSED = "the ROS child discovers again with a new participant: the previous one missed {}"
-MAX_MISSED = 300
+STALE = "the ROS child discovers again with a new participant: the previous one still listed {}, which has ended"
+MAX_NAMES = 300
 _PR_SET_PDEATHSIG = 1
 OOM_MORE, OOM_MOST = 500, 1000
 """Value for /proc/PID/oom_score_adj, higher than the daemon's. Raising it needs no privilege."""
@@ -99,8 +100,10 @@ def _report(watch: Observer, out: int, tick_s: float) -> Observer:
     notified, late_s = False, 0.0
     while True:
         _send(out, *watch.look(notified=notified, late_s=late_s))
-        if missed := second.look(time.monotonic(), watch.known, lacking=watch.lacking):
-            _send(out, LogText(MISSED.format(", ".join(missed)[:MAX_MISSED])))
+        if differences := second.look(time.monotonic(), watch.known, lacking=watch.lacking):
+            for text, names in zip((MISSED, STALE), differences, strict=True):
+                if names:
+                    _send(out, LogText(text.format(", ".join(names)[:MAX_NAMES])))
             watch = watch.renewed()
             second.renewed(time.monotonic())
         leak.grow()
