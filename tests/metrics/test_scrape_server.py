@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import http.client
 import socket
+import socketserver
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
+from phm.core import threads
 from phm.core.clock import SystemClock
 from phm.testing import FakeClock
 from phm.transport import scrape_server
@@ -20,12 +24,19 @@ from tests.fakes.until import until
 PAGE = b"x" * 300_000
 
 
+def scrape_threads() -> list[threading.Thread]:
+    """Those that serve clients now."""
+    return [thread for thread in threading.enumerate() if thread.name == "phm-scrape"]
+
+
 class Bench:
     """A server and what was rendered."""
 
     def __init__(self, *, local: bool = True) -> None:
         self.rendered: list[str] = []
-        self.broken, self.takes_s = False, 0.0
+        self.page, self.broken, self.takes_s = PAGE, False, 0.0
+        self.may_end = threading.Event()
+        self.may_end.set()
         self.clock = FakeClock()
         self.server = ScrapeServer("127.0.0.1", 0, self._render, wants_openmetrics, self.clock, local=local)
         self.server.start()
@@ -33,9 +44,10 @@ class Bench:
     def _render(self, accept: str) -> tuple[bytes, str]:
         self.rendered.append(accept)
         self.clock.advance(self.takes_s)
+        assert self.may_end.wait(60)
         if self.broken:
             raise ValueError("secret")
-        return PAGE, "text/plain; version=0.0.4"
+        return self.page, "text/plain; version=0.0.4"
 
     def get(self, path: str = "/metrics", method: str = "GET", **headers: str) -> tuple[int, bytes]:
         connection = http.client.HTTPConnection(*self.server.address, timeout=30)
@@ -64,6 +76,7 @@ class Bench:
 def bench() -> Iterator[Bench]:
     made = Bench()
     yield made
+    made.may_end.set()
     made.server.close()
 
 
@@ -113,7 +126,7 @@ def test_elsewhere_any_name_is_answered() -> None:
 def test_anything_but_a_request_is_refused(bench: Bench, request_bytes: bytes, status: bytes) -> None:
     """With a status, or with the end of the connection when more came than is read."""
     said = bench.raw(request_bytes)
-    assert said.startswith(b"HTTP/1.1 " + status) or (status == b"431" and not said)
+    assert said.startswith(b"HTTP/1.0 " + status) or (status == b"431" and not said)
     assert bench.get()[0] == 200
 
 
@@ -135,8 +148,10 @@ def test_a_client_that_sends_or_reads_slowly_is_dropped_after_a_time(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The limit is for all of its request and answer, so a byte now and then does not extend it."""
-    monkeypatch.setattr(scrape_server, "CLIENT_S", 0.3)
-    with bench.connect() as sends, socket.socket() as reads:
+    bench.page = b"x" * 20_000_000  # more than the kernel takes into its buffers
+    with monkeypatch.context() as shorter, contextlib.ExitStack() as clients:
+        shorter.setattr(scrape_server, "CLIENT_S", 0.3)
+        sends, reads = clients.enter_context(bench.connect()), clients.enter_context(socket.socket())
         reads.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         reads.connect(bench.server.address)
         reads.sendall(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -144,10 +159,98 @@ def test_a_client_that_sends_or_reads_slowly_is_dropped_after_a_time(
         def drip() -> bool:
             with contextlib.suppress(ConnectionError):
                 sends.sendall(b"G")
-            return bench.server.dropped >= 1
+            return bench.server.dropped >= 2
 
-        until(drip, "the client that sends slowly to be dropped")
-        assert bench.get() == (200, PAGE)
+        until(drip, "both clients to be dropped")
+    bench.page = PAGE
+    bench.clock.advance(scrape_server.AGAIN_S)
+    assert bench.get() == (200, PAGE)
+
+
+def test_any_number_of_slow_clients_has_a_limited_number_of_threads(bench: Bench) -> None:
+    """Each would otherwise take one of the processes that the container may have."""
+    slow, most = [], 0
+    for _ in range(4 * MAX_CLIENTS):
+        slow.append(bench.connect())
+        slow[-1].sendall(b"GET /metrics HTTP/1.1\r\nHo")
+        most = max(most, len(scrape_threads()))
+    until(lambda: bench.server.dropped >= 3 * MAX_CLIENTS, "the older clients to be dropped")
+    assert 0 < most <= MAX_CLIENTS + 1  # one may be counted that has just ended
+    assert bench.get() == (200, PAGE)
+    for client in slow:
+        client.close()
+    until(lambda: not scrape_threads(), "the threads to end")
+
+
+def test_a_page_that_is_never_done_does_not_collect_threads(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dropped client cannot end a thread that waits for the page, so the next ones are turned away."""
+    monkeypatch.setattr(scrape_server, "DROP_LIMIT_S", 0.01)
+    bench.may_end.clear()
+    waiting = [bench.connect() for _ in range(MAX_CLIENTS + 4)]
+    for client in waiting:
+        with contextlib.suppress(ConnectionError):
+            client.sendall(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    until(lambda: bench.server.dropped >= 4, "clients to be turned away")
+    assert len(scrape_threads()) <= MAX_CLIENTS + 1
+    bench.may_end.set()
+    until(lambda: not scrape_threads(), "the threads to end")
+    assert bench.get() == (200, PAGE)
+    for client in waiting:
+        client.close()
+
+
+def test_a_request_that_ends_early_is_not_answered(bench: Bench) -> None:
+    """A part of a request may lack the header that refuses it."""
+    with bench.connect() as client:
+        client.sendall(b"GET /metrics HTTP/1.1\r\nHost: local")
+        client.shutdown(socket.SHUT_WR)
+        assert client.recv(100) == b""
+    assert bench.rendered == []
+
+
+def test_clients_are_accepted_again_after_a_failure(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Such as a lack of file descriptors; there is a pause after each failure, as the listener stays ready."""
+    failures = [OSError(errno.EMFILE, "Too many open files")] * 3
+    accept = socketserver.TCPServer.get_request
+
+    def fail_first(server: socketserver.TCPServer) -> Any:
+        if failures:
+            raise failures.pop()
+        return accept(server)
+
+    monkeypatch.setattr(scrape_server, "RETRY_S", 0.01)
+    monkeypatch.setattr(socketserver.TCPServer, "get_request", fail_first)
+    assert bench.get() == (200, PAGE)
+    assert caplog.text.count("a client could not be accepted: [Errno 24] Too many open files") == 3
+
+
+def test_without_a_thread_for_it_a_client_is_dropped_and_the_next_is_served(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a process limit; PHM reports the limit as its problem."""
+    monkeypatch.setattr(threads, "_refused", {})
+    with monkeypatch.context() as limited:
+        limited.setattr(threading.Thread, "start", _no_thread)
+        assert bench.raw(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n") == b""
+    assert bench.server.dropped == 1
+    assert "threads cannot be started (phm-scrape)" in threads.problem()
+    assert bench.get() == (200, PAGE)
+
+
+def _no_thread(_thread: threading.Thread) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+def test_at_the_end_all_clients_are_disconnected(bench: Bench) -> None:
+    """Also those that would wait for their time to be over."""
+    with bench.connect() as client:
+        client.sendall(b"GET /metrics")
+        until(scrape_threads, "the client to be accepted")
+        bench.server.close()
+        assert client.recv(10) == b""
+    assert scrape_threads() == []
 
 
 def test_many_clients_at_once_are_all_served_and_the_page_is_made_once(bench: Bench) -> None:
@@ -204,6 +307,16 @@ def test_a_refusal_has_what_http_asks_for(bench: Bench) -> None:
     assert bench.get("/other", method="HEAD") == (404, b"")
     assert bench.raw(b"HEAD /other HTTP/1.1\r\nHost: localhost\r\n\r\n").endswith(b"\r\n\r\n")
     assert b"\r\nAllow: GET, HEAD\r\n" in bench.raw(b"POST /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert bench.get(method="BREW")[0] == 501
+    assert bench.get(method="POST", Host="evil.example")[0] == 403
+
+
+def test_a_client_learns_nothing_about_the_machine(bench: Bench) -> None:
+    """Neither the version of Python, nor what it sent: a browser could take that for a page."""
+    said = bench.raw(b"GET /<script> HTTP/1.1\r\nHost: localhost\r\n\r\n") + bench.raw(b"<script>\r\n\r\n")
+    assert b"Python" not in said
+    assert said.count(b"X-Content-Type-Options: nosniff\r\n") == 2
+    assert all(b"<script>" not in answer.partition(b"\r\n\r\n")[2] for answer in said.split(b"HTTP/1.0 "))
 
 
 def test_the_port_is_free_after_close() -> None:

@@ -19,10 +19,20 @@ HEAVY = ("asyncio", "ruamel", "rich", "numpy", "rclpy", "aiohttp", "jinja2")
 
 def test_the_daemon_loads_no_package_that_it_can_do_without() -> None:
     """Each of these takes megabytes: they are imported where they are used, or not at all."""
-    code = "import sys, phm.cli.run, phm.runtime.configuration, phm.runtime.service; print(*sys.modules)"
+    assert _modules("phm.cli.run", "phm.runtime.configuration", "phm.runtime.service").isdisjoint(HEAVY)
+
+
+def test_metrics_load_no_event_loop() -> None:
+    """They are served with the modules of the standard library that prometheus-client imports anyway."""
+    assert _modules("phm.transport.scrape_server", "phm.wire.openmetrics").isdisjoint(HEAVY)
+
+
+def _modules(*names: str) -> set[str]:
+    """What is loaded after an import of these modules."""
+    code = f"import sys, {', '.join(names)}; print(*sys.modules)"
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks")))}
     done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()).isdisjoint(HEAVY)
+    return set(done.stdout.split())
 
 
 def test_the_kernel_knows_the_name_of_each_thread() -> None:
