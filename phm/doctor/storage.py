@@ -37,7 +37,10 @@ def _folder(name: str, path: str, least_bytes: float, *, configured: bool) -> Ro
 def _replaceable(path: str) -> Row:
     """Whether PHM can put a delivered configuration into the place of this file: it renames another one over it."""
     folder = os.path.dirname(path)
-    remedy = f"mount {folder} writable for uid {os.geteuid()}, not the file alone and not with :ro; or remove delivery.listen"
+    remedy = (
+        f"in PHM's Compose file mount `- FOLDER:{folder}`, writable for uid {os.geteuid()}, not the file alone and not with :ro; "
+        "or remove delivery.listen"
+    )
     if os.path.ismount(path):
         return limited("delivery", f"{path} is mounted alone and cannot be replaced", remedy)
     if not os.access(folder, os.W_OK | os.X_OK):

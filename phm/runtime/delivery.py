@@ -223,8 +223,10 @@ def _not_written(path: Path, error: OSError) -> str:
     why = error.strerror or str(error)
     if error.errno in (errno.EROFS, errno.EBUSY, errno.EXDEV):
         return (
-            f"{path} cannot be replaced: {why}. In a container, mount the folder of the configuration writable, not the file alone and "
-            "not with :ro; under systemd, add it to ReadWritePaths; or copy the file to the agent and run `phm reload`"
+            f"{path} cannot be replaced: {why}. In PHM's Compose file, replace the line under volumes that ends in `:{path.parent}:ro` "
+            f"or `:{path}:ro` by `- FOLDER:{path.parent}`; FOLDER is a folder on the host with {path.name} and without the Compose "
+            f"file, writable for user {os.geteuid()}. Under systemd, add `ReadWritePaths={path.parent}` to phm.service. Or copy the file to the agent and run "
+            "`phm reload`"
         )
     if error.errno in (errno.EACCES, errno.EPERM):
         return (

@@ -46,7 +46,7 @@ def test_a_configuration_that_no_delivery_can_replace_is_limited(
     monkeypatch.undo()
     monkeypatch.setattr(os, "access", lambda path, mode: path != str(tmp_path))
     refused = row(list(rows(there)), "delivery")
-    assert refused.state == "limited" and "not with :ro" in refused.remedy
+    assert refused.state == "limited" and f"mount `- FOLDER:{tmp_path}`" in refused.remedy
     plain = surroundings(tmp_path)
     plain.configuration = there.configuration
     assert "delivery" not in states(list(rows(plain)))

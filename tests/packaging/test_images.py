@@ -10,6 +10,9 @@ from typing import Any
 
 import pytest
 
+from tests.docs.blocks import containing
+from tests.setup.test_template_renderer import made
+
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 60.0
 pytestmark = pytest.mark.engine
@@ -109,6 +112,19 @@ def test_compose_gives_the_sidecar_least_privilege() -> None:
     assert int(service["pids_limit"]) > 0
     writable = {mount["target"] for mount in service["volumes"] if not mount.get("read_only")}
     assert writable == {"/var/run/docker.sock", "/var/log/phm", "/var/lib/phm"}
+
+
+def test_the_override_for_deliveries_makes_the_folder_of_phm_init_writable(tmp_path: Path) -> None:
+    """Compose itself merges docs/guides/checks-page.md with what `phm init` writes."""
+    (block,) = (block for block in containing("yaml", ":/etc/phm #") if block.page == "docs/guides/checks-page.md")
+    for name, text in {**made(), "compose.override.yaml": block.text}.items():
+        (tmp_path / name).write_text(text)
+    words = ("--project-directory", str(tmp_path), "--file", str(tmp_path / "compose.yaml"))
+    merged = docker("compose", *words, "--file", str(tmp_path / "compose.override.yaml"), "config", "--format", "json")
+    service = json.loads(merged)["services"]["phm"]
+    (folder,) = (volume for volume in service["volumes"] if volume["target"].startswith("/etc/phm"))
+    assert (folder["source"], folder.get("read_only", False)) == (str(tmp_path / "config"), False)
+    assert [(port["host_ip"], port["target"]) for port in service["ports"]] == [("10.0.0.7", 9465)]
 
 
 def test_every_setting_of_the_agent_is_in_the_example() -> None:

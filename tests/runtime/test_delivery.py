@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import signal
@@ -194,6 +195,22 @@ def test_an_empty_text_asks_for_the_version(agent: Agent) -> None:
     assert (answer.ok, answer.present, agent.reloads, agent.notes) == (True, version_of(OLD), [], [])
 
 
+@pytest.mark.parametrize("failure", [errno.EROFS, errno.EBUSY])
+def test_a_read_only_mount_is_refused_with_the_lines_to_change(
+    agent: Agent, monkeypatch: pytest.MonkeyPatch, failure: int
+) -> None:
+    """As in the shipped Compose files: one mounts the folder with :ro, the other the file alone."""
+
+    def fail(*_arguments: object, **_options: object) -> None:
+        raise OSError(failure, os.strerror(failure))
+
+    monkeypatch.setattr("phm.runtime.delivery.replace", fail)
+    text = agent.refused().text
+    assert f"{agent.file} cannot be replaced: {os.strerror(failure)}" in text
+    folder = agent.file.parent
+    assert f"ends in `:{folder}:ro` or `:{agent.file}:ro` by `- FOLDER:{folder}`" in text
+
+
 def test_the_previous_file_returns_if_the_reload_fails(agent: Agent) -> None:
     """And PHM reloads once more, because the first reload may have been late instead of refused."""
     agent.outcomes = [ReloadOutcome(False, why="an action is in progress (restart of app)")]
@@ -269,7 +286,7 @@ def test_a_file_that_is_a_mount_is_named_with_a_remedy(tmp_path: Path, mounted: 
     source.write_text(OLD)
     mounted("--bind", str(source), str(agent.file))
     words = agent.refused().text
-    assert "mount the folder" in words and source.read_text() == OLD
+    assert f"by `- FOLDER:{agent.file.parent}`" in words and source.read_text() == OLD
 
 
 def test_a_full_disk_leaves_the_old_file(tmp_path: Path, mounted: Callable[..., None]) -> None:
