@@ -210,7 +210,7 @@ class _Request(BaseHTTPRequestHandler):
 
     server: ScrapeServer
     rbufsize = 0  # so that rfile is a raw stream; _Head has the buffer
-    default_request_version = "HTTP/1.0"  # a refusal of what is no request has a status line, too
+    default_request_version = "HTTP/1.0"  # a refused line of other protocols gets a status line, too
     error_message_format = "%(explain)s\n"
     error_content_type = "text/plain; charset=utf-8"
     # What BaseHTTPRequestHandler sets only once it has read the first line.
