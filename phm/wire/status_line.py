@@ -4,11 +4,11 @@ A contract. Every line begins with the agent (``A01`` to ``A250``) and a word. T
 The array has a digit for each of the slots 1 to 8: ``1`` OK or WARN, ``0`` ERROR, ``-`` unknown or unused::
 
     A01 FAIL 6 node_1 dead                    a fault, reported at its cause
-    A01 WARN 9 disk / 88%                     a warning
+    A01 WARN 9 disk / 88 %                    a warning
     A01 OK 6 node_1 restarted                 the fault ended by an action of PHM
     A01 OK 6 node_1 recovered                 the fault ended without an action of PHM
     A01 OK 1 recovered: GCS: no heartbeat 3 s the same where the failure begins with no name
-    A01 OK 9 cleared: disk / 88%              the warning ended
+    A01 OK 9 cleared: disk / 88 %             the warning ended
     A01 WARN 6 flapping: node_1 dead          it fails and recovers repeatedly; reported again when it is stable
     A01 ADVISE 2 restart ros_app #17 60s      the action that PHM recommends; 17 is the number of the fault; once given, an
                                               approval is valid for 60 s
@@ -18,7 +18,7 @@ The array has a digit for each of the slots 1 to 8: ``1`` OK or WARN, ``0`` ERRO
     A01 OK 2 restart done: ros_app            the operator's request succeeded, and the container is OK
     A01 WARN 2 restart failed: ros_app        the operator's request failed or was refused
     A01 OK 11111111                           refresh: everything is OK
-    A01 WARN 11111111 9 disk / 88%            refresh: the worst unit
+    A01 WARN 11111111 9 disk / 88 %           refresh: the worst unit
     A01 FAIL 11111011 6 node_1 dead +2        refresh: two more units are not OK
     A01 STALE 11111--- 6                      refresh: no failure is known, but some slots are unknown
     A01 HOLD 1-1--111 2 ros_app on hold       refresh: the same, and all unknown slots are on hold

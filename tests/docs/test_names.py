@@ -1,4 +1,4 @@
-"""Conditions, actions, kinds and layers in the documents exist in the code, and its messages are quoted correctly."""
+"""Conditions, actions, phases and layers in the documents exist in the code."""
 
 from __future__ import annotations
 
@@ -11,17 +11,12 @@ import pytest
 from phm.checking import registry
 from phm.core.model import Layer, Phase
 from phm.recovery.base import Action
-from phm.reporters.text_log_format import NOTE_KINDS
-from tests.docs.blocks import blocks
 from tests.docs.examples import ROOT, pages
+from tests.docs.messages import trees
 
 NAME = re.compile(r"`([a-z]+(?:_[a-z]+)*)`")
-KINDS = {*NOTE_KINDS, "SUCCESS", "BYPASS", "WARNING", "FAILURE", "STALE", "RESOLVED", "ESCALATED"}
-LOG_LINE = re.compile(r"^(?:[\d-]+ [\d:.]+ ---- )?([A-Z]{3,}): (.*)$")
 COMPOSED = frozenset({"diagnostic_warn", "diagnostic_error"})
 """Names that the code makes of two parts."""
-LEAST = 7
-"""Characters of a message that must be literal in the code for it to count as this message."""
 
 
 @cache
@@ -30,37 +25,13 @@ def constants() -> frozenset[str]:
     return COMPOSED | frozenset(text for text in _strings() if re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", text))
 
 
-@cache
-def messages() -> re.Pattern[str]:
-    """All messages of the code as one expression: literals, with any text for inserted values."""
-    found: set[str] = set()
-    for tree in _trees():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.JoinedStr):
-                parts = [part.value if isinstance(part, ast.Constant) else None for part in node.values]
-                literal = sum(len(str(part)) for part in parts if part is not None)
-                if literal >= LEAST:
-                    found.add("".join(".*?" if part is None else re.escape(str(part)) for part in parts))
-    found |= {re.escape(text) for text in _strings() if len(text) >= LEAST and " " in text}
-    return re.compile("|".join(sorted(found, key=len, reverse=True)))
-
-
-def _trees() -> list[ast.Module]:
-    paths = [*(ROOT / "phm").rglob("*.py"), *(ROOT / "checks").rglob("*.py")]
-    return [ast.parse(path.read_text("utf-8")) for path in paths]
-
-
 def _strings() -> set[str]:
     return {
         node.value
-        for tree in _trees()
+        for tree in trees()
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     }
-
-
-WALKED = "docs/guides/write-a-check.md"
-"""Its commands are run by `test_walk.py`, which compares the output with the real one."""
 
 
 def cells(header: str) -> list[tuple[str, str]]:
@@ -96,39 +67,6 @@ def test_each_action_is_described() -> None:
     logs = (ROOT / "docs" / "reference" / "logs.md").read_text("utf-8")
     assert [phase for phase in Phase if f"`{phase.value}`" not in logs] == []
     assert [layer for layer in Layer if f"`{layer.value}`" not in logs] == []
-
-
-def quoted() -> list[tuple[str, str, str]]:
-    """(place, kind, message) of each log line in blocks that are not generated."""
-    found = []
-    for block in blocks("text", "console"):
-        if not block.generated and block.page != WALKED:
-            matches = filter(None, map(LOG_LINE.match, block.text.splitlines()))
-            found += [(str(block), match[1], match[2]) for match in matches]
-    return found
-
-
-@pytest.mark.parametrize(("place", "kind", "message"), quoted())
-def test_a_quoted_log_line_is_a_message_of_the_code(place: str, kind: str, message: str) -> None:
-    """Its kind exists, and its message contains one that the code has."""
-    assert kind in KINDS, place
-    assert messages().search(message), f"{place}: no message of the code is in {message!r}"
-
-
-def outputs() -> list[tuple[str, str]]:
-    """Each line of output in a console block that is not generated."""
-    found = []
-    for block in blocks("console"):
-        if not block.generated and block.page != WALKED:
-            lines = [line for line in block.text.splitlines() if line.strip() and not line.startswith("$ ")]
-            found += [(str(block), line) for line in lines]
-    return found
-
-
-@pytest.mark.parametrize(("place", "line"), outputs())
-def test_an_output_is_a_message_of_the_code(place: str, line: str) -> None:
-    """A line that a console block shows contains a message of the code; single numbers are exit codes."""
-    assert line.strip().isdecimal() or messages().search(line), f"{place}: {line!r} is not in the code"
 
 
 def test_the_layers_are_those_of_the_import_contract() -> None:
