@@ -218,7 +218,9 @@ class Tracker:
         `end_action`."""
         self._actions[target] = ActionInProgress(owner, action, now.mono + at_most_s, proving)
         for record in self._units.values():
-            if record.fault is not None and (record.id == owner or record.target == target):
+            # The restart of a dependent is part of the action on the owner's target, which gets the credit.
+            part = record.target != target and record.target in self._actions
+            if record.fault is not None and (record.target == target or (record.id == owner and not part)):
                 record.fault = replace(record.fault, by=action)
         return Effects()
 

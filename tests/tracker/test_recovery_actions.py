@@ -229,3 +229,21 @@ def test_a_unit_behind_another_target_waits_for_verification() -> None:
     bench.later(1)
     bench.see("gcs", OK)
     assert bench.opened == ["radio"]
+
+
+def test_the_restart_of_a_dependent_takes_no_credit_from_the_action_that_it_is_part_of() -> None:
+    """The container was started; the containers that depend on it were restarted after that."""
+    bench = Bench([unit("container", target="app"), unit("other", target="dependent")])
+    bench.later(10)
+    bench.all_well()
+    bench.now += 1
+    bench.see("container", BAD)
+    bench.see("other", BAD)
+    bench.take(bench.tracker.begin_action("app", "container", "start", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("dependent", "container", "restart", bench.stamp(), 60.0))
+    bench.take(bench.tracker.end_action("dependent", bench.stamp(), worked=True))
+    bench.now += 1
+    bench.see("container", OK)
+    bench.see("other", OK)
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
+    assert bench.closed == [("other", Outcome.RESOLVED, "restart"), ("container", Outcome.RESOLVED, "start")]
