@@ -50,6 +50,8 @@ class Cpu:
         result = self._judge(fact, mean, now, world)
         if not result.level.bad:
             result = result.with_evidence(api.Evidence(rising=self._above(fact)))
+        elif fact.cpu_percent < self._limits.cpu.warn:
+            result = result.with_evidence(api.Evidence(falling=True))
         return replace(result, readings=api.HostReadings(cpu_percent=mean))
 
     def _above(self, fact: api.HostFact) -> bool:

@@ -87,13 +87,15 @@ class Evidence:
     """What tracker and recovery need to know about a result besides its level and condition. The defaults claim nothing.
 
     generation:   the run of the target container that the check observed (`phm.facts.ContainerFact.generation`).
-    certain:      more time would not change this bad result, so it counts during grace, too.
+    certain:      more time would not change this bad result, and no network has caused it: it counts during grace, too, and ends the
+                  verification of an action that has not ended it.
     conclusive:   the problem itself was observed, not inferred from delay or silence: resource starvation cannot explain it.
     never_ok:     whether the subject has never been OK since its container was started; None: the check does not know.
     listed:       how many times the ROS graph still lists the name of the missing node; None: unknown.
     file:         path of the faulty file inside the container.
     broken_hop:   name of the first broken hop on the command path.
     rising:       the newest measurement is above the limit, but not for long enough to report it yet.
+    falling:      the newest measurement is below the limit; the report only has not ended yet.
     ended_by:     what ended the earlier failure of the unit, as observed, e.g. ``reboot``: no action is credited for it.
     """
 
@@ -105,6 +107,7 @@ class Evidence:
     file: str = ""
     broken_hop: str = ""
     rising: bool = False
+    falling: bool = False
     ended_by: str = ""
 
 

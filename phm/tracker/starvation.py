@@ -24,7 +24,7 @@ BEFORE_PRESSURE_S = 5.0
 WARN_WAIT_S = 3.0
 """While a pressure unit is WARN or rises, symptoms that it may soon explain wait this long. WARN itself explains nothing."""
 RECOVERY_S = 5.0
-"""After starvation symptoms have this long to disappear, or the `grace_s` of their unit if longer."""
+"""After starvation symptoms have this long to disappear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +32,19 @@ class Explanation:
     """Why starvation can cause a symptom.
 
     evidence: the reason. by: conditions of pressure units that explain it. settle_s: minimum duration of the symptom if its cause
-    shows later. most_s: a symptom that lasts longer is not explained; None: no limit.
+    shows later. most_s: a symptom that lasts longer is not explained; None: no limit. begins_again: something must be discovered or
+    started again before the symptom can disappear, which takes up to the `grace_s` of its unit.
     """
 
     evidence: str
     by: frozenset[str] = WAITING
     settle_s: float = 0.0
     most_s: float | None = None
+    begins_again: bool = False
+
+    def recovery_s(self, grace_s: float) -> float:
+        """How long the symptom may last after the starvation. `grace_s`: of its unit."""
+        return max(RECOVERY_S, grace_s) if self.begins_again else RECOVERY_S
 
 
 UNREAD_S = 15.0
@@ -46,7 +52,8 @@ UNREAD_S = 15.0
 autopilot or peer that is silent for longer is lost, however busy the machine is."""
 _SLOW = Explanation("its publisher is not scheduled at each period")
 _LEASE = Explanation(
-    "participants that do not announce themselves in time are dropped from the graph, with all their endpoints"
+    "participants that do not announce themselves in time are dropped from the graph, with all their endpoints",
+    begins_again=True,
 )
 _LATE = Explanation("its beacon or its executor is not scheduled, so its beacon is late")
 _UNREAD = Explanation("PHM, or a router on this machine, passes frames on late", most_s=UNREAD_S)
@@ -58,14 +65,18 @@ EXPLAINED: Mapping[str, Explanation] = {
     "silent": Explanation(f"{_SLOW.evidence}; not where its executor ran twice 2 s after a message was due"),
     "data_stamp": Explanation("messages wait before they are published; not where stamps differ by more than 10 s"),
     "data_gaps": Explanation("its publisher does not read its input in time"),
-    "not_received": Explanation("a publisher that is starved from its start has not sent yet"),
-    "transport_blocked": Explanation("publishers that are starved from their start are found, and have not sent yet"),
+    "not_received": Explanation("a publisher that is starved from its start has not sent yet", begins_again=True),
+    "transport_blocked": Explanation(
+        "publishers that are starved from their start are found, and have not sent yet", begins_again=True
+    ),
     "topic_missing": _LEASE,
     "publisher_missing": _LEASE,
     "subscriber_missing": _LEASE,
     "publisher_lost": _LEASE,
     "subscriber_lost": _LEASE,
-    "node_missing": Explanation(f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone"),
+    "node_missing": Explanation(
+        f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone", begins_again=True
+    ),
     "node_unreachable": _LEASE,
     "node_hung": Explanation(
         f"{_LATE.evidence}; not where its process or container is stopped, or its executor was blocked for 15 s while "
@@ -75,12 +86,12 @@ EXPLAINED: Mapping[str, Explanation] = {
     "node_busy": _LATE,
     "beacon_missing": _LATE,
     "not_ready": Explanation(
-        "it answers late, or is dropped from the graph; not where its lifecycle state was observed"
+        "it answers late, or is dropped from the graph; not where its lifecycle state was observed", begins_again=True
     ),
     "dissent": _VIEWS,
     "split": _VIEWS,
     "quorum_dead": _VIEWS,
-    "diagnostic_stale": Explanation("its publisher is not scheduled in time"),
+    "diagnostic_stale": Explanation("its publisher is not scheduled in time", begins_again=True),
     "unhealthy": Explanation(
         "the probe of the health check takes longer than its time-out, or cannot be started", WAITING | {"pids_limit"}
     ),
@@ -139,10 +150,11 @@ def undecided(record: UnitRecord) -> bool:
 
 
 def may_become_explained(record: UnitRecord, view: TrackerView) -> bool:
-    """Whether a pressure unit may become ERROR soon: it is WARN, or its newest measurement is above the limit."""
+    """Whether a pressure unit may become ERROR soon: it is WARN and not falling, or its newest measurement is above the limit."""
     latest = [other.latest for other in pressure_units(record, view) if other.latest is not None]
     return any(
-        (result.level is Level.WARN and result.condition not in FORECASTS) or result.evidence.rising
+        (result.level is Level.WARN and result.condition not in FORECASTS and not result.evidence.falling)
+        or result.evidence.rising
         for result in latest
     )
 
@@ -172,26 +184,48 @@ def outlasted(record: UnitRecord, now: float) -> bool:
     )
 
 
-def observe(record: UnitRecord, now: float) -> bool:
-    """Record the latest result of a pressure unit. Return whether starvation began or ended."""
+def observe(record: UnitRecord, now: float) -> Change:
+    """Record the latest result of a pressure unit: it explains symptoms until RECOVERY_S after its newest measurement above the
+    limit, however long its report goes on.
+    """
     was, latest = record.starving, record.latest
     assert latest is not None
     if latest.level is Level.ERROR and latest.condition in WAITING | {"pids_limit"}:
-        record.starving = Starvation(was.since if was is not None else now, now, latest.condition)
-    elif latest.level is not Level.STALE or (was is not None and now - was.seen >= UNKNOWN_PRESSURE_S):
+        eased = (was.eased or now) if was is not None and latest.evidence.falling else None
+        lasts = not latest.evidence.falling if eased is None else now - eased < RECOVERY_S
+        since = was.since if was is not None else now
+        record.starving = Starvation(since, now, latest.condition, eased) if lasts else None
+        return _change(was, record.starving, now if eased is None else eased)
+    if latest.level is not Level.STALE or (was is not None and now - was.seen >= UNKNOWN_PRESSURE_S):
         record.starving = None
-    return (was is None) != (record.starving is None)
+    return _change(was, record.starving, now if was is None or was.eased is None else was.eased)
 
 
-def ended(record: UnitRecord, pressure_unit: str, now: float) -> None:
-    """The starvation is over: earlier symptoms do not count, and new ones have time to disappear."""
-    record.pressure_unit, record.symptoms_count_from = pressure_unit, now
-    record.symptom_grace_until = now + max(record.spec.unit.grace_s, RECOVERY_S)
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What a result of a pressure unit has changed. eased: since when nothing waits (monotonic seconds), of a starvation that ended."""
+
+    began: bool = False
+    ended: bool = False
+    eased: float = 0.0
+
+
+def _change(was: Starvation | None, now: Starvation | None, eased: float) -> Change:
+    return Change(was is None and now is not None, was is not None and now is None, eased)
+
+
+def ended(record: UnitRecord, pressure_unit: str, eased: float) -> None:
+    """The starvation is over since `eased`: earlier symptoms do not count, and new ones have time to disappear."""
+    record.pressure_unit = pressure_unit
+    record.symptoms_count_from = max(record.symptoms_count_from, eased)
+    record.symptom_grace_from = max(record.symptom_grace_from, eased)
     record.pending = record.ok_since = None
 
 
 def recovering(record: UnitRecord, now: float) -> bool:
     """Whether the unit's latest result is a symptom that may still follow from a past starvation."""
-    if record.latest is None or explanation(record.latest) is None:
+    symptom = explanation(record.latest) if record.latest is not None else None
+    if record.latest is None or symptom is None:
         return False
-    return now < record.symptom_grace_until or record.started - record.latest.age_s < record.symptoms_count_from
+    until = record.symptom_grace_from + symptom.recovery_s(record.spec.unit.grace_s)
+    return now < until or record.started - record.latest.age_s < record.symptoms_count_from

@@ -350,17 +350,16 @@ class Tracker:
 
     def _note_starvation(self, record: UnitRecord, now: Stamp, effects: Effects) -> None:
         """A pressure unit has a new result: evaluate symptoms that wait for it, and all symptoms if starvation began or ended."""
-        changed = starvation.observe(record, now.mono)
-        ended = changed and record.starving is None
+        change = starvation.observe(record, now.mono)
         # All are marked before the first is evaluated, because units depend on each other.
-        for other in self._view.starved[record.id] if ended else ():
-            starvation.ended(other, record.id, now.mono)
+        for other in self._view.starved[record.id] if change.ended else ():
+            starvation.ended(other, record.id, change.eased)
         for other in self._view.starved[record.id]:
             if other.latest is None or not other.latest.level.bad:
                 continue
-            if ended:
+            if change.ended:
                 effects.rerun.add(other.id)
-            if changed or other.pending is not None:
+            if change.began or change.ended or other.pending is not None:
                 self._evaluate(other, now, effects)
 
     def _recovered(self, record: UnitRecord, result: Result, now: Stamp, effects: Effects) -> None:
@@ -385,7 +384,7 @@ class Tracker:
         record.ok_since = now.mono if record.ok_since is None else record.ok_since
         if now.mono - record.ok_since >= max(GRACE_ENDS_AFTER_OK_S, record.spec.unit.memory_s):
             record.grace_until = min(record.grace_until, now.mono)
-            record.symptom_grace_until = min(record.symptom_grace_until, now.mono)
+            record.symptom_grace_from = NEVER
 
     def _attribute(self, record: UnitRecord, result: Result, cause: str, now: Stamp, effects: Effects) -> None:
         self._faults.close(record, Outcome.REATTRIBUTED, cause, now, effects)

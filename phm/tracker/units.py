@@ -72,11 +72,14 @@ class Pending:
 
 @dataclass(frozen=True, slots=True)
 class Starvation:
-    """A resource shortage at a pressure unit: since when, last confirmed when (monotonic seconds), and its condition."""
+    """A resource shortage at a pressure unit: since when, last confirmed when (monotonic seconds), and its condition. eased: since when
+    the measurements are below the limit, while the unit still reports the shortage; None: they are not.
+    """
 
     since: float
     seen: float
     condition: str
+    eased: float | None = None
 
 
 @dataclass(slots=True)
@@ -117,8 +120,8 @@ class UnitRecord:
     """The pressure unit that last affected it."""
     symptoms_count_from: float = NEVER
     """When starvation last ended: symptoms with older evidence do not count."""
-    symptom_grace_until: float = NEVER
-    """Until then symptoms may still follow from the starvation."""
+    symptom_grace_from: float = NEVER
+    """The same until the unit was OK for a while: since then symptoms have time to disappear."""
     conditions: set[str] = field(default_factory=set)
     """Conditions of its faults since it was last OK: giving up on one must not hide another."""
 

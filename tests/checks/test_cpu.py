@@ -69,6 +69,19 @@ def test_use_that_does_not_last_yet_is_reported_to_the_tracker_as_rising() -> No
     assert not bench.look(cpu_percent=100.0, waiting_percent=WAITING_PERCENT - 1).evidence.rising
 
 
+def test_an_alarm_that_only_has_not_ended_yet_is_reported_to_the_tracker_as_falling() -> None:
+    """It goes on for STAYS_S after the last burst, and explains symptoms no longer than these need."""
+    bench = Bench()
+    bench.looks(2.0, **BUSY)
+    damped = bench.looks(STAYS_S - 2.0, **CALM)
+    assert {result.level for result in damped} == {api.Level.ERROR}
+    assert all(result.evidence.falling for result in damped)
+    burst = bench.look(**BUSY)
+    assert (burst.level, burst.evidence.falling) == (api.Level.ERROR, False)
+    ended = bench.looks(STAYS_S + 1.0, **CALM)[-1]
+    assert (ended.level, ended.evidence.falling) == (api.Level.OK, False)
+
+
 @pytest.mark.parametrize(
     "fields",
     [
