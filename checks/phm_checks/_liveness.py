@@ -104,6 +104,8 @@ class NodeVerdict:
     witnessed: bool = False
     """The node was in the graph or had a process in this container generation, and the engine reports that its process or its container
     has ended or is stopped, or the node reports that its executor has been blocked for CERTAIN_HANG_S: a delay cannot look like that."""
+    certain: bool = False
+    """The engine reports that its process has ended or is stopped, and its start is over: it does not come back by waiting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,8 @@ def fuse(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
     pieces = sorted(case.of.values(), key=lambda piece: (piece.kind is not decisive, piece.kind))
     bad = state in (NodeState.DEAD, NodeState.HUNG)
     witnessed = bad and (decisive in (Kind.CONTAINER, Kind.PROCESS) or _certainly_blocked(case))
-    return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed)
+    certain = bad and decisive is Kind.PROCESS and not past.starting
+    return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed, certain)
 
 
 def container(case: Findings) -> RuleResult:

@@ -195,7 +195,8 @@ class Nodes(api.Check):
         level, words, short, condition = self._words(node, judgement, fact, why, world)
         values: dict[str, api.Value] = {"listed": node.graph.count, "process": process}
         known = api.Evidence(
-            certain=judgement.state is NodeState.NEVER_STARTED and table is not None and table.not_started(name),
+            certain=judgement.certain
+            or (judgement.state is NodeState.NEVER_STARTED and table is not None and table.not_started(name)),
             conclusive=judgement.witnessed or judgement.state is NodeState.DUPLICATE,
             listed=node.graph.count,
         )

@@ -66,7 +66,8 @@ class Verification:
     """The verification of one action that ended at `done` (monotonic seconds). Pure.
 
     The unit itself has `verify_s` to recover: less if it is certainly still bad, more while its check reports that only time
-    can show the result (a HEALTHCHECK that is `starting`). Dependents have their grace. Only check runs that began
+    can show the result (a HEALTHCHECK that is `starting`). Dependents have their grace, unless one cannot come back by waiting
+    (`Evidence.certain`: its process has ended, for instance). Only check runs that began
     `verify_after_s` after the action count; that time, `still_bad_after_s` and `dependents_within_s` are set by the action
     (`phm.recovery.base.Action`).
     """
@@ -124,10 +125,23 @@ class Verification:
         starved = self.starved and self._may_be_starvation(checks)
         if starved and checks.active_pressure(self.unit):
             more_s = max(more_s, STARVED_S)
-        if now - self.done <= longest_s + (more_s if starved else 0.0):
+        lost = self._lost(checks, counts_from)
+        if not lost and now - self.done <= longest_s + (more_s if starved else 0.0):
             return None
-        missing = self.waiting[0]
+        missing = lost or self.waiting[0]
         return VerificationResult(missing=missing, partly=missing != self.unit, not_counted=starved)
+
+    def _lost(self, checks: CheckResults, counts_from: float) -> str:
+        """The first unit that does not come back by waiting, by a run that began STILL_BAD_S after results count; empty: none."""
+        results = ((name, checks.newest(name, counts_from + STILL_BAD_S)) for name in self.waiting)
+        return next(
+            (
+                name
+                for name, newest in results
+                if newest is not None and newest.level is Level.ERROR and newest.evidence.certain
+            ),
+            "",
+        )
 
     def _may_be_starvation(self, checks: CheckResults) -> bool:
         """Whether starvation can explain that the first unit has not recovered. It cannot where a network is detached, for

@@ -17,7 +17,8 @@ UNKNOWN_NEED_S = 10.0
 """How long a bad result waits for a dependency that is STALE."""
 NETWORK, ENDED = "network/", "node_missing"
 """Units of networks, and the condition of a node that has ended: with conclusive evidence it is known from the Docker
-Engine, and no consequence of a network. Other conclusive results may be one, of a node that runs: its source may be on that network."""
+Engine, and no consequence of a network. So is a result with certain evidence. Other conclusive results may be one, of a node that runs:
+its source may be on that network."""
 GRACE_ENDS_AFTER_OK_S = 2.5
 """Grace ends early once a unit has been OK for this long. Shorter could be a remnant of the previous run (a killed node stays
 listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
@@ -105,7 +106,7 @@ def blocked(context: RuleContext) -> Decision | None:
 
     An open fault of the unit is closed as reattributed. If the cause is not published yet, because it is in grace or may follow
     from starvation, only once that is decided. Dependencies that are bad by starvation alone are handled by rule 5. A network
-    does not explain that a process has ended: that is a separate fault, also behind a lost network.
+    does not explain that a process has ended or is stopped: that is a separate fault, also behind a lost network.
     """
     cause = _cause(context)
     if not cause:
@@ -263,7 +264,8 @@ def _cause(context: RuleContext, *, by_starvation: bool = False) -> str:
 
     If recovery works on that one, the unit whose fault is being recovered.
     """
-    ended = context.result.evidence.conclusive and context.result.condition == ENDED
+    evidence = context.result.evidence
+    ended = evidence.certain or (evidence.conclusive and context.result.condition == ENDED)
     for other in context.view.upstream(context.record.id):
         if ended and other.id.startswith(NETWORK):
             continue

@@ -53,6 +53,34 @@ def test_only_evidence_from_its_process_is_conclusive() -> None:
     assert (dead.condition, dead.evidence.conclusive) == ("node_missing", True)
 
 
+@pytest.mark.parametrize("processes", [(MAIN,), (MAIN, replace(ONE, state="T"))], ids=["ended", "stopped"])
+def test_a_process_that_was_lost_after_its_start_does_not_come_back_by_waiting(
+    processes: tuple[api.ProcessFact, ...],
+) -> None:
+    """So it counts during the grace after another recovery. While its container starts, a launcher may replace processes."""
+    bench = rated()
+    bench.after(3.0)
+    bench.processes(*processes)
+    bench.ros.change(topics=active_topic(0.5))
+    assert bench.after(1.0).evidence.certain
+    bench.restart_container(MAIN, ONE)
+    bench.ros.change(topics=active_topic())
+    bench.after(3.0)
+    bench.processes(*processes)
+    bench.ros.change(topics=active_topic(0.5))
+    lost = bench.after(2.0)
+    assert (lost.level, lost.evidence.conclusive, lost.evidence.certain) == (api.Level.ERROR, True, False)
+
+
+def test_a_node_that_only_left_the_graph_may_come_back_by_waiting() -> None:
+    """Its process runs: leases expire on a busy machine."""
+    bench = rated()
+    bench.after(3.0)
+    bench.ros.change(nodes={}, topics=active_topic(9.0))
+    left = bench.after(8.0)
+    assert (left.condition, left.evidence.certain) == ("node_missing", False)
+
+
 def test_a_killed_node_is_dead_as_soon_as_its_beacon_is_late() -> None:
     """Two missed heartbeats trigger a process list, which proves it."""
     bench = Bench()

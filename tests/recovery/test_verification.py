@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from phm.api import Result, error
-from phm.recovery.verification import STARVED_S, Verification, VerificationResult
+from phm.core.model import Evidence
+from phm.recovery.verification import STARVED_S, STILL_BAD_S, Verification, VerificationResult
 
 GRACE_S = 3.0
 
@@ -70,6 +71,27 @@ def test_dependents_are_waited_for_as_long_as_the_action_states(
     proving = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=dependents_within_s)
     assert proving.result(Alone(0.0), longest_s) is None
     assert proving.result(Alone(0.0), longest_s + 0.1) == VerificationResult(missing="nodes/one", partly=True)
+
+
+class Lost(Alone):
+    """Of the dependents, the second cannot come back by waiting; its newest run began at `started`."""
+
+    def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
+        return ("nodes/one", "nodes/two")
+
+    def newest(self, unit: str, mono: float) -> Result | None:
+        found = error("process ended", brief="dead", condition="node_missing")
+        certain = unit == "nodes/two"
+        return found.with_evidence(Evidence(certain=certain)) if self.started >= mono else None
+
+
+def test_a_dependent_that_does_not_come_back_by_waiting_is_not_waited_for() -> None:
+    """A node whose process had ended before its container was unpaused: the next step is due now, not after the grace of a start."""
+    proving = Verification("container/app", 0.0, 1.0, 30.0, lambda unit: GRACE_S)
+    assert proving.result(Lost(STILL_BAD_S + 0.9), STILL_BAD_S + 1.0) is None
+    assert proving.result(Lost(STILL_BAD_S + 1.0), STILL_BAD_S + 1.1) == VerificationResult(
+        missing="nodes/two", partly=True
+    )
 
 
 class Unseen(Silent):

@@ -48,6 +48,23 @@ def test_a_lost_network_hides_silence_but_not_an_ended_process() -> None:
     assert bench.blocked_by("nodes/n") == "container/app"
 
 
+def test_a_lost_network_does_not_hide_a_stopped_process() -> None:
+    """The engine lists its state; no network has sent it a signal."""
+    stopped = error("process stopped", brief="hung", condition="node_hung").with_evidence(
+        Evidence(certain=True, conclusive=True)
+    )
+    bench = Bench([unit("container/app"), unit("network/app", "container/app"), unit("nodes/n", "network/app")])
+    bench.all_well()
+    bench.now += 1
+    for _ in range(2):
+        bench.see("network/app", BAD)
+        bench.see("nodes/n", stopped)
+        bench.see("container/app", OK)
+        bench.see("network/app", BAD)
+        bench.now += 1
+    assert bench.opened == ["network/app", "nodes/n"]
+
+
 def test_a_lost_network_hides_what_a_running_node_reports() -> None:
     """It is conclusive that a node repeats old data or has no input, but its camera may be on that network: one cause, one alarm."""
     frozen = error("frozen", brief="frozen", condition="data_frozen").with_evidence(Evidence(conclusive=True))
