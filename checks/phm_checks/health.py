@@ -10,6 +10,10 @@ from phm.api import Slot
 from phm_checks._per_container import PerContainer
 from phm_checks._text import brief, clean, span
 
+UNDISTURBED_S = 5.0
+"""A probe that failed although nothing had delayed it for this long counts, whatever delayed it before: the time that symptoms of
+starvation have to disappear (docs/development/architecture.md)."""
+
 
 class Health(PerContainer):
     """Docker's health state of the container."""
@@ -19,7 +23,7 @@ class Health(PerContainer):
     def __init__(self, entry: api.ContainerSettings) -> None:
         super().__init__(entry)
         self._probed: object = None
-        self._looked_at = self._newer_than = float("-inf")
+        self._looked_at = self._shown_from = float("-inf")
 
     @classmethod
     def wanted(cls, entry: api.ContainerSettings) -> bool:
@@ -31,7 +35,7 @@ class Health(PerContainer):
 
     def run(self, world: api.World) -> api.Result:
         fact = world.docker.container(self.key)
-        began_at = self._note_probe(fact, world.clock.mono())
+        shown_from = self._note_probe(fact, world.clock.mono())
         if fact is None or not fact.running:
             return api.stale(f"health of {self.key} is unknown while it is not running")
         output = clean(fact.health_output)
@@ -52,7 +56,7 @@ class Health(PerContainer):
                 target=self.key,
                 **values,
             )
-            return replace(unhealthy, age_s=world.clock.mono() - began_at)
+            return replace(unhealthy, age_s=world.clock.mono() - shown_from)
         if fact.health == "starting":
             decides_s = fact.healthcheck.decides_s if fact.healthcheck is not None else None
             within = f", which may take {span(decides_s)} from its start" if decides_s is not None else ""
@@ -61,16 +65,17 @@ class Health(PerContainer):
         return self._none(values)
 
     def _note_probe(self, fact: api.ContainerFact | None, now: float) -> float:
-        """Earliest possible start of the engine's newest probe, in monotonic seconds; -inf if before PHM's first look.
+        """From when on the engine's newest probe shows the state of the container, at the earliest: the last UNDISTURBED_S of the
+        probe, in monotonic seconds; -inf if that is before PHM's first look.
 
         A failed probe increases the streak. It ended after PHM's previous look and may have taken its entire timeout.
         """
         probed = None if fact is None else (fact.generation, fact.health, fact.health_streak)
         if probed != self._probed:
             timeout_s = fact.healthcheck.timeout_s if fact is not None and fact.healthcheck is not None else 0.0
-            self._probed, self._newer_than = probed, self._looked_at - timeout_s
+            self._probed, self._shown_from = probed, self._looked_at - min(timeout_s, UNDISTURBED_S)
         self._looked_at = now
-        return self._newer_than
+        return self._shown_from
 
     def _none(self, values: dict[str, api.Value]) -> api.Result:
         if self.entry.healthcheck != "required":

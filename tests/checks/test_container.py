@@ -11,7 +11,7 @@ from phm.facts import HealthcheckFact
 from phm_checks._restart_loop import OTHER_STARTS, STABLE_S, WAIT_S
 from phm_checks.container import Container, code_in_words
 from phm_checks.engine import SETTLE_S, Engine
-from phm_checks.health import Health
+from phm_checks.health import UNDISTURBED_S, Health
 
 
 def build(check: type[api.Check], **entry: Any) -> list[api.Check]:
@@ -350,6 +350,25 @@ def test_unhealthy_has_the_maximum_age_of_its_probe() -> None:
     assert age_s(4) == 2.0 + 3.0
     clock.advance(5.0)
     assert age_s(4) == 10.0
+
+
+def test_a_probe_that_hung_for_long_is_evidence_of_its_last_seconds() -> None:
+    """An overload that was over seconds before the probe timed out does not explain that it hung for half a minute."""
+    (check,) = build(Health)
+    clock, docker = testing.FakeClock(), testing.FakeDocker()
+    slow = HealthcheckFact(interval_s=3.0, timeout_s=30.0, retries=1)
+
+    def look(**fields: Any) -> api.Result:
+        docker.put(testing.container("ros_app", healthcheck=slow, **fields))
+        result = check.run(testing.world(docker=docker, clock=clock))
+        assert isinstance(result, api.Result)
+        return result
+
+    look(health="healthy")
+    clock.advance(20.0)
+    look(health="healthy")
+    clock.advance(10.0)
+    assert look(health="unhealthy", health_streak=1).age_s == 10.0 + UNDISTURBED_S
 
 
 def test_unhealthy_has_streak_and_last_output() -> None:
