@@ -98,9 +98,10 @@ class Host(api.Check):
             )
             shown = f"memory {self._steady.show('memory', used):.0f} %"
             findings.append(self._bad(level, words, shown, "memory_high", values))
+        rising = api.Evidence(rising=self._memory_stalls.rising and stalled is None)
         if not findings:
-            return api.ok(f"Memory at {used:.0f} %", **values)
-        first = api.worst(findings)
+            return api.ok(f"Memory at {used:.0f} %", **values).with_evidence(rising)
+        first = api.worst(findings).with_evidence(rising)
         return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
 
     def _judge_memory_stalls(self, fact: api.HostFact, now: float) -> api.Result | None:
@@ -124,7 +125,8 @@ class Host(api.Check):
         values: dict[str, api.Value] = {"io_stalled_percent": _rounded(fact.io_stalled_percent)}
         if level is Level.OK:
             self._steady.forget("io")
-            return api.ok(f"Tasks wait for disks {fact.io_stalled_percent:.0f} % of the time", **values)
+            words = f"Tasks wait for disks {fact.io_stalled_percent:.0f} % of the time"
+            return api.ok(words, **values).with_evidence(api.Evidence(rising=self._io_stalls.rising))
         words = (
             f"the computer waited for its disks {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/io), expected below "
             f"{self._io_limit.warn:g} %: a slow or worn SD card, or a program that writes more than it can handle; write less, or to "

@@ -15,8 +15,6 @@ from phm.tracker.units import Starvation, TrackerView, UnitRecord
 WAITING = frozenset({"cpu_throttled", "cpu_starved", "cpu_high", "memory_pressure", "io_pressure"})
 """Conditions of pressure units that mean that tasks are stalled. `memory_high` alone does not: memory is used up, but nothing waits."""
 OF_HOST = frozenset({"cpu_high", "memory_pressure", "io_pressure"})
-FORECASTS = frozenset({"memory_filling"})
-"""Conditions of pressure units that say what may come: nothing waits yet."""
 UNKNOWN_PRESSURE_S = 10.0
 """A pressure unit that becomes STALE keeps its last state for this long: an overloaded Docker Engine returns no statistics."""
 BEFORE_PRESSURE_S = 5.0
@@ -108,12 +106,8 @@ EXPLAINED: Mapping[str, Explanation] = {
     "cpu_starved": Explanation(
         "all containers wait when the machine has no core to spare", OF_HOST, settle_s=WARN_WAIT_S
     ),
-    "memory_pressure": Explanation(
-        "the machine reclaims memory from all containers", frozenset({"memory_pressure"}), settle_s=WARN_WAIT_S
-    ),
-    "io_pressure": Explanation(
-        "all containers wait for the same disk", frozenset({"io_pressure"}), settle_s=WARN_WAIT_S
-    ),
+    "memory_pressure": Explanation("the machine reclaims memory from all containers", frozenset({"memory_pressure"})),
+    "io_pressure": Explanation("all containers wait for the same disk", frozenset({"io_pressure"})),
 }
 """What starvation explains, by condition. docs/development/architecture.md has it as a table; a test compares them."""
 
@@ -150,10 +144,15 @@ def undecided(record: UnitRecord) -> bool:
 
 
 def may_become_explained(record: UnitRecord, view: TrackerView) -> bool:
-    """Whether a pressure unit may become ERROR soon: it is WARN and not falling, or its newest measurement is above the limit."""
+    """Whether a pressure unit may soon be ERROR with a condition that explains the symptom: it is WARN with that and not falling, or
+    its newest measurement is above the limit.
+    """
+    symptom = explanation(record.latest) if record.latest is not None else None
+    if symptom is None:
+        return False
     latest = [other.latest for other in pressure_units(record, view) if other.latest is not None]
     return any(
-        (result.level is Level.WARN and result.condition not in FORECASTS and not result.evidence.falling)
+        (result.level is Level.WARN and result.condition in symptom.by and not result.evidence.falling)
         or result.evidence.rising
         for result in latest
     )

@@ -167,6 +167,21 @@ def test_disks_that_stall_the_machine_are_reported_after_a_while() -> None:
     assert bench.looks(12, "host/io", io_stalled_percent=1.0)[-1].level is api.Level.OK
 
 
+@pytest.mark.parametrize(
+    ("unit", "key", "percent"),
+    [("host/io", "io_stalled_percent", 99.0), ("host/memory", "memory_stalled_percent", 25.0)],
+)
+def test_stalls_that_do_not_last_yet_are_reported_to_the_tracker_as_rising(unit: str, key: str, percent: float) -> None:
+    """Containers that wait for the same wait for that; once it is reported, and afterwards, it is not rising."""
+    bench = Stalled()
+    assert not bench.looks(12, unit, **{key: 1.0})[-1].evidence.rising
+    rising = bench.looks(3, unit, **{key: percent})[-1]
+    assert (rising.level, rising.evidence.rising) == (api.Level.OK, True)
+    reported = bench.looks(12, unit, **{key: percent})[-1]
+    assert (reported.level.bad, reported.evidence.rising) == (True, False)
+    assert not bench.looks(12, unit, **{key: 1.0})[-1].evidence.rising
+
+
 def test_a_kernel_without_psi_is_a_bypass() -> None:
     """Raspberry Pi OS without `psi=1`: the slot is not yellow."""
     result = Stalled().looks(12, "host/io", io_stalled_percent=None)[-1]

@@ -144,6 +144,34 @@ def test_a_measurement_above_the_limit_delays_a_symptom_before_there_is_a_warnin
     assert made.blocked_by("rates/x") == "host/cpu"
 
 
+@pytest.mark.parametrize("condition", ["memory_high", "memory_filling"])
+def test_a_warning_that_explains_nothing_delays_nothing(condition: str) -> None:
+    """Memory that is used up is not waited for: on a small computer such a warning may last for the entire flight."""
+    made = Bench([unit("host/memory"), unit("rates/x", starved_by=("host/memory",))])
+    made.all_well()
+    full = warn("memory at 86 %", brief="memory 86 %", condition=condition)
+    made.see("host/memory", full)
+    made.later(0.1)
+    made.see("rates/x", SLOW)
+    made.see("host/memory", full)
+    assert made.opened == ["rates/x"]
+
+
+@pytest.mark.parametrize("condition", ["memory_pressure", "io_pressure"])
+def test_a_container_waits_for_the_host_only_while_that_is_rising(condition: str) -> None:
+    """The computer waits for the same resource: one alarm, there. Where it does not, the container is the cause, immediately."""
+    of_app = error("app waits", brief="app waits", condition=condition)
+    made = Bench([unit("host/x"), unit("pressure/app", starved_by=("host/x",))])
+    made.all_well()
+    made.later(0.1)
+    made.see("pressure/app", of_app)
+    made.see("host/x", OK.with_evidence(Evidence(rising=True)))
+    made.later(WARN_WAIT_S - 0.5)
+    assert made.opened == []
+    made.see("host/x", OK)
+    assert made.opened == ["pressure/app"]
+
+
 def test_a_measurement_above_the_limit_delays_no_longer_than_a_warning() -> None:
     """A symptom waits WARN_WAIT_S for its cause, then it is a separate fault."""
     made = bench()
