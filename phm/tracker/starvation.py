@@ -190,34 +190,34 @@ def observe(record: UnitRecord, now: float) -> Change:
     was, latest = record.starving, record.latest
     assert latest is not None
     if latest.level is Level.ERROR and latest.condition in WAITING | {"pids_limit"}:
-        eased = (was.eased or now) if was is not None and latest.evidence.falling else None
-        lasts = not latest.evidence.falling if eased is None else now - eased < RECOVERY_S
+        below_from = (was.below_from or now) if was is not None and latest.evidence.falling else None
+        lasts = not latest.evidence.falling if below_from is None else now - below_from < RECOVERY_S
         since = was.since if was is not None else now
-        record.starving = Starvation(since, now, latest.condition, eased) if lasts else None
-        return _change(was, record.starving, now if eased is None else eased)
+        record.starving = Starvation(since, now, latest.condition, below_from) if lasts else None
+        return _change(was, record.starving, now if below_from is None else below_from)
     if latest.level is not Level.STALE or (was is not None and now - was.seen >= UNKNOWN_PRESSURE_S):
         record.starving = None
-    return _change(was, record.starving, now if was is None or was.eased is None else was.eased)
+    return _change(was, record.starving, now if was is None or was.below_from is None else was.below_from)
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What a result of a pressure unit has changed. eased: since when nothing waits (monotonic seconds), of a starvation that ended."""
+    """What a result of a pressure unit has changed. below_from: since when nothing waits (monotonic seconds), of a starvation that ended."""
 
     began: bool = False
     ended: bool = False
-    eased: float = 0.0
+    below_from: float = 0.0
 
 
-def _change(was: Starvation | None, now: Starvation | None, eased: float) -> Change:
-    return Change(was is None and now is not None, was is not None and now is None, eased)
+def _change(was: Starvation | None, now: Starvation | None, below_from: float) -> Change:
+    return Change(was is None and now is not None, was is not None and now is None, below_from)
 
 
-def ended(record: UnitRecord, pressure_unit: str, eased: float) -> None:
-    """The starvation is over since `eased`: earlier symptoms do not count, and new ones have time to disappear."""
+def ended(record: UnitRecord, pressure_unit: str, below_from: float) -> None:
+    """The starvation is over since `below_from`: earlier symptoms do not count, and new ones have time to disappear."""
     record.pressure_unit = pressure_unit
-    record.symptoms_count_from = max(record.symptoms_count_from, eased)
-    record.symptom_grace_from = max(record.symptom_grace_from, eased)
+    record.symptoms_count_from = max(record.symptoms_count_from, below_from)
+    record.symptom_grace_from = max(record.symptom_grace_from, below_from)
     record.pending = record.ok_since = None
 
 

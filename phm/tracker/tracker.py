@@ -353,7 +353,7 @@ class Tracker:
         change = starvation.observe(record, now.mono)
         # All are marked before the first is evaluated, because units depend on each other.
         for other in self._view.starved[record.id] if change.ended else ():
-            starvation.ended(other, record.id, change.eased)
+            starvation.ended(other, record.id, change.below_from)
         for other in self._view.starved[record.id]:
             if other.latest is None or not other.latest.level.bad:
                 continue

@@ -72,14 +72,14 @@ class Pending:
 
 @dataclass(frozen=True, slots=True)
 class Starvation:
-    """A resource shortage at a pressure unit: since when, last confirmed when (monotonic seconds), and its condition. eased: since when
+    """A resource shortage at a pressure unit: since when, last confirmed when (monotonic seconds), and its condition. below_from: since when
     the measurements are below the limit, while the unit still reports the shortage; None: they are not.
     """
 
     since: float
     seen: float
     condition: str
-    eased: float | None = None
+    below_from: float | None = None
 
 
 @dataclass(slots=True)
