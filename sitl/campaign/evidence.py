@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from phm.core.settings import HostSettings, PressureSettings, RosSettings
+from phm_checks import _data_path, _endpoint_history, pressure, topics
 from sitl.campaign.metrics import Figures, OfClass
 
 RATIO = 2.0
@@ -12,7 +14,18 @@ _DATA_PATH = (
     "all nodes of the container must be silent for 1 s and again 0.4 s later (3 s without beacons): one lost message "
     "or a busy machine is not a blocked network"
 )
-_FIVE_PERIODS = "five periods without a message, measured once a second: fewer would raise alarms for lost samples"
+_SILENCE = "a topic may pause for `ros.silence`, for less where it never paused for long: lost samples are not a fault"
+_REMADE = f"a node may recreate its endpoint: {_endpoint_history.SETTLE_S:g} s where the node ran on meanwhile, else {topics.SETTLE_S:g} s"
+_WINDOW = (
+    "the container's counters are compared over `pressure.window`, once a second: a start or a burst is not a fault"
+)
+_DISK = f"waiting for the disk is measured over {pressure.IO_S:g} s, once a second: a burst of writes is not a fault"
+_PIDS = "the container's counters are read once a second"
+_FULL_CPU = "the CPU must be full for `host.cpu_quick`, measured once a second: shorter peaks are normal"
+SNAPSHOTS_S = 0.5
+"""Two snapshots of the ROS graph, which come four times a second: the evidence may just miss the first."""
+READ_S = 1.0
+"""Counters of the kernel are read once a second."""
 _EXECUTOR = "an executor must not have run for 5 s while its process uses no CPU: a long callback is not a fault"
 _PROCESS = (
     "PHM asks the engine for the processes when more than two heartbeats of a beacon, one every 0.2 s, are missing: it "
@@ -34,13 +47,43 @@ class Explanation:
     up_to: float
 
 
+@dataclass(frozen=True)
+class Wait:
+    """A wait that follows from the configuration or a constant of PHM. limit_s: the fault's limit, on average; waits_s: how long PHM
+    waits after its evidence, at the longest.
+    """
+
+    words: str
+    limit_s: float
+    waits_s: float
+
+    @property
+    def explanation(self) -> Explanation:
+        return Explanation(self.words, round((self.limit_s + self.waits_s) / self.limit_s, 1))
+
+
+_DATA_PATH_S = _data_path.SOON_S + _data_path.CONFIRM_S + SNAPSHOTS_S
+_WINDOW_S = PressureSettings().window + READ_S
+WAITS = {
+    "address_silent": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
+    "cpu_limited": Wait(_WINDOW, 0.25, _WINDOW_S),
+    "disk_slow": Wait(_DISK, 1.0, pressure.IO_S + READ_S),
+    "host_overload": Wait(_FULL_CPU, 2.0, HostSettings().cpu_quick + READ_S),
+    "memory_tight": Wait(_WINDOW, 1.0, _WINDOW_S),
+    "network_blocked": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
+    "pids_exhausted": Wait(_PIDS, 0.1, READ_S),
+    "subscriber_lost": Wait(_REMADE, 0.3, topics.SETTLE_S + SNAPSHOTS_S),
+    "topic_silent": Wait(_SILENCE, 0.1, RosSettings().silence + SNAPSHOTS_S),
+}
+"""By fault."""
 EXPLANATIONS = {
-    "address_silent": Explanation(_DATA_PATH, 10),
+    **{name: wait.explanation for name, wait in WAITS.items()},
     "autopilot_reboot": Explanation(_HEARTBEATS, 6),
     "autopilot_silent": Explanation(_HEARTBEATS, 6),
     "callback_blocked": Explanation(_EXECUTOR, 70),
     "container_killed": Explanation(_REMOVAL, 8),
     "container_stopped": Explanation(_REMOVAL, 8),
+    "crash_loop": Explanation(_REMOVAL, 8),
     "cpu_hog": Explanation("two seconds of full use: shorter peaks are normal", 3.5),
     "disk_full": Explanation("the free share is read once a second", 3),
     "executor_deadlocked": Explanation(_EXECUTOR, 70),
@@ -53,7 +96,6 @@ EXPLANATIONS = {
     "memory_full": Explanation("measured from the order to fill it, and filling 2 GB takes most of the time", 3),
     "memory_leak": Explanation(_PROCESS, 8),
     "netns_owner_killed": Explanation(_REMOVAL, 8),
-    "network_blocked": Explanation(_DATA_PATH, 10),
     "node_duplicate": Explanation(
         "a restarted node may overlap with the old one for 2 s, unless both send beacons", 25
     ),
@@ -65,10 +107,10 @@ EXPLANATIONS = {
     "peer_split": Explanation(_HEARTBEATS, 5),
     "phm_killed": Explanation(_PHM_DOWN, 30),
     "phm_killed_in_restart": Explanation(_PROCESS, 8),
+    "phm_state_noise": Explanation(_PHM_DOWN, 30),
     "power_loss": Explanation(_PHM_DOWN, 50),
     "router_killed": Explanation(_REMOVAL, 8),
     "sigterm_ignored": Explanation(_PROCESS, 8),
-    "topic_silent": Explanation(_FIVE_PERIODS, 20),
     "topic_slow": Explanation(
         "a rate must be wrong in two measurements, made once a second: jitter is not a fault", 12
     ),

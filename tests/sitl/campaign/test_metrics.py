@@ -9,8 +9,9 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, strategies as st
 
+from phm.core.settings import RosSettings
 from sitl.campaign import uptime
-from sitl.campaign.evidence import EXPLANATIONS, UNEXPLAINED, compared
+from sitl.campaign.evidence import EXPLANATIONS, SNAPSHOTS_S, UNEXPLAINED, WAITS, compared
 from sitl.campaign.fault_catalog import explained
 from sitl.campaign.fault_rows import unexplained
 from sitl.campaign.groups import groups
@@ -287,6 +288,20 @@ def test_an_explanation_holds_up_to_its_ratio() -> None:
         (group,) = groups([trial(injections=[found], alarms=[alarm(after)])])
         assert compared(group.all)[0].words.endswith(words)
         assert len(unexplained(group)) == (words == UNEXPLAINED)
+
+
+@pytest.mark.parametrize("fault", sorted(WAITS))
+def test_the_ratio_of_a_wait_follows_from_the_limit_of_the_fault(fault: str) -> None:
+    """And from the configuration: the measured time is nowhere in it."""
+    each = all_faults()[fault]
+    assert each.evidence_s is not None
+    assert WAITS[fault].limit_s == pytest.approx(max(each.evidence_s - each.evidence_period_s / 2, FLOOR_S))
+
+
+def test_a_topic_may_pause_for_as_long_as_the_shipped_configuration_allows() -> None:
+    """The explanation of its detection holds as long as that, two snapshots of the graph and the limit."""
+    allowed_s = RosSettings().silence + SNAPSHOTS_S
+    assert EXPLANATIONS["topic_silent"].up_to == pytest.approx((0.1 + allowed_s) / 0.1)
 
 
 @pytest.mark.parametrize(
