@@ -72,16 +72,19 @@ pythons() {
 
 # The Python that the project's own environment is made with. Debian's lacks venv until python3-venv is installed.
 best_python() {
-  local version path
+  local version path found
+  found=$(pythons) # all of it: a reader that returns early would end its writer with an error message
   while read -r version path; do
+    [[ -n $path ]] || continue
     if "$path" -c 'import ensurepip, venv' 2>/dev/null; then
       printf '%s' "$path"
       return
     fi
-  done < <(pythons)
+  done <<<"$found"
   can_install || fail "no Python 3.10 to 3.13 with venv was found: install python3 and python3-venv."
   apt_install python3 python3-venv
-  read -r version path < <(pythons) || fail "this release has no Python 3.10 to 3.13: install one of them."
+  found=$(pythons)
+  read -r version path <<<"$found" && [[ -n $path ]] || fail "this release has no Python 3.10 to 3.13: install one of them."
   printf '%s' "$path"
 }
 
