@@ -44,7 +44,7 @@ class Watched:
 
 
 @dataclass(frozen=True)
-class Judged:
+class EvaluatedStatus:
     """One status and its evaluation. `words`: what is wrong, e.g. `reports ERROR: no image`."""
 
     name: str
@@ -113,17 +113,17 @@ class Diagnostics(api.Check):
 
     def _judge(self, world: api.World, item: Watched, fact: api.RosFact) -> api.Result:
         matching = {name: said for name, said in fact.diagnostics.items() if self._patterns[item.unit].fullmatch(name)}
-        judged = [_judged(name, said, item.entry) for name, said in sorted(matching.items())]
-        healthy = bool(judged) and all(one.level is Level.OK for one in judged)
+        evaluated = [_evaluated(name, said, item.entry) for name, said in sorted(matching.items())]
+        healthy = bool(evaluated) and all(one.level is Level.OK for one in evaluated)
         began_s = self._container_began(world, item.container, healthy)
         # A status received before the container restarted need not come again.
-        judged = [one for one in judged if one.fact.age_s <= world.clock.mono() - began_s]
-        if not judged:
+        evaluated = [one for one in evaluated if one.fact.age_s <= world.clock.mono() - began_s]
+        if not evaluated:
             return self._not_received(item, fact, world.clock.mono() - began_s)
-        worst = min(judged, key=lambda one: _RANK[one.level])
+        worst = min(evaluated, key=lambda one: _RANK[one.level])
         if worst.level is Level.OK:
-            return api.ok(_ok_summary(judged), heard=len(judged))
-        return _bad(worst, judged, item.container)
+            return api.ok(_ok_summary(evaluated), heard=len(evaluated))
+        return _bad(worst, evaluated, item.container)
 
     def _not_received(self, item: Watched, fact: api.RosFact, ran_s: float) -> api.Result:
         """The result without any matching status. `ran_s`: how long its container has run, if known."""
@@ -172,30 +172,34 @@ def _publisher(name: str, settings: api.Settings) -> str:
     return found[0] if len(found) == 1 else ""
 
 
-def _judged(name: str, said: api.DiagnosticFact, entry: api.WatchedDiagnosticSettings) -> Judged:
+def _evaluated(name: str, said: api.DiagnosticFact, entry: api.WatchedDiagnosticSettings) -> EvaluatedStatus:
     if said.age_s - said.not_counted_s > entry.timeout:
         words = f"has sent no status for {span(said.age_s)}, expected at least every {span(entry.timeout)}"
-        return Judged(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", words, "silent")
+        return EvaluatedStatus(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", words, "silent")
     message = clean(said.message) or "no message"
     if said.level == 3:
-        return Judged(name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", f"reports STALE: {message}", "stale")
+        return EvaluatedStatus(
+            name, said, _STALE_IS[entry.when_stale], "diagnostic_stale", f"reports STALE: {message}", "stale"
+        )
     level = _LEVELS.get(said.level, Level.ERROR)
     if level is Level.OK:
-        return Judged(name, said, level)
+        return EvaluatedStatus(name, said, level)
     # As in diagnostic_aggregator: an undefined level is an error.
     shown = level.name if said.level in _LEVELS else f"the unknown level {said.level}"
-    return Judged(name, said, level, f"diagnostic_{level.name.lower()}", f"reports {shown}: {message}", level.name)
+    return EvaluatedStatus(
+        name, said, level, f"diagnostic_{level.name.lower()}", f"reports {shown}: {message}", level.name
+    )
 
 
-def _ok_summary(judged: Sequence[Judged]) -> str:
-    if len(judged) == 1:
-        return f"{clean(judged[0].name, 80)} reports OK: {clean(judged[0].fact.message) or 'no message'}"
-    return f"{len(judged)} statuses report OK: {listed(one.name for one in judged)}"
+def _ok_summary(evaluated: Sequence[EvaluatedStatus]) -> str:
+    if len(evaluated) == 1:
+        return f"{clean(evaluated[0].name, 80)} reports OK: {clean(evaluated[0].fact.message) or 'no message'}"
+    return f"{len(evaluated)} statuses report OK: {listed(one.name for one in evaluated)}"
 
 
-def _bad(worst: Judged, judged: Sequence[Judged], container: str) -> api.Result:
+def _bad(worst: EvaluatedStatus, evaluated: Sequence[EvaluatedStatus], container: str) -> api.Result:
     hardware = f" (hardware id {clean(worst.fact.hardware_id, 60)})" if worst.fact.hardware_id else ""
-    others = [one.name for one in judged if one.level is not Level.OK and one is not worst]
+    others = [one.name for one in evaluated if one.level is not Level.OK and one is not worst]
     more = f" Also not OK: {listed(others)}." if others else ""
     theirs = {clean(key, 60): clean(value, 120) for key, value in list(worst.fact.values.items())[:VALUES]}
     values: dict[str, api.Value] = {
@@ -203,7 +207,7 @@ def _bad(worst: Judged, judged: Sequence[Judged], container: str) -> api.Result:
         "status": clean(worst.name, 120),
         "hardware_id": clean(worst.fact.hardware_id, 120),
         "age_s": round(worst.fact.age_s, 1),
-        "heard": len(judged),
+        "heard": len(evaluated),
         "not_ok": len(others) + 1,
     }
     return api.Result(

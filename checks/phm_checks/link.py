@@ -30,7 +30,7 @@ GRACE_S = 5.0
 SILENT_S = 3.0
 """A router with several recent senders forwards at least their heartbeats, one per second each."""
 TOGETHER_S = 3.0
-GARBLED_S = 20.0
+UNDECODABLE_S = 20.0
 """Bytes per second without one valid frame: the data are not MAVLink at this baud rate."""
 LINE_ERRORS_S = 1.0
 EASE = 0.7
@@ -85,7 +85,7 @@ class Link(api.Check):
             return self._closed(world, link) if self._opened or not starting(world) else _not_yet(link)
         self._opened = True
         self._open_since = world.clock.mono() if self._open_since is None else self._open_since
-        findings = [*self._silent(world, link), *self._garbled(link), *self._line(link), *self._lossy(world, link)]
+        findings = [*self._silent(world, link), *self._undecodable(link), *self._line(link), *self._lossy(world, link)]
         self._was = frozenset(finding.condition for finding in findings)
         values = _values(link)
         if not findings:
@@ -200,15 +200,15 @@ class Link(api.Check):
         """Whether senders had no time yet to be received; reopening the endpoint would only prolong that."""
         return self._open_since is not None and world.clock.mono() - self._open_since < SILENT_S
 
-    def _garbled(self, link: api.LinkFact) -> list[api.Result]:
-        if link.rx_s is None or link.rx_s < GARBLED_S or link.frames_s:
+    def _undecodable(self, link: api.LinkFact) -> list[api.Result]:
+        if link.rx_s is None or link.rx_s < UNDECODABLE_S or link.frames_s:
             return []
         hint = f"its speed ({self.entry.baud} baud) and wiring" if self.entry.serial else "which program sends there"
         return [
             api.error(
                 f"{link.rx_s:.0f} bytes a second arrive on {self.entry.key}, but none are valid MAVLink: check {hint}",
                 brief=brief(f"{self._label}:", "no valid MAVLink"),
-                condition="link_garbled",
+                condition="link_undecodable",
             )
         ]
 

@@ -53,7 +53,7 @@ class Peers(api.Check):
     def _swarm(self, fact: api.SwarmFact) -> api.Result:
         """Faults of several agents, and faults of agents that are not in the configuration."""
         settled = {agent for agent, peer in fact.peers.items() if peer.since_s >= SETTLE_S}
-        found = [*_clashes(fact), *_alone(fact), *self._split(fact)]
+        found = [*_duplicate_ids(fact), *_all_peers_lost(fact), *self._split(fact)]
         if not found:
             others = sorted(settled.difference(self._agents))
             found = [result for agent in others if (result := _agent(agent, fact)).level.bad]
@@ -126,19 +126,19 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
     return api.ok(f"agent {name} is {peer.state}", **values)
 
 
-def _clashes(fact: api.SwarmFact) -> list[api.Result]:
+def _duplicate_ids(fact: api.SwarmFact) -> list[api.Result]:
     if not fact.duplicate_ids:
         return []
     return [
         api.error(
             f"two agents use the id of {_names(fact.duplicate_ids)}, so their reports are mixed up; give each a unique agent.id",
             brief=brief(_names(fact.duplicate_ids, 3), "id used twice"),
-            condition="id_clash",
+            condition="agent_id_duplicate",
         )
     ]
 
 
-def _alone(fact: api.SwarmFact) -> list[api.Result]:
+def _all_peers_lost(fact: api.SwarmFact) -> list[api.Result]:
     """One fault when all others are lost together: the likely cause is this agent's own radio."""
     lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost" and fact.own not in peer.heard_by]
     here = [agent for agent, peer in fact.peers.items() if peer.state != "left"]
@@ -148,7 +148,7 @@ def _alone(fact: api.SwarmFact) -> list[api.Result]:
         api.error(
             f"no heartbeat from any other agent, {_names(lost)} were lost together: check this agent's own link first",
             brief=brief("all peers", "lost"),
-            condition="alone",
+            condition="all_peers_lost",
         )
     ]
 

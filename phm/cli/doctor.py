@@ -13,7 +13,7 @@ from phm.cli.options import config_option, json_option
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from phm.doctor.context import Surroundings
+    from phm.doctor.context import DoctorContext
     from phm.doctor.row import Row
 
 _STYLES = {"ok": "green", "limited": "yellow", "missing": "bold red"}
@@ -32,7 +32,7 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     """
     from phm.doctor.examination import examine
 
-    found = examine(surroundings(config))
+    found = examine(doctor_context(config))
     good = not any(row.state == "missing" for rows in found.values() for row in rows)
     if as_json:
         listed = [{"group": group, **asdict(row)} for group, rows in found.items() for row in rows]
@@ -42,20 +42,20 @@ def command(ctx: click.Context, config: str | None, as_json: bool) -> None:
     ctx.exit(0 if good else 1)
 
 
-def surroundings(config: str | None) -> Surroundings:
+def doctor_context(config: str | None) -> DoctorContext:
     """With the configuration where there is a valid one, else with the defaults."""
     from phm.config import ConfigError, find
     from phm.core.settings import Settings
-    from phm.doctor.context import Surroundings
+    from phm.doctor.context import DoctorContext
     from phm.runtime.configuration import read
 
     if config is None and not find(None).exists():
-        return Surroundings(Settings())
+        return DoctorContext(Settings())
     try:
         good = read(config)
     except ConfigError as error:
-        return Surroundings(Settings(), problem=str(error.problems[0]))
-    return Surroundings(good.settings, good.file)
+        return DoctorContext(Settings(), problem=str(error.problems[0]))
+    return DoctorContext(good.settings, good.file)
 
 
 def _show(found: Mapping[str, Sequence[Row]]) -> None:

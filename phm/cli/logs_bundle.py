@@ -16,7 +16,7 @@ from phm.cli.hold import Duration
 from phm.cli.options import config_option, run_dir_option
 
 if TYPE_CHECKING:
-    from phm.doctor.context import Surroundings
+    from phm.doctor.context import DoctorContext
     from phm.logs.bundle import Bundle
     from phm.logs.deadline import Deadline
     from phm.logs.secrets import Secrets
@@ -61,7 +61,7 @@ def bundle(file: Path, config: str | None, run_dir: str, timeout_s: float) -> No
     from phm.logs.secrets import Secrets
 
     deadline = Deadline(timeout_s)
-    known = _Known(_surroundings(config, deadline), run_dir, Secrets(), deadline)
+    known = _Known(_doctor_context(config, deadline), run_dir, Secrets(), deadline)
     known.look(config)
     try:
         done = made.write(file, known.fill, known.secrets, deadline)
@@ -70,24 +70,24 @@ def bundle(file: Path, config: str | None, run_dir: str, timeout_s: float) -> No
     _show(file, done)
 
 
-def _surroundings(config: str | None, deadline: Deadline) -> Surroundings:
+def _doctor_context(config: str | None, deadline: Deadline) -> DoctorContext:
     """With the defaults where the configuration cannot be read in time."""
-    from phm.cli.doctor import surroundings
+    from phm.cli.doctor import doctor_context
     from phm.core.settings import Settings
-    from phm.doctor.context import Surroundings
+    from phm.doctor.context import DoctorContext
     from phm.logs.deadline import Late
 
     try:
-        return deadline.within(SHARES["settings"], lambda: surroundings(config))
+        return deadline.within(SHARES["settings"], lambda: doctor_context(config))
     except Late as error:
-        return Surroundings(Settings(), problem=f"the configuration: {error}")
+        return DoctorContext(Settings(), problem=f"the configuration: {error}")
 
 
 @dataclass
 class _Known:
     """What is looked at before anything is written, because each part may name secrets of the others."""
 
-    surroundings: Surroundings
+    doctor_context: DoctorContext
     run_dir: str
     secrets: Secrets
     deadline: Deadline
@@ -96,7 +96,7 @@ class _Known:
     missing: list[tuple[str, str]] = field(default_factory=list)
 
     def look(self, config: str | None) -> None:
-        settings = self.surroundings.settings
+        settings = self.doctor_context.settings
         self.secrets.learn_environment((f"{name}={value}" for name, value in os.environ.items()), "environment")
         for url in settings.notify.urls:
             self.secrets.learn_url(url, "URL of notify.urls")
@@ -152,8 +152,8 @@ class _Known:
         from phm.logs import containers
         from phm.logs.deadline import Late
 
-        engine = self.surroundings.engine
-        for container in self.surroundings.settings.containers:
+        engine = self.doctor_context.engine
+        for container in self.doctor_context.settings.containers:
             try:
                 ref, inspected = self.deadline.within(
                     SHARES["containers"], partial(containers.inspected, engine, container)
@@ -180,13 +180,13 @@ class _Known:
         self._status(target)
         self._part(
             "doctor.txt",
-            lambda: _doctor(self.surroundings, self.deadline.left(SHARES["doctor.txt"])),
+            lambda: _doctor(self.doctor_context, self.deadline.left(SHARES["doctor.txt"])),
             lambda text: target.text("doctor.txt", text, urls=True),
             target,
         )
         for key, (_, inspected) in self.containers.items():
             target.tree(f"containers/{made.file_name(key)}/inspect.json", inspected)
-        target.logs(Path(self.surroundings.settings.log.directory))
+        target.logs(Path(self.doctor_context.settings.log.directory))
         for key, (ref, _) in self.containers.items():
             self._container_log(key, ref, target)
 
@@ -205,7 +205,7 @@ class _Known:
 
         self._part(
             f"log of container {key}",
-            lambda: containers.log(self.surroundings.engine, ref),
+            lambda: containers.log(self.doctor_context.engine, ref),
             lambda text: target.text(f"containers/{made.file_name(key)}/log.txt", text),
             target,
         )
@@ -239,12 +239,12 @@ def _versions() -> dict[str, Any]:
     return {"phm": __version__, **system, "packages": packages[:1000]}
 
 
-def _doctor(surroundings: Surroundings, limit_s: float) -> str:
+def _doctor(doctor_context: DoctorContext, limit_s: float) -> str:
     from phm.doctor.examination import LIMIT_S, examine
 
     lines = []
     # A second less: what the other groups found is there although one hangs.
-    for group, rows in examine(surroundings, limit_s=min(LIMIT_S, max(0.1, limit_s - 1.0, limit_s / 2))).items():
+    for group, rows in examine(doctor_context, limit_s=min(LIMIT_S, max(0.1, limit_s - 1.0, limit_s / 2))).items():
         for row in map(asdict, rows):
             remedy = f" -> {row['remedy']}" if row["remedy"] else ""
             lines.append(f"{group}: {row['name']}: {row['state']}: {row['text']}{remedy}")

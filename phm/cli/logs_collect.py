@@ -20,7 +20,7 @@ from phm.wire.text import one_line
 if TYPE_CHECKING:
     from phm.logs.log_collection import CollectedLogs, Collection
     from phm.logs.log_copier import Progress
-    from phm.logs.log_sources import Looked
+    from phm.logs.log_sources import LogSearchResult
 
 ENGINE = "unix:///var/run/docker.sock"
 AT_ONCE = 8
@@ -121,9 +121,9 @@ def _run(
     missing: list[tuple[str, str]] = []
     opened: list[DockerEngine] = []
 
-    def copied(looked: Looked) -> list[CollectedLogs]:
-        missing.extend(looked.missing)
-        return [collection.take(source, bar) for source in looked.found]
+    def copied(result: LogSearchResult) -> list[CollectedLogs]:
+        missing.extend(result.missing)
+        return [collection.take(source, bar) for source in result.found]
 
     def of_engine(url: str) -> list[CollectedLogs]:
         engine = DockerEngine(url, log_sources.LOOK_S)

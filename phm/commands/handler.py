@@ -12,9 +12,9 @@ from phm.core.rate_limiter import RateLimiter
 from phm.wire.command import (
     ApproveAction,
     CommandResult,
-    HoldPlace,
+    HoldContainerAt,
     PlaceRequest,
-    ReleasePlace,
+    ReleaseContainerAt,
     RestartContainer,
     RunChecks,
     container_hash,
@@ -51,7 +51,7 @@ class CommandHandler:
                 return self._run_checks()
             case ApproveAction(fault):
                 return self._approve(fault)
-            case RestartContainer() | HoldPlace() | ReleasePlace():
+            case RestartContainer() | HoldContainerAt() | ReleaseContainerAt():
                 return self._at_place(request, by)
             case HoldContainer(container, for_s, reason):
                 return self._hold(container, for_s, reason, by)
@@ -101,9 +101,9 @@ class CommandHandler:
                 f"container {place} is {name}, not the chosen one: the configuration has changed, list the containers again",
             )
         match request:
-            case HoldPlace(for_s=for_s):
+            case HoldContainerAt(for_s=for_s):
                 return self._hold(name, for_s, "", by)
-            case ReleasePlace():
+            case ReleaseContainerAt():
                 return self._release(name, by)
             case _:
                 return Reply(CommandResult.ACCEPTED, self._services.restart(name, by))

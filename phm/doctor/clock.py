@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from datetime import datetime, timezone
 
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, ok
 from phm.probes.host import clock_synchronized
 
@@ -14,7 +14,7 @@ FIRST_YEAR = 2025
 """An earlier time is that of a machine without a battery-backed clock."""
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
+def rows(context: DoctorContext) -> Iterator[Row]:
     now = datetime.now(timezone.utc)
     shown = f"{now:%Y-%m-%d %H:%M:%S} UTC"
     synchronized = clock_synchronized()

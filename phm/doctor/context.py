@@ -18,7 +18,7 @@ from phm.transport.docker import DockerEngine, EngineMissing
 
 
 @dataclass(slots=True)
-class Surroundings:
+class DoctorContext:
     """Thread-safe. Tests set the places.
 
     settings:      those of a valid configuration, else the defaults.

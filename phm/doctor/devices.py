@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.probes.serial_port_users import users
 from phm.setup.discovery import serial_ports
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
-    dev = surroundings.dev
+def rows(context: DoctorContext) -> Iterator[Row]:
+    dev = context.dev
     if not dev.is_dir():
         yield missing("folder", f"{dev} does not exist", "mount the host's /dev there, or correct host.dev_root")
         return
@@ -20,9 +20,9 @@ def rows(surroundings: Surroundings) -> Iterator[Row]:
     if not ports:
         yield ok("serial ports", "none")
     for path in ports:
-        taken = users(str(dev / path.removeprefix("/dev/")), surroundings.proc)
+        taken = users(str(dev / path.removeprefix("/dev/")), context.proc)
         yield ok(path, f"in use by {', '.join(taken)}" if taken else "present")
-    for entry in surroundings.settings.containers:
+    for entry in context.settings.containers:
         for device in entry.devices:
             there = dev / os.path.relpath(device.path, "/dev")
             if device.path.startswith("/dev/") and not os.path.exists(there):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.facts import CannotTell, NotPermitted
 
@@ -13,8 +13,8 @@ OLDEST_API = (1, 41)
 _PROXY = "allow GET requests at the socket proxy: docs/reference/security.md"
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
-    engine = surroundings.engine
+def rows(context: DoctorContext) -> Iterator[Row]:
+    engine = context.engine
     try:
         version = engine.version()
     except NotPermitted as error:
@@ -25,7 +25,7 @@ def rows(surroundings: Surroundings) -> Iterator[Row]:
     else:
         yield _version(str(version.get("Version") or "of unknown version"), str(version.get("ApiVersion") or ""))
     try:
-        machine = surroundings.machine()
+        machine = context.machine()
     except NotPermitted as error:
         yield limited("rights", str(error), _PROXY)
         return
@@ -35,7 +35,7 @@ def rows(surroundings: Surroundings) -> Iterator[Row]:
     running = [one.name for one in machine.applications if one.fact.running]
     yield ok("rights", "PHM may list and inspect containers")
     yield ok("containers", f"{len(running)} running: {', '.join(running)}" if running else "no application is running")
-    yield from _configured(surroundings)
+    yield from _configured(context)
 
 
 def _version(version: str, api: str) -> Row:
@@ -46,9 +46,9 @@ def _version(version: str, api: str) -> Row:
     return ok("version", text)
 
 
-def _configured(surroundings: Surroundings) -> Iterator[Row]:
-    for entry in surroundings.settings.containers:
-        if entry.name and surroundings.machine().application(entry.name) is None:
+def _configured(context: DoctorContext) -> Iterator[Row]:
+    for entry in context.settings.containers:
+        if entry.name and context.machine().application(entry.name) is None:
             text = f"container {entry.name} of the configuration does not exist"
             yield missing(f"container {entry.key}", text, "start it, or correct its name: `docker ps` lists the names")
 

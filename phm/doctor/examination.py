@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 
 from phm.doctor import clock, devices, engine, kernel, mavlink, permissions, program, ros, storage
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row
 
-Group = Callable[[Surroundings], Iterable[Row]]
+Group = Callable[[DoctorContext], Iterable[Row]]
 
 GROUPS: Mapping[str, Group] = {
     "phm": program.rows,
@@ -29,15 +29,13 @@ LIMIT_S = 20.0
 
 
 def examine(
-    surroundings: Surroundings, groups: Mapping[str, Group] = GROUPS, limit_s: float = LIMIT_S
+    context: DoctorContext, groups: Mapping[str, Group] = GROUPS, limit_s: float = LIMIT_S
 ) -> dict[str, list[Row]]:
     """The rows of each group; a group that hangs or fails has one row that says so. Never raises."""
     found: dict[str, list[Row]] = {}
     threads = []
     for name, group in groups.items():
-        thread = threading.Thread(
-            target=_run, args=(name, group, surroundings, found), name=f"doctor-{name}", daemon=True
-        )
+        thread = threading.Thread(target=_run, args=(name, group, context, found), name=f"doctor-{name}", daemon=True)
         thread.start()
         threads.append(thread)
     end = time.monotonic() + limit_s
@@ -47,8 +45,8 @@ def examine(
     return {name: found.get(name, [late]) for name in groups}
 
 
-def _run(name: str, group: Group, surroundings: Surroundings, found: dict[str, list[Row]]) -> None:
+def _run(name: str, group: Group, context: DoctorContext, found: dict[str, list[Row]]) -> None:
     try:
-        found[name] = list(group(surroundings))
+        found[name] = list(group(context))
     except Exception as error:  # one group must not hide the others
         found[name] = [Row("answer", "limited", f"{type(error).__name__}: {error}", "report this as a defect of PHM")]

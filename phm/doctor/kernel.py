@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, ok
 
 CHILD_LIMIT_S = 10.0
@@ -17,17 +17,17 @@ LEAST_WATCHES, LEAST_INSTANCES = 8192, 128
 _SANDBOX = "from phm.probes.ros import sandbox; print(sandbox.enter())"
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
+def rows(context: DoctorContext) -> Iterator[Row]:
     name = os.uname()
     yield ok("kernel", f"{name.sysname} {name.release}, {name.machine}")
-    yield _cgroups(surroundings)
-    yield _pressure(surroundings.proc)
+    yield _cgroups(context)
+    yield _pressure(context.proc)
     yield _sandbox()
-    yield _inotify(surroundings.proc)
+    yield _inotify(context.proc)
 
 
-def _cgroups(surroundings: Surroundings) -> Row:
-    root = Path(surroundings.environ.get("PHM_CGROUP_ROOT") or surroundings.settings.pressure.cgroups)
+def _cgroups(context: DoctorContext) -> Row:
+    root = Path(context.environ.get("PHM_CGROUP_ROOT") or context.settings.pressure.cgroups)
     if (root / "cgroup.controllers").exists():
         return ok("cgroups", f"version 2 at {root}")
     if (root / "cpu").exists() or (root / "memory").exists():

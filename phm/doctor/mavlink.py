@@ -8,41 +8,41 @@ import socket
 from collections.abc import Iterator
 
 from phm.core.settings import EndpointSettings
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.probes.serial_port_users import users
 from phm.transport.own_network import is_loopback, is_private
 from phm.wire import status_file
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
-    endpoints = surroundings.settings.mavlink.endpoints
+def rows(context: DoctorContext) -> Iterator[Row]:
+    endpoints = context.settings.mavlink.endpoints
     if not endpoints:
         yield ok("endpoints", "none configured: nothing is sent to the ground")
     for endpoint in endpoints:
         if endpoint.serial:
-            yield _serial(endpoint, surroundings)
+            yield _serial(endpoint, context)
         elif endpoint.url.startswith(("udpin", "tcpin")):
-            yield _listening(endpoint, surroundings)
+            yield _listening(endpoint, context)
         else:
             yield _sending(endpoint)
 
 
-def _serial(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
+def _serial(endpoint: EndpointSettings, context: DoctorContext) -> Row:
     path = endpoint.url
     if not os.path.exists(path):
         remedy = f"connect it; in a container, add `devices: [{path}]` to the compose file"
         return missing(endpoint.key, f"{path} does not exist", remedy)
     if not os.access(path, os.R_OK | os.W_OK):
         return missing(endpoint.key, f"{path} may not be opened", "add the group of the port: `phm doctor` lists it")
-    taken = [user for user in users(path, surroundings.proc) if not _running(surroundings)]
+    taken = [user for user in users(path, context.proc) if not _running(context)]
     if taken:
         text = f"{path} is in use by {', '.join(taken)}"
         return limited(endpoint.key, text, "only one program can use a serial port: stop it, or use a MAVLink router")
     return ok(endpoint.key, f"{path} at {endpoint.baud} bit/s")
 
 
-def _listening(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
+def _listening(endpoint: EndpointSettings, context: DoctorContext) -> Row:
     scheme, host, port = _parts(endpoint)
     kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
     try:
@@ -52,7 +52,7 @@ def _listening(endpoint: EndpointSettings, surroundings: Surroundings) -> Row:
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host.strip("[]"), port))
     except OSError as error:
-        if error.errno == errno.EADDRINUSE and _running(surroundings):
+        if error.errno == errno.EADDRINUSE and _running(context):
             return ok(endpoint.key, f"{endpoint.url}: port in use while PHM is running")
         remedy = f"find the other program: ss -lntup 'sport = :{port}'; or use another port"
         return missing(endpoint.key, f"{endpoint.url}: {error.strerror or error}", remedy)
@@ -81,9 +81,9 @@ def _parts(endpoint: EndpointSettings) -> tuple[str, str, int]:
     return scheme, host, int(port)
 
 
-def _running(surroundings: Surroundings) -> bool:
+def _running(context: DoctorContext) -> bool:
     """Whether a healthy PHM of this configuration has the port."""
     try:
-        return not status_file.unhealthy(status_file.read(surroundings.settings.run_dir))
+        return not status_file.unhealthy(status_file.read(context.settings.run_dir))
     except status_file.NoStatus:
         return False

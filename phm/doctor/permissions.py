@@ -6,26 +6,26 @@ import grp
 import os
 from collections.abc import Iterator
 
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.setup.discovery import serial_ports
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
+def rows(context: DoctorContext) -> Iterator[Row]:
     own = sorted({os.getegid(), *os.getgroups()})
     yield ok("user", f"uid {os.geteuid()}, groups {', '.join(map(group_name, own))}")
-    yield from _socket(surroundings)
-    owners = {port.group_id: port.path for port in serial_ports(surroundings.dev)}
+    yield from _socket(context)
+    owners = {port.group_id: port.path for port in serial_ports(context.dev)}
     for number, path in owners.items():
         if os.geteuid() == 0 or number in own:
             yield ok(f"group {group_name(number)}", f"owner of {path}: PHM is a member")
         else:
             text = f"owner of {path}: PHM is not a member, so it cannot open this serial port"
-            yield limited(f"group {group_name(number)}", text, _join(number, surroundings))
+            yield limited(f"group {group_name(number)}", text, _join(number, context))
 
 
-def _socket(surroundings: Surroundings) -> Iterator[Row]:
-    url = surroundings.settings.docker.socket
+def _socket(context: DoctorContext) -> Iterator[Row]:
+    url = context.settings.docker.socket
     if not url.startswith("unix://"):
         yield ok("socket", f"{url} is reached over the network")
         return
@@ -40,11 +40,11 @@ def _socket(surroundings: Surroundings) -> Iterator[Row]:
         yield ok("socket", f"{path} belongs to group {group_name(owner)}: PHM may open it")
     else:
         text = f"{path} belongs to group {group_name(owner)}: PHM may not open it"
-        yield missing("socket", text, _join(owner, surroundings))
+        yield missing("socket", text, _join(owner, context))
 
 
-def _join(number: int, surroundings: Surroundings) -> str:
-    if surroundings.in_container:
+def _join(number: int, context: DoctorContext) -> str:
+    if context.in_container:
         return f'add "{number}" to group_add in the compose file'
     return f"sudo usermod -aG {group_name(number)} $USER, and log in again"
 

@@ -6,17 +6,17 @@ import platform
 from collections.abc import Iterator
 
 from phm import __version__
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
-    where = "in a container" if surroundings.in_container else "without a container"
+def rows(context: DoctorContext) -> Iterator[Row]:
+    where = "in a container" if context.in_container else "without a container"
     yield ok("version", f"PHM {__version__}, Python {platform.python_version()}, {where}")
-    if surroundings.configuration:
-        yield ok("configuration", f"{surroundings.configuration} is valid")
-    elif surroundings.problem:
-        yield missing("configuration", surroundings.problem, "correct the file; `phm validate` lists every problem")
+    if context.configuration:
+        yield ok("configuration", f"{context.configuration} is valid")
+    elif context.problem:
+        yield missing("configuration", context.problem, "correct the file; `phm validate` lists every problem")
     else:
         yield limited(
             "configuration", "none, so the defaults are examined", "`phm init` writes one; -c FILE names another"

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.facts import CannotTell, RosEnvironment
 from phm.probes.ros.environment import of_container, of_phm
@@ -25,14 +25,14 @@ MAX_PROCESSES = 10
 """ROS processes of the host that are compared."""
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
-    settings = surroundings.settings.ros
+def rows(context: DoctorContext) -> Iterator[Row]:
+    settings = context.settings.ros
     yield _installation(needed=bool(settings.nodes or settings.topics))
-    own = _own(surroundings)
+    own = _own(context)
     yield from (ok("domain", f"ROS_DOMAIN_ID {one.variables.get('ROS_DOMAIN_ID', '0')}, {rmw(one)}") for one in own)
     yield _shared_memory()
     try:
-        machine = surroundings.machine()
+        machine = context.machine()
     except CannotTell:
         return
     applications = [one.ros for one in machine.applications if one.ros.variables and one.fact.running]
@@ -57,19 +57,19 @@ def _installation(*, needed: bool) -> Row:
     return ok("PHM", text)
 
 
-def _own(surroundings: Surroundings) -> list[RosEnvironment]:
+def _own(context: DoctorContext) -> list[RosEnvironment]:
     """PHM's environment: of this process, or of each sidecar where this process runs on the host beside them."""
-    settings, environ = surroundings.settings.ros, surroundings.environ
+    settings, environ = context.settings.ros, context.environ
     try:
-        sidecars = [one for one in surroundings.machine().sidecars if one.running]
-        myself = surroundings.own_container() if surroundings.in_container else None
+        sidecars = [one for one in context.machine().sidecars if one.running]
+        myself = context.own_container() if context.in_container else None
     except CannotTell:
         sidecars, myself = [], None
-    if not surroundings.in_container and sidecars:
-        return [replace(of_container(one, (), surroundings.proc), name="PHM") for one in sidecars]
+    if not context.in_container and sidecars:
+        return [replace(of_container(one, (), context.proc), name="PHM") for one in sidecars]
     own = of_phm(settings, environ, myself)
     # In a container that the engine does not know, namespaces cannot be compared.
-    unknown = surroundings.in_container and myself is None
+    unknown = context.in_container and myself is None
     return [replace(own, network_namespace="", ipc_namespace="") if unknown else own]
 
 

@@ -6,17 +6,17 @@ import os
 import shutil
 from collections.abc import Iterator
 
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 
 
-def rows(surroundings: Surroundings) -> Iterator[Row]:
-    settings = surroundings.settings
+def rows(context: DoctorContext) -> Iterator[Row]:
+    settings = context.settings
     needed = 2 * settings.log.files * settings.log.max_size
     for name, path, least in (("log", settings.log.directory, needed), ("state", settings.state_dir, 1e6)):
-        yield _folder(name, path, least, configured=bool(surroundings.configuration))
-    if settings.delivery.listen is not None and surroundings.configuration:
-        yield _replaceable(os.path.realpath(surroundings.configuration))
+        yield _folder(name, path, least, configured=bool(context.configuration))
+    if settings.delivery.listen is not None and context.configuration:
+        yield _replaceable(os.path.realpath(context.configuration))
 
 
 def _folder(name: str, path: str, least_bytes: float, *, configured: bool) -> Row:

@@ -119,14 +119,14 @@ def _seen(file: str, found: Mapping[str, Any]) -> tuple[Seen, bool]:
 
 
 @dataclass(frozen=True)
-class Looked:
+class LogSearchResult:
     """The logs that were found in one place, and what was looked for in vain: (what, why)."""
 
     found: tuple[ContainerLogs | FolderLogs, ...]
     missing: tuple[tuple[str, str], ...] = ()
 
 
-def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> Looked:
+def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> LogSearchResult:
     """The containers with a log in `folder`, or in the one that their label names; running or not.
 
     patterns: only containers with such names. Raises CannotTell if the engine does not answer.
@@ -159,7 +159,7 @@ def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> Loo
     missing += [(f"container {one} at {engine.url}", "there is none") for one in patterns if one not in used]
     if not found and not missing:
         missing.append((engine.url, f"no container has {folder}/phm.jsonl: name the folder with --path"))
-    return Looked(tuple(found), tuple(missing))
+    return LogSearchResult(tuple(found), tuple(missing))
 
 
 def _containers(
@@ -176,10 +176,10 @@ def _containers(
             yield name, container, place if isinstance(place, str) and place.startswith("/") else folder
 
 
-def of_path(path: Path, without: Path) -> Looked:
+def of_path(path: Path, without: Path) -> LogSearchResult:
     """The folders with logs in `path`: itself, and those below it. without: the folder into which logs are collected."""
     if not path.is_dir():
-        return Looked((), ((str(path), "is not a folder" if path.exists() else "does not exist"),))
+        return LogSearchResult((), ((str(path), "is not a folder" if path.exists() else "does not exist"),))
     found: list[ContainerLogs | FolderLogs] = []
     missing: list[tuple[str, str]] = []
 
@@ -203,4 +203,4 @@ def of_path(path: Path, without: Path) -> Looked:
             found.append(FolderLogs(Path(place)))
     if not found and not missing:
         missing.append((str(path), f"no phm.jsonl in it, or deeper than {MOST_DEPTH} folders"))
-    return Looked(tuple(found), tuple(missing))
+    return LogSearchResult(tuple(found), tuple(missing))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from phm.review import check_rates, levels
-from phm.review.cuts import Cuts
+from phm.review.omitted import OmittedCounts
 from phm.review.record import AgentRecord, Record
 from phm.review.spans import Span, clipped, total, without
 
@@ -26,13 +26,15 @@ def row(
     faults: list[Json],
     begin: float,
     end: float,
-    cuts: Cuts,
+    omitted: OmittedCounts,
 ) -> Json:
     worst = levels.of_agent(units.values(), agent.cover) if agent.runs else levels.of_ground(record, agent.id)
     spent = levels.seconds(worst, begin, end)
     most = max(LEAST_SEGMENTS, MOST_SEGMENTS // max(1, len(record.agents)))
     segments, joined_s = levels.shortened(_clip(worst, begin, end), most)
-    shown, units_joined_s = _shown_units(agent, units, begin, end, cuts, max(LEAST_UNIT_SEGMENTS, most // MOST_UNITS))
+    shown, units_joined_s = _shown_units(
+        agent, units, begin, end, omitted, max(LEAST_UNIT_SEGMENTS, most // MOST_UNITS)
+    )
     down, ran_s = _down(agent, begin, end)
     armed = clipped(agent.armed, begin, end)
     lost, missing = _lost(agent)
@@ -50,21 +52,21 @@ def row(
         "agent_id": agent.id,
         "logged": bool(agent.runs),
         "versions": sorted({run.version for run, _ in agent.runs if run.version}),
-        "runs": cuts.keep(agent.name, "runs of PHM", runs, MOST_RUNS),
+        "runs": omitted.keep(agent.name, "runs of PHM", runs, MOST_RUNS),
         "faults": len(check_rates.opened(faults, round(begin, 3))),
         "error_s": round(spent.get("ERROR", 0.0), 3),
         "warn_s": round(spent.get("WARN", 0.0), 3),
         "unknown_s": round(spent.get("STALE", 0.0), 3),
         "armed_s": round(total(armed), 3),
         "uptime": round(1 - total(down) / ran_s, 6) if ran_s else None,
-        "down": _spans(agent, "times in which PHM did not run", down, cuts),
-        "armed": _spans(agent, "armed periods", armed, cuts),
-        "link_gaps": _spans(agent, "link gaps", clipped(levels.gaps(record, agent.id), begin, end), cuts),
+        "down": _spans(agent, "times in which PHM did not run", down, omitted),
+        "armed": _spans(agent, "armed periods", armed, omitted),
+        "link_gaps": _spans(agent, "link gaps", clipped(levels.gaps(record, agent.id), begin, end), omitted),
         "levels": _rounded(segments),
         "joined_s": round(joined_s, 2),
         "units": shown,
         "units_joined_s": round(units_joined_s, 2),
-        "actions": cuts.keep(agent.name, "actions in the timeline", _actions(agent, begin, end), MOST_ACTIONS),
+        "actions": omitted.keep(agent.name, "actions in the timeline", _actions(agent, begin, end), MOST_ACTIONS),
         "lost_lines": lost,
         "missing_lines": missing,
         "left_out": sum(run.left_out for run, _ in agent.runs),
@@ -100,13 +102,18 @@ def _actions(agent: AgentRecord, begin: float, end: float) -> list[list[Any]]:
 
 
 def _shown_units(
-    agent: AgentRecord, units: dict[str, list[levels.Segment]], begin: float, end: float, cuts: Cuts, most: int
+    agent: AgentRecord,
+    units: dict[str, list[levels.Segment]],
+    begin: float,
+    end: float,
+    omitted: OmittedCounts,
+    most: int,
 ) -> tuple[dict[str, list[list[Any]]], float]:
     """Units that were not always well, the worst first, and the seconds within which changes are joined."""
     spent = {unit: levels.seconds(segments, begin, end) for unit, segments in units.items()}
     bad = [unit for unit, by in spent.items() if any(by.get(level, 0.0) > 0.05 for level in ("ERROR", "WARN", "STALE"))]
     bad.sort(key=lambda unit: [-spent[unit].get(level, 0.0) for level in ("ERROR", "WARN", "STALE")])
-    kept = cuts.keep(agent.name, UNITS_CUT, bad, MOST_UNITS)
+    kept = omitted.keep(agent.name, UNITS_CUT, bad, MOST_UNITS)
     shown = {unit: levels.shortened(_clip(units[unit], begin, end), most) for unit in kept}
     return (
         {unit: _rounded(segments) for unit, (segments, _) in shown.items()},
@@ -123,6 +130,6 @@ def _rounded(segments: list[levels.Segment]) -> list[list[Any]]:
     return [[round(a, 2), round(b, 2), level] for a, b, level in segments]
 
 
-def _spans(agent: AgentRecord, what: str, spans: list[Span], cuts: Cuts) -> list[list[float]]:
-    kept = cuts.longest(agent.name, what, spans, MOST_SPANS)
+def _spans(agent: AgentRecord, what: str, spans: list[Span], omitted: OmittedCounts) -> list[list[float]]:
+    kept = omitted.longest(agent.name, what, spans, MOST_SPANS)
     return [[round(span[0], 3), round(span[1], 3)] for span in kept]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from phm.review.cuts import Cuts
 from phm.review.levels import RANK, Segment, of_agent, seconds
+from phm.review.omitted import OmittedCounts
 from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
@@ -25,7 +25,7 @@ MOST_ROWS = 2000
 
 
 def rows(
-    agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: float, end: float, cuts: Cuts
+    agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: float, end: float, omitted: OmittedCounts
 ) -> list[Json]:
     """One row for each layer, container, node and topic of the agent, and one for the agent (`kind` agent)."""
     about = {unit: body for run, _ in agent.runs for unit, body in run.units.items()}
@@ -41,7 +41,7 @@ def rows(
     found = [_row(agent, kind, name, of_agent(each, agent.cover), begin, end) for (kind, name), each in groups.items()]
     order = ("agent", "layer", "container", "node", "topic")
     ordered = sorted((row for row in found if row is not None), key=lambda row: (order.index(row["kind"]), row["name"]))
-    return cuts.keep(agent.name, "availability: layers, containers, nodes and topics", ordered, MOST_ROWS)
+    return omitted.keep(agent.name, "availability: layers, containers, nodes and topics", ordered, MOST_ROWS)
 
 
 def _row(

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from phm.review.agent_run import Run
 from phm.review.clocks import RunClock, begin_of, end_of, machine, taken
-from phm.review.other import EARLIEST_S
+from phm.review.external_entry import EARLIEST_S
 from phm.review.votes import OWN_ERROR_S, WINDOW_S
 
 BY = "the autopilot's time since boot, as in another run"

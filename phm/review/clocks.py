@@ -1,7 +1,7 @@
 """One time axis for all records: that of the ground, or of each agent where no ground says more.
 
 A run of PHM has one monotonic clock, which never jumps, so all its lines have right distances. What may be wrong is where the run
-lies in UTC: `ground_clocks` and `heard_clocks` compare it with other records.
+lies in UTC: `ground_clocks` and `heartbeat_clocks` compare it with other records.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def ground_clock(grounds: Iterable[GroundRun]) -> dict[str, RunClock]:
 
 
 def ordered_clock(clock: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Without the first lines of pieces, which repeat the difference before."""
+    """Without the first lines of segments, which repeat the difference before."""
     kept: list[tuple[float, float]] = []
     for mono, difference in sorted(clock):
         if not kept or abs(difference - kept[-1][1]) > STEP_S:

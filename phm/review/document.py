@@ -6,10 +6,20 @@ from pathlib import Path
 from typing import Any
 
 from phm import __version__
-from phm.review import agent_row, availability, check_rates, fault_list, levels, own_figures, plots, sentences, table2
+from phm.review import (
+    agent_row,
+    availability,
+    check_rates,
+    fault_list,
+    injection_metrics,
+    levels,
+    own_figures,
+    plots,
+    sentences,
+)
 from phm.review.clocks import REFERENCE
-from phm.review.cuts import Cuts
 from phm.review.flights import Flight, flights
+from phm.review.omitted import OmittedCounts
 from phm.review.record import Record
 from phm.review.spans import clipped, total
 
@@ -41,17 +51,17 @@ def build(record: Record, flight: int | None = None) -> Json:
     available: list[Json] = []
     unknown: list[Json] = []
     observed: dict[str, float] = {}
-    cuts = Cuts()
+    omitted = OmittedCounts()
     for agent in record.agents:
         units = levels.of_units(agent)
-        mine = fault_list.rows(agent, begin, end, cuts)
+        mine = fault_list.rows(agent, begin, end, omitted)
         faults += mine
-        available += availability.rows(agent, units, begin, end, cuts)
+        available += availability.rows(agent, units, begin, end, omitted)
         unknown += availability.unknown(agent, units, begin, end)
         ran_s = total(clipped(agent.cover, begin, end))
         for check in {body["check"] for run, _ in agent.runs for body in run.units.values()}:
             observed[check] = observed.get(check, 0.0) + ran_s
-        rows.append(agent_row.row(record, agent, units, mine, begin, end, cuts))
+        rows.append(agent_row.row(record, agent, units, mine, begin, end, omitted))
     faults.sort(key=lambda fault: (fault["opened"], fault["agent"]))
     uptimes = {row["agent"]: row["uptime"] for row in rows if row["uptime"] is not None}
     document: Json = {
@@ -69,15 +79,17 @@ def build(record: Record, flight: int | None = None) -> Json:
         "faults": faults,
         "availability": available,
         "checks": check_rates.rows(check_rates.opened(faults, round(begin, 3)), observed),
-        "unknown": cuts.keep("", "units that were not known for a time", _longest(unknown), MOST_UNKNOWN),
+        "unknown": omitted.keep("", "units that were not known for a time", _longest(unknown), MOST_UNKNOWN),
         "phm": own_figures.build(record, uptimes, begin, end, whole=flight is None),
-        "clocks": _clocks(record, cuts),
-        "plots": plots.rows(record, begin, end, cuts),
+        "clocks": _clocks(record, omitted),
+        "plots": plots.rows(record, begin, end, omitted),
         "other": _others(record, begin, end),
-        "table2": table2.build([agent for agent in record.agents if agent.vehicle], faults, uptimes, begin, end),
+        "injection_metrics": injection_metrics.build(
+            [agent for agent in record.agents if agent.vehicle], faults, uptimes, begin, end
+        ),
         "files": _files(record),
     }
-    document["cut"] = cuts.rows()
+    document["cut"] = omitted.rows()
     document["sentences"] = sentences.build(document)
     return document
 
@@ -107,7 +119,7 @@ def _longest(unknown: list[Json]) -> list[Json]:
     return sorted(unknown, key=lambda row: -(row["unknown_s"] + row["blocked_s"]))
 
 
-def _clocks(record: Record, cuts: Cuts) -> Json:
+def _clocks(record: Record, omitted: OmittedCounts) -> Json:
     rows = []
     for agent in record.agents:
         for run, clock in agent.runs:
@@ -121,7 +133,7 @@ def _clocks(record: Record, cuts: Cuts) -> Json:
                     "votes": clock.votes,
                     "applied": clock.applied,
                     "by": clock.by,
-                    "steps": cuts.keep(agent.name, "jumps of the UTC of a run", steps, MOST_STEPS),
+                    "steps": omitted.keep(agent.name, "jumps of the UTC of a run", steps, MOST_STEPS),
                 }
             )
     chosen = (agent.name for agent in record.agents for _, clock in agent.runs if clock.by == REFERENCE)
@@ -138,7 +150,7 @@ def _clocks(record: Record, cuts: Cuts) -> Json:
                 "applied": clock.offset_s is not None,
                 "by": clock.by,
             }
-            for clock in record.other_clocks
+            for clock in record.external_clocks
             if clock.placed or clock.offset_s is not None
         ],
     }

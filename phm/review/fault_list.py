@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from typing import Any, NamedTuple
 
-from phm.review.cuts import Cuts
+from phm.review.omitted import OmittedCounts
 from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
@@ -26,7 +26,7 @@ class _Lines(NamedTuple):
     edges: dict[tuple[str, bool], int]
 
 
-def rows(agent: AgentRecord, begin: float, end: float, cuts: Cuts) -> list[Json]:
+def rows(agent: AgentRecord, begin: float, end: float, omitted: OmittedCounts) -> list[Json]:
     """Faults that were open at any time between begin and end."""
     running = agent.cover[-1][1] if agent.cover else 0.0
     lines = _lines(agent)
@@ -43,7 +43,7 @@ def rows(agent: AgentRecord, begin: float, end: float, cuts: Cuts) -> list[Json]
             continue
         done = steps.get(fault["fault"], [])
         row = _row(agent, fault, done, evidence.get(fault["fault"], {}), running)
-        kept = cuts.keep(agent.name, "actions of a fault", done, MOST_STEPS)
+        kept = omitted.keep(agent.name, "actions of a fault", done, MOST_STEPS)
         found.append({**row, "steps": kept, "lines": _around(lines, fault)})
     return found
 

@@ -1,4 +1,4 @@
-"""Lines of a file or of a piece of it, in bounded memory, whatever the file contains."""
+"""Lines of a file or of a segment of it, in bounded memory, whatever the file contains."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Problems:
     more: int = 0
 
     def add(self, what: str, path: str, line: int = 0, count: int = 1) -> None:
-        """Count a problem of this kind in a file. line: number in the file, or in the piece of it; 0: unknown."""
+        """Count a problem of this kind in a file. line: number in the file, or in the segment of it; 0: unknown."""
         entry = self.found.get((what, path))
         if entry is not None:
             entry[0] += count
@@ -40,34 +40,34 @@ class Problems:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """Bytes `begin` to `end` of a file; a line belongs to the piece in which it begins. end None: to its end."""
+class FileSegment:
+    """Bytes `begin` to `end` of a file; a line belongs to the segment in which it begins. end None: to its end."""
 
     path: str
     begin: int = 0
     end: int | None = None
 
 
-def lines(piece: Piece, problems: Problems) -> Iterator[bytes]:
+def lines(segment: FileSegment, problems: Problems) -> Iterator[bytes]:
     """Each complete or torn line, without those that are longer than MAX_LINE."""
     try:
-        with open(piece.path, "rb") as plain:
-            if piece.path.endswith(COMPRESSED):
+        with open(segment.path, "rb") as plain:
+            if segment.path.endswith(COMPRESSED):
                 with gzip.GzipFile(fileobj=plain) as packed:
-                    yield from _lines(cast(IO[bytes], packed), piece, problems)
+                    yield from _lines(cast(IO[bytes], packed), segment, problems)
             else:
-                yield from _lines(plain, piece, problems)
+                yield from _lines(plain, segment, problems)
     except (OSError, EOFError, zlib.error) as error:
-        problems.add(f"damaged or unreadable from here on: {error or type(error).__name__}", piece.path)
+        problems.add(f"damaged or unreadable from here on: {error or type(error).__name__}", segment.path)
 
 
-def _lines(stream: IO[bytes], piece: Piece, problems: Problems) -> Iterator[bytes]:
-    place = piece.begin
+def _lines(stream: IO[bytes], segment: FileSegment, problems: Problems) -> Iterator[bytes]:
+    place = segment.begin
     if place:
         stream.seek(place - 1)
-        place += _skip(stream) - 1  # the rest of a line that began in the piece before
+        place += _skip(stream) - 1  # the rest of a line that began in the segment before
     number = 0
-    while piece.end is None or place < piece.end:
+    while segment.end is None or place < segment.end:
         line = stream.readline(MAX_LINE + 1)
         if not line:
             return
@@ -75,7 +75,7 @@ def _lines(stream: IO[bytes], piece: Piece, problems: Problems) -> Iterator[byte
         place += len(line)
         if len(line) > MAX_LINE:
             place += 0 if line.endswith(b"\n") else _skip(stream)
-            problems.add(f"line longer than {MAX_LINE} bytes", piece.path, number)
+            problems.add(f"line longer than {MAX_LINE} bytes", segment.path, number)
             continue
         yield line
 

@@ -1,4 +1,4 @@
-"""What a report keeps of the events of one piece of a record, in bounded memory. Parts of several processes are merged."""
+"""What a report keeps of the events of one segment of a record, in bounded memory. Parts of several processes are merged."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 from phm.review.agent_run import MOST_CHECKS, Change, Run, RunMark
 from phm.review.events import LATEST_S, Event, numbers
+from phm.review.external_entry import EARLIEST_S, KINDS, MOST, ExternalEntry
 from phm.review.ground_part import GroundRun
 from phm.review.lines import Problems
 from phm.review.measurements import PLOTTED
-from phm.review.other import EARLIEST_S, KINDS, MOST, Other
 
 MOST_RUNS = 2000
 MOST_UNITS = 1000
@@ -37,7 +37,7 @@ class Part:
     def __init__(self) -> None:
         self.runs: dict[tuple[str, str], Run] = {}
         self.grounds: dict[str, GroundRun] = {}
-        self.others: list[Other] = []
+        self.others: list[ExternalEntry] = []
         self.problems = Problems()
         self.lines = 0
         self.bytes = 0
@@ -58,7 +58,7 @@ class Part:
             self.problems.add("neither boot_id nor run: not a record of PHM", path)
 
     def _other(self, event: Event, path: str) -> None:
-        made = Other.of(event, path)
+        made = ExternalEntry.of(event, path)
         if made is None:
             self.problems.add(
                 TOO_EARLY if event.utc_s <= EARLIEST_S else "an entry without a possible time or system, left out", path

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from phm.review.cuts import Cuts
+from phm.review.omitted import OmittedCounts
 from phm.review.record import AgentRecord, Record
 
 Json = dict[str, Any]
 MOST_POINTS = 150_000
 
 
-def rows(record: Record, begin: float, end: float, cuts: Cuts) -> list[Json]:
+def rows(record: Record, begin: float, end: float, omitted: OmittedCounts) -> list[Json]:
     """`agent`, `name` and `points` of each measurement in the window."""
     for agent in record.agents:
         left_out = {name for run, _ in agent.runs for name in run.unplotted}
-        cuts.add(agent.name, "measurements without a plot", len(left_out))
+        omitted.add(agent.name, "measurements without a plot", len(left_out))
     found = [plot for agent in record.agents for plot in _of_agent(agent, begin, end)]
     return _thinned(found + _of_ground(record, begin, end))
 

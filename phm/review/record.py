@@ -17,11 +17,11 @@ from phm.review.clocks import (
     ordered_clock,
     own_clocks,
 )
+from phm.review.external_clocks import ExternalClock, align_external
+from phm.review.external_entry import NO_TIME, ExternalEntry
 from phm.review.ground_clocks import align
 from phm.review.ground_part import GroundRun
-from phm.review.heard_clocks import align_by_heartbeats
-from phm.review.other import NO_TIME, Other
-from phm.review.other_clocks import OtherClock, align_others
+from phm.review.heartbeat_clocks import align_by_heartbeats
 from phm.review.part import Part
 from phm.review.spans import Cover, Span, joined
 
@@ -63,8 +63,8 @@ class Record:
     agents: list[AgentRecord]
     grounds: list[tuple[GroundRun, RunClock]]
     part: Part
-    others: list[Other] = field(default_factory=list)
-    other_clocks: list[OtherClock] = field(default_factory=list)
+    others: list[ExternalEntry] = field(default_factory=list)
+    external_clocks: list[ExternalClock] = field(default_factory=list)
     recordings: dict[str, str] = field(default_factory=dict)
     """Name of the row, by path, of recordings of which the agent is not known."""
 
@@ -110,10 +110,10 @@ def build(part: Part) -> Record:
             next((g.names[number] for g, _ in grounds if number in g.names), f"A{number:02d}"), number
         )
     owned, names_of = recordings.owned(part.others, list(agents.values()))
-    moved, other_clocks = align_others(owned, [one for agent in agents.values() for one in agent.runs])
-    for other_clock in other_clocks:
-        if not other_clock.placed and other_clock.offset_s is None:
-            part.problems.add(NO_TIME, other_clock.file)
+    moved, external_clocks = align_external(owned, [one for agent in agents.values() for one in agent.runs])
+    for external_clock in external_clocks:
+        if not external_clock.placed and external_clock.offset_s is None:
+            part.problems.add(NO_TIME, external_clock.file)
     others = recordings.without_ours(moved, {agent.id for agent in agents.values() if agent.runs})
     for number in sorted({other.system for other in others if other.system} - {agent.id for agent in agents.values()}):
         agents["", number] = AgentRecord(f"vehicle {number}", number)
@@ -123,7 +123,7 @@ def build(part: Part) -> Record:
             _armed_by_others(agent, [other for other in others if other.system == agent.id])
     every = sorted(agents.values(), key=lambda agent: (agent.id, agent.name))
     every += [AgentRecord(name, 0) for name in sorted(set(names_of.values()))]
-    return Record(every, grounds, part, others, other_clocks, names_of)
+    return Record(every, grounds, part, others, external_clocks, names_of)
 
 
 def _heard(ground: GroundRun) -> set[int]:
@@ -223,7 +223,7 @@ def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> Non
     agent.armed, agent.flying = _spans(edges, end), _flying(edges)
 
 
-def _armed_by_others(agent: AgentRecord, others: list[Other]) -> None:
+def _armed_by_others(agent: AgentRecord, others: list[ExternalEntry]) -> None:
     """From other records, where neither its log nor the ground says it."""
     edges = [(other.t, other.began, None) for other in others if other.what == "arming"]
     agent.armed, agent.flying = _spans(edges, others[-1].t if others else 0.0), _flying(edges)

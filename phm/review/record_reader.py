@@ -12,12 +12,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from phm.review.lines import MAX_LINE, Piece
+from phm.review.lines import MAX_LINE, FileSegment
 from phm.review.part import Part
 from phm.review.sources import Source, source_of
 from phm.wire.json_log import COMPRESSED
 
-PIECE_BYTES = 32_000_000
+SEGMENT_BYTES = 32_000_000
 ALONE_BYTES = 24_000_000
 """Less is read faster than other processes start."""
 MOST_FILES = 20_000
@@ -77,29 +77,29 @@ def find(paths: Sequence[str]) -> Found:
 
 def read(found: Found, progress: Progress = lambda _: None, *, processes: int | None = None) -> Part:
     """All events. progress is called with numbers of bytes that were read. processes: 1 reads in this one."""
-    pieces = list(_pieces(found))
+    segments = list(_segments(found))
     whole = Part()
     for file in found.twice:
         whole.problems.add("begins with the same line as another file, so it is a copy and was left out", str(file))
     count = processes or min(os.cpu_count() or 1, 8)
     if count == 1 or (processes is None and found.bytes < ALONE_BYTES):
-        for piece, source in pieces:
-            part = _read(piece, source.name)
+        for segment, source in segments:
+            part = _read(segment, source.name)
             whole.merge(part)
             progress(part.bytes)
         return whole
     with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as pool:
-        for part in _in_order(pool, pieces, count * AHEAD):
+        for part in _in_order(pool, segments, count * AHEAD):
             whole.merge(part)
             progress(part.bytes)
     return whole
 
 
-def _in_order(pool: ProcessPoolExecutor, pieces: list[tuple[Piece, Source]], most: int) -> Iterator[Part]:
+def _in_order(pool: ProcessPoolExecutor, segments: list[tuple[FileSegment, Source]], most: int) -> Iterator[Part]:
     """The parts, in the order in which they are done: merging does not depend on it."""
     waiting: set[Future[Part]] = set()
-    for piece, source in pieces:
-        waiting.add(pool.submit(_read, piece, source.name))
+    for segment, source in segments:
+        waiting.add(pool.submit(_read, segment, source.name))
         if len(waiting) >= most:
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             yield from (each.result() for each in done)
@@ -107,27 +107,27 @@ def _in_order(pool: ProcessPoolExecutor, pieces: list[tuple[Piece, Source]], mos
         yield each.result()
 
 
-def _read(piece: Piece, name: str) -> Part:
-    """Read one piece of a file; also runs in other processes."""
+def _read(segment: FileSegment, name: str) -> Part:
+    """Read one segment of a file; also runs in other processes."""
     from phm.review.sources import SOURCES
 
     source = next(each for each in SOURCES if each.name == name)
     part = Part()
-    for event in source.read(piece, part.problems):
-        part.take(event, piece.path)
+    for event in source.read(segment, part.problems):
+        part.take(event, segment.path)
     with contextlib.suppress(OSError):
-        part.bytes = (piece.end or os.path.getsize(piece.path)) - piece.begin
+        part.bytes = (segment.end or os.path.getsize(segment.path)) - segment.begin
     return part
 
 
-def _pieces(found: Found) -> Iterator[tuple[Piece, Source]]:
+def _segments(found: Found) -> Iterator[tuple[FileSegment, Source]]:
     for path, source in found.files:
         size = path.stat().st_size
-        if not source.divisible or path.name.endswith(COMPRESSED) or size <= PIECE_BYTES:
-            yield Piece(str(path)), source
+        if not source.divisible or path.name.endswith(COMPRESSED) or size <= SEGMENT_BYTES:
+            yield FileSegment(str(path)), source
             continue
-        for begin in range(0, size, PIECE_BYTES):
-            yield Piece(str(path), begin, min(begin + PIECE_BYTES, size)), source
+        for begin in range(0, size, SEGMENT_BYTES):
+            yield FileSegment(str(path), begin, min(begin + SEGMENT_BYTES, size)), source
 
 
 def _files(path: Path) -> Iterator[Path]:

@@ -13,8 +13,8 @@ from phm.review.cdr import Status
 from phm.review.cdr_read import line, statuses
 from phm.review.decompression import ZSTD, zstd
 from phm.review.events import Event
+from phm.review.external_entry import MOST, MOST_SYSTEMS, plain
 from phm.review.lines import Problems
-from phm.review.other import MOST, MOST_SYSTEMS, plain
 from phm.review.topic_times import TopicTimes
 
 TYPES = {

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from phm.review.agent_run import Run
 from phm.review.clocks import RunClock
-from phm.review.other import Other
+from phm.review.external_entry import ExternalEntry
 
 OURS = "phm/"
 """Names of PHM's own diagnostics begin with this."""
@@ -24,7 +24,9 @@ class RecordedAgent(Protocol):
     runs: list[tuple[Run, RunClock]]
 
 
-def owned(others: Iterable[Other], agents: Sequence[RecordedAgent]) -> tuple[list[Other], dict[str, str]]:
+def owned(
+    others: Iterable[ExternalEntry], agents: Sequence[RecordedAgent]
+) -> tuple[list[ExternalEntry], dict[str, str]]:
     """The entries with the agent that is known, and names for the recordings without one, by path.
 
     A recording without PHM's own diagnostics belongs to the agent whose logs are in the same folder or in the nearest one above
@@ -32,7 +34,7 @@ def owned(others: Iterable[Other], agents: Sequence[RecordedAgent]) -> tuple[lis
     """
     folders = [(agent.id, folder) for agent in agents for run, _ in agent.runs for folder in run.folders]
     near: dict[str, int] = {}
-    found: list[Other] = []
+    found: list[ExternalEntry] = []
     for other in others:
         if other.system:
             found.append(other)
@@ -43,7 +45,7 @@ def owned(others: Iterable[Other], agents: Sequence[RecordedAgent]) -> tuple[lis
     return found, _names({other.file for other in found if not other.system})
 
 
-def without_ours(others: Iterable[Other], logged: Collection[int]) -> list[Other]:
+def without_ours(others: Iterable[ExternalEntry], logged: Collection[int]) -> list[ExternalEntry]:
     """Without PHM's own diagnostics of agents with a log: it says the same."""
     return [
         other

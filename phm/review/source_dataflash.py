@@ -11,8 +11,8 @@ from phm.review import autopilot_names as names
 from phm.review.dataflash import FMT, HEAD, records
 from phm.review.decompression import gunzipped
 from phm.review.events import Event
-from phm.review.lines import Piece, Problems
-from phm.review.other import MOST, UNPLACED_S, blocks, text_event
+from phm.review.external_entry import MOST, UNPLACED_S, blocks, text_event
+from phm.review.lines import FileSegment, Problems
 
 WANTED = frozenset(("MODE", "ARM", "EV", "ERR", "MSG", "PARM", "GPS"))
 GPS_EPOCH_S = 315_964_800 - 18
@@ -28,13 +28,13 @@ def fits(path: Path, head: bytes) -> bool:
     return gunzipped(head).startswith(HEAD + bytes([FMT]))
 
 
-def read(piece: Piece, problems: Problems) -> Iterator[Event]:
+def read(segment: FileSegment, problems: Problems) -> Iterator[Event]:
     """The whole file is read before the first event: the GPS may have a fix, and so the time, only after minutes."""
     log = _Log()
-    for name, row in records(blocks(piece.path, problems), WANTED, problems, piece.path):
+    for name, row in records(blocks(segment.path, problems), WANTED, problems, segment.path):
         log.take(name, row)
     if log.left_out:
-        problems.add(f"more than {MOST} events; the others are left out", piece.path, count=log.left_out)
+        problems.add(f"more than {MOST} events; the others are left out", segment.path, count=log.left_out)
     yield from log.timed()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from phm.review.decompression import damages, first_bytes, opened
 from phm.review.events import Event
-from phm.review.lines import Piece, Problems
+from phm.review.lines import FileSegment, Problems
 from phm.review.recording import MOST_MESSAGE, MOST_TOPICS, Recording
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -19,17 +19,17 @@ def fits(path: Path, head: bytes) -> bool:
     return first_bytes(path, head).startswith(MAGIC)
 
 
-def read(piece: Piece, problems: Problems) -> Iterator[Event]:
+def read(segment: FileSegment, problems: Problems) -> Iterator[Event]:
     """The whole file is read before the first event: whose they are may come late."""
-    found = Recording(piece.path, problems)
+    found = Recording(segment.path, problems)
     try:
         from phm.review import mcap_stream
 
-        with open(piece.path, "rb") as plain:
+        with open(segment.path, "rb") as plain:
             channels = list(itertools.islice(mcap_stream.described(plain), MOST_TOPICS))
         for channel in channels:
             found.topic(*channel)
-        with opened(piece.path) as stream:
+        with opened(segment.path) as stream:
             for row in mcap_stream.rows(stream, found.problem):
                 if isinstance(row, mcap_stream.ChannelRow):
                     found.topic(*row)

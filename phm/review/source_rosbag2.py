@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 from phm.review.decompression import GZIP, ZSTD, damages, first_bytes, opened
 from phm.review.events import Event
-from phm.review.lines import BLOCK, Piece, Problems
+from phm.review.lines import BLOCK, FileSegment, Problems
 from phm.review.recording import MOST_MESSAGE, MOST_TOPICS, Recording
 
 MAGIC = b"SQLite format 3\0"
@@ -42,13 +42,13 @@ def fits(path: Path, head: bytes) -> bool:
         return b"topic" in head and b"messages" in head
 
 
-def read(piece: Piece, problems: Problems) -> Iterator[Event]:
-    found = Recording(piece.path, problems)
+def read(segment: FileSegment, problems: Problems) -> Iterator[Event]:
+    found = Recording(segment.path, problems)
     try:
-        log = Path(f"{piece.path}-wal")
+        log = Path(f"{segment.path}-wal")
         if log.is_file() and log.stat().st_size:
             found.problem(f"{log.name} beside it is not read: the last messages may be missing")
-        with _database_file(piece.path, found) as path, closing(_opened(path)) as database:
+        with _database_file(segment.path, found) as path, closing(_opened(path)) as database:
             if _is_torn(path):
                 found.problem("the end of the file is missing")
             _read(database, found, os.path.getsize(path))

@@ -10,8 +10,8 @@ from typing import Any
 from phm.review import autopilot_names as names
 from phm.review.decompression import gunzipped
 from phm.review.events import Event
-from phm.review.lines import Piece, Problems
-from phm.review.other import EARLIEST_S, blocks, text_event
+from phm.review.external_entry import EARLIEST_S, blocks, text_event
+from phm.review.lines import FileSegment, Problems
 
 V1, V2, SIGNED = 0xFE, 0xFD, 0x01
 MARKER = re.compile(rb"[\xfd\xfe]")
@@ -32,19 +32,19 @@ def fits(path: Path, head: bytes) -> bool:
     return len(first) > STAMP and first[STAMP] in (V1, V2) and _stamp(first, 0) is not None
 
 
-def read(piece: Piece, problems: Problems) -> Iterator[Event]:
+def read(segment: FileSegment, problems: Problems) -> Iterator[Event]:
     from phm.transport.dialect import mavlink
 
     log = _Log()
     decoder = mavlink.MAVLink(None)
-    for t, frame in _frames(piece.path, problems):
+    for t, frame in _frames(segment.path, problems):
         number = frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
         if number not in (HEARTBEAT, STATUSTEXT):
             continue
         try:
             message = decoder.decode(bytearray(frame))
         except Exception:  # pymavlink's decoders raise many exception types on hostile bytes
-            problems.add("a frame with a wrong checksum, left out", piece.path)
+            problems.add("a frame with a wrong checksum, left out", segment.path)
             continue
         yield from log.heartbeat(t, message) if number == HEARTBEAT else log.text(t, message)
 

@@ -10,8 +10,8 @@ from typing import Any
 from phm.review import autopilot_names as names
 from phm.review.decompression import gunzipped
 from phm.review.events import Event
-from phm.review.lines import Piece, Problems
-from phm.review.other import EARLIEST_S, MOST, UNPLACED_S, blocks, text_event
+from phm.review.external_entry import EARLIEST_S, MOST, UNPLACED_S, blocks, text_event
+from phm.review.lines import FileSegment, Problems
 from phm.review.ulog import MAGIC, messages
 
 STATUS, FIXES = "vehicle_status", ("vehicle_gps_position", "sensor_gps")
@@ -26,13 +26,13 @@ def fits(path: Path, head: bytes) -> bool:
     return gunzipped(head).startswith(MAGIC)
 
 
-def read(piece: Piece, problems: Problems) -> Iterator[Event]:
+def read(segment: FileSegment, problems: Problems) -> Iterator[Event]:
     """The whole file is read before the first event, because its time and system may come later."""
     log = _Log()
-    for name, row in messages(blocks(piece.path, problems), WANTED, LABELS, problems, piece.path):
+    for name, row in messages(blocks(segment.path, problems), WANTED, LABELS, problems, segment.path):
         log.take(name, row)
     if log.left_out:
-        problems.add(f"more than {MOST} events; the others are left out", piece.path, count=log.left_out)
+        problems.add(f"more than {MOST} events; the others are left out", segment.path, count=log.left_out)
     offset = statistics.median(log.offsets) if log.offsets else UNPLACED_S
     for event in log.events:
         event.system, event.utc_s, event.placed = log.system, event.utc_s + offset, bool(log.offsets)

@@ -1,7 +1,7 @@
 """Kinds of records. A kind is one entry of `SOURCES`: how to recognize a file, and how to read it.
 
-To add one: write a module with `fits(path, head) -> bool` and `read(piece, problems) -> Iterator[Event]`, and add it to
-`SOURCES`. `divisible`: a file can be read in pieces, by several processes.
+To add one: write a module with `fits(path, head) -> bool` and `read(segment, problems) -> Iterator[Event]`, and add it to
+`SOURCES`. `divisible`: a file can be read in segments, by several processes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from phm.review import source_dataflash, source_mcap, source_rosbag2, source_tlog, source_ulog
 from phm.review.events import Event, parse
-from phm.review.lines import Piece, Problems, lines
+from phm.review.lines import FileSegment, Problems, lines
 
 NAME = re.compile(r".+\.(?:jsonl|ndjson)(?:\.[1-9][0-9]{0,2})?(?:\.gz)?")
 """Files of JSON lines, as logs and their rotation name them."""
@@ -25,15 +25,15 @@ class Source:
 
     name: str
     fits: Callable[[Path, bytes], bool]
-    read: Callable[[Piece, Problems], Iterator[Event]]
+    read: Callable[[FileSegment, Problems], Iterator[Event]]
     divisible: bool = False
 
 
-def _json_lines(piece: Piece, problems: Problems) -> Iterator[Event]:
-    for number, line in enumerate(lines(piece, problems), 1):
+def _json_lines(segment: FileSegment, problems: Problems) -> Iterator[Event]:
+    for number, line in enumerate(lines(segment, problems), 1):
         event, wrong = parse(line)
         if wrong and line.strip(b"\0 \r\n"):
-            problems.add(wrong, piece.path, number)
+            problems.add(wrong, segment.path, number)
         if event is not None:
             yield event
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from phm.review.injection_metrics import PAPER
 from phm.review.sentences import length
-from phm.review.table2 import PAPER
 from phm.wire.report import clock_text
 
 Json = dict[str, Any]
@@ -14,7 +14,7 @@ OTHERS = "Records of others"
 """Beginning of the title of their table."""
 
 
-def table2(table: Json) -> list[tuple[str, ...]]:
+def injection_metrics(table: Json) -> list[tuple[str, ...]]:
     """The rows of the paper, with what this record says."""
     interval = " / ".join(f"{each:g} s" for each in table["interval_s"]) or "-"
     return [
@@ -73,7 +73,7 @@ def clock(row: Json) -> tuple[str, ...]:
     return (row["agent"], row["boot_id"], offset, _seconds(row["error_s"]), (row["by"] or "its own clock") + steps)
 
 
-def other_clock(row: Json) -> tuple[str, ...]:
+def external_clock(row: Json) -> tuple[str, ...]:
     none = "had no time" if row["applied"] else "unknown"
     offset = none if row["offset_s"] is None else f"{row['offset_s']:+.2f} s"
     by = f"{row['lines']} {row['by']}" if row["applied"] else row["by"]

@@ -34,8 +34,12 @@ def tables(document: Json, *, most: int = MOST_ROWS) -> list[Table]:
 
 
 def _of_the_flight(document: Json, most: int) -> Iterator[Table]:
-    if document["table2"]:
-        yield "Table 2 of the paper", ("metric", "paper", "this record"), table_rows.table2(document["table2"])
+    if document["injection_metrics"]:
+        yield (
+            "Table 2 of the paper",
+            ("metric", "paper", "this record"),
+            table_rows.injection_metrics(document["injection_metrics"]),
+        )
     head: tuple[str, ...] = ("agent", "faults", "ERROR", "WARN", "unknown", "PHM ran", "armed")
     yield "Agents", head, [table_rows.agent(row) for row in vehicles(document)]
     head = ("flight", "began (UTC)", "lasted", "agents")
@@ -62,7 +66,7 @@ def _of_the_record(document: Json) -> Iterator[Table]:
     yield "PHM itself", head + cost, [table_rows.phm(row) for row in document["phm"]["agents"]]
     clocks = [table_rows.clock(row) for row in document["clocks"]["runs"]]
     if clocks:
-        clocks += [table_rows.other_clock(row) for row in document["clocks"]["others"]]
+        clocks += [table_rows.external_clock(row) for row in document["clocks"]["others"]]
     yield "Clocks", ("agent", "run", "offset", "error", "by"), clocks
     more = document["files"]["more_problems"]
     rows: list[tuple[str, ...]] = [("problems of other kinds or files", str(more), "")] if more else []

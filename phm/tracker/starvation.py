@@ -102,7 +102,7 @@ EXPLAINED: Mapping[str, Explanation] = {
         "this agent reads the peer's heartbeats late; not where another agent has lost it, too", most_s=UNREAD_S
     ),
     "peer_partly": _UNREAD,
-    "alone": _UNREAD,
+    "all_peers_lost": _UNREAD,
     "cpu_starved": Explanation(
         "all containers wait when the machine has no core to spare", OF_HOST, settle_s=WARN_WAIT_S
     ),

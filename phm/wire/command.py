@@ -140,7 +140,7 @@ class RestartContainer:
 
 
 @dataclass(frozen=True, slots=True)
-class HoldPlace:
+class HoldContainerAt:
     """Keep recovery from the container at this position. for_s: seconds, None for the configured length."""
 
     place: int
@@ -149,14 +149,14 @@ class HoldPlace:
 
 
 @dataclass(frozen=True, slots=True)
-class ReleasePlace:
+class ReleaseContainerAt:
     """End the hold of the container at this position."""
 
     place: int
     name_hash: int = 0
 
 
-PlaceRequest = RestartContainer | HoldPlace | ReleasePlace
+PlaceRequest = RestartContainer | HoldContainerAt | ReleaseContainerAt
 Request = SendMessage | SendDetails | SendContainers | RepeatMessage | RunChecks | ApproveAction | PlaceRequest
 
 
@@ -190,8 +190,8 @@ def required_permission(request: Request) -> Permission:
         RunChecks: Permission.CHECK,
         ApproveAction: Permission.APPROVE,
         RestartContainer: Permission.RESTART,
-        HoldPlace: Permission.HOLD,
-        ReleasePlace: Permission.HOLD,
+        HoldContainerAt: Permission.HOLD,
+        ReleaseContainerAt: Permission.HOLD,
     }
     return words[type(request)]
 
@@ -213,9 +213,9 @@ def describe(request: Request) -> str:
             return f"approve the action for fault {fault}"
         case RestartContainer(place, _):
             return f"restart container {place}"
-        case HoldPlace(place, _, for_s):
+        case HoldContainerAt(place, _, for_s):
             return f"hold container {place}{f' for {for_s:g} s' if for_s else ''}"
-        case ReleasePlace(place, _):
+        case ReleaseContainerAt(place, _):
             return f"release container {place}"
 
 
@@ -264,8 +264,8 @@ def _operation(what: int, second: float, third: float, fourth: float) -> Request
     # Ground stations that do not know this parameter send 0 or NaN.
     named = 0 if math.isnan(third) else _whole(third, "param3")
     if what == HOLD:
-        return HoldPlace(chosen, named, None if math.isnan(fourth) else _whole(fourth, "param4") or None)
-    return ReleasePlace(chosen, named) if what == RELEASE else RestartContainer(chosen, named)
+        return HoldContainerAt(chosen, named, None if math.isnan(fourth) else _whole(fourth, "param4") or None)
+    return ReleaseContainerAt(chosen, named) if what == RELEASE else RestartContainer(chosen, named)
 
 
 def _whole(value: float, name: str) -> int:

@@ -68,7 +68,7 @@ class Cost:
     worst: float
 
 
-class Way(ABC):
+class MeasurementMethod(ABC):
     """A process that measures, and the rates (Hz) that it has found by now."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
@@ -81,7 +81,7 @@ class Way(ABC):
     def rates(self) -> list[float]: ...
 
 
-class Sampler(Way):
+class Sampler(MeasurementMethod):
     """PHM's ROS child, as the daemon starts it."""
 
     name = "PHM"
@@ -113,7 +113,7 @@ class Sampler(Way):
         return self._newest
 
 
-class Peer(Way):
+class Peer(MeasurementMethod):
     """One of `ros_bench_peers`."""
 
     def __init__(self, role: str, load: Load, environ: dict[str, str], folder: Path) -> None:
@@ -181,7 +181,7 @@ def measure(load: Load, seconds: float, console: Console) -> Iterator[Cost]:
                 yield cost
 
 
-def watch(load: Load, way: Way, name: str, truth: Board, seconds: float) -> Cost:
+def watch(load: Load, way: MeasurementMethod, name: str, truth: Board, seconds: float) -> Cost:
     process = psutil.Process(way.process.pid)
     sent, began_s = truth.read(), time.monotonic()
     way.mark()

@@ -41,7 +41,7 @@ NODES = 3
 ROWS = ("nothing", *STARVING)
 
 
-class Nothing(Fault):
+class NoFault(Fault):
     """What the machine does to an agent by itself while this runs: the row to compare the others with."""
 
     name, title, unit = "nothing", "nothing", ""
@@ -145,7 +145,7 @@ def _covers(events: list[Event]) -> bool:
 
 def run(names: list[str], project: str, console: Console) -> list[Row]:
     """A row for each fault, each with its own agent."""
-    rows, faults = [], {Nothing.name: Nothing(), **all_faults()}
+    rows, faults = [], {NoFault.name: NoFault(), **all_faults()}
     config = write(overridden({}))
     for name in names:
         console.print(f"[bold]{faults[name].title}[/]")

@@ -17,7 +17,7 @@ BEGIN, END = (
     "<!-- starvation: end -->",
 )
 HEAD = ("fault", "alarms", "actions", "at the end")
-OWN = ("join_network", "reopen")
+OWN_REPAIRS = ("join_network", "reopen")
 """Actions that touch nothing but PHM itself."""
 
 
@@ -70,7 +70,7 @@ class Row:
                 warned.add(unit)
             elif event["event"] == "transition" and event["level"] == "STALE" and event.get("blocked_by"):
                 blocked.add(unit)
-            elif event["event"] == "action" and event["phase"] == "started" and event["action"] not in OWN:
+            elif event["event"] == "action" and event["phase"] == "started" and event["action"] not in OWN_REPAIRS:
                 self.actions.append(event["action"])
             if unit in self.expected[:1] and phase("verified", unit, event):
                 self.healed_s = after if self.healed_s is None else self.healed_s

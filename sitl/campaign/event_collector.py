@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from phm.wire.report import OK_LEVELS
-from sitl.campaign.trial import Act, Alarm, Start, Summary, Trial, Warned
+from sitl.campaign.trial import Act, Alarm, RaisedWarning, Start, Summary, Trial
 from sitl.harness.log_follower import Event
 
 SHARED = "host/"
@@ -47,7 +47,9 @@ def _changed(trial: Trial, agent: int, event: Event) -> None:
         known = [each.conditions for each in lasting]
         if event["old"] != "WARN":
             slot, summary = event["slot"], event["summary"]
-            trial.warned.append(Warned(agent, unit, slot, event["mono"], [condition], summary, brief=_brief(event)))
+            trial.warned.append(
+                RaisedWarning(agent, unit, slot, event["mono"], [condition], summary, brief=_brief(event))
+            )
     else:
         known = []
         for each in lasting if event["level"] in OK_LEVELS else ():

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from phm.core.settings import HostSettings, PressureSettings, RosSettings
 from phm_checks import _data_path, _endpoint_history, pressure, topics
-from sitl.campaign.metrics import Figures, OfClass
+from sitl.campaign.metrics import ClassMetrics, Figures
 
 RATIO = 2.0
 """A class above this needs an explanation."""
@@ -142,7 +142,7 @@ def compared(found: Figures) -> list[Compared]:
     return sorted(rows, key=lambda row: (-(row.ratio or 0.0), row.title))
 
 
-def _of_class(each: OfClass) -> Compared:
+def _of_class(each: ClassMetrics) -> Compared:
     ratio, limit_s = each.evidence_ratio, None
     if each.evidence_s is not None:
         limit_s = each.evidence_s - each.evidence_period_s / 2

@@ -10,7 +10,7 @@ from sitl.campaign.evidence import RATIO, UNEXPLAINED, compared
 from sitl.campaign.groups import Group
 from sitl.campaign.metrics import Figures
 from sitl.campaign.table import Rows, number
-from sitl.campaign.verdict import FLOOR_S, Judged, Verdict
+from sitl.campaign.verdict import FLOOR_S, ScoredTrial, Verdict
 
 CLASSES = (
     "fault",
@@ -169,7 +169,7 @@ def _value(difference: dict[str, object], key: str) -> str:
     return "absent" if value is None else str(value)
 
 
-def trials(judged_trials: Sequence[Judged]) -> Rows:
+def trials(judged_trials: Sequence[ScoredTrial]) -> Rows:
     """One row for each injected fault, with remarks; for the terminal."""
     return [
         (
@@ -215,11 +215,11 @@ def faults(group: Group) -> Rows:
     ]
 
 
-def _run(each: Judged) -> str:
+def _run(each: ScoredTrial) -> str:
     return f"{each.trial.number}" if each.trial.kind == "trial" else each.trial.kind
 
 
-def remarks(each: Judged, verdict: Verdict) -> list[str]:
+def remarks(each: ScoredTrial, verdict: Verdict) -> list[str]:
     """The problems of this fault."""
     fault, found = verdict.injection, []
     if verdict.missed:
@@ -279,6 +279,6 @@ def short(group: Group) -> list[str]:
     return [f"{group.name}: {line}" for line in lines]
 
 
-def _where(each: Judged) -> str:
+def _where(each: ScoredTrial) -> str:
     seed = f"seed {each.trial.setting.get('index', 0) + 1}, "
     return f"{seed}{each.trial.kind} {each.trial.number}"

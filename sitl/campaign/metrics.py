@@ -11,14 +11,14 @@ from sitl.campaign import uptime
 from sitl.campaign.attempts import Attempt, attempts
 from sitl.campaign.scoring import judge
 from sitl.campaign.stats import Stats, rank, stats
-from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Injection, Trial, Warned
-from sitl.campaign.verdict import ENDINGS, Judged, Verdict
+from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Injection, RaisedWarning, Trial
+from sitl.campaign.verdict import ENDINGS, ScoredTrial, Verdict
 
-__all__ = ["Figures", "OfClass", "Stats", "figures", "rank", "stats"]
+__all__ = ["ClassMetrics", "Figures", "Stats", "figures", "rank", "stats"]
 
 
 @dataclass(frozen=True)
-class OfClass:
+class ClassMetrics:
     """All injections of one class of fault. Shares are from 0 to 1."""
 
     fault: str
@@ -106,8 +106,8 @@ class Figures:
     """Agents of trials whose sidecar's cost was not measured."""
     restarts: int
     """Starts of PHM during trials, injected or not."""
-    classes: tuple[OfClass, ...] = ()
-    judged: tuple[Judged, ...] = field(default=(), repr=False)
+    classes: tuple[ClassMetrics, ...] = ()
+    judged: tuple[ScoredTrial, ...] = field(default=(), repr=False)
 
     @property
     def verdicts(self) -> list[Verdict]:
@@ -123,7 +123,7 @@ class Figures:
         return [alarm for each in self.judged for alarm in each.beside]
 
     @property
-    def clearing(self) -> list[Alarm | Warned]:
+    def clearing(self) -> list[Alarm | RaisedWarning]:
         return [alarm for each in self.judged for alarm in each.clearing]
 
 
@@ -187,15 +187,15 @@ def figures(trials: Sequence[Trial]) -> Figures:
     )
 
 
-def _classes(injections: Sequence[Injection], verdicts: Sequence[Verdict]) -> tuple[OfClass, ...]:
+def _classes(injections: Sequence[Injection], verdicts: Sequence[Verdict]) -> tuple[ClassMetrics, ...]:
     """Of all faults that were to be injected: a class whose injections all failed has none injected."""
     first = {each.fault: each for each in reversed(injections)}
     return tuple(_of_class(first[name], verdicts) for name in sorted(first))
 
 
-def _of_class(first: Injection, verdicts: Sequence[Verdict]) -> OfClass:
+def _of_class(first: Injection, verdicts: Sequence[Verdict]) -> ClassMetrics:
     mine = [verdict for verdict in verdicts if verdict.injection.fault == first.fault]
-    return OfClass(
+    return ClassMetrics(
         fault=first.fault,
         title=first.title,
         layer=first.layer,

@@ -40,7 +40,7 @@ STEADY_S = 3.0
 """All must have been OK for this long before the next injection."""
 RECORD_LIMIT_S = 60.0
 """PHM tries a file that it could not write again after at most 30 s, and writes something every 20 s."""
-OWN = ("join_network", "reopen")
+OWN_REPAIRS = ("join_network", "reopen")
 """What PHM does to its own container and its own end of a link, in every mode: nothing of the vehicle is touched."""
 
 
@@ -170,7 +170,7 @@ class Runner:
             trial.changed += [
                 f"A{act.agent:02d}: {act.action} at {act.unit} {act.phase}"
                 for act in trial.acts
-                if act.phase == "started" and act.action not in OWN
+                if act.phase == "started" and act.action not in OWN_REPAIRS
             ]
         finally:
             self._clear(trial)

@@ -6,11 +6,11 @@ from collections.abc import Sequence, Set
 
 from sitl.campaign.host_load import confirmed
 from sitl.campaign.times import measure
-from sitl.campaign.trial import Alarm, Injection, Trial, Warned
-from sitl.campaign.verdict import BESIDE, PEERS, Judged, Verdict, due, expects, until
+from sitl.campaign.trial import Alarm, Injection, RaisedWarning, Trial
+from sitl.campaign.verdict import BESIDE, PEERS, ScoredTrial, Verdict, due, expects, until
 
 
-def judge(trial: Trial) -> Judged:
+def judge(trial: Trial) -> ScoredTrial:
     """Assign every alarm to its fault, then compute each fault's times."""
     verdicts = [
         Verdict(trial.number, "single" if len(trial.injections) == 1 else "compound", each, due(each))
@@ -21,7 +21,7 @@ def judge(trial: Trial) -> Judged:
         verdict.cause = _cause(verdict.injection, verdicts)
     false: list[Alarm] = []
     beside: list[Alarm] = []
-    clearing: list[Alarm | Warned] = []
+    clearing: list[Alarm | RaisedWarning] = []
     for alarm in sorted(trial.alarms, key=lambda each: each.mono):
         owner = _owner(alarm, verdicts)
         if owner is not None:
@@ -37,7 +37,7 @@ def judge(trial: Trial) -> Judged:
         named = _named(verdict)
         verdict.wrong = _wrong(verdict, named, {condition for each in warned for condition in each.conditions})
         measure(verdict, trial, sorted([*named, *warned], key=lambda each: each.mono))
-    return Judged(trial, verdicts, false, beside, clearing)
+    return ScoredTrial(trial, verdicts, false, beside, clearing)
 
 
 def _cause(fault: Injection, verdicts: Sequence[Verdict]) -> Verdict | None:
@@ -58,7 +58,7 @@ def _named(verdict: Verdict) -> list[Alarm]:
     return [alarm for alarm in verdict.since if (alarm.agent, alarm.unit) == (fault.agent, fault.unit)]
 
 
-def _warned(verdict: Verdict, trial: Trial) -> list[Warned]:
+def _warned(verdict: Verdict, trial: Trial) -> list[RaisedWarning]:
     """Warnings at the fault's own unit since its injection, where they report it: an ERROR is not a warning."""
     fault = verdict.injection
     if fault.level != "WARN":

@@ -35,7 +35,7 @@ def sections(groups: Sequence[Group]) -> list[Section]:
             "Mean over the seeds ± half of the 95 % confidence interval (Student's t); one seed has no interval. "
             "Numbers without a unit are totals, except alarms per fault.",
             table.head("metric", groups, "paper, Table 2"),
-            table.table2(groups),
+            table.paper_comparison(groups),
         ),
         Section(
             "Spread over the seeds",

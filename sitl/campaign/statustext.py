@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from sitl.campaign.trial import Alarm, Injection, Line, Trial, Warned
+from sitl.campaign.trial import Alarm, Injection, Line, RaisedWarning, Trial
 from sitl.campaign.verdict import BESIDE, PEERS
 
 _TAIL = re.compile(r" (?:\+\d+|#\d+)$")
@@ -12,7 +12,7 @@ _MEASURED = re.compile(r"\d+(?:\.\d+)?(?= ?(?:%|Hz|MB|V|m?s\b))")
 """A value may change between the alarm and a later line about it."""
 
 
-def reports(line: Line, fault: Injection, first: Alarm | Warned, trial: Trial) -> bool:
+def reports(line: Line, fault: Injection, first: Alarm | RaisedWarning, trial: Trial) -> bool:
     """Whether a line reports the fault, which PHM detected by `first`: the agent's own line since then, or another
     agent's, which may notice the fault earlier.
     """
@@ -36,13 +36,13 @@ def by_others(line: Line, fault: Injection) -> bool:
     who = f"A{fault.agent:02d}"
     if re.match(rf"{who} no GCS radio", line.text):
         return fault.layer == "link"
-    reported = re.search(rf" (FAIL|WARN) 12 .*\b({who}|split|alone)\b", line.text)
+    reported = re.search(rf" (FAIL|WARN) 12 .*\b({who}|split)\b", line.text)
     return fault.unit.startswith(PEERS) and reported is not None and not line.text.startswith(who)
 
 
-def _shared(fault: Injection, first: Alarm | Warned, trial: Trial) -> bool:
+def _shared(fault: Injection, first: Alarm | RaisedWarning, trial: Trial) -> bool:
     """Whether other units of the agent are reported in this slot: of the machine, possibly since before the trial."""
-    known: list[Alarm | Warned] = [*trial.alarms, *trial.warned]
+    known: list[Alarm | RaisedWarning] = [*trial.alarms, *trial.warned]
     return fault.unit.startswith(BESIDE) or any(
         (each.agent, each.slot) == (first.agent, first.slot) and each.unit != first.unit for each in known
     )

@@ -21,7 +21,7 @@ def head(first: str, groups: Sequence[Group], *more: str) -> tuple[str, ...]:
     return (first, *more, *(group.name for group in groups))
 
 
-def table2(groups: Sequence[Group]) -> Rows:
+def paper_comparison(groups: Sequence[Group]) -> Rows:
     """The paper's parameters, then every metric with its target and whether it is met."""
 
     def settings(key: str, unit: str = "") -> list[str]:

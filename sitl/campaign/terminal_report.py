@@ -29,7 +29,7 @@ def show(trials: Sequence[Trial], asked: argparse.Namespace, console: Console, *
     found = groups(trials)
     console.print(description(found), markup=False, highlight=False)
     for title, head, rows in (
-        ("beside the paper's Table 2", table.head("metric", found, "paper, Table 2"), table.table2(found)),
+        ("beside the paper's Table 2", table.head("metric", found, "paper, Table 2"), table.paper_comparison(found)),
         ("what ended the faults", table.head("ended by", found), table.endings(found)),
         ("confirmed from outside", table.head("number of faults", found), table.outside(found)),
     ):

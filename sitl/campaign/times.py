@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sitl.campaign.statustext import reports
-from sitl.campaign.trial import OFF, Alarm, Start, Trial, Warned
+from sitl.campaign.trial import OFF, Alarm, RaisedWarning, Start, Trial
 from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PHM, Verdict, places, until as cleared
 
 OWN_RESTART, OWN_GUARD, NOTHING = "its own restart", "its own guard", "itself"
@@ -17,7 +17,7 @@ SUSPENDED = "phm_suspended"
 """A suspension of PHM is reported when it is over."""
 
 
-def measure(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned]) -> None:
+def measure(verdict: Verdict, trial: Trial, first: Sequence[Alarm | RaisedWarning]) -> None:
     """Set all times of the verdict. `first`: alarms or warnings at the fault's own unit. A fault that explains others
     must be measured before them.
     """
@@ -38,7 +38,9 @@ def measure(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned]) -> 
         verdict.ended_by = _ended_by(verdict, trial, begun)
 
 
-def _reported(verdict: Verdict, trial: Trial, first: Sequence[Alarm | Warned], begun: float, until: float) -> None:
+def _reported(
+    verdict: Verdict, trial: Trial, first: Sequence[Alarm | RaisedWarning], begun: float, until: float
+) -> None:
     if not first:
         return
     verdict.detected_s = first[0].mono - begun

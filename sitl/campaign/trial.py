@@ -94,7 +94,7 @@ class Alarm:
 
 
 @dataclass
-class Warned:
+class RaisedWarning:
     """A unit became WARN; `conditions`: all conditions, in order; `ended`: when it was OK again; `brief` as in Alarm."""
 
     agent: int
@@ -188,7 +188,7 @@ class Trial:
     heartbeat_s: float = 2.0
     injections: list[Injection] = field(default_factory=list)
     alarms: list[Alarm] = field(default_factory=list)
-    warned: list[Warned] = field(default_factory=list)
+    warned: list[RaisedWarning] = field(default_factory=list)
     acts: list[Act] = field(default_factory=list)
     starts: list[Start] = field(default_factory=list)
     lines: list[Line] = field(default_factory=list)
@@ -235,7 +235,7 @@ class Trial:
 _PARTS = {
     "injections": Injection,
     "alarms": Alarm,
-    "warned": Warned,
+    "warned": RaisedWarning,
     "acts": Act,
     "starts": Start,
     "lines": Line,

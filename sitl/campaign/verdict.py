@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from sitl.campaign.trial import Alarm, Injection, Trial, Warned
+from sitl.campaign.trial import Alarm, Injection, RaisedWarning, Trial
 
 BESIDE = "host/"
 """All agents share one machine: any of them may report its load."""
@@ -184,7 +184,7 @@ class Verdict:
 
 
 @dataclass
-class Judged:
+class ScoredTrial:
     """A trial: its faults, the alarms that belong to none of them, those about the shared machine that its measured
     load confirms, and those that clearing has caused, warnings at the unit of the fault included: a fault that was not
     recovered is mostly cleared by a restart.
@@ -194,7 +194,7 @@ class Judged:
     verdicts: list[Verdict]
     false: list[Alarm]
     beside: list[Alarm]
-    clearing: list[Alarm | Warned]
+    clearing: list[Alarm | RaisedWarning]
 
 
 def counted(alarms: Sequence[Alarm]) -> int:

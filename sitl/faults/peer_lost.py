@@ -12,7 +12,7 @@ class Injection(Fault):
     """Neither it nor the others receive anything of each other: one fault on either side."""
 
     name, title, unit = "peer_lost", "peer lost", "peers/swarm"
-    condition = "alone"
+    condition = "all_peers_lost"
     layer = "link"
     cause = "an agent's radio to the others fails, or the agent is out of their range"
     healable = False

@@ -17,7 +17,7 @@ from pathlib import Path
 from statistics import median
 
 from phm.review.statistics import rate_limits
-from sitl.campaign.trial import Trial, Warned
+from sitl.campaign.trial import RaisedWarning, Trial
 from sitl.soak.runner import load
 
 LIMITED = ("disk_filling", "memory_filling", "radio_fading", "jitter_rising")
@@ -60,7 +60,7 @@ def backtest(trials: Sequence[Trial]) -> Found:
     return Found(tuple(_row(trials, condition, hours) for condition in (*LIMITED, *UNLIMITED)), len(ended), before)
 
 
-def _reports(trial: Trial, condition: str) -> Iterator[Warned]:
+def _reports(trial: Trial, condition: str) -> Iterator[RaisedWarning]:
     """A unit that was WARN already for another reason has no time for this one, and is left out."""
     return (each for each in trial.warned if each.conditions[:1] == [condition])
 
@@ -75,7 +75,7 @@ def _row(trials: Sequence[Trial], condition: str, hours: float) -> Row:
     return Row(condition, len(found), len(leads), leads, wrong, hours, *rate_limits(wrong, hours))
 
 
-def _end(trial: Trial, report: Warned) -> float | None:
+def _end(trial: Trial, report: RaisedWarning) -> float | None:
     """When that which was forecast happened; None: not in this run."""
     errors = [each.mono for each in trial.alarms if (each.agent, each.unit) == (report.agent, report.unit)]
     if LEAKING in report.conditions:
@@ -83,7 +83,7 @@ def _end(trial: Trial, report: Warned) -> float | None:
     return min((each for each in errors if each >= report.mono), default=None)
 
 
-def _leaked(fault: str, agent: int, report: Warned) -> bool:
+def _leaked(fault: str, agent: int, report: RaisedWarning) -> bool:
     return (fault, agent) == (LEAK, report.agent)
 
 

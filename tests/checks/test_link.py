@@ -132,7 +132,7 @@ def test_bytes_without_frames_are_an_error() -> None:
     """The wrong baud rate or another protocol; a few bytes prove nothing."""
     garbage = changed(rx_s=400.0, frames_s=0.0, bad_s=90.0)
     result = run(check(SERIAL), garbage)
-    assert (result.level, result.condition) == (api.Level.ERROR, "link_garbled")
+    assert (result.level, result.condition) == (api.Level.ERROR, "link_undecodable")
     assert "57600 baud" in result.summary
     assert run(check(SERIAL), changed(rx_s=5.0, frames_s=0.0)).level is api.Level.OK
 

@@ -104,9 +104,9 @@ def test_agents_that_return_one_by_one_are_not_reported_each_time() -> None:
 
 
 def test_losing_all_agents_is_a_fault_of_the_own_radio() -> None:
-    """The condition is `alone`, not one fault for each agent."""
+    """The condition is `all_peers_lost`, not one fault for each agent."""
     result = evaluate({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[SWARM]
-    assert (result.condition, result.brief) == ("alone", "all peers lost")
+    assert (result.condition, result.brief) == ("all_peers_lost", "all peers lost")
 
 
 def test_an_agent_that_receives_others_is_not_isolated() -> None:
@@ -125,7 +125,7 @@ def test_the_only_other_agent_lost_is_reported_as_lost() -> None:
 def test_a_duplicate_id_is_reported_first() -> None:
     """Two agents with one id are named before anything else."""
     result = evaluate({2: ALIVE}, duplicate_ids=(2,))[SWARM]
-    assert (result.condition, result.brief) == ("id_clash", "A02 id used twice")
+    assert (result.condition, result.brief) == ("agent_id_duplicate", "A02 id used twice")
 
 
 def test_without_configuration_received_agents_are_expected() -> None:

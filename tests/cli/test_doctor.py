@@ -10,19 +10,19 @@ from click.testing import CliRunner
 
 from phm.cli import group
 from phm.doctor import examination
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row
 
 OK = Row("version", "ok", "PHM")
 BAD = Row("socket", "missing", "no socket", "start it")
 
 
-def invoke(monkeypatch: pytest.MonkeyPatch, rows: list[Row], *words: str) -> tuple[int, str, list[Surroundings]]:
+def invoke(monkeypatch: pytest.MonkeyPatch, rows: list[Row], *words: str) -> tuple[int, str, list[DoctorContext]]:
     """Exit code, output, and what was examined."""
     seen = []
 
-    def examine(surroundings: Surroundings) -> dict[str, list[Row]]:
-        seen.append(surroundings)
+    def examine(doctor_context: DoctorContext) -> dict[str, list[Row]]:
+        seen.append(doctor_context)
         return {"phm": rows}
 
     monkeypatch.setattr(examination, "examine", examine)

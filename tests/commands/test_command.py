@@ -15,10 +15,10 @@ from phm.wire.command import (
     ApproveAction,
     Command,
     CommandResult,
-    HoldPlace,
+    HoldContainerAt,
     InvalidParameters,
     Permission,
-    ReleasePlace,
+    ReleaseContainerAt,
     RepeatMessage,
     Request,
     RestartContainer,
@@ -58,8 +58,8 @@ KNOWN: list[tuple[int, float, float, Request, Permission]] = [
     (31010, 1, NAN, RunChecks(), Permission.CHECK),
     (31010, 2, 17, ApproveAction(17), Permission.APPROVE),
     (31010, 3, 1, RestartContainer(1), Permission.RESTART),
-    (31010, 4, 1, HoldPlace(1), Permission.HOLD),
-    (31010, 5, 2, ReleasePlace(2), Permission.HOLD),
+    (31010, 4, 1, HoldContainerAt(1), Permission.HOLD),
+    (31010, 5, 2, ReleaseContainerAt(2), Permission.HOLD),
 ]
 WRONG = [
     (512, NAN, 0),
@@ -166,7 +166,7 @@ def test_any_numbers_are_accepted_or_rejected(command: int, first: float, second
 @pytest.mark.parametrize(("fourth", "wanted"), [(0, None), (NAN, None), (600, 600)])
 def test_a_hold_has_a_length_or_the_configured_one(fourth: float, wanted: float | None) -> None:
     """And the hash of the container's name, as a restart."""
-    assert parse(31010, (4, 2), 17.0, fourth) == HoldPlace(2, 17, wanted)
+    assert parse(31010, (4, 2), 17.0, fourth) == HoldContainerAt(2, 17, wanted)
 
 
 @pytest.mark.parametrize("fourth", [-1, 0.5, INF, 2**25])

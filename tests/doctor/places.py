@@ -1,4 +1,4 @@
-"""Surroundings for tests of `phm doctor`: nothing of this machine."""
+"""DoctorContext for tests of `phm doctor`: nothing of this machine."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from phm.core.settings import Settings
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row
 
 
-def surroundings(folder: Path, *, environ: dict[str, str] | None = None, **sections: Any) -> Surroundings:
+def doctor_context(folder: Path, *, environ: dict[str, str] | None = None, **sections: Any) -> DoctorContext:
     """With an engine that does not exist, unless `docker` names one; /dev and /proc are folders of the test."""
     (folder / "dev").mkdir(exist_ok=True)
     (folder / "proc").mkdir(exist_ok=True)
@@ -25,7 +25,7 @@ def surroundings(folder: Path, *, environ: dict[str, str] | None = None, **secti
             **sections,
         }
     )
-    return Surroundings(settings, environ=environ or {}, proc=folder / "proc", container_mark=folder / "mark")
+    return DoctorContext(settings, environ=environ or {}, proc=folder / "proc", container_mark=folder / "mark")
 
 
 def states(rows: list[Row]) -> dict[str, str]:

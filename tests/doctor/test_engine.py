@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from phm.doctor.engine import rows
-from tests.doctor.places import row, states, surroundings
+from tests.doctor.places import doctor_context, row, states
 from tests.fakes.engine import FakeEngine
 from tests.fakes.engine_faults import Status
 from tests.setup.machines import described
@@ -16,7 +16,7 @@ def test_an_engine_that_answers_is_ok(tmp_path: Path) -> None:
     with FakeEngine(tmp_path / "engine.sock") as fake:
         fake.containers["app"] = described("app")
         containers = [{"name": "app"}, {"name": "gone"}]
-        found = list(rows(surroundings(tmp_path, docker={"socket": fake.url}, containers=containers)))
+        found = list(rows(doctor_context(tmp_path, docker={"socket": fake.url}, containers=containers)))
     assert states(found) == {"version": "ok", "rights": "ok", "containers": "ok", "container gone": "missing"}
     assert row(found, "version").text == "Docker Engine 20.10.24, API 1.41"
 
@@ -24,13 +24,13 @@ def test_an_engine_that_answers_is_ok(tmp_path: Path) -> None:
 def test_an_engine_that_is_too_old_is_limited(tmp_path: Path) -> None:
     """The remedy names the oldest version that is supported."""
     with FakeEngine(tmp_path / "engine.sock", api="1.40") as fake:
-        found = list(rows(surroundings(tmp_path, docker={"socket": fake.url})))
+        found = list(rows(doctor_context(tmp_path, docker={"socket": fake.url})))
     assert row(found, "version").state == "limited" and "20.10" in row(found, "version").remedy
 
 
 def test_without_an_engine_the_remedy_is_to_start_it(tmp_path: Path) -> None:
     """One row, whose text does not repeat the remedy."""
-    (only,) = rows(surroundings(tmp_path))
+    (only,) = rows(doctor_context(tmp_path))
     assert only.state == "missing" and only.remedy.startswith("start the Docker Engine")
     assert only.remedy not in only.text
 
@@ -39,6 +39,6 @@ def test_a_proxy_that_refuses_limits_the_rights(tmp_path: Path) -> None:
     """An engine that answers with 403 is reached, but through a proxy that must allow more."""
     with FakeEngine(tmp_path / "engine.sock") as fake:
         fake.fault = Status(403, "no", route="/containers")
-        found = list(rows(surroundings(tmp_path, docker={"socket": fake.url})))
+        found = list(rows(doctor_context(tmp_path, docker={"socket": fake.url})))
     assert states(found) == {"version": "ok", "rights": "limited"}
     assert "proxy" in row(found, "rights").remedy

@@ -6,13 +6,13 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.examination import GROUPS, examine
 from phm.doctor.row import Row, ok
-from tests.doctor.places import surroundings
+from tests.doctor.places import doctor_context
 
 
-def fine(_: Surroundings) -> Iterator[Row]:
+def fine(_: DoctorContext) -> Iterator[Row]:
     yield ok("fine", "fine")
 
 
@@ -20,16 +20,16 @@ def test_a_group_that_hangs_or_fails_has_one_row(tmp_path: Path) -> None:
     """The deadline is for all groups together."""
     never = threading.Event()
 
-    def hangs(_: Surroundings) -> Iterator[Row]:
+    def hangs(_: DoctorContext) -> Iterator[Row]:
         never.wait()
         yield ok("late", "late")
 
-    def fails(_: Surroundings) -> Iterator[Row]:
+    def fails(_: DoctorContext) -> Iterator[Row]:
         yield ok("first", "first")
         raise RuntimeError("broken")
 
     try:
-        found = examine(surroundings(tmp_path), {"a": hangs, "b": fails, "c": fine}, limit_s=0.2)
+        found = examine(doctor_context(tmp_path), {"a": hangs, "b": fails, "c": fine}, limit_s=0.2)
     finally:
         never.set()
     assert {group: [(row.name, row.state) for row in rows] for group, rows in found.items()} == {
@@ -42,7 +42,7 @@ def test_a_group_that_hangs_or_fails_has_one_row(tmp_path: Path) -> None:
 
 def test_every_row_that_is_not_ok_has_a_remedy(tmp_path: Path) -> None:
     """On a machine with nothing: no engine, no devices, no folders, no configuration."""
-    found = examine(surroundings(tmp_path))
+    found = examine(doctor_context(tmp_path))
     assert list(found) == list(GROUPS)
     assert [row for rows in found.values() for row in rows if row.state != "ok" and not row.remedy] == []
     assert not any(row.text.startswith("not known within") for rows in found.values() for row in rows)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from phm.doctor import kernel
-from tests.doctor.places import row, states, surroundings
+from tests.doctor.places import doctor_context, row, states
 
 
 def kernel_of(folder: Path, *, watches: int = 65536, instances: int = 128, psi: bool = True) -> None:
@@ -23,7 +23,7 @@ def kernel_of(folder: Path, *, watches: int = 65536, instances: int = 128, psi: 
 
 def test_a_current_kernel_is_ok(tmp_path: Path) -> None:
     """The restriction of the ROS child is tried for real, in a separate process."""
-    there = surroundings(tmp_path)
+    there = doctor_context(tmp_path)
     kernel_of(there.proc)
     (tmp_path / "cgroup").mkdir()
     (tmp_path / "cgroup" / "cgroup.controllers").touch()
@@ -37,7 +37,7 @@ def test_features_that_an_old_kernel_lacks_are_limited_with_a_remedy(
 ) -> None:
     """cgroup v2, PSI, Landlock and enough inotify watches: PHM runs without them."""
     monkeypatch.setattr(kernel, "_SANDBOX", "print('files: no Landlock (not supported)')")
-    there = surroundings(tmp_path)
+    there = doctor_context(tmp_path)
     kernel_of(there.proc, watches=100, psi=False)
     (tmp_path / "cgroup" / "cpu").mkdir(parents=True)
     found = list(kernel.rows(there))
@@ -49,5 +49,5 @@ def test_features_that_an_old_kernel_lacks_are_limited_with_a_remedy(
 
 def test_unmounted_cgroups_are_limited(tmp_path: Path) -> None:
     """PHM then asks the engine for statistics."""
-    there = surroundings(tmp_path)
+    there = doctor_context(tmp_path)
     assert "engine for statistics" in row(list(kernel.rows(there)), "cgroups").text

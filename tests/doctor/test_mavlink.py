@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from phm.doctor import mavlink
-from phm.doctor.context import Surroundings
+from phm.doctor.context import DoctorContext
 from phm.doctor.mavlink import rows
 from phm.doctor.row import Row
-from tests.doctor.places import surroundings
+from tests.doctor.places import doctor_context
 
 
-def judged(there: Path, url: str, **more: Any) -> tuple[Row, Surroundings]:
-    found = surroundings(there, mavlink={"endpoints": [{"url": url}]}, **more)
+def judged(there: Path, url: str, **more: Any) -> tuple[Row, DoctorContext]:
+    found = doctor_context(there, mavlink={"endpoints": [{"url": url}]}, **more)
     (only,) = rows(found)
     return only, found
 
@@ -50,5 +50,5 @@ def test_a_serial_port_must_exist(tmp_path: Path) -> None:
 
 def test_no_endpoint_is_said(tmp_path: Path) -> None:
     """A configuration without endpoints is valid, and the row says so."""
-    (only,) = rows(surroundings(tmp_path))
+    (only,) = rows(doctor_context(tmp_path))
     assert only.state == "ok" and "none configured" in only.text

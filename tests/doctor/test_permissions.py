@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from phm.doctor.permissions import rows
-from tests.doctor.places import row, surroundings
+from tests.doctor.places import doctor_context, row
 
 
 def test_a_socket_that_may_not_be_opened_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a container the remedy is a line of the compose file, else a command."""
     (tmp_path / "engine.sock").touch()
     monkeypatch.setattr(os, "access", lambda *_: False)
-    there = surroundings(tmp_path, docker={"socket": f"unix://{tmp_path}/engine.sock"})
+    there = doctor_context(tmp_path, docker={"socket": f"unix://{tmp_path}/engine.sock"})
     found = row(list(rows(there)), "socket")
     assert found.state == "missing" and "usermod" in found.remedy
     there.container_mark.touch()
@@ -25,20 +25,20 @@ def test_a_socket_that_may_not_be_opened_names_the_group(tmp_path: Path, monkeyp
 def test_a_socket_that_may_be_opened_is_ok(tmp_path: Path) -> None:
     """Permission alone: whether an engine answers is another row."""
     (tmp_path / "engine.sock").touch()
-    there = surroundings(tmp_path, docker={"socket": f"unix://{tmp_path}/engine.sock"})
+    there = doctor_context(tmp_path, docker={"socket": f"unix://{tmp_path}/engine.sock"})
     assert row(list(rows(there)), "socket").state == "ok"
 
 
 def test_no_socket_is_missing(tmp_path: Path) -> None:
     """A missing Unix socket is a defect; an engine over TCP needs none."""
-    assert row(list(rows(surroundings(tmp_path))), "socket").state == "missing"
-    remote = surroundings(tmp_path, docker={"socket": "tcp://10.0.0.1:2375"})
+    assert row(list(rows(doctor_context(tmp_path))), "socket").state == "missing"
+    remote = doctor_context(tmp_path, docker={"socket": "tcp://10.0.0.1:2375"})
     assert row(list(rows(remote)), "socket").state == "ok"
 
 
 def test_the_group_of_a_serial_port_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Root needs no group."""
-    there = surroundings(tmp_path)
+    there = doctor_context(tmp_path)
     (tmp_path / "dev" / "ttyUSB0").symlink_to("/dev/null")
     monkeypatch.setattr(os, "geteuid", lambda: 10001)
     monkeypatch.setattr(os, "getegid", lambda: 10001)

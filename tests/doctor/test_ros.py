@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from phm.doctor.ros import rows
-from tests.doctor.places import row, states, surroundings
+from tests.doctor.places import doctor_context, row, states
 from tests.fakes.engine import FakeEngine
 from tests.setup.machines import described
 
@@ -30,7 +30,7 @@ def installed(monkeypatch: pytest.MonkeyPatch, found: dict[str, str] | None) -> 
 def test_the_installation_of_phm_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The rows have distribution, rclpy, middleware and domain."""
     installed(monkeypatch, JAZZY)
-    found = list(rows(surroundings(tmp_path, ros={"domain": 7})))
+    found = list(rows(doctor_context(tmp_path, ros={"domain": 7})))
     assert row(found, "PHM").text == "jazzy, rclpy 7.1.4, rmw_fastrtps_cpp"
     assert "ROS_DOMAIN_ID 7" in row(found, "domain").text
 
@@ -38,8 +38,8 @@ def test_the_installation_of_phm_is_named(tmp_path: Path, monkeypatch: pytest.Mo
 def test_no_rclpy_is_missing_where_nodes_are_configured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Elsewhere it only limits."""
     installed(monkeypatch, None)
-    assert states(list(rows(surroundings(tmp_path))))["PHM"] == "limited"
-    assert states(list(rows(surroundings(tmp_path, ros={"nodes": [{"name": "/a"}]}))))["PHM"] == "missing"
+    assert states(list(rows(doctor_context(tmp_path))))["PHM"] == "limited"
+    assert states(list(rows(doctor_context(tmp_path, ros={"nodes": [{"name": "/a"}]}))))["PHM"] == "missing"
 
 
 def test_an_application_with_other_variables_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,7 +48,7 @@ def test_an_application_with_other_variables_is_limited(tmp_path: Path, monkeypa
     with FakeEngine(tmp_path / "engine.sock") as fake:
         fake.containers["same"] = described("same", env={"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"})
         fake.containers["other"] = described("other", env={"ROS_DOMAIN_ID": "8"})
-        there = surroundings(tmp_path, docker={"socket": fake.url}, environ={"ROS_DOMAIN_ID": "7"})
+        there = doctor_context(tmp_path, docker={"socket": fake.url}, environ={"ROS_DOMAIN_ID": "7"})
         found = list(rows(there))
     assert row(found, "same").state == "ok"
     assert row(found, "other").state == "limited"
@@ -62,6 +62,6 @@ def test_on_the_host_the_sidecar_is_compared(tmp_path: Path, monkeypatch: pytest
         fake.containers["app"] = described("app", env={"ROS_DOMAIN_ID": "8"})
         sidecar = {"ROS_DOMAIN_ID": "8", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
         fake.containers["phm"] = described("phm", env=sidecar, entrypoint=["ros-entrypoint", "phm"])
-        there = surroundings(tmp_path, docker={"socket": fake.url}, environ={"ROS_DOMAIN_ID": "7"})
+        there = doctor_context(tmp_path, docker={"socket": fake.url}, environ={"ROS_DOMAIN_ID": "7"})
         found = list(rows(there))
     assert row(found, "app").state == "ok" and "ROS_DOMAIN_ID 8" in row(found, "domain").text

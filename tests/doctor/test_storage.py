@@ -8,19 +8,19 @@ from pathlib import Path
 import pytest
 
 from phm.doctor.storage import rows
-from tests.doctor.places import row, states, surroundings
+from tests.doctor.places import doctor_context, row, states
 
 
 def test_writable_folders_are_ok(tmp_path: Path) -> None:
     """The folders of log and state need no remedy if PHM can write to them."""
     (tmp_path / "log").mkdir()
     (tmp_path / "state").mkdir()
-    assert states(list(rows(surroundings(tmp_path)))) == {"log": "ok", "state": "ok"}
+    assert states(list(rows(doctor_context(tmp_path)))) == {"log": "ok", "state": "ok"}
 
 
 def test_a_missing_folder_is_missing_once_it_is_configured(tmp_path: Path) -> None:
     """Without a configuration it is limited: PHM may be set up later."""
-    there = surroundings(tmp_path)
+    there = doctor_context(tmp_path)
     assert states(list(rows(there))) == {"log": "limited", "state": "limited"}
     there.configuration = "phm.yaml"
     assert states(list(rows(there))) == {"log": "missing", "state": "missing"}
@@ -29,7 +29,7 @@ def test_a_missing_folder_is_missing_once_it_is_configured(tmp_path: Path) -> No
 def test_a_disk_without_room_for_the_log_is_limited(tmp_path: Path) -> None:
     """Less free space than `log.max_size` needs."""
     (tmp_path / "log").mkdir()
-    there = surroundings(tmp_path, log={"directory": str(tmp_path / "log"), "max_size": 1e18})
+    there = doctor_context(tmp_path, log={"directory": str(tmp_path / "log"), "max_size": 1e18})
     assert row(list(rows(there)), "log").state == "limited"
 
 
@@ -37,7 +37,7 @@ def test_a_configuration_that_no_delivery_can_replace_is_limited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a folder that PHM cannot write, and mounted as a single file; not asked where nothing can be delivered."""
-    there = surroundings(tmp_path, delivery={"listen": "127.0.0.1:9465", "key": "/etc/phm/delivery.key"})
+    there = doctor_context(tmp_path, delivery={"listen": "127.0.0.1:9465", "key": "/etc/phm/delivery.key"})
     assert "delivery" not in states(list(rows(there)))
     there.configuration = str(tmp_path / "phm.yaml")
     assert row(list(rows(there)), "delivery").state == "ok"
@@ -47,6 +47,6 @@ def test_a_configuration_that_no_delivery_can_replace_is_limited(
     monkeypatch.setattr(os, "access", lambda path, mode: path != str(tmp_path))
     refused = row(list(rows(there)), "delivery")
     assert refused.state == "limited" and f"mount `- FOLDER:{tmp_path}`" in refused.remedy
-    plain = surroundings(tmp_path)
+    plain = doctor_context(tmp_path)
     plain.configuration = there.configuration
     assert "delivery" not in states(list(rows(plain)))

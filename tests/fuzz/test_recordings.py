@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
 from phm.review import source_mcap, source_rosbag2
-from phm.review.lines import Piece, Problems
+from phm.review.lines import FileSegment, Problems
 from phm.review.sources import source_of
 from tests.fuzz.targets import fuzzed
 from tests.review import bags
@@ -40,5 +40,5 @@ def test_any_recording_is_read(kind: str, edits: list[tuple[float, int, bytes]])
         file.write(content)
         file.flush()
         read = source_rosbag2.read if kind == "db3" else source_mcap.read
-        assert all(len(event.text) <= 400 for event in read(Piece(file.name), Problems()))
+        assert all(len(event.text) <= 400 for event in read(FileSegment(file.name), Problems()))
         source_of(Path(file.name))

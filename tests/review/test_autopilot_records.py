@@ -16,8 +16,8 @@ from pymavlink import DFReader
 from phm.cli import group
 from phm.review import page, record_reader, source_dataflash, source_tlog
 from phm.review.events import Event
-from phm.review.lines import Piece, Problems
-from phm.review.other import Other
+from phm.review.external_entry import ExternalEntry
+from phm.review.lines import FileSegment, Problems
 from tests.fakes.recorded_flight import FOLDER
 from tests.review.records import T0, Flown, report
 
@@ -130,7 +130,7 @@ def test_long_texts_are_put_together(tmp_path: Path) -> None:
     parts = [status_text("x" * 50, 7, 0), status_text("end", 7, 1)]
     file = tmp_path / "1.tlog"
     file.write_bytes(b"".join(stamped(T0, part) for part in parts))
-    assert [event.text for event in source_tlog.read(Piece(str(file)), Problems())] == ["x" * 50 + "end"]
+    assert [event.text for event in source_tlog.read(FileSegment(str(file)), Problems())] == ["x" * 50 + "end"]
 
 
 @pytest.mark.parametrize("length", [0, 1, 2, 4])
@@ -158,7 +158,7 @@ def test_damage_never_raises_and_is_named(data: st.DataObject) -> None:
     with tempfile.NamedTemporaryFile() as file:
         file.write(content)
         file.flush()
-        assert all(len(event.text) < 20_000 for event in read(Piece(file.name), Problems()))
+        assert all(len(event.text) < 20_000 for event in read(FileSegment(file.name), Problems()))
 
 
 def test_a_torn_end_costs_the_last_entry_alone(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_a_torn_end_costs_the_last_entry_alone(tmp_path: Path) -> None:
         whole.write_bytes(plain)
         torn.write_bytes(plain[:-5])
         problems = Problems()
-        every, left = list(read(Piece(str(whole)), Problems())), list(read(Piece(str(torn)), problems))
+        every, left = list(read(FileSegment(str(whole)), Problems())), list(read(FileSegment(str(torn)), problems))
         assert len(every) - 1 <= len(left) <= len(every) and problems.found
 
 
@@ -184,7 +184,7 @@ def test_other_files_are_not_taken_for_records(tmp_path: Path) -> None:
 
 def read_dataflash(file: Path) -> tuple[list[Any], Problems]:
     problems = Problems()
-    return list(source_dataflash.read(Piece(str(file)), problems)), problems
+    return list(source_dataflash.read(FileSegment(str(file)), problems)), problems
 
 
 def name(plain: bytes, place: int) -> str:
@@ -210,7 +210,9 @@ def stamped(t: float, frame: bytes) -> bytes:
 
 def test_texts_of_an_entry_are_limited() -> None:
     """A line of JSON may claim to be one: its texts are cut, an unknown level is none."""
-    made = Other.of(Event("mode", system=1, utc_s=T0, text="x" * 10_000, by="y" * 10_000, level="z" * 10_000), "file")
+    made = ExternalEntry.of(
+        Event("mode", system=1, utc_s=T0, text="x" * 10_000, by="y" * 10_000, level="z" * 10_000), "file"
+    )
     assert made is not None and (len(made.text), len(made.by), made.level) == (200, 20, "")
     for system, utc_s in ((None, T0), (0, T0), (256, T0), (1, 5.0), (1, float("nan")), (1, float("inf"))):
-        assert Other.of(Event("mode", system=system, utc_s=utc_s), "file") is None
+        assert ExternalEntry.of(Event("mode", system=system, utc_s=utc_s), "file") is None

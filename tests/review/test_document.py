@@ -186,7 +186,7 @@ def test_table_2_of_the_paper_is_made_of_inject_notes(tmp_path: Path) -> None:
     made.note("INJECT stop ros_app")
     made.until(200)
     made.close()
-    table = report(tmp_path)["table2"]
+    table = report(tmp_path)["injection_metrics"]
     assert (table["injected"], table["detected"], table["self_resolved"]) == (2, 1, 0.5)
     assert (table["first_alarm_s"], table["detection_s"]) == (1.0, 4.0)
     assert table["response_s"] == pytest.approx(24.0)

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from phm.review import document, record, record_reader
 from phm.review.events import parse
-from phm.review.lines import MAX_LINE, Piece, Problems, lines
+from phm.review.lines import MAX_LINE, FileSegment, Problems, lines
 from phm.review.part import Part
 from tests.review.records import report
 from tests.review.test_document import one_flight
@@ -126,7 +126,7 @@ def test_each_line_is_in_exactly_one_piece(tmp_path_factory: object, content: li
     total = path.stat().st_size
     read: list[bytes] = []
     for begin in range(0, total, size):
-        read += lines(Piece(str(path), begin, min(begin + size, total)), Problems())
+        read += lines(FileSegment(str(path), begin, min(begin + size, total)), Problems())
     assert b"".join(read) == path.read_bytes()
 
 

@@ -22,7 +22,7 @@ from phm.review import page, tables
 from tests.review import bags
 from tests.review.records import T0, Flown, Ground, report
 from tests.review.test_document import one_flight
-from tests.review.test_other_clocks import THREE, clock_of, flown
+from tests.review.test_external_clocks import THREE, clock_of, flown
 
 RECORDED = ("diagnostic", "rosout", "gap")
 

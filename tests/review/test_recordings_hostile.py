@@ -21,7 +21,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from phm.review import mcap_stream, source_mcap, source_rosbag2
 from phm.review.cdr_read import line, statuses
 from phm.review.events import Event
-from phm.review.lines import Piece, Problems
+from phm.review.lines import FileSegment, Problems
 from phm.review.recording import MOST_TOPICS, Recording
 from phm.review.sources import source_of
 from phm.review.topic_times import MOST_GAPS, SAMPLES, TopicTimes
@@ -38,7 +38,7 @@ def read_mcap(content: bytes) -> tuple[list[Event], list[str]]:
         file.write(content)
         file.flush()
         found = Problems()
-        return list(source_mcap.read(Piece(file.name), found)), [what for what, _ in found.found]
+        return list(source_mcap.read(FileSegment(file.name), found)), [what for what, _ in found.found]
 
 
 def record(opcode: int, body: bytes) -> bytes:
@@ -72,7 +72,7 @@ def test_a_torn_database_is_named(tmp_path: Path) -> None:
     for part in (0.3, 0.7):
         file.write_bytes(data[: int(len(data) * part)])
         found = Problems()
-        list(source_rosbag2.read(Piece(str(file)), found))
+        list(source_rosbag2.read(FileSegment(str(file)), found))
         assert any("damaged or unreadable" in what for what, _ in found.found)
 
 
@@ -178,7 +178,7 @@ def test_a_database_that_would_compute_is_not_read(tmp_path: Path, statements: t
 def report_of(file: Path) -> dict[str, Any]:
     """What `report` says of a file that may have nothing."""
     found = Problems()
-    events = list(source_rosbag2.read(Piece(str(file)), found))
+    events = list(source_rosbag2.read(FileSegment(str(file)), found))
     assert not events
     return {"files": {"problems": [{"what": what, "count": count} for (what, _), (count, _) in found.found.items()]}}
 

@@ -140,7 +140,7 @@ def test_an_injection_into_node_10_is_not_one_into_node_1(tmp_path: Path) -> Non
     right = made.fail("nodes/node_10")
     made.until(100)
     made.close()
-    assert [one["fault"] for one in report(tmp_path)["table2"]["injections"]] == [right]
+    assert [one["fault"] for one in report(tmp_path)["injection_metrics"]["injections"]] == [right]
 
 
 @pytest.mark.extras

@@ -12,16 +12,16 @@ from hypothesis import given, settings, strategies as st
 
 from phm.review import source_ulog, tables
 from phm.review.events import Event
-from phm.review.lines import Piece, Problems
-from phm.review.other import Other, text_event
+from phm.review.external_entry import ExternalEntry, text_event
+from phm.review.lines import FileSegment, Problems
 from tests.review import crafted_ulog
 from tests.review.records import T0, report
-from tests.review.test_other_clocks import THREE, flown
+from tests.review.test_external_clocks import THREE, flown
 
 
 def read(file: Path) -> tuple[list[Any], Problems]:
     problems = Problems()
-    return list(source_ulog.read(Piece(str(file)), problems)), problems
+    return list(source_ulog.read(FileSegment(str(file)), problems)), problems
 
 
 def test_modes_arming_failsafes_and_texts_have_the_time_of_the_gps(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_types_within_types_are_not_expanded(tmp_path: Path) -> None:
 def test_texts_have_no_escape_sequences(text: str, shown: str) -> None:
     """Of PX4's logs and of nodes of ROS 2; what remains of a damaged one is shown as an escape."""
     for event in (text_event(1, T0, text), Event("rosout", system=1, utc_s=T0, text=text)):
-        made = Other.of(event, "file")
+        made = ExternalEntry.of(event, "file")
         assert made is not None and made.text == shown
 
 

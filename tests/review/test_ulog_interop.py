@@ -7,8 +7,8 @@ from pathlib import Path
 from pyulog import ULog
 
 from phm.review import source_ulog
-from phm.review.lines import Piece, Problems
-from phm.review.other import plain
+from phm.review.external_entry import plain
+from phm.review.lines import FileSegment, Problems
 from tests.review import crafted_ulog
 from tests.review.records import T0
 
@@ -18,7 +18,7 @@ def test_pyulog_reads_the_same_states_and_texts(tmp_path: Path) -> None:
     file = tmp_path / "1.ulg"
     file.write_bytes(crafted_ulog.log(T0 + 50))
     theirs = ULog(str(file))
-    mine = list(source_ulog.read(Piece(str(file)), Problems()))
+    mine = list(source_ulog.read(FileSegment(str(file)), Problems()))
     boot = T0
     assert not theirs.file_corruption and theirs.initial_parameters["MAV_SYS_ID"] == mine[0].system == 7
     changes = theirs.get_dataset("vehicle_status").list_value_changes("arming_state")

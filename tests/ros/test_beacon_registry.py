@@ -14,7 +14,7 @@ from phm.probes.ros.beacon_registry import FORGET_S, MAX_RIVALS, MAX_STRANGERS, 
 from phm.probes.ros.beacon_text import beacons_in, log_texts
 from phm.probes.ros.beacons import MAX_BYTES, OTHERS_BYTES, choose
 from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, encode
-from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
+from phm.probes.ros.self_reports import MAX_NAMES, ConfiguredNames, SelfReports
 
 A, B = "/agent_1/a", "/agent_1/b"
 
@@ -459,7 +459,9 @@ def test_views_of_unconfigured_nodes_about_each_other_are_dropped() -> None:
 
 def test_unconfigured_nodes_displace_no_configured_node_in_the_daemon() -> None:
     """The oldest configured one is kept: a dead node is recognized by its silence."""
-    kept = SelfReports(own=Own(frozenset({A}))).with_update(SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2)}), 1.0)
+    kept = SelfReports(configured=ConfiguredNames(frozenset({A}))).with_update(
+        SelfReportUpdate(beacons={A: BeaconFact(0.1, 0.2)}), 1.0
+    )
     for number in range(3 * MAX_NAMES):
         kept = kept.with_update(SelfReportUpdate(beacons={f"/x{number}": BeaconFact(0.1, 0.2)}), 2.0 + number)
     assert A in kept.beacons and len(kept.beacons) == MAX_NAMES + 1

@@ -13,7 +13,7 @@ from typing import Any
 from phm.facts import DiagnosticFact, RosFact
 from phm.probes.ros.diagnostics import MAX_TEXT, MAX_VALUES, portions
 from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, encode
-from phm.probes.ros.self_reports import MAX_NAMES, Own, SelfReports
+from phm.probes.ros.self_reports import MAX_NAMES, ConfiguredNames, SelfReports
 from phm.probes.ros.supervisor import RosSupervisor
 from phm.wire import json_log
 from tests.fakes.ros_bench import ROOT, Bench, Listener, seen, until
@@ -273,7 +273,7 @@ def test_statuses_of_any_size_fit_into_messages() -> None:
 
 def test_other_statuses_displace_no_configured_status() -> None:
     """The daemon keeps configured statuses, by name or pattern, however old they are."""
-    kept = SelfReports(own=Own(statuses=("camera: *",))).with_update(
+    kept = SelfReports(configured=ConfiguredNames(statuses=("camera: *",))).with_update(
         SelfReportUpdate(diagnostics={"camera: a": DiagnosticFact(0.0, 0)}), 1.0
     )
     for number in range(3 * MAX_NAMES):

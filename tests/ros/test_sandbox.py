@@ -105,15 +105,15 @@ def test_missing_kernel_features_are_reported(monkeypatch: pytest.MonkeyPatch) -
     )
 
 
-OWN = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "PHM_ROS_PROFILE": "/tmp/phm.xml"}
+UDP_ENVIRONMENT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "PHM_ROS_PROFILE": "/tmp/phm.xml"}
 
 
 @pytest.mark.parametrize(
     ("variables", "streams"),
     [
         ({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}, False),
-        ({**OWN, "FASTDDS_DEFAULT_PROFILES_FILE": "/tmp/phm.xml"}, False),
-        ({**OWN, "FASTDDS_DEFAULT_PROFILES_FILE": "/etc/phm/own.xml"}, True),
+        ({**UDP_ENVIRONMENT, "FASTDDS_DEFAULT_PROFILES_FILE": "/tmp/phm.xml"}, False),
+        ({**UDP_ENVIRONMENT, "FASTDDS_DEFAULT_PROFILES_FILE": "/etc/phm/own.xml"}, True),
         ({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "FASTDDS_DEFAULT_PROFILES_FILE": "/etc/phm/own.xml"}, True),
         ({"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"}, True),
         ({"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, True),

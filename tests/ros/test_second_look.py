@@ -46,15 +46,15 @@ class World:
 
     def __init__(self, second: Callable[[float], Known]) -> None:
         self.opened: list[float] = []
-        self.scouts: list[Participant] = []
+        self.participants: list[Participant] = []
         self.now_s = 0.0
         self._second = second
         self.look = SecondLook(self._open, self.now_s)
 
     def _open(self) -> Participant:
         self.opened.append(self.now_s)
-        self.scouts.append(Participant(self._second))
-        return self.scouts[-1]
+        self.participants.append(Participant(self._second))
+        return self.participants[-1]
 
     def run(self, until_s: float, known: Known, *, lacking: bool = False) -> list[tuple[float, list[str]]]:
         """When something was found to be missed or stale, and what."""
@@ -71,14 +71,14 @@ def test_one_second_participant_is_opened_after_the_start() -> None:
     world = World(lambda now_s: ALL)
     assert world.run(1000.0, ALL) == []
     assert world.opened == [CALM_S]
-    assert not world.scouts[0].open
+    assert not world.participants[0].open
 
 
 def test_a_node_that_the_first_participant_missed_is_found() -> None:
     """The second one has known it for some seconds; then it is closed, and a pause follows."""
     world = World(lambda now_s: ALL)
     assert world.run(20.0, NOTHING, lacking=True) == [(FOUND_S, [NODE, TOPIC])]
-    assert [scout.open for scout in world.scouts] == [False]
+    assert [participant.open for participant in world.participants] == [False]
 
 
 def test_a_missing_endpoint_is_found_while_all_configured_nodes_are_listed() -> None:
@@ -105,7 +105,7 @@ def test_a_missing_node_is_looked_up_less_and_less_often() -> None:
     """A configured node that is switched off."""
     world = World(lambda now_s: NOTHING)
     assert world.run(5000.0, NOTHING, lacking=True) == []
-    assert all(not scout.open for scout in world.scouts)
+    assert all(not participant.open for participant in world.participants)
     pauses = [later - earlier - OPEN_S for earlier, later in zip(world.opened, world.opened[1:], strict=False)]
     assert pauses[:7] == [*(REST_S * 2**turn for turn in range(1, 6)), REST_MOST_S, REST_MOST_S]
 
@@ -172,7 +172,7 @@ def test_a_node_that_only_the_first_participant_lists_is_found() -> None:
     rest = ALL - {(NODE,), (TOPIC, "publisher", NODE)}
     world = World(lambda now_s: rest)
     assert world.run(20.0, rest | BEHIND) == [(STALE_S, [NODE])]
-    assert [scout.open for scout in world.scouts] == [False]
+    assert [participant.open for participant in world.participants] == [False]
 
 
 def test_the_only_node_is_found_when_it_is_stale() -> None:

@@ -97,7 +97,7 @@ def answer(body: object, status: int = 200) -> web.Response:
     )
 
 
-class Gate:
+class AccessControl:
     """Checks every request before its handler; `middleware` is called by aiohttp."""
 
     def __init__(self, options: ListenOptions, port: int, clock: Clock) -> None:

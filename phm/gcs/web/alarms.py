@@ -23,7 +23,7 @@ class _Alarm:
     silent_until: float = 0.0
 
 
-class AlarmBook:
+class AlarmList:
     """Holds the alarm of each agent, by its name."""
 
     def __init__(self) -> None:

@@ -20,7 +20,7 @@ from phm.gcs.frames import CommandAck, ComputerStatus
 from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.gcs.web import events, rows
-from phm.gcs.web.alarms import AlarmBook
+from phm.gcs.web.alarms import AlarmList
 from phm.gcs.web.view import View
 
 logger = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ class Station(Protocol):
     def snapshot(self, *, moments: bool = False, only: Collection[int] | None = None) -> tuple[int, GcsEvent]: ...
 
 
-class Taker(Protocol):
+class FeedListener(Protocol):
     """Takes what arrives, in the thread of the feed; must not wait."""
 
     def frame(self, received: Received) -> None:
@@ -64,13 +64,13 @@ class Taker(Protocol):
 
 
 class StationFeed:
-    """Reads the queues of the station in its own thread. takers: receive every frame and event, e.g. the history."""
+    """Reads the queues of the station in its own thread. listeners: receive every frame and event, e.g. the history."""
 
     def __init__(
-        self, station: Station, view: View, clock: Clock, alarms: AlarmBook, takers: Collection[Taker] = ()
+        self, station: Station, view: View, clock: Clock, alarms: AlarmList, listeners: Collection[FeedListener] = ()
     ) -> None:
         self._station, self._view, self._clock = station, view, clock
-        self._alarms, self._takers = alarms, tuple(takers)
+        self._alarms, self._listeners = alarms, tuple(listeners)
         self._events = SubscriberQueue(clock)
         self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_FRAMES)
         self._dirty: set[int] = set()
@@ -105,8 +105,8 @@ class StationFeed:
             self._frame(received)
         lines = [self._event(item) for item in self._events.take(0.0)]
         now = self._clock.mono()
-        for taker in self._takers:
-            taker.turn(now)
+        for listener in self._listeners:
+            listener.turn(now)
         changed, self._alarms.changed = self._alarms.changed, set()
         if now - self._all_at >= ALL_S or changed:
             self._all_at = now
@@ -151,8 +151,8 @@ class StationFeed:
             self._dirty.add(frame.system)
         if isinstance(frame, ComputerStatus):
             self._values[frame.system] = {**frame.values(), "at": round(received.at.mono, 2)}
-        for taker in self._takers:
-            taker.frame(received)
+        for listener in self._listeners:
+            listener.frame(received)
 
     def _event(self, item: QueuedEvent) -> Json:
         line = events.from_line(item.line)
@@ -160,8 +160,8 @@ class StationFeed:
         number = item.event.body.get("agent") or item.event.body.get("system")
         if isinstance(number, int):
             self._dirty.add(number)
-        for taker in self._takers:
-            taker.event(item, line)
+        for listener in self._listeners:
+            listener.event(item, line)
         return line
 
     def _put(self, only: Collection[int] | None) -> None:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from phm.core.clock import Clock
 from phm.gcs.station import GroundStation
-from phm.gcs.web.alarms import AlarmBook
+from phm.gcs.web.alarms import AlarmList
 from phm.gcs.web.feed import StationFeed
 from phm.gcs.web.history.collector import Collector
-from phm.gcs.web.history.faults import FaultBook
+from phm.gcs.web.history.faults import FaultList
 from phm.gcs.web.history.reader import HistoryReader
 from phm.gcs.web.history.store import HistoryStore
 from phm.gcs.web.options import ListenOptions
-from phm.gcs.web.requests import RequestDesk
+from phm.gcs.web.requests import RequestHandler
 from phm.gcs.web.server import WebServer
 from phm.gcs.web.site import Site
 from phm.gcs.web.stream import LineTap
@@ -35,14 +35,14 @@ class GroundPage:
         history: Path | None = None,
         extra: Mapping[str, object] | None = None,
     ) -> None:
-        self._view, alarms = View(clock), AlarmBook()
-        desk = RequestDesk(station, self._view, clock)
+        self._view, alarms = View(clock), AlarmList()
+        handler = RequestHandler(station, self._view, clock)
         self._store = HistoryStore(history, clock)
         reader = HistoryReader(self._store.path)
         site = Site(
             self._view,
             clock,
-            requests=desk,
+            requests=handler,
             alarms=alarms,
             history=reader,
             stream=station,
@@ -54,8 +54,8 @@ class GroundPage:
         except OSError:
             self._store.close()
             raise
-        collector = Collector(self._store, FaultBook(reader.open_faults()))
-        self._feed = StationFeed(station, self._view, clock, alarms, [desk, collector])
+        collector = Collector(self._store, FaultList(reader.open_faults()))
+        self._feed = StationFeed(station, self._view, clock, alarms, [handler, collector])
         self._feed.ground = lambda: {"history": {"problem": self._store.problem()}}
         station.subscribe(LineTap(clock, self.server, "/stream"))
 

@@ -64,7 +64,7 @@ class _Sent:
         }
 
 
-class RequestDesk:
+class RequestHandler:
     """Sends requests and keeps the last ones with their answers. Thread-safe."""
 
     def __init__(self, station: GroundStation, view: View, clock: Clock) -> None:

@@ -19,7 +19,7 @@ from aiohttp import web
 
 from phm.core import threads
 from phm.gcs.web import routes
-from phm.gcs.web.access import MOST_BODY, Gate, Handler
+from phm.gcs.web.access import MOST_BODY, AccessControl, Handler
 from phm.gcs.web.clients import LOOK_S, Clients
 from phm.gcs.web.connections import MAX_CONNECTIONS, Connections
 from phm.gcs.web.options import ListenOptions
@@ -52,7 +52,7 @@ class WebServer:
         self._listener = socket.create_server((host, options.port), family=family, backlog=MAX_CONNECTIONS)
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._connections = Connections(site.clock)
-        gate = Gate(options, self.address[1], site.clock)
+        gate = AccessControl(options, self.address[1], site.clock)
         self.clients = Clients(site.clock, site.on_clients, gate.lasts)
         self._app = web.Application(middlewares=[self._serve_one, gate.middleware], client_max_size=MOST_BODY)
         self._app[GATE], self._app[CLIENTS] = gate, self.clients

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from aiohttp import web
 
-from phm.gcs.web.access import Gate
+from phm.gcs.web.access import AccessControl
 from phm.gcs.web.clients import Clients
 
-GATE: web.AppKey[Gate] = web.AppKey("gate", Gate)
+GATE: web.AppKey[AccessControl] = web.AppKey("gate", AccessControl)
 CLIENTS: web.AppKey[Clients] = web.AppKey("clients", Clients)

@@ -11,7 +11,7 @@ from phm.gcs.web.view import View
 
 if TYPE_CHECKING:
     from phm.gcs.station import GroundStation
-    from phm.gcs.web.alarms import AlarmBook
+    from phm.gcs.web.alarms import AlarmList
     from phm.gcs.web.history.reader import HistoryReader
 
 Json = dict[str, Any]
@@ -22,7 +22,7 @@ class RequestRefused(Exception):
 
 
 class Requests(Protocol):
-    """Takes requests of the operator (`phm.gcs.web.requests.RequestDesk`). Thread-safe, never waits for an agent."""
+    """Takes requests of the operator (`phm.gcs.web.requests.RequestHandler`). Thread-safe, never waits for an agent."""
 
     def choices(self, agent: str) -> Json:
         """What can be requested of an agent. Raises RequestRefused."""
@@ -50,7 +50,7 @@ class Site:
     clock: Clock
     page: str = "gcs"
     requests: Requests | None = None
-    alarms: AlarmBook | None = None
+    alarms: AlarmList | None = None
     history: HistoryReader | None = None
     replay: ReplayControl | None = None
     stream: GroundStation | None = None

@@ -12,7 +12,7 @@ from typing import Any
 from phm.facts.ros import CONSENSUS, DIAGNOSTICS, DiagnosticFact
 from phm.probes.ros.protocol import LogText, Message, Publish, SelfReportUpdate
 
-OWN = "phm/"
+OWN_STATUS_PREFIX = "phm/"
 """Statuses with this prefix are PHM's, of this agent or another."""
 MAX_TAKES = 50
 """Arrays read from one topic per look; the reader's queue has the same length, and older ones are overwritten."""
@@ -61,7 +61,7 @@ class DiagnosticsListener:
         for topic, reader in self._readers.items():
             for array in self._arrays(topic, reader):
                 for status in array.status[:MAX_STATUSES]:
-                    if status.name and not status.name.startswith(OWN):
+                    if status.name and not status.name.startswith(OWN_STATUS_PREFIX):
                         received[status.name[:MAX_TEXT]] = _fact(status)
         messages, self._log_texts = self._log_texts, []
         kept = sorted(received.items(), key=lambda item: not self._is_own(item[0]))[:MAX_STATUSES]

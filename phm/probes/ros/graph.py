@@ -17,7 +17,7 @@ from phm.facts import EndpointFact
 from phm.probes.ros.name_limits import MAX_STRANGERS, Ends, kept_ends, kept_nodes
 from phm.probes.ros.raw_names import printable, raw_node_names, undecodable
 
-OWN = "_phm_"
+OWN_NODE_PREFIX = "_phm_"
 """Hidden nodes with this prefix are PHM's own, including those of a child that was just replaced."""
 NOT_UTF8 = "a node or topic in the ROS domain has a name that is not UTF-8: {}"
 MAX_PROBLEMS, MAX_TEXT = 5, 300
@@ -77,7 +77,9 @@ class GraphReader:
             self._of_names[f"node names cannot be read: {error}"[:MAX_TEXT]] = None
             return {}
         self.names_known = True
-        listed = Counter(printable(full_name(name, namespace)) for name, namespace in found if not name.startswith(OWN))
+        listed = Counter(
+            printable(full_name(name, namespace)) for name, namespace in found if not name.startswith(OWN_NODE_PREFIX)
+        )
         nodes, left_out = kept_nodes(listed, self.configured)
         if left_out:
             self._of_names[f"the ROS domain has more than {MAX_STRANGERS} unconfigured nodes; PHM ignores the rest"] = (
@@ -154,7 +156,7 @@ class GraphReader:
 
 def endpoints(infos: Iterable[Any]) -> tuple[EndpointFact, ...]:
     """rclpy's TopicEndpointInfo as facts, without PHM's own, in a stable order."""
-    facts = (_endpoint(info) for info in infos if not info.node_name.startswith(OWN))
+    facts = (_endpoint(info) for info in infos if not info.node_name.startswith(OWN_NODE_PREFIX))
     return tuple(sorted(facts, key=lambda fact: (fact.node, fact.type)))
 
 

@@ -17,14 +17,14 @@ from rclpy.parameter import Parameter
 from phm.facts.ros import RateFact, TopicFact
 from phm.probes.ros.beacons import BeaconListener
 from phm.probes.ros.diagnostics import DiagnosticsListener
-from phm.probes.ros.graph import OWN, GraphReader
+from phm.probes.ros.graph import OWN_NODE_PREFIX, GraphReader
 from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.graph_snapshot import findings, flow
 from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, Publish, Tick, Wanted
 from phm.probes.ros.rates.topic_monitor import TopicMonitor
 from phm.probes.ros.readiness import ReadinessReader
-from phm.probes.ros.second_look import Known, Scout
-from phm.probes.ros.self_reports import Own
+from phm.probes.ros.second_look import Known, SecondParticipant
+from phm.probes.ros.self_reports import ConfiguredNames
 from phm.probes.ros.unconfigured_topics import UnconfiguredTopics
 
 
@@ -45,7 +45,9 @@ class Observer:
             if topic.rate_hz is not None
         }
         self._names = UnconfiguredTopics(self._node, {topic.name for topic in wanted.topics})
-        self._diagnostics = DiagnosticsListener(self._node, wanted.listen, Own(statuses=wanted.watch).is_status)
+        self._diagnostics = DiagnosticsListener(
+            self._node, wanted.listen, ConfiguredNames(statuses=wanted.watch).is_status
+        )
         self._beacons = BeaconListener(self._node, frozenset(wanted.nodes))
         self._readiness = ReadinessReader(self._node, wanted)
         self._events = GraphEvents(self._node, self._context)
@@ -82,9 +84,9 @@ class Observer:
             not self._graph.publishers[name] for name in self._gauges
         )
 
-    def second(self) -> Scout:
+    def second(self) -> SecondParticipant:
         """A second participant that observes the same graph."""
-        return _Second(self._wanted)
+        return _GraphParticipant(self._wanted)
 
     def renewed(self) -> Observer:
         """Close this observer and return a new one with a new participant and an empty graph."""
@@ -127,7 +129,7 @@ class Observer:
         self._context.try_shutdown()
 
 
-class _Second:
+class _GraphParticipant:
     """A participant that reads only the graph."""
 
     def __init__(self, wanted: Wanted) -> None:
@@ -149,7 +151,7 @@ def _participant(wanted: Wanted, name: str) -> tuple[Any, Any]:
     # Without logging set up rcl creates no log directory: the sidecar's file system is read-only.
     context.init(args=[], initialize_logging=False, domain_id=wanted.domain)
     node: Any = Node(
-        OWN + re.sub(r"\W", "_", name, flags=re.ASCII),
+        OWN_NODE_PREFIX + re.sub(r"\W", "_", name, flags=re.ASCII),
         context=context,
         start_parameter_services=False,
         enable_rosout=False,

@@ -12,7 +12,7 @@ from phm.probes.ros.rates.publisher_stats import Sample
 
 
 @dataclass(frozen=True, slots=True)
-class Quality:
+class SubscriptionQos:
     """How to subscribe. depth: samples kept in the queue, and taken per look.
 
     Without `latched` it is best effort and volatile, which by the rules of DDS is compatible with every publisher,
@@ -40,9 +40,9 @@ class Reader:
     identified = True
     """Whether rclpy gives the identity of publishers (from Kilted on), as far as is known."""
 
-    def __init__(self, node: Any, topic: str, type_name: str, quality: Quality, *, keep: bool = False) -> None:
+    def __init__(self, node: Any, topic: str, type_name: str, qos: SubscriptionQos, *, keep: bool = False) -> None:
         """keep: the messages of the newest look are kept. Raises UnknownType."""
-        self.quality = quality
+        self.qos = qos
         self.messages: list[RawMessage] = []
         self._keep = keep
         self._rcl: RclTaker | None = None
@@ -54,7 +54,7 @@ class Reader:
             publishers = ()
         message = load_type(type_name, publishers)
         try:
-            self._subscription = node.create_subscription(message, topic, _never_called, _profile(quality), raw=True)
+            self._subscription = node.create_subscription(message, topic, _never_called, _profile(qos), raw=True)
         except Exception as error:  # rclpy raises its own and pybind's exceptions for broken type support
             raise UnknownType(f"type unknown: {type_name} cannot be subscribed to ({error})") from error
         if keep and not Reader.identified:
@@ -69,7 +69,7 @@ class Reader:
         self.messages = []
         handle = self._subscription.handle
         with handle:
-            for _ in range(self.quality.depth):
+            for _ in range(self.qos.depth):
                 taken = handle.take_message(self._subscription.msg_type, True) if self._rcl is None else self._by_rcl()
                 if taken is None:
                     break
@@ -120,15 +120,15 @@ class Reader:
         self._node.destroy_subscription(self._subscription)
 
 
-def _profile(quality: Quality) -> Any:
+def _profile(qos: SubscriptionQos) -> Any:
     from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
     reliable, kept = QoSReliabilityPolicy.RELIABLE, QoSDurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
-        depth=quality.depth,
-        reliability=reliable if quality.latched else QoSReliabilityPolicy.BEST_EFFORT,
-        durability=kept if quality.latched else QoSDurabilityPolicy.VOLATILE,
+        depth=qos.depth,
+        reliability=reliable if qos.latched else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=kept if qos.latched else QoSDurabilityPolicy.VOLATILE,
     )
 
 

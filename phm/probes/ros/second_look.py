@@ -49,7 +49,7 @@ class Differences(NamedTuple):
 NO_DIFFERENCES = Differences()
 
 
-class Scout(Protocol):
+class SecondParticipant(Protocol):
     """The second participant."""
 
     def known(self, now_s: float) -> Known: ...
@@ -63,9 +63,9 @@ class SecondLook:
     It looks after the start, after something left, and at increasing intervals while something configured is missing.
     """
 
-    def __init__(self, open_scout: Callable[[], Scout], now_s: float) -> None:
-        self._open = open_scout
-        self._scout: Scout | None = None
+    def __init__(self, open_participant: Callable[[], SecondParticipant], now_s: float) -> None:
+        self._open = open_participant
+        self._participant: SecondParticipant | None = None
         self._opened_s = 0.0
         self._missed: Since = {}
         self._stale: Since = {}
@@ -88,11 +88,11 @@ class SecondLook:
         self._lacking = lacking
         if (left or lacking) and self._due_s is None:
             self._due_s = now_s + CALM_S
-        if self._scout is None:
+        if self._participant is None:
             if self._due_s is not None and now_s >= max(self._due_s, self._rested_s):
                 self._begin(now_s)
             return None
-        second = self._scout.known(now_s)
+        second = self._participant.known(now_s)
         self._missed = {one: self._missed.get(one, now_s) for one in second - known}
         self._stale = {one: self._stale.get(one, now_s) for one in _stale(known, second)}
         found = Differences(
@@ -113,9 +113,9 @@ class SecondLook:
 
     def close(self) -> None:
         """Safe to call twice."""
-        scout, self._scout = self._scout, None
-        if scout is not None:
-            scout.close()
+        participant, self._participant = self._participant, None
+        if participant is not None:
+            participant.close()
 
     def _begin(self, now_s: float) -> None:
         if now_s - self._rested_s >= self._rest_s:
@@ -123,7 +123,7 @@ class SecondLook:
         self._due_s, self._opened_s, self._missed, self._stale = None, now_s, {}, {}
         self._looks_for_left, self._left = self._left, False
         try:
-            self._scout = self._open()
+            self._participant = self._open()
         except Exception:  # rclpy's own exceptions, at a limit of threads or participants: the first one must suffice
             self._end(now_s, again=True)
 

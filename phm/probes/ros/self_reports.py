@@ -24,7 +24,7 @@ SILENT_MISSES = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Own:
+class ConfiguredNames:
     """The configured full node names, and patterns of statuses with `*` and `?`."""
 
     nodes: frozenset[str] = frozenset()
@@ -54,7 +54,7 @@ class SelfReports:
     """Number of messages on the beacon topic that were not valid beacons."""
     lost_at: float | None = None
     """When more beacons arrived than can be read."""
-    own: Own = field(default_factory=Own)
+    configured: ConfiguredNames = field(default_factory=ConfiguredNames)
 
     def with_update(self, update: SelfReportUpdate, now_s: float) -> SelfReports:
         beacons = {**self.beacons, **{name: (now_s, fact) for name, fact in update.beacons.items()}}
@@ -63,11 +63,11 @@ class SelfReports:
                 beacons[name] = (now_s, _aged_beacon(beacons[name][1], age_s))
         diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in update.diagnostics.items()}}
         return SelfReports(
-            _newest(beacons, self.own.is_node),
-            _newest(diagnostics, self.own.is_status),
+            _newest(beacons, self.configured.is_node),
+            _newest(diagnostics, self.configured.is_status),
             max(self.refused, update.refused),
             now_s if update.lost else self.lost_at,
-            self.own,
+            self.configured,
         )
 
     def differs(self, update: SelfReportUpdate) -> bool:

@@ -39,7 +39,7 @@ from phm.probes.ros.protocol import (
     encode_order,
     encode_wanted,
 )
-from phm.probes.ros.self_reports import SILENT_MISSES, Own, SelfReports
+from phm.probes.ros.self_reports import SILENT_MISSES, ConfiguredNames, SelfReports
 from phm.probes.ros.stale_nodes import DOUBT_S, StaleNodes
 from phm.probes.ros.unnamed_participants import UNNAMED_S, UnnamedParticipants
 from phm.probes.ros.wanted import wanted
@@ -113,7 +113,8 @@ class RosSupervisor:
         self._first_line = encode_wanted(looked_for)
         self._nodes = frozenset(looked_for.nodes)
         self._blank = GraphSnapshot(
-            self_reports=SelfReports(own=Own(self._nodes, looked_for.watch)), again_s=again_s(ros.grace)
+            self_reports=SelfReports(configured=ConfiguredNames(self._nodes, looked_for.watch)),
+            again_s=again_s(ros.grace),
         )
         self._max_memory = ros.max_memory
         self._command = tuple(command)

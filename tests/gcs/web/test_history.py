@@ -16,7 +16,7 @@ from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
 from phm.gcs.presence import COPY_S
 from phm.gcs.web.history.collector import MAX_TOPICS
-from phm.gcs.web.history.faults import FaultBook
+from phm.gcs.web.history.faults import FaultList
 from phm.gcs.web.history.reader import HistoryReader
 from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from phm.transport.dialect import mavlink
@@ -315,7 +315,7 @@ def said(text: str, utc_s: float, kind: str = "change") -> dict[str, Any]:
 
 def test_the_details_of_a_fault_say_when_it_was_detected() -> None:
     """Before it was confirmed, also across midnight."""
-    book, midnight = FaultBook(), 86_400.0 * 20_000
+    book, midnight = FaultList(), 86_400.0 * 20_000
     book.take(said("A07 FAIL 2 ros_app exited 1", midnight + 2))
     found = book.take(
         line("detail", midnight + 5, fault="ab12-17", text="container/ros_app: x; open since 23:59:58 UTC")
@@ -326,7 +326,7 @@ def test_the_details_of_a_fault_say_when_it_was_detected() -> None:
 
 def test_a_fault_whose_end_was_not_received_ends_with_the_heartbeat() -> None:
     """Lines get lost; the status word is repeated."""
-    book = FaultBook()
+    book = FaultList()
     book.take(said("A07 FAIL 2 ros_app exited 1", 1))
     assert book.take(line("slots", 2, changed={"6": ["OK", "ERROR"]})) == []
     closed = book.take(line("slots", 3, changed={"2": ["ERROR", "OK"]}))
@@ -335,7 +335,7 @@ def test_a_fault_whose_end_was_not_received_ends_with_the_heartbeat() -> None:
 
 def test_a_repeated_line_adds_no_second_fault() -> None:
     """A refresh repeats the worst one; a fault that gets worse stays one."""
-    book = FaultBook()
+    book = FaultList()
     assert len(book.take(said("A07 WARN 2 ros_app slow", 1))) == 1
     assert book.take(said("A07 WARN 11111111 2 ros_app slow", 2, "refresh")) == []
     worse = book.take(said("A07 FAIL 2 ros_app slow", 3))

@@ -14,7 +14,7 @@ from hypothesis import given, strategies as st
 
 from sitl.campaign import plots
 from sitl.campaign.report import BEGIN, END, as_html, as_json, as_markdown, between_marks
-from sitl.campaign.trial import Cost, Load, Start, Summary, Trial, Warned, append, from_json, load, to_json
+from sitl.campaign.trial import Cost, Load, RaisedWarning, Start, Summary, Trial, append, from_json, load, to_json
 from tests.fakes.campaign_trials import alarm, injection, trial
 
 EVIL = "</script><script>window.hit = 1</script><img src=x onerror='window.hit = 1'>"
@@ -39,7 +39,7 @@ def unwrapped(text: str) -> str:
 def full_trial() -> Trial:
     """A trial that uses every part of the record."""
     return trial(
-        warned=[Warned(1, "rates/a", 8, 5.0, ["rate_low"], "slow")],
+        warned=[RaisedWarning(1, "rates/a", 8, 5.0, ["rate_low"], "slow")],
         starts=[Start(2, 3.0)],
         blind=[(3, 1.0, 2.0)],
         received={1: 100},

@@ -9,7 +9,7 @@ import pytest
 from sitl.campaign.attempts import attempts
 from sitl.campaign.scoring import judge
 from sitl.campaign.statustext import by_others, own
-from sitl.campaign.trial import OFF, Act, Load, Start, Summary, Trial, Warned
+from sitl.campaign.trial import OFF, Act, Load, RaisedWarning, Start, Summary, Trial
 from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PHM, Verdict
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, started, trial, verified
 
@@ -179,9 +179,9 @@ def test_compound_faults_each_keep_their_own_alarms() -> None:
 def test_a_lost_peer_reported_by_all_is_one_alarm() -> None:
     """Seven agents that miss the same peer count once, beside the peer's own alarm; twice from one agent counts twice."""
     gone = injection(
-        unit="peers/swarm", others="peers/A03", condition="alone", layer="link", group="link", healable=False
+        unit="peers/swarm", others="peers/A03", condition="all_peers_lost", layer="link", group="link", healable=False
     )
-    alone = alarm(10.0, "peers/swarm", slot=12, conditions=["alone"])
+    alone = alarm(10.0, "peers/swarm", slot=12, conditions=["all_peers_lost"])
     by_peers = [alarm(10.0 + agent / 10, "peers/A03", agent, slot=12, conditions=["peer_lost"]) for agent in (1, 2, 4)]
     made = trial(injections=[gone], alarms=[alone, *by_peers], acts=[], lines=[line(11.0, "A01 FAIL 12 A03 lost", 1)])
     verdict = only(made)
@@ -209,7 +209,7 @@ def test_phm_is_back_when_it_reports() -> None:
 def test_a_warning_counts_as_detection_of_a_warning_fault() -> None:
     """Faults with level WARN open no fault; the transition counts."""
     slow = injection(unit="radio/ground", condition="radio_lossy", layer="link", group="link", level="WARN")
-    warned = [Warned(3, "radio/ground", 11, T0 + 2.0, ["radio_lossy"], "it loses 40 %")]
+    warned = [RaisedWarning(3, "radio/ground", 11, T0 + 2.0, ["radio_lossy"], "it loses 40 %")]
     verdict = only(
         trial(injections=[slow], alarms=[], acts=[], warned=warned, lines=[line(2.5, "A03 WARN 11 radio loss")])
     )
@@ -224,7 +224,7 @@ def test_a_stopped_phm_is_recovered_when_it_reports_the_suspension() -> None:
     stopped = injection(
         unit="companion", condition="phm_suspended", layer="companion", group="phm", phm=True, level="WARN"
     )
-    warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_suspended"], "it was suspended for 3 s")]
+    warned = [RaisedWarning(3, "companion", 1, T0 + 3.0, ["phm_suspended"], "it was suspended for 3 s")]
     verdict = only(trial(injections=[stopped], warned=warned, alarms=[], acts=[]))
     assert (verdict.claimed_s, verdict.by) == (3.0, "its own guard")
     assert verdict.ended_by == PHM
@@ -235,7 +235,7 @@ def test_a_problem_of_phm_that_lasts_is_not_over_with_its_report() -> None:
     broken = injection(
         unit="companion", condition="phm_problem", layer="companion", group="companion", phm=True, level="WARN"
     )
-    warned = [Warned(3, "companion", 1, T0 + 3.0, ["phm_problem"], "cannot write")]
+    warned = [RaisedWarning(3, "companion", 1, T0 + 3.0, ["phm_problem"], "cannot write")]
     verdict = only(trial(injections=[broken], warned=warned, alarms=[], acts=[]))
     assert (verdict.detected_s, verdict.claimed_s) == (3.0, None)
 
@@ -247,7 +247,7 @@ def test_a_killed_phm_is_recovered_when_it_reports_again() -> None:
     gone = injection(
         unit="companion", condition="phm_restarted", layer="companion", group="phm", phm=True, level="WARN"
     )
-    warned = [Warned(3, "companion", 1, T0 + 2.0, ["phm_restarted"], "it had ended without a word")]
+    warned = [RaisedWarning(3, "companion", 1, T0 + 2.0, ["phm_restarted"], "it had ended without a word")]
     verdict = only(trial(injections=[gone], warned=warned, starts=[Start(3, T0 + 1.5, T0 + 3.0)], alarms=[], acts=[]))
     assert (verdict.detected_s, verdict.claimed_s, verdict.by, verdict.right) == (2.0, 3.0, "its own restart", True)
 

@@ -12,9 +12,9 @@ from sitl.campaign.fault_rows import rare, remarks
 from sitl.campaign.groups import groups
 from sitl.campaign.metrics import figures
 from sitl.campaign.scoring import judge
-from sitl.campaign.table import beyond, endings, left_out, table2
+from sitl.campaign.table import beyond, endings, left_out, paper_comparison
 from sitl.campaign.targets import short
-from sitl.campaign.trial import Cost, Injection, Load, Start, Trial, Warned
+from sitl.campaign.trial import Cost, Injection, Load, RaisedWarning, Start, Trial
 from sitl.campaign.verdict import ACTION, PHM, Verdict
 from sitl.faults import all_faults
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, started, trial, verified
@@ -74,8 +74,8 @@ def test_a_line_may_be_cut_and_its_value_may_change() -> None:
 
 def test_another_agent_may_report_a_fault_first() -> None:
     """The peers' own line about a lost one counts since the injection, its own only since its detection."""
-    gone = injection(unit="peers/swarm", others="peers/A03", condition="alone", layer="link", group="link")
-    alarms = [alarm(10.0, "peers/swarm", slot=12, conditions=["alone"]), alarm(8.0, "peers/A03", 1, slot=12)]
+    gone = injection(unit="peers/swarm", others="peers/A03", condition="all_peers_lost", layer="link", group="link")
+    alarms = [alarm(10.0, "peers/swarm", slot=12, conditions=["all_peers_lost"]), alarm(8.0, "peers/A03", 1, slot=12)]
     lines = [line(5.0, "A03 FAIL 12 alone"), line(8.5, "A01 FAIL 12 A03 lost", 1)]
     assert only(trial(injections=[gone], alarms=alarms, lines=lines)).response_s == pytest.approx(8.5)
 
@@ -83,7 +83,7 @@ def test_another_agent_may_report_a_fault_first() -> None:
 def test_nothing_after_clearing_is_a_detection_or_a_response() -> None:
     """A WARN, a start of PHM and a line after the fault was cleared are consequences of clearing."""
     slow = injection(unit="radio/ground", condition="radio_lossy", layer="link", group="link", level="WARN")
-    warned = [Warned(3, "radio/ground", 11, T0 + 20.5, ["radio_lossy"], "it loses 40 %")]
+    warned = [RaisedWarning(3, "radio/ground", 11, T0 + 20.5, ["radio_lossy"], "it loses 40 %")]
     judged = judge(trial(injections=[slow], alarms=[], acts=[], warned=warned, lines=[]))
     assert (judged.verdicts[0].missed, judged.verdicts[0].detected_s) == (True, None)
     assert [each.unit for each in judged.clearing] == ["radio/ground"]
@@ -110,7 +110,7 @@ def test_a_world_never_seen_broken_confirms_nothing() -> None:
 
 def test_a_warning_does_not_report_an_error() -> None:
     """A fault that must be ERROR and was WARN only is missed."""
-    warned = [Warned(3, NODE, 6, T0 + 2.0, ["node_missing"], "late")]
+    warned = [RaisedWarning(3, NODE, 6, T0 + 2.0, ["node_missing"], "late")]
     verdict = only(trial(alarms=[], acts=[], warned=warned, lines=[line(2.5, "A03 WARN 6 node_1 late")]))
     assert (verdict.missed, verdict.right, verdict.detected_s) == (True, False, None)
     assert figures([trial(number=1), trial(number=2, alarms=[], acts=[], warned=warned)]).alarms_per_fault == 1.0
@@ -132,8 +132,10 @@ def test_a_missing_alarm_does_not_compensate_for_one_too_many() -> None:
 
 def test_a_lost_peer_without_a_report_of_others_lacks_an_alarm() -> None:
     """The other agents have to report it, too."""
-    gone = injection(unit="peers/swarm", others="peers/A03", condition="alone", layer="link", group="link")
-    judged = judge(trial(injections=[gone], alarms=[alarm(10.0, "peers/swarm", conditions=["alone"])], acts=[]))
+    gone = injection(unit="peers/swarm", others="peers/A03", condition="all_peers_lost", layer="link", group="link")
+    judged = judge(
+        trial(injections=[gone], alarms=[alarm(10.0, "peers/swarm", conditions=["all_peers_lost"])], acts=[])
+    )
     (verdict,) = judged.verdicts
     assert verdict.lacking == ["peers/A03"]
     assert "no alarm at peers/A03" in remarks(judged, verdict)
@@ -184,7 +186,7 @@ def test_a_reboot_may_open_a_silent_autopilot_first() -> None:
     given: dict[str, Any] = {"unit": "autopilot", "condition": fault.condition, "earlier": fault.earlier}
     reboot = injection(level="WARN", passes=True, healable=False, layer="link", group="autopilot", **given)
     silent = alarm(3.5, "autopilot", slot=10, conditions=["autopilot_silent"])
-    warned = [Warned(3, "autopilot", 10, T0 + 6.5, ["autopilot_rebooted"], "it has rebooted")]
+    warned = [RaisedWarning(3, "autopilot", 10, T0 + 6.5, ["autopilot_rebooted"], "it has rebooted")]
     judged = judge(trial(injections=[reboot], alarms=[silent], acts=[], warned=warned))
     (verdict,) = judged.verdicts
     assert (verdict.count, verdict.expected, verdict.right, verdict.detected_s) == (1, 1, True, 3.5)
@@ -215,7 +217,7 @@ def test_the_largest_possible_share_is_beside_the_self_resolved() -> None:
     faults = [injection(), injection(healable=False), injection(passes=True), gone]
     (group,) = groups([trial(number=number, injections=[each]) for number, each in enumerate(faults)])
     assert group.all.by_action_possible == 0.25
-    names = [each[0] for each in table2([group])]
+    names = [each[0] for each in paper_comparison([group])]
     assert names.index(POSSIBLE) == names.index("Self-resolved: by action, of all injected") + 1
 
 

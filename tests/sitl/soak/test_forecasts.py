@@ -7,15 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from sitl.campaign.trial import Trial, Warned, append
+from sitl.campaign.trial import RaisedWarning, Trial, append
 from sitl.soak.forecasts import Row, backtest, main
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
 
 MEMORY, DISK = "pressure/ros_app", "host/disk"
 
 
-def warned(after: float, condition: str, unit: str = MEMORY, agent: int = 3, more: tuple[str, ...] = ()) -> Warned:
-    return Warned(agent, unit, 9, T0 + after, [condition, *more], "it grows")
+def warned(
+    after: float, condition: str, unit: str = MEMORY, agent: int = 3, more: tuple[str, ...] = ()
+) -> RaisedWarning:
+    return RaisedWarning(agent, unit, 9, T0 + after, [condition, *more], "it grows")
 
 
 def row(trials: list[Trial], condition: str) -> Row:

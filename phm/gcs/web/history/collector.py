@@ -13,7 +13,7 @@ from phm.gcs.presence import COPY_S
 from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent
 from phm.gcs.web.events import GRADES
-from phm.gcs.web.history.faults import FaultBook
+from phm.gcs.web.history.faults import FaultList
 from phm.gcs.web.history.reader import TOPIC
 from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from phm.gcs.web.view import dumps
@@ -30,9 +30,9 @@ RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
 
 
 class Collector:
-    """A `Taker` of the feed. book: has the open faults."""
+    """A `FeedListener` of the feed. book: has the open faults."""
 
-    def __init__(self, store: HistoryStore, book: FaultBook) -> None:
+    def __init__(self, store: HistoryStore, book: FaultList) -> None:
         self._store, self._book = store, book
         self._heard: dict[str, float] = {}
         self._levels: dict[str, tuple[int, float]] = {}

@@ -76,7 +76,7 @@ def from_json(body: Mapping[str, Any]) -> FaultEntry:
     )
 
 
-class FaultBook:
+class FaultList:
     """Holds the open faults. `take` returns those that have changed."""
 
     def __init__(self, known: Iterable[FaultEntry] = ()) -> None:

@@ -7,11 +7,11 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.gcs.frames import NO_AUTOPILOT, POWEROFF, Heartbeat, RadioStatus
 from phm.gcs.web import events
-from phm.gcs.web.alarms import AlarmBook
+from phm.gcs.web.alarms import AlarmList
 from phm.gcs.web.events import GRADES
 from phm.gcs.web.feed import StationFeed
 from phm.gcs.web.history.collector import Collector, sender_name
-from phm.gcs.web.history.faults import FaultBook
+from phm.gcs.web.history.faults import FaultList
 from phm.gcs.web.history.reader import HistoryReader
 from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistoryStore
 from phm.gcs.web.options import ListenOptions
@@ -33,7 +33,7 @@ class ReplayPage:
     def __init__(self, record: GroundRecord, options: ListenOptions, clock: Clock, speed: float = 1.0) -> None:
         self._record, self._clock = record, clock
         self.player = Player(record, speed)
-        self._view, alarms = View(self.player.clock), AlarmBook()
+        self._view, alarms = View(self.player.clock), AlarmList()
         self._store = HistoryStore(None, clock, max_age_s=float("inf"))
         site = Site(
             self._view,
@@ -81,7 +81,7 @@ class ReplayPage:
     def _remember(self) -> None:
         """The history of the whole record; queries end at the time that is shown. Of the series only those that a record has:
         levels, and the ground's own radios."""
-        book = FaultBook()
+        book = FaultList()
         series = Collector(self._store, book)
         for entry in self._record.entries:
             self._samples(series, entry)

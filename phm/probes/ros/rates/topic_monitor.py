@@ -13,7 +13,7 @@ from phm.probes.ros.protocol import WantedTopic
 from phm.probes.ros.rates.estimator import Listening, RateEstimator
 from phm.probes.ros.rates.publisher_stats import SHORTEST_S, Sample
 from phm.probes.ros.rates.publishers import DEPTH_MOST, PER_PUBLISHER
-from phm.probes.ros.reader import Quality, Reader
+from phm.probes.ros.reader import Reader, SubscriptionQos
 
 LARGE_BPS = 1e6
 """A topic with more bytes per second is subscribed only in windows: the middleware copies all samples to PHM."""
@@ -118,7 +118,7 @@ class TopicMonitor:
             self._counted = True
             self._close()
             return []
-        self._complete = self._complete and len(samples) < self._reader.quality.depth
+        self._complete = self._complete and len(samples) < self._reader.qos.depth
         return samples
 
     def _several(self, now_s: float, publishers: Sequence[EndpointFact]) -> bool:
@@ -140,13 +140,13 @@ class TopicMonitor:
         if types and self._type not in types:
             self._close()
             self._type, self._unknown, self._open_at_s = types[0], "", -math.inf
-        quality = self._quality(publishers, several)
-        if self._reader is not None and publishers and self._reader.quality != quality:
+        qos = self._qos(publishers, several)
+        if self._reader is not None and publishers and self._reader.qos != qos:
             self._close()
         if self._reader is None and self._type and not self._unknown and now_s >= self._open_at_s:
-            self._open(quality)
+            self._open(qos)
 
-    def _quality(self, publishers: Sequence[EndpointFact], several: bool) -> Quality:
+    def _qos(self, publishers: Sequence[EndpointFact], several: bool) -> SubscriptionQos:
         depth = 1
         if self._counted:
             looks = COUNTED_LOOKS * self._tick_s * self._expected_hz * max(1, len(publishers))
@@ -154,11 +154,11 @@ class TopicMonitor:
         elif several or len(publishers) > 1:
             # Also for a restarted node: whether the older one is gone shows in all samples, not in the newest.
             depth = min(DEPTH_MOST, PER_PUBLISHER * max(2, len(publishers)))
-        return Quality(depth, not self._expected_hz and bool(publishers) and _all_keep(publishers))
+        return SubscriptionQos(depth, not self._expected_hz and bool(publishers) and _all_keep(publishers))
 
-    def _open(self, quality: Quality) -> None:
+    def _open(self, qos: SubscriptionQos) -> None:
         try:
-            self._reader = Reader(self._node, self._name, self._type, quality, keep=self._data is not None)
+            self._reader = Reader(self._node, self._name, self._type, qos, keep=self._data is not None)
         except UnknownType as error:
             self._unknown = str(error)
         if self._counted:

@@ -11,7 +11,7 @@ from phm.probes.ros.protocol import WantedTopic
 from phm.probes.ros.rates import topic_monitor
 from phm.probes.ros.rates.publisher_stats import Sample
 from phm.probes.ros.rates.topic_monitor import TopicMonitor
-from phm.probes.ros.reader import Quality
+from phm.probes.ros.reader import SubscriptionQos
 
 TICK_S = 0.25
 
@@ -28,8 +28,8 @@ class Bench:
         bench = self
 
         class KeptReader:
-            def __init__(self, node: Any, topic: str, type_name: str, quality: Quality, *, keep: bool) -> None:
-                self.quality, self.matched, self.messages = quality, None, ()
+            def __init__(self, node: Any, topic: str, type_name: str, qos: SubscriptionQos, *, keep: bool) -> None:
+                self.qos, self.matched, self.messages = qos, None, ()
                 self._new = True
 
             def take(self, now_s: float) -> list[Sample]:

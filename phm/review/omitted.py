@@ -10,7 +10,7 @@ Row = TypeVar("Row")
 Json = dict[str, Any]
 
 
-class Cuts:
+class OmittedCounts:
     """Counts of what is left out, by agent and by what it is."""
 
     def __init__(self) -> None:

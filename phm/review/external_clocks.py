@@ -20,7 +20,7 @@ from phm.core.model import Level, Slot
 from phm.review.agent_run import Run
 from phm.review.clocks import RunClock
 from phm.review.events import WORDS
-from phm.review.other import LEVELS, Other
+from phm.review.external_entry import LEVELS, ExternalEntry
 from phm.review.spans import Span, both, joined
 from phm.review.votes import OWN_ERROR_S, WINDOW_S, Key, Times, candidate, compared, too_little, weigh, within
 from phm.wire import status_line
@@ -38,7 +38,7 @@ SLOTS = frozenset(each.value for each in Slot)
 
 
 @dataclass(frozen=True)
-class OtherClock:
+class ExternalClock:
     """offset_s: was added to all times of the file to get the reference's; None: unknown. error_s: how wrong that may be. lines: how
     many lines of PHM agree. by: what it is derived from, or why it is not."""
 
@@ -61,19 +61,21 @@ class _Log:
     failing: Mapping[Key, Sequence[Span]]
 
 
-def align_others(others: Iterable[Other], runs: Sequence[tuple[Run, RunClock]]) -> tuple[list[Other], list[OtherClock]]:
+def align_external(
+    others: Iterable[ExternalEntry], runs: Sequence[tuple[Run, RunClock]]
+) -> tuple[list[ExternalEntry], list[ExternalClock]]:
     """The entries with the reference's times in the order of time, and the clock of each file. runs: with their clocks.
 
     Entries of a file that does not say when it was made, and of which PHM's lines do not say it either, are left out.
     """
-    by_file: dict[str, list[Other]] = {}
+    by_file: dict[str, list[ExternalEntry]] = {}
     for other in others:
         by_file.setdefault(other.file, []).append(other)
     if not by_file:
         return [], []
     log = _Log(_sorted(_said(runs)), _covers(runs), _failing(runs))
-    moved: list[Other] = []
-    clocks: list[OtherClock] = []
+    moved: list[ExternalEntry] = []
+    clocks: list[ExternalClock] = []
     for file, entries in sorted(by_file.items()):
         span = [min(one.t for one in entries), max(one.t for one in entries)]
         clock = replace(_clock(file, _sorted(_received(entries)), span, log), placed=all(one.placed for one in entries))
@@ -85,26 +87,26 @@ def align_others(others: Iterable[Other], runs: Sequence[tuple[Run, RunClock]]) 
     return sorted(moved), clocks
 
 
-def _clock(file: str, received: Times, span: Span, log: _Log) -> OtherClock:
+def _clock(file: str, received: Times, span: Span, log: _Log) -> ExternalClock:
     differences = list(itertools.islice(_differences(received, log.said), MOST_VOTES))
     agreed = candidate(differences)
     if agreed is None:
-        return OtherClock(file, by=SEVERAL if differences else NO_LINES)
+        return ExternalClock(file, by=SEVERAL if differences else NO_LINES)
     pairs = {key: _paired(times, log.said.get(key, ()), agreed[0]) for key, times in received.items()}
     every = [difference for found in pairs.values() for difference in found]
     changes = [difference for key, found in pairs.items() if key[-1] != REFRESH for difference in found]
     few = f"its own clock: {len(changes)} lines about changes and {len(every) - len(changes)} regular ones agree with PHM's log"
     if len(every) < LEAST_LINES or len(changes) < LEAST_CHANGES:
-        return OtherClock(
+        return ExternalClock(
             file, lines=len(every), by=f"{few}; {LEAST_LINES} lines are needed, {LEAST_CHANGES} of them about changes"
         )
     if why := _refused(received, span, log, agreed[0]):
-        return OtherClock(
+        return ExternalClock(
             file, lines=len(every), by=f"its own clock: of the lines about changes that are also in PHM's log, {why}"
         )
     offset_s = statistics.median(changes)
     spread_s = max(max(every) - offset_s, offset_s - min(every))
-    return OtherClock(file, offset_s, spread_s + OWN_ERROR_S, len(every), BY)
+    return ExternalClock(file, offset_s, spread_s + OWN_ERROR_S, len(every), BY)
 
 
 def _refused(received: Times, span: Span, log: _Log, offset_s: float) -> str:
@@ -205,7 +207,7 @@ def _fails(found: dict[Key, list[Span]], run: Run, unit: str, span: Span) -> Non
         found.setdefault(subject, []).append(span)
 
 
-def _received(entries: Iterable[Other]) -> Iterator[tuple[Key, float]]:
+def _received(entries: Iterable[ExternalEntry]) -> Iterator[tuple[Key, float]]:
     for other in entries:
         if other.what == "diagnostic" and (status := _STATUS.match(other.text)):
             yield (other.system, UNIT, status[1], other.level), other.t

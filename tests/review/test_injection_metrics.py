@@ -23,7 +23,7 @@ def table(made: Flown, folder: Path) -> list[Any]:
     """The fault of each injection, in order."""
     made.until(made.now + 20)
     made.close()
-    return [one["fault"] for one in report(folder)["table2"]["injections"]]
+    return [one["fault"] for one in report(folder)["injection_metrics"]["injections"]]
 
 
 def test_injections_that_follow_each_other_get_the_faults_that_their_notes_name(tmp_path: Path) -> None:

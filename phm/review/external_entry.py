@@ -33,7 +33,7 @@ MOST_READ = 4000
 _FORWARDED = re.compile(r"SRC=(\d{1,3}/\d{1,3}):(.*)", re.DOTALL)
 
 
-class Other(NamedTuple):
+class ExternalEntry(NamedTuple):
     """One entry. t: UTC seconds by the record's own clock, until the clocks are compared. by: system/component of a text's sender.
     file: path. began: armed or disarmed. placed: False: t counts from an arbitrary moment, and is of no use until lines of PHM in
     the file say when it was."""
@@ -49,7 +49,7 @@ class Other(NamedTuple):
     placed: bool = True
 
     @classmethod
-    def of(cls, event: Event, file: str) -> Other | None:
+    def of(cls, event: Event, file: str) -> ExternalEntry | None:
         """The entry; None: it has no possible time or system."""
         least = 0 if event.event in RECORDED else 1
         if not EARLIEST_S < event.utc_s < LATEST_S or event.system is None or not least <= event.system < MOST_SYSTEMS:

@@ -55,7 +55,7 @@ def test_an_injected_fault_is_in_table_2_of_the_report(swarm: Swarm, capsys: pyt
     wait("report", len(record.events), REPORT_LIMIT_S)
     argv = [sys.executable, "-m", "phm.cli", "report", str(swarm.agents[0].record.parent), "--json"]
     done = subprocess.run(argv, cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
-    table = json.loads(done.stdout)["table2"]
+    table = json.loads(done.stdout)["injection_metrics"]
     assert (table["agents"], table["injected"], table["detected"], table["self_resolved"]) == (1, 1, 1, 1.0)
     (injection,) = table["injections"]
     assert injection["text"] == f"INJECT node_killed: {NODE}"
