@@ -32,7 +32,7 @@ from phm.transport.docker import DockerEngine, EngineNotConnected, EngineTimeout
 logger = logging.getLogger(__name__)
 
 MARGIN_S = 20.0
-"""Beyond the action's deadline and `verify`, the action hold lasts this long: what needs the target may recover last."""
+"""The action hold lasts this much longer than the action's deadline and `verify`: what needs the target may recover last."""
 READS = frozenset(
     {
         "ping",
@@ -61,7 +61,7 @@ REACH = {
 }
 """What a call takes down; a call that is not listed: the container."""
 BRINGS_BACK = frozenset({"start", "unpause", "connect"})
-"""Never refused for what the same action took down: an action that is half done is worse than one that is complete."""
+"""Calls that are never refused for what the same action took down: to stop halfway would be worse."""
 STARTS = frozenset({"start", "restart"})
 """Calls that start a container; the engine may still carry them out after it gave no answer."""
 BEGINS_OR_ENDS = STARTS | {"stop", "kill"}
@@ -134,7 +134,7 @@ class Attempt:
         self._go, self._finished, self._abandoned = threading.Event(), threading.Event(), False
 
     def waits_for(self) -> str:
-        """What the action needs and is missing; empty also when it cannot be determined: then the action says what is wrong."""
+        """What the action needs and is missing. Also empty if that cannot be determined: then the action reports the problem."""
         try:
             return self._action.waits_for(self._target, self._fault, self._context)
         except (CannotTell, ActionFailed):
@@ -146,8 +146,8 @@ class Attempt:
     def begin(self) -> bool:
         """Lock the target and hold its faults; False when nothing was begun, which does not count as an attempt.
 
-        That is so while another attempt acts on the target, while the container has got a signal to stop (it must not be
-        killed before its time to stop is over), and when no thread can be started.
+        Reasons: another attempt acts on the target, the container is stopping after a signal (a restart would kill it before
+        its stop timeout is over), or no thread can be started.
         """
         name = self._target.name
         if self._pipeline.is_stopping(name) or not self._locks.acquire(name, self):
@@ -217,7 +217,7 @@ class Attempt:
     def _act(self) -> str | AttemptOutcome:
         """Run the action and unlock the target. Returns what the action said, or how the attempt failed.
 
-        A plug-in that hangs costs its deadline and no more.
+        An action that hangs is abandoned at its deadline.
         """
         self._go.set()
         try:
@@ -256,7 +256,7 @@ class Attempt:
             return AttemptOutcome(False, str(error), not_counted=True, postponed=True)
         except (ActionFailed, CannotTell) as error:
             return AttemptOutcome(False, str(error))
-        except BaseException as error:  # plug-in code, which may also exit: its thread is ours, and the attempt failed
+        except BaseException as error:  # plug-in code: even SystemExit must end only this attempt
             logger.exception("action %s crashed", self._type.name)
             return AttemptOutcome(False, f"the action crashed: {type(error).__name__}: {error}")
 
@@ -269,7 +269,7 @@ class Attempt:
 
     @contextlib.contextmanager
     def _hold_dependent(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
-        """Lock a dependent; meanwhile it raises no separate faults, and its new generation is PHM's doing."""
+        """Lock a dependent; meanwhile it raises no separate faults, and its new generation is attributed to PHM."""
         name = self._target.name
         with self._locks.locked_dependent(key, self, at_most_s):
             if self._abandoned:

@@ -107,7 +107,7 @@ class ActionFailed(Exception):
 
 
 class NotYet(ActionFailed):
-    """Something that the action needs is missing, and nothing was changed: it is done later, and this does not count as an attempt.
+    """Something that the action needs is missing, and nothing was changed. The action is done later; this is not an attempt.
 
     The message says what is missing.
     """
@@ -156,7 +156,7 @@ class ActionContext:
     armed:      the armed state of the vehicle now.
     relief:     lowers CPU weights and restores them later.
     on_hold:    why a container must not be restarted as a dependent: it is on hold, or an operator stopped it; empty: it may.
-    lock_dependent: locks a dependent; while it is entered, what fails there follows from the recovery of this fault.
+    lock_dependent: locks a dependent; inside this context, failures of the dependent are consequences of this recovery.
     """
 
     engine: DockerEngine

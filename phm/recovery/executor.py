@@ -1,4 +1,4 @@
-"""Passes each fault to the worker of its target (`phm.recovery.worker`), and restores what an earlier PHM knew."""
+"""Passes each fault to the worker of its target (`phm.recovery.worker`), and restores the state of an earlier run of PHM."""
 
 from __future__ import annotations
 
@@ -143,10 +143,10 @@ class Executor:
     # ------------------------------------------------------------ over a restart of PHM
 
     def restore(self, state: PersistedState) -> tuple[str, ...]:
-        """Take over attempts and open faults, before the first event; sentences about actions that were interrupted.
+        """Take over attempts and open faults; call before the first event. Returns sentences about interrupted actions.
 
-        Such an action counts as an attempt that did not help. What to do is decided again, once a new result has said that
-        the fault is still there.
+        Such an action counts as an attempt that did not help. PHM decides again what to do once a new result
+        has confirmed the fault.
         """
         recovery = state.recovery
         for target, attempts in recovery.attempts.items():
@@ -164,7 +164,7 @@ class Executor:
         for fault in self._pipeline.given_up():
             self._given_up[fault.unit] = fault
             if fault.result.target:
-                self._worker(fault.result.target)  # which notices when something else starts the container
+                self._worker(fault.result.target)  # it detects when something else starts the container
         for fault in self._pipeline.open_faults():
             if fault.result.target:
                 self._restore_fault(fault, recovery)
@@ -210,7 +210,7 @@ class Executor:
     # ------------------------------------------------------------ requests of an operator
 
     def approve(self, fault_id: str) -> str:
-        """An operator approves what is advised for an open fault; what will be done.
+        """An operator approves what is advised for an open fault. Returns what will be done.
 
         Raises NotApprovable, and NotNow when it may be possible later.
         """
@@ -224,14 +224,15 @@ class Executor:
         return worker.approve(fault_id)
 
     def restart(self, container: str, by: str) -> str:
-        """An operator requests a restart of a container; what will be done. Raises NotAllowed, and NotNow when it may be later."""
+        """An operator requests a restart of a container. Returns what will be done. Raises NotAllowed, and NotNow when it may be
+        possible later."""
         target = Target.parse(container, self._containers)
         if target.kind is not TargetKind.CONTAINER or not target.configured:
             raise NotAllowed(f"there is no container {container!r} in the configuration")
         return self._worker(container).restart(by)
 
     def action_on(self, target: str) -> bool:
-        """Whether an end or start of it may be PHM's doing: an action has requested that, or such a call got no answer."""
+        """Whether PHM may have ended or started it: an action has requested that, or such a call got no answer."""
         return self._generations.disturbed(target)
 
     def stop(self) -> None:

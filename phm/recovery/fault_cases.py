@@ -4,8 +4,8 @@ The budget counts every attempt. Two flags keep an attempt out of back-off and o
 
 - `backoff_reset`: something that the unit needs has recovered since, so the next attempt may follow immediately.
 - `not_counted`: made while something that the unit needs was down, or on an earlier generation of the container
-  (`phm.recovery.ownership`). The container did not cause that failure: counted, it would use up the attempts before one was
-  made that could have worked. A dependency that flaps does not cause more actions than the budget allows.
+  (`phm.recovery.ownership`). The container did not cause that failure. If it counted, it would use up the attempts
+  before one is made that can work. A dependency that flaps does not cause more actions than the budget allows.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class FaultCase:
     reported: set[str] = field(default_factory=set)
     refused: bool = False
     approval: Approval | None = None
-    """Of an operator, for one action; it ends with PHM."""
+    """An operator's approval of one action. A restart of PHM ends it."""
     recheck_from: float | None = None
     """Restored, or the container was started again by others: nothing is done before a run that began after this
     (monotonic seconds) has found the unit in ERROR."""
@@ -171,9 +171,9 @@ class FaultCases:
             return self._of.pop(unit, None)
 
     def current(self, open_faults: Callable[[], Iterable[Fault]]) -> list[FaultCase]:
-        """The cases as their faults are now, most upstream first. Forgets those that are over, or no longer this target's.
+        """The cases with their current faults, most upstream first. Removes those whose fault is over or has another target.
 
-        No case can be added while they are read: it would be forgotten.
+        The lock is held while the open faults are read: a case that is added meanwhile would be removed.
         """
         with self._lock:
             mine = {fault.id: fault for fault in open_faults() if fault.result.target == self._target}

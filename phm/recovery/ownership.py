@@ -100,7 +100,8 @@ def resets_attempts(generation: Generation, fact: ContainerFact, now: float, las
 
 @dataclass(slots=True)
 class _Actor:
-    """PHM is acting on a container to recover `who`; after `ended` (monotonic seconds), until the outcome was observed.
+    """An action of PHM on a container, to recover `who`. Kept after it has `ended` (monotonic seconds) until its outcome was
+    observed.
 
     `disturbs`: whether it has begun to stop or start containers. `unanswered` calls may still start the container, each
     once, until `until` (monotonic seconds).

@@ -3,7 +3,7 @@
 The first rule that matches decides:
 
 1. No ladder for the condition, or no step of it applies: skip.
-2. A condition that only a restart after a good start can help, and the unit was never OK in this generation: skip.
+2. A restart ends the condition only if the unit was OK earlier in this generation, and it was not: skip.
 3. Recovery is off, the target is not configured or has not opted in: skip.
 4. The container is on hold: wait for its end. Not decided whether an operator is stopping it: wait for that.
 5. Starvation explains the condition: wait until it is over.
@@ -24,7 +24,15 @@ from dataclasses import dataclass
 from phm.core.backoff import pause_s
 from phm.core.model import Fault
 from phm.core.settings import RecoverySettings
-from phm.recovery.actions.ladders import ADVISED, AGAIN_WHILE_IT_LASTS, DOWN, GENTLE, LEARNED, ONCE_WELL, PATIENT
+from phm.recovery.actions.ladders import (
+    ADVISED,
+    AGAIN_WHILE_IT_LASTS,
+    DOWN,
+    GENTLE,
+    LEARNED,
+    ONLY_IF_OK_BEFORE,
+    PATIENT,
+)
 from phm.recovery.base import ActionCatalog, Target, ladder_of
 from phm.recovery.fault_cases import CLEAN_S, HOLD, AttemptRecord, History
 from phm.recovery.holds.hold_registry import ALL, BEING_STOPPED, NOTHING_REQUESTED, HoldRegistry, HoldStatus
@@ -34,10 +42,13 @@ from phm.recovery.safety.flight_critical import FlightCriticalGuard
 STARVED, START = "starved", "start"
 PAUSES = 2.0
 """PHM waits this many times the longest pause after which a topic came back."""
-ONCE_WELL_S, FOUND_WELL_S = 2.0, 5.0
-"""Seconds for which a unit must have been reported OK to count as OK in this generation: beyond the grace of the start, in which
-parts come up and names of the previous generation disappear; and where the container started before PHM did. A check that
-knows better says so (`phm.core.model.Evidence.never_ok`)."""
+OK_AFTER_START_S, OK_AFTER_FOUND_S = 2.0, 5.0
+"""How long a unit must have been OK to count as OK in this generation.
+
+The first: after the grace of a start that PHM observed, in which nodes start and names of the previous generation disappear.
+The second: where the container started before PHM. A check with better evidence overrides both
+(`phm.core.model.Evidence.never_ok`).
+"""
 ARMED_AGAIN_S = STARVED_AGAIN_S = 2.0
 
 
@@ -159,7 +170,7 @@ def decide(
         if starved:
             return Wait(
                 now + STARVED_AGAIN_S,
-                f"{starved} explains it, and a restart would cost more of it",
+                f"{starved} explains the fault, and a restart would need even more of what is short",
                 report=True,
                 subject=STARVED,
             )
@@ -259,7 +270,7 @@ def _step(ladder: tuple[str, ...], condition: str, same: list[AttemptRecord], se
 
 
 def _once(condition: str, settings: RecoverySettings) -> bool:
-    return condition in ONCE_WELL and condition not in settings.ladders
+    return condition in ONLY_IF_OK_BEFORE and condition not in settings.ladders
 
 
 def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings, start_s: float) -> str:
@@ -267,7 +278,7 @@ def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings,
     condition = fault.result.condition
     if not ladder:
         return f"no action is known for {condition or 'this'}"
-    least_s = start_s + ONCE_WELL_S if fault.start_seen else FOUND_WELL_S
+    least_s = start_s + OK_AFTER_START_S if fault.start_seen else OK_AFTER_FOUND_S
     known = fault.result.evidence.never_ok
     never_ok = fault.ok_since_start_s < least_s if known is None else known
     if _once(condition, settings) and never_ok:

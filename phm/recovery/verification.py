@@ -88,7 +88,7 @@ class Verification:
         """The result; None: not decided yet."""
         self.waiting = (self.unit,)
         self.starved = self.starved or bool(checks.active_pressure(self.unit))
-        # What starts without the CPU or disk that it needs gets the time of one more verification.
+        # A unit that was starved gets the time of one more verification: its start takes longer.
         more_s = self.verify_s if self.starved else 0.0
         if not checks.ok_since(self.unit, self.done):
             return self._of_the_unit(checks, now, more_s)
@@ -115,7 +115,8 @@ class Verification:
         counts_from = self.done + self.verify_after_s
         failing = checks.failing_dependents(self.unit, counts_from)
         if not failing and checks.ok_since(self.unit, counts_from):
-            # Not known is not back. It is not missing either: what stays unknown for `verify_s` restarts nothing.
+            # An unknown dependent has not recovered, but is not missing either. One that stays unknown for `verify_s` causes
+            # no further restart.
             self.waiting = checks.unknown_dependents(self.unit, counts_from)
             return None if self.waiting and now - self.done <= self.verify_s else VerificationResult()
         self.waiting = failing or self.waiting
@@ -144,15 +145,18 @@ class Verification:
         )
 
     def _may_be_starvation(self, checks: CheckResults) -> bool:
-        """Whether starvation can explain that the first unit has not recovered. It cannot where a network is detached, for
-        instance: such a failure counts, or the same step would be repeated for as long as the machine is busy."""
+        """Whether starvation can explain that the first unit has not recovered.
+
+        It cannot explain a detached network, for example. Such a failure counts: otherwise the same step would be repeated
+        for as long as the machine is busy.
+        """
         newest = checks.newest(self.waiting[0], self.done + self.verify_after_s)
         return newest is None or newest.level is not Level.ERROR or explanation(newest) is not None
 
 
 @dataclass(frozen=True, slots=True)
 class VerificationHooks:
-    """What a long verification must not hold up.
+    """Callbacks with which a long verification does not delay other work.
 
     stopping:  whether PHM stops.
     undecided: called once when `recovery.verify` is over and only time can show whether the unit is OK: from then on the
@@ -212,7 +216,10 @@ class Verifier:
 
 
 def superseded_by(now: Generation | None, expected: Generation | None, target: str) -> VerificationResult | None:
-    """A restart by the engine's restart policy supersedes nothing: whether the container is OK then is what to verify."""
+    """How the container was started again by something else; None: it was not.
+
+    A restart by the engine's restart policy does not count: the verification shows whether the container is OK after it.
+    """
     if now is None or expected is None or now.same(expected) or now.by in (ENGINE, by_phm(target)):
         return None
     owner = now.whose

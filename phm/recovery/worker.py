@@ -36,11 +36,11 @@ logger = logging.getLogger(__name__)
 
 POLL_S = 0.05
 RETRY_S = 0.5
-"""A target that another attempt acts on, and a fault that a new run must confirm, are looked at again this often."""
+"""How often PHM checks again a target on which another attempt acts, and a fault that a new run must confirm."""
 INTERRUPTED_S = 20.0
 """A target whose action was interrupted is held this long, beyond the unit's grace, unless it recovers before."""
 MISSING_S = 1.0
-"""While something that an action needs is missing, it is looked for this often; mostly its event comes first."""
+"""While something that an action needs is missing, PHM checks for it this often; usually an event comes first."""
 ENDED = "exited"
 """The condition of a container that an operator may have stopped."""
 GENERATION_S = 2.0
@@ -83,7 +83,7 @@ class TargetWorker:
         self._wake.set()
 
     def closed(self, fault: Fault) -> None:
-        """Take over that a fault of the target was closed."""
+        """A fault of the target was closed."""
         case = self._cases.closed(fault.unit)
         if case is not None and case.interrupted:
             self._locks.end_hold(self._name, case, worked=True)
@@ -127,7 +127,8 @@ class TargetWorker:
     # ------------------------------------------------------------ requests of an operator
 
     def approve(self, fault_id: str) -> str:
-        """An operator approves what is advised; what will be done. Raises NotApprovable, and NotNow when it may be later."""
+        """An operator approves what is advised. Returns what will be done. Raises NotApprovable, and NotNow when it may be possible
+        later."""
         self._current()
         case = self._cases.find(fault_id)
         if case is None:
@@ -138,7 +139,7 @@ class TargetWorker:
         return detail
 
     def restart(self, by: str) -> str:
-        """An operator requests a restart; what will be done. Raises NotAllowed, and NotNow when it may be possible later."""
+        """An operator requests a restart. Returns what will be done. Raises NotAllowed, and NotNow when it may be possible later."""
         accepted = self._operator().restart(by, busy=self._under_way is not None)
         self._wake.set()
         return accepted
@@ -166,7 +167,7 @@ class TargetWorker:
                 self._clock.wait(self._wake, wait_s)
 
     def _next(self) -> float | None:
-        """Do the most upstream thing there is to do; seconds to wait (0: decide again now, None: until woken)."""
+        """Handle the most upstream fault first. Returns the seconds to wait (0: decide again now, None: until woken)."""
         cases = self._current()
         waits = [GENERATION_S] if self._changes.update(cases) else []
         if self._requests is not None and self._requests.pending:
@@ -180,7 +181,7 @@ class TargetWorker:
         return 0 if 0 in waits else self._keep_starting(waits)
 
     def _handle(self, case: FaultCase) -> list[float]:
-        """Act on one fault or wait; seconds until it needs attention again, empty: only an event can change it."""
+        """Act on one fault or wait. Returns the seconds until it must be decided again; empty: only an event can change it."""
         self._changes.note_hold(case, on_hold=self._on_hold())
         recheck_from = self._changes.unconfirmed_since(case)
         if recheck_from is not None:
@@ -201,7 +202,7 @@ class TargetWorker:
         return wait_s
 
     def _keep_starting(self, waits: list[float]) -> float | None:
-        """Start a container that is down now and then, also after recovery has given up on it. As `_next`."""
+        """Try from time to time to start a container that is down, also after recovery has given up. Returns as `_next`."""
         down = self._changes.left_down()
         self._left_down = {fault.id: self._left_down.get(fault.id, FaultCase(fault)) for fault in down}
         for fault in down:
@@ -226,7 +227,7 @@ class TargetWorker:
         return self._operator().approvals.check(case, decision.action if isinstance(decision, Act) else "")
 
     def _current(self) -> list[FaultCase]:
-        """The tracker knows first what is over and what is wrong now; its event may still be on its way through the bus."""
+        """The open cases, as the tracker has them now: its events may still be on their way through the bus."""
         return self._cases.current(self._pipeline.open_faults)
 
     def _another_calls(self, case: FaultCase) -> bool:
@@ -279,7 +280,7 @@ class TargetWorker:
         return status.hold is not None or status.undecided is not None
 
     def _report(self, case: FaultCase, decision: Decision) -> float | None:
-        """Report a decision that is not to act, once; when to decide again, or None when only an event helps."""
+        """Report a decision other than Act, once. Returns when to decide again; None: when an event arrives."""
         name = self._name
         if isinstance(decision, Advise):
             words = f"advised: {decision.action} {name} ({decision.why})"

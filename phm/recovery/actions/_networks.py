@@ -30,7 +30,7 @@ def missing(names: Iterable[str], context: ActionContext) -> list[str]:
 
 
 def not_there(names: Iterable[str]) -> str:
-    """That networks are missing, as a sentence."""
+    """A sentence that says which networks are missing."""
     return f"there is no network {', '.join(names)}: PHM waits until it is created"
 
 
@@ -40,8 +40,8 @@ def has_its_own(fact: ContainerFact) -> bool:
 
 
 def connect(container: ContainerSettings, fact: ContainerFact, name: str, network: str, context: ActionContext) -> bool:
-    """Connect the container to the network of this name and id as it was connected before, removing what is left of that;
-    False when the network has gone meanwhile. Raises CannotTell."""
+    """Connect the container to the network of this name and id, as it was connected before. An old attachment is removed
+    first. Returns False if the network has been removed meanwhile. Raises CannotTell."""
     left = next((one for one in fact.networks if one.name == name), None)
     before = context.last_attachment(container.key, name) or left
     try:
@@ -49,7 +49,7 @@ def connect(container: ContainerSettings, fact: ContainerFact, name: str, networ
             context.engine.disconnect(name, fact.name, force=True)
         context.engine.connect(network, fact.name, aliases=_aliases(before, fact), address=_address(before))
     except (EngineMissing, NotPermitted):
-        # A socket proxy refuses an id that no longer has the name, instead of saying that it is not there.
+        # For a removed network, a socket proxy refuses the call instead of reporting that the network does not exist.
         if network_id(name, context) == network:
             raise
         return False
@@ -57,19 +57,19 @@ def connect(container: ContainerSettings, fact: ContainerFact, name: str, networ
 
 
 def reconnect_stopped(container: ContainerSettings, fact: ContainerFact, context: ActionContext) -> None:
-    """The engine refuses to start a container that was on a network which has been created again since it stopped."""
+    """Connect a stopped container to networks that were recreated since it stopped: otherwise the engine refuses to start it."""
     for name in stale(container, fact, context):
         connect(container, fact, name, network_id(name, context), context)
 
 
 def stale(container: ContainerSettings, fact: ContainerFact, context: ActionContext) -> list[str]:
-    """Configured networks to which the container, which does not run, is attached by the id of one that is gone."""
+    """Configured networks of a stopped container that were removed or recreated: its attachment still has the old id."""
     known = [one for one in fact.networks if one.name in container.networks]
     return [one.name for one in known if one.network_id != network_id(one.name, context)]
 
 
 def _aliases(before: Attachment | None, fact: ContainerFact) -> tuple[str, ...]:
-    """The aliases it had, less the short id, which the engine adds by itself."""
+    """The aliases that it had, without the short id, which the engine adds by itself."""
     return tuple(alias for alias in before.aliases if alias != fact.id[:12]) if before else ()
 
 

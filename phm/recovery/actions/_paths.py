@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 
 
 def _flags(*names: str) -> int:
-    """Of `os.open`, as far as this system has them: on a ground computer the actions are imported to be named, and never run."""
+    """The flags of `os.open` that this system has. A ground computer may lack some: it needs only the names of the actions."""
     return functools.reduce(operator.or_, (int(getattr(os, name, 0)) for name in names))
 
 
@@ -21,8 +21,8 @@ _LAST = _flags("O_NOFOLLOW", "O_CLOEXEC")
 def open_plain(path: str, flags: int) -> int:
     """A descriptor of what is at the absolute `path`, to be closed.
 
-    A program that may write into a folder on the way may put a link in the place of the next one, and so choose what PHM reads, copies or
-    removes with its own rights. Raises OSError, ELOOP or ENOTDIR for a link.
+    Links are refused with OSError (ELOOP or ENOTDIR). A program that may write to a folder of the path could replace the next
+    part by a link, and so choose what PHM reads, copies or removes with PHM's rights.
     """
     *parents, name = PurePosixPath(os.path.normpath(path)).parts[1:] or (".",)
     handle = os.open("/", _STEP)

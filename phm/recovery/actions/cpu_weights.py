@@ -16,8 +16,8 @@ LOW_SHARES = 64
 """A sixteenth of the engine's default of 1024: enough to stay alive, almost nothing beside a container that needs the core."""
 DEFAULT_SHARES = 1024
 CALM_S = 30.0
-"""The weight is restored when the unit has been OK for this long. Each time that it must be lowered again soon, that time doubles:
-else the two would alternate."""
+"""The weight is restored when the unit has been OK for this long. If it must be lowered again soon, the time doubles:
+otherwise PHM would lower and restore it in turn."""
 MOST_CALM_S = 600.0
 
 
@@ -68,7 +68,8 @@ class CpuWeights:
             return tuple(self._lowered.values())
 
     def lower(self, key: str, fact: ContainerFact, unit: str, engine: DockerEngine) -> bool:
-        """Lower the CPU weight of a running container by `engine`; False: it is as low already. Raises CannotTell."""
+        """Lower the CPU weight of a running container through `engine`. Returns False if it is already that low. Raises
+        CannotTell."""
         host = engine.inspect(fact.id).get("HostConfig")
         found = host.get("CpuShares") if isinstance(host, dict) else None
         shares = found if isinstance(found, int) and found > 0 else DEFAULT_SHARES

@@ -27,15 +27,15 @@ MOST_SEEN = 1_000_000
 """Maximum number of names examined: about 10 s on an SD card."""
 DEPTH = 8
 MOST_REFUSED = 3
-"""After this many files of a folder that cannot be deleted, the others are not tried."""
+"""When this many files of a folder cannot be deleted, PHM does not try the others."""
 
 
 @dataclass(frozen=True, order=True)
 class OldFile:
     """A file that may be deleted, at `path` below the configured folder.
 
-    changed: the latest monotonic moment of its last change. It orders files changed while PHM observed the clock; older
-    files have the same value, and are ordered by their time stamp.
+    changed: the latest monotonic time at which the file can have changed. It orders files that changed while PHM observed
+    the clock. Older files all have the same value, and are ordered by their time stamp.
     """
 
     changed: float
@@ -47,7 +47,7 @@ class OldFile:
 class FreeDisk(Action):
     """Delete files that `host.free_disk` lists, oldest first, until the disk has enough space.
 
-    Applications write there too, and may replace a folder by a link: neither links nor mounts are followed.
+    Applications also write there and may replace a folder by a link. So PHM follows neither links nor mounts.
     """
 
     name = "free_disk"
@@ -65,8 +65,8 @@ class FreeDisk(Action):
         if left_s <= 0:
             return ""
         return (
-            f"files unchanged for {needed_s:.0f} s (host.free_disk, older_than) cannot be distinguished from newer ones for another "
-            f"{math.ceil(left_s)} s: what the clock was set to before PHM started to watch it is unknown"
+            f"PHM does not know how old files are until it has observed the clock for {needed_s:.0f} s (host.free_disk, "
+            f"older_than), in another {math.ceil(left_s)} s: before that, the clock may have been set"
         )
 
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
@@ -96,8 +96,7 @@ def used_percent(path: str) -> float:
 def _clear(
     place: FreeDiskSettings, disk: str, goal: float, problems: list[str], context: ActionContext
 ) -> Iterator[OldFile]:
-    """Delete files of one folder until the goal is reached. Returns the deleted ones; sentences about others go to
-    `problems`."""
+    """Delete files of one folder until the goal is reached. Yields the deleted ones. Adds to `problems` why others remain."""
     refused = 0
     if used_percent(disk) < goal:
         return
@@ -125,8 +124,8 @@ def _clear(
 
 
 def _old_files(folder: int, place: FreeDiskSettings, context: ActionContext) -> Iterator[OldFile]:
-    """Whether a file may be deleted: not if it is being written or was recently, nor if only a clock step made it old,
-    whether or not PHM has observed that step."""
+    """The files that may be deleted. A file that was changed recently is left out. A clock step does not make a file old,
+    whether or not PHM has observed the step."""
     home = os.fstat(folder).st_dev
     for path, entry in islice(_entries(folder, home), MOST_SEEN):
         if not _named(path, place.files):

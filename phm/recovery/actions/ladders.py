@@ -58,12 +58,12 @@ GENTLE = frozenset({"relieve"})
 OUTSIDE = frozenset({"network_missing"})
 """Conditions that come from outside of every container: no action on a container causes them."""
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
-"""Conditions that only the first step of the ladder can end: a restart connects nothing. The next step is for what needs the unit
-and has not recovered although the unit itself has."""
+"""Conditions that only the first step of the ladder can end: a restart does not connect a network. The next step follows only if
+the unit has recovered and something that needs it has not."""
 ADVISED = frozenset({"data_gaps", "data_range"})
 """Conditions for which the built-in ladder is only advised: the messages arrive and most of them are usable, and whether a restart
 helps depends on the sensor or input behind the node. A user's own ladder is carried out."""
-ONCE_WELL = frozenset(
+ONLY_IF_OK_BEFORE = frozenset(
     {"transport_blocked", "qos_mismatch", "node_duplicate", "quorum_dead", "data_frozen", "data_stamp", "not_ready"}
 )
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network

@@ -24,26 +24,26 @@ from phm.recovery.base import (
 
 
 class Reconnect(Action):
-    """Disconnect a container from its expected networks by force and connect it as it was; restart its ROS nodes if the vehicle is
-    disarmed.
+    """Disconnect a container from its expected networks by force, and connect it as before. If ROS nodes run in it and the
+    vehicle is disarmed, restart it, too.
 
-    The old attachment may be half there, or belong to a network that was recreated under the same name,
-    so ids decide and not names; aliases and a fixed address are given back.
+    The engine may still list a part of the old attachment, or one to a network that was recreated under the same name. So
+    PHM compares the ids of networks and not their names. It restores aliases and a fixed address.
 
     The container gets a new network interface, on which the sockets of its programs have not joined their multicast groups.
-    Nodes keep the connections that they had if the outage was shorter than their DDS lease, but nodes and tools that start
-    later never find them. Only a restart of the program changes that.
+    Nodes keep their connections if the outage was shorter than their DDS lease, but nodes and tools that start later do not
+    find them. Only a restart of the program changes that.
     """
 
     name = "reconnect"
     impact = Impact.NETWORK
     deadline_s = Restart.deadline_s
-    # A node that has lost its network for good stays listed until its lease ends (1 s with config/fastdds.xml).
+    # A node that has lost its network permanently stays listed until its lease ends (1 s with config/fastdds.xml).
     verify_after_s = 2.0
-    # The kernel of an attached interface answers immediately; one whose address is silent now stays so.
+    # On a connected interface the kernel answers immediately. An address that is silent after this time stays silent.
     still_bad_after_s: float | None = 1.0
-    # Its processes go on and find each other by the next announcement, 3 s apart by Fast DDS's default, or not at all: a socket
-    # keeps its multicast membership on the interface that is gone.
+    # The nodes keep running. They find each other with the next announcement (every 3 s by default in Fast DDS), or never:
+    # a socket keeps its multicast membership on the interface that was removed.
     dependents_within_s: float | None = 6.0
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
@@ -64,14 +64,16 @@ class Reconnect(Action):
             return NotNeeded(f"{target.key} is already connected")
         waits = f"; {not_there(gone)}" if gone else ""
         joined = _join(container, context)
-        # The engine may refuse to start a container again whose network is gone. When that is there, this action is done again.
+        # The engine may refuse to restart a container while one of its networks is missing. This action runs again once the
+        # network exists.
         renewed = "" if gone else self._renew_sockets(target, fault, context)
         return f"reconnected {target.key} to {', '.join(done)}{waits}{joined}{renewed}"
 
     def _renew_sockets(self, target: Target, fault: Fault, context: ActionContext) -> str:
-        """Restart the container if ROS nodes run in it, and only while the vehicle is disarmed: in the air the connections that are
-        left are worth more than those that could be made. A ladder of the user without `restart` forbids it, and so does
-        an operator who puts it on hold meanwhile.
+        """Restart the container if ROS nodes run in it and the vehicle is disarmed. Returns a clause for the log.
+
+        In the air, connections that still work are more important than new ones. A user's ladder without `restart` also
+        forbids it, and so does a hold that an operator begins meanwhile.
         """
         settings = context.settings
         has_nodes = any(settings.container_of_node(node.name) == target.key for node in settings.ros.nodes)
@@ -79,7 +81,9 @@ class Reconnect(Action):
         fact = context.container(target.key)
         if not has_nodes or Restart.name not in ladder or fact is None or not fact.running:
             return ""
-        later = f"; nodes that start later find those of {target.key} only after its restart, which is not done now"
+        later = (
+            f"; nodes that start later do not find those of {target.key} until it is restarted, which is not done now"
+        )
         armed = context.armed()
         if why := armed.why if armed.restricts else context.on_hold(target.key):
             return f"{later}: {why}"
@@ -87,14 +91,15 @@ class Reconnect(Action):
             restart_gracefully(fact, context)
         except (FlightCriticalError, NotPermitted) as error:  # the reconnection itself was permitted
             return f"{later}: {error}"
-        self.still_bad_after_s = self.dependents_within_s = None  # now something has to start
-        return f" and restarted it: its sockets had left their multicast groups{restart_dependents(target, fault, context)}"
+        self.still_bad_after_s = self.dependents_within_s = None  # after a restart, nodes need time to start
+        return f" and restarted it, because its sockets had left their multicast groups{restart_dependents(target, fault, context)}"
 
 
 def _join(container: ContainerSettings, context: ActionContext) -> str:
-    """What takes the container off a network often takes PHM off it, too; then the container's unit stays bad until PHM is back.
+    """Connect PHM itself to the networks. What disconnects the container often disconnects PHM, too, and without PHM on the
+    network the unit stays bad.
 
-    A clause for the log; empty: PHM is on the networks already, or cannot join them, which the next result shows.
+    Returns a clause for the log. It is empty if PHM is already connected, or cannot be: the next result shows that.
     """
     with contextlib.suppress(CannotTell):
         joined = join_networks(container, context)
@@ -105,7 +110,7 @@ def _join(container: ContainerSettings, context: ActionContext) -> str:
 def _due(
     container: ContainerSettings, fault: Fault, fact: ContainerFact, context: ActionContext
 ) -> list[tuple[str, str]]:
-    """Name and id of each existing network that the container is to be connected to; all of them when its address is silent."""
+    """Name and id of each existing network to which the container must be connected. If its address is silent: all."""
     attached = {entry.name: entry for entry in fact.networks}
     due = []
     for name in container.networks:

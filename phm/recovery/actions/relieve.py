@@ -9,7 +9,7 @@ from phm.recovery.base import Action, ActionContext, ActionFailed, Impact, NotNe
 
 
 class Relieve(Action):
-    """For a flight-critical container that waits for a core because of others; `recovery.relieve` lists containers to lower."""
+    """Lower the CPU weight of the containers in `recovery.relieve`, so that a flight-critical one gets a core."""
 
     name = "relieve"
     impact = Impact.OTHERS

@@ -41,7 +41,8 @@ class FlightRules:
     def warning(self, keys: Sequence[str]) -> str:
         """What an operator must know who puts something flight-critical on hold while the armed state is unknown.
 
-        This is not refused: a hold changes nothing, and a bench has no autopilot. A silence after armed counts as armed.
+        Such a hold is not refused: it changes nothing, and a bench has no autopilot. An autopilot that was armed and is silent
+        counts as armed.
         """
         status = self._status()
         if status.state is not ArmedState.UNKNOWN or not self.critical(keys):

@@ -29,15 +29,15 @@ logger = logging.getLogger(__name__)
 
 ENDINGS = frozenset({"exited", "missing", "created"})
 """Conditions of a container that may be part of a restart or a recreation."""
-WAITING = "being stopped by an operator: not judged yet, it may be started or recreated"
+WAITING = "being stopped by an operator; PHM waits to see whether it is started again or recreated"
 ARMED_S = 1.0
 """While there is a hold or a window, the armed state is checked this often."""
 WINDOWS_S, LABELS_S = 5.0, 30.0
 """Maintenance windows, and the labels that define some, are checked this often."""
 REPLAYED_S = 0.15
-"""What happened while the event stream was closed is replayed within this time once it is open."""
+"""Once the event stream is open again, the engine sends the missed events within this time."""
 CLOSED_S = 3.0
-"""A container that exits while the event stream is closed is started no later than this after the stream broke."""
+"""While the event stream is closed, recovery of an exited container waits at most until this long after the stream closed."""
 LOOK_S = 0.1
 """While the event stream is closed, it is checked this often."""
 STOP_MAX_S = 121.0
@@ -56,8 +56,8 @@ class HoldInputs:
     armed:     the vehicle's armed state; unknown counts as in the air.
     container: the engine's current view of a configured container, for its label. Raises CannotTell.
     stream:    the engine's event stream.
-    own:       whether the end or start of a container may be PHM's doing: an action has requested it, or a call to
-               start it got no response.
+    own:       whether PHM may have ended or started a container: an action has requested that, or a call to start it
+               got no response.
     """
 
     armed: Callable[[], ArmedStatus]
@@ -124,11 +124,11 @@ class HoldService:
         now = self._clock.stamp()
         hold = Hold(container, OPERATOR, now.mono + length_s, by, one_line(reason)[:MAX_TEXT])
         with self._lock:
-            self._begin(hold)  # first: an action that begins from now on finds it
+            self._begin(hold)  # first, so that an action that begins from now on finds it
             at_work = sorted(
                 f"{action} of {key}" for key in self._of(hold) if (action := self._pipeline.action_on(key))
             )
-        finishing = f"; {', '.join(at_work)}, which is under way, is finished first" if at_work else ""
+        finishing = f"; PHM first finishes the current action: {', '.join(at_work)}" if at_work else ""
         return f"{_name(hold)} is {hold.words(now)}{finishing}{unsure}", self._json(hold)
 
     def release(self, container: str, by: str) -> tuple[str, dict[str, Any]]:
@@ -171,7 +171,7 @@ class HoldService:
         with self._lock:
             for key, verdict in self._stops.due(now):
                 self._stopped(key, StopVerdict.CRASHED if key in replaced else verdict)
-            self._end([hold for hold in self._holds.all() if now >= hold.until], "its time is over")
+            self._end([hold for hold in self._holds.all() if now >= hold.until], "it has expired")
             self._end_on_arming()
             windows = self._check_windows(self._clock.stamp())
             dues = [hold.until - now for hold in self._holds.all()]
@@ -269,7 +269,7 @@ class HoldService:
             until = self._clock.mono() + self._rules.hold
             self._begin(Hold(key, STOP, until, "an operator", f"{done} by hand"))
             return
-        advise = rule != "heal"
+        advise = rule != "recover"
         self._holds.mark_stopped(key, advise)
         what = "PHM only recommends what would help" if advise else "PHM treats it as a failure"
         self._pipeline.note("HOLD", f"{key} was {done} manually; {what} (recovery.on_manual_stop)")
@@ -293,7 +293,7 @@ class HoldService:
         if now - self._labels_at < LABELS_S:
             return
         self._labels_at = now
-        # The event of a start may have been lost. Only containers stopped before the request: its response may be old.
+        # The event of a start may have been lost. Only for containers stopped before the request: the response may be older than a stop.
         stopped = {hold.target for hold in self._of_source(STOP)} | set(self._holds.stops())
         for key in self._keys:
             try:

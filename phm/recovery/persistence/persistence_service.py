@@ -1,4 +1,4 @@
-"""Restores what an earlier PHM knew, and keeps what this one knows (`phm.recovery.persistence.state_file`)."""
+"""Restores the state of the previous run of PHM, and keeps that of this run (`phm.recovery.persistence.state_file`)."""
 
 from __future__ import annotations
 
@@ -84,12 +84,12 @@ class PersistenceService:
             self._note(f"{attempts} recovery attempts from before PHM stopped are remembered")
 
     def problem(self) -> str:
-        """That the state cannot be kept; else, for a moment after the start, that the one of the PHM before was lost."""
+        """What to report: the state cannot be written; or, shortly after the start, the previous state was lost. Empty: nothing."""
         problem = self._keeper.problem() if self._keeper is not None else ""
         return problem or (self._warning if self._clock.mono() < self._warned_until else "")
 
     def close(self) -> None:
-        """A last writing, after the bus has ended."""
+        """Write the state a last time; call after the bus has ended."""
         if self._keeper is not None:
             self._keeper.tick()
 

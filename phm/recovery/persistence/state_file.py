@@ -28,7 +28,7 @@ KEPT_CORRUPT = 3
 _ASIDE = re.compile(re.escape(NAME) + r"\.corrupt-\d{8}T\d{6}Z")
 """Only files that PHM renamed itself are removed, not an operator's copy."""
 ALONG_S = 0.25
-"""Changes within this time of the last writing wait for the next tick."""
+"""A change within this time of the last write waits for the next tick."""
 
 
 class StateFile:

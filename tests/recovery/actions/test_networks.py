@@ -165,8 +165,8 @@ def test_nodes_are_restarted_on_a_new_interface_unless_the_vehicle_may_be_armed(
     words = action.run(made.target("app"), OFF, made.context())
     assert changes(fake) == done
     restarted = "restart" in done
-    assert ("and restarted it: its sockets had left their multicast groups" in words) is restarted
-    assert ("only after its restart, which is not done now" in words) is armed
+    assert ("and restarted it, because its sockets had left their multicast groups" in words) is restarted
+    assert ("until it is restarted, which is not done now" in words) is armed
     assert action.dependents_within_s == (None if restarted else Reconnect.dependents_within_s)
 
 

@@ -57,7 +57,7 @@ def test_a_hold_expires_with_a_message(scene: Scene) -> None:
     scene.agent.rest(9)
     assert scene.agent.opened() == []
     scene.agent.until(lambda: scene.agent.runs, "the restart")
-    assert scene.changes() == [("app", True), ("app", False)] and "its time is over" in scene.last()
+    assert scene.changes() == [("app", True), ("app", False)] and "it has expired" in scene.last()
     assert scene.agent.opened() == ["container/app"]
 
 
@@ -117,7 +117,7 @@ def test_a_running_action_is_finished_first(scene: Scene) -> None:
     scene.agent.behave = slow
     scene.agent.bad = {"container/app": "broken"}
     scene.agent.until(lambda: Phase.VERIFIED in scene.agent.steps(), "the verification")
-    assert "restart of app, which is under way, is finished first" in answers[0]
+    assert "PHM first finishes the current action: restart of app" in answers[0]
 
 
 def test_approvals_and_restarts_are_denied_on_hold(scene: Scene) -> None:
