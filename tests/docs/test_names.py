@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import re
 from functools import cache
+from typing import get_args
 
 import pytest
 
 from phm.checking import registry
 from phm.core.model import Layer, Phase
+from phm.core.settings.recovery import ManualStopSettings
 from phm.recovery.base import Action
 from tests.docs.examples import ROOT, pages
 from tests.docs.messages import trees
@@ -67,6 +69,14 @@ def test_each_action_is_described() -> None:
     logs = (ROOT / "docs" / "reference" / "logs.md").read_text("utf-8")
     assert [phase for phase in Phase if f"`{phase.value}`" not in logs] == []
     assert [layer for layer in Layer if f"`{layer.value}`" not in logs] == []
+
+
+def test_the_rules_of_a_manual_stop_are_those_of_the_configuration() -> None:
+    """The table of `recovery.on_manual_stop` lists exactly the values that the configuration accepts."""
+    text = (ROOT / "docs" / "reference" / "recovery.md").read_text("utf-8")
+    table = text.split("| rule | alarm | action | default |", 1)[1].split("\n\n", 1)[0]
+    described = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
+    assert sorted(described) == sorted(get_args(ManualStopSettings.model_fields["ground"].annotation))
 
 
 def test_the_layers_are_those_of_the_import_contract() -> None:

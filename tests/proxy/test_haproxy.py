@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from hypothesis import given, strategies as st
 
 from phm.cli import group
-from phm.proxy.calls import exact
+from phm.proxy.calls import calls, exact
 from phm.proxy.haproxy import NoRules, quoted, rules
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
@@ -96,6 +96,41 @@ def test_the_rules_allow_only_what_the_configuration_needs() -> None:
     assert "PUT" not in looked_at
     restored = made(containers=[{"name": "app", "recover": True, "files": [{"path": "/a/b", "restore": "/golden"}]}])
     assert "PUT" in restored
+
+
+def test_each_kind_of_call_is_in_the_documented_table() -> None:
+    """docs/reference/security.md lists each method with the last word of its path, and how a program is started."""
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "security.md").read_text("utf-8")
+    table = page.split("The rules allow:", 1)[1].split("*Recovery may act*", 1)[0]
+    documented, method, verb = set(), "", ""
+    for row in re.findall(r"^\| (`[^|]*) \|", table, re.MULTILINE):
+        for token in re.findall(r"`([^`]+)`", row):
+            found = re.fullmatch(r"([A-Z]*) ?(?:/?(?:[^/?]*/)*([^/?]*).*)?", token)
+            assert found is not None
+            method, verb = found[1] or method, found[2] or verb
+            documented.add((method, verb))
+    custom = [
+        {"name": "fuel", "type": "command", "command": ["fuel"], "container": "app"},
+        {"name": "log", "type": "log", "container": "app", "patterns": [{"pattern": "x"}]},
+        {"name": "one", "type": "process", "process": ["x"], "container": "app"},
+    ]
+    restored = {"path": "/ws/a", "restore": "/golden/a", "sha256": "0" * 64}
+    app = {"name": "app", "recover": True, "networks": ["net"], "files": [restored]}
+    nodes = [{"name": "/n", "container": "app", "relaunch": ["run"]}]
+    everything = settings(
+        docker={**DOCKER, "unknown_containers": {"level": "warn"}},
+        containers=[app, {"name": "video"}],
+        custom=custom,
+        ros={"nodes": nodes},
+        recovery={"relieve": ["video"]},
+    )
+    made = calls(everything)
+    used = {
+        (call.method, "".join(re.findall(r"[a-z]+", re.split(r"[?(\\]", call.path)[0])[-1:]) or "N") for call in made
+    }
+    assert used - documented == set()
+    assert len(used) > 12
+    assert all(call.starts in table for call in made)
 
 
 def test_the_running_containers_are_listed_only_where_requested() -> None:
