@@ -1,1 +1,1 @@
-"""SITL: simulated agents on one machine, faults to inject, and what PHM makes of them. Not part of the daemon."""
+"""SITL: simulated agents on one machine, faults to inject, and how PHM handles them. Not part of the daemon."""

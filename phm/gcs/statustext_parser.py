@@ -17,7 +17,7 @@ _CHANGE = re.compile(
     rf"{_AGENT} (?P<word>FAIL|WARN|OK|HOLD|ADVISE|APPROVED|EXPIRED|GAVE UP) (?P<slot>[0-9]{{1,2}})(?: (?P<text>.+))?"
 )
 _RELAY = re.compile(rf"{_AGENT} (?P<text>no GCS radio[,:] .*)")
-_SWARM = re.compile(r"SWARM (?P<well>[0-9]{1,3})/(?P<members>[0-9]{1,3}) (?P<word>OK|WARN|FAIL)(?: (?P<text>.+))?")
+_SWARM = re.compile(r"SWARM (?P<healthy>[0-9]{1,3})/(?P<members>[0-9]{1,3}) (?P<word>OK|WARN|FAIL)(?: (?P<text>.+))?")
 _VERB = rf"(?:{'|'.join(PAST_VERBS.values())}|fixed by \S{{1,12}})"
 _RECOVERED = re.compile(rf"{_VERB}: (?P<brief>.+)|(?P<subject>\S+) {_VERB}")
 _ADVICE = re.compile(r"(?P<action>\S+) (?P<target>.*?) ?#(?P<fault>[0-9]{1,9})(?: (?P<valid_s>[0-9]{1,4})s)?")

@@ -36,7 +36,7 @@ MAX_BYTES = 8000
 NOTE_KINDS = ("ACTION", "COMMAND", "DOCKER", "HOLD", "NOTE", "PHM")
 _KINDS = {Level.OK: "SUCCESS", Level.WARN: "WARNING", Level.ERROR: "FAILURE", Level.STALE: "STALE"}
 # Several OK units of one check in one line: what they are, and their state.
-_WELL = {
+_HEALTHY = {
     Slot.CONTAINER: ("containers", "are OK"),
     Slot.FILES: ("file checks", "passed"),
     Slot.NETWORK: ("network checks", "passed"),
@@ -47,7 +47,7 @@ _WELL = {
     Slot.HOST: ("host limits", "are kept"),
 }
 # For checks that share a slot with another.
-_WELL_CHECKS = {"diagnostics": ("watched diagnostics", "report OK")}
+_HEALTHY_CHECKS = {"diagnostics": ("watched diagnostics", "report OK")}
 _REMEMBERED = 64
 
 
@@ -198,21 +198,21 @@ def _message(state: UnitState) -> str:
 def _check_lines(at: Stamp, states: Sequence[UnitState], faults: Mapping[str, Fault]) -> Iterator[str]:
     """The units of one check: those that are OK in one line, at the place of the first; the others one by one."""
     judged = [state for state in states if unit_kind(state) != "BYPASS"]
-    well = [state for state in judged if state.level is Level.OK]
-    folded = len(well) > 1
+    healthy = [state for state in judged if state.level is Level.OK]
+    folded = len(healthy) > 1
     for state in states:
-        if not folded or state not in well:
+        if not folded or state not in healthy:
             yield _unit_line(at, state, faults.get(state.unit))
-        elif state is well[0]:
-            yield _line(at, "SUCCESS", state.slot, _folded(well, len(judged)))
+        elif state is healthy[0]:
+            yield _line(at, "SUCCESS", state.slot, _folded(healthy, len(judged)))
 
 
-def _folded(well: Sequence[UnitState], of_all: int) -> str:
-    first = well[0]
-    words = _WELL_CHECKS.get(first.check) or _WELL.get(first.slot)
+def _folded(healthy: Sequence[UnitState], of_all: int) -> str:
+    first = healthy[0]
+    words = _HEALTHY_CHECKS.get(first.check) or _HEALTHY.get(first.slot)
     what, how = words or (f"units of {first.check}", "are OK")
-    count = f"All {of_all}" if len(well) == of_all else f"{len(well)} of {of_all}"
-    return f"{count} {what} {how}: {', '.join(map(_named, well))}"
+    count = f"All {of_all}" if len(healthy) == of_all else f"{len(healthy)} of {of_all}"
+    return f"{count} {what} {how}: {', '.join(map(_named, healthy))}"
 
 
 def _named(state: UnitState) -> str:

@@ -109,7 +109,7 @@ def _shown_units(
     omitted: OmittedCounts,
     most: int,
 ) -> tuple[dict[str, list[list[Any]]], float]:
-    """Units that were not always well, the worst first, and the seconds within which changes are joined."""
+    """Units that were not always healthy, the worst first, and the seconds within which changes are joined."""
     spent = {unit: levels.seconds(segments, begin, end) for unit, segments in units.items()}
     bad = [unit for unit, by in spent.items() if any(by.get(level, 0.0) > 0.05 for level in ("ERROR", "WARN", "STALE"))]
     bad.sort(key=lambda unit: [-spent[unit].get(level, 0.0) for level in ("ERROR", "WARN", "STALE")])

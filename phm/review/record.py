@@ -189,7 +189,7 @@ def _continued(faults: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _end_forgotten(agent: AgentRecord) -> None:
-    """A fault that a later run does not know although its unit is well has ended at an unknown time, at the latest with its run."""
+    """A fault that a later run does not know although its unit is OK has ended at an unknown time, at the latest with its run."""
     last: dict[str, tuple[Run, str]] = {}
     ends: dict[str, float] = {}
     for run, clock in agent.runs:

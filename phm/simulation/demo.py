@@ -34,7 +34,8 @@ class DemoPorts:
 
 
 class DemoAgents:
-    """Starts agents, each a PHM daemon and its autopilot; `close` kills every process that was started.
+    """Starts agents, each a PHM daemon and its autopilot; `close` kills every process that was started. On Linux, they end
+    with this process, too.
 
     folder: gets a folder of logs and state for each agent.
     """
@@ -73,7 +74,7 @@ class DemoAgents:
     def start_autopilot(self, agent: int) -> None:
         companion = f"{self.companion_scheme}:127.0.0.1:{self.ports.companion(agent)}"
         ground = f"udpout:127.0.0.1:{self.ports.ground}"
-        words = ["-m", "phm.simulation.autopilot", "--id", str(agent), "--companion", companion, "--ground", ground]
+        words = ["phm.simulation.autopilot", "--id", str(agent), "--companion", companion, "--ground", ground]
         self._autopilots[agent] = self._spawn(f"autopilot{agent}", words, {})
 
     def environment(self, agent: int) -> dict[str, str]:
@@ -94,13 +95,13 @@ class DemoAgents:
 
     def _start_daemon(self, agent: int) -> None:
         (self.folder / str(agent)).mkdir()
-        words = ["-m", "phm.cli", "run", "--config", str(self.configuration)]
+        words = ["phm.cli", "run", "--config", str(self.configuration)]
         self._daemons[agent] = self._spawn(f"phm{agent}", words, self.environment(agent))
 
     def _spawn(self, name: str, words: list[str], environment: dict[str, str]) -> subprocess.Popen[bytes]:
         with (self.folder / f"{name}.out").open("ab") as output:
             return subprocess.Popen(
-                [self._python, *words],
+                [self._python, "-m", "phm.simulation.bound_process", str(os.getpid()), *words],
                 env={**os.environ, **environment},
                 stdin=subprocess.DEVNULL,
                 stdout=output,

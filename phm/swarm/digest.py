@@ -79,13 +79,13 @@ def member_levels(consensus: Consensus, own_word: int, no_gcs: Collection[int] =
 
 def digest_line(levels: Mapping[int, tuple[Level, str]]) -> str:
     """The line of the leader about the swarm; see the module."""
-    well = sum(level is Level.OK for level, _ in levels.values())
+    healthy = sum(level is Level.OK for level, _ in levels.values())
     bad = sorted(
         ((agent, level, why) for agent, (level, why) in levels.items() if level is not Level.OK and why),
         key=lambda entry: (-_GRAVITY[entry[1]], entry[2] != "lost", entry[0]),
     )
     gravest = max((level for level, _ in levels.values()), key=lambda level: _GRAVITY[level], default=Level.STALE)
-    text = f"SWARM {well}/{len(levels)} {_WORD[gravest]}"
+    text = f"SWARM {healthy}/{len(levels)} {_WORD[gravest]}"
     for number, (agent, _, why) in enumerate(bad):
         piece = f" {agent_name(agent)}:{why}"
         left = len(bad) - number - 1

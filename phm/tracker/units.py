@@ -192,8 +192,8 @@ class UnitRecord:
     @property
     def settled(self) -> bool:
         """Its latest result is OK and nothing is open: time changes nothing."""
-        well = self.latest is not None and self.latest.level is Level.OK
-        return well and self.pending is None and self.fault is None and not self.escalated
+        healthy = self.latest is not None and self.latest.level is Level.OK
+        return healthy and self.pending is None and self.fault is None and not self.escalated
 
     @property
     def waiting(self) -> bool:

@@ -128,8 +128,8 @@ def main(arguments: list[str]) -> int:
         reason = unhealthy(document)
     except NoStatus as error:
         document, reason = {}, str(error)
-    well = f"PHM is healthy: monitoring {len(document.get('checks', ()))} units."
-    sys.stdout.write(f"PHM is not healthy: {reason}.\n" if reason else f"{well}\n")
+    healthy = f"PHM is healthy: monitoring {len(document.get('checks', ()))} units."
+    sys.stdout.write(f"PHM is not healthy: {reason}.\n" if reason else f"{healthy}\n")
     return 1 if reason else 0
 
 

@@ -82,7 +82,7 @@ class Row:
     actions: list[str] = field(default_factory=list)
     starts: int = 0
     detected_s: float | None = None
-    well_s: float | None = None
+    healthy_s: float | None = None
     problems: list[str] = field(default_factory=list)
     remark: str = ""
 
@@ -147,7 +147,7 @@ def play(engine: OwnEngine, stack: Stack, monitor: StackMonitor, case: Case) -> 
         wait_ok(monitor)
     except RuntimeError as error:
         problem = str(error)
-    well_s = time.monotonic() - began
+    healthy_s = time.monotonic() - began
     until = time.monotonic() + AFTER_S
     monitor.record.wait(lambda event: event["mono"] > until, 2 * AFTER_S, since=mark)
     agent = stack.agent
@@ -158,7 +158,7 @@ def play(engine: OwnEngine, stack: Stack, monitor: StackMonitor, case: Case) -> 
         same_run=agent.generation == generation,
         restored=_restored(agent),
     )
-    row.well_s = well_s
+    row.healthy_s = healthy_s
     row.problems += [problem] if problem else []
     return row
 
@@ -186,9 +186,9 @@ def _restored(agent: Agent) -> bool:
 def table(rows: list[Row]) -> Table:
     found = Table("engine", "alarms", "actions", "detected s", "OK s", "holds")
     for row in rows:
-        seen, well = (f"{value:.1f}" if value is not None else "-" for value in (row.detected_s, row.well_s))
+        seen, healthy = (f"{value:.1f}" if value is not None else "-" for value in (row.detected_s, row.healthy_s))
         words = "; ".join(row.problems) or row.remark or "yes"
-        found.add_row(row.title, ", ".join(row.alarms) or "-", ", ".join(row.actions) or "-", seen, well, words)
+        found.add_row(row.title, ", ".join(row.alarms) or "-", ", ".join(row.actions) or "-", seen, healthy, words)
     return found
 
 

@@ -53,7 +53,7 @@ class AcceptanceRun:
         return self.stack.agent
 
     def configure(self, mode: str, *, relaunch: bool = False, prepared: Fault | None = None) -> None:
-        """Start PHM again with another configuration, that which `prepared` needs, and wait until everything is well."""
+        """Start PHM again with another configuration, that which `prepared` needs, and wait until everything is OK."""
         more = {}
         if prepared is not None:
             prepared.prepare(self.agent)
@@ -75,16 +75,16 @@ class AcceptanceRun:
         self.monitor.wait_ok()
         mark = self.monitor.mark()
         self._fill(starting, self.record.events)
-        well = Row(self.mode, "nominal", f"nothing, for {NOMINAL_S:g} s", "-")
+        healthy = Row(self.mode, "nominal", f"nothing, for {NOMINAL_S:g} s", "-")
         self._watch(NOMINAL_S, mark)
-        self._fill(well, self.record.events[mark:])
-        for row in (starting, well):
+        self._fill(healthy, self.record.events[mark:])
+        for row in (starting, healthy):
             if row.alarms or row.actions:
                 row.problems.append(f"reported or done: {', '.join([*row.alarms, *row.actions])}")
-        return [starting, well]
+        return [starting, healthy]
 
     def heal(self, fault: Fault, title: str = "") -> Row:
-        """Inject, watch until it is healed and verified (or given up), then whether everything is well again."""
+        """Inject, watch until it is healed and verified (or given up), then whether everything is OK again."""
         row = self._row(fault, title)
         self._wait_lasting(row)
         mark = self.monitor.mark()
@@ -101,7 +101,7 @@ class AcceptanceRun:
         row.problems += relapses(row.expected, self.record.events[mark:])
         cleared = self.monitor.mark()
         fault.clear(self.agent)
-        self._well_again(row, mark)
+        self._healthy_again(row, mark)
         set_outcome(row, healable=fault.healable)
         self._judge_condition(row, fault, mark)
         if row.given_up_s is not None:
@@ -131,7 +131,7 @@ class AcceptanceRun:
             row.problems.append(f"advised: {row.advised or 'nothing'}")
         row.outcome = "reported, container unchanged" if not row.problems else "changed"
         fault.clear(self.agent)
-        self._well_again(row, mark)
+        self._healthy_again(row, mark)
         if sorted(row.alarms) != sorted(row.expected):
             row.problems.append(f"alarms: {row.alarms}")
         self._judge_condition(row, fault, mark)
@@ -143,7 +143,7 @@ class AcceptanceRun:
         return Row(self.mode, fault.name, title or fault.title, unit, also)
 
     def _wait_lasting(self, row: Row) -> None:
-        """What PHM gave up on before it tries again only after that was well for so long, as this run of PHM has seen it."""
+        """What PHM gave up on before it tries again only after that was OK for so long, as this run of PHM has seen it."""
         if row.unit not in self._given_up:
             return
         mark = self.monitor.mark()
@@ -196,8 +196,8 @@ class AcceptanceRun:
         if fault.condition not in seen:
             row.problems.append(f"known as {', '.join(sorted(seen)) or 'nothing'}, expected {fault.condition}")
 
-    def _well_again(self, row: Row, mark: int) -> None:
-        """Everything is well again, and neither healing nor clearing raised a further alarm."""
+    def _healthy_again(self, row: Row, mark: int) -> None:
+        """Everything is OK again, and neither healing nor clearing raised a further alarm."""
         try:
             self.monitor.wait_ok()
         except RuntimeError as error:

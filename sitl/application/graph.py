@@ -75,7 +75,7 @@ def _read_node(number: int, entry: Any) -> NodePlan:
                 f"{where}: {word!r} is not a name: letters, digits and '_', the first a letter, '/' between"
             )
     if not publish:
-        raise ValueError(f"{where}: {name} publishes nothing; PHM could not tell a hung node from a well one")
+        raise ValueError(f"{where}: {name} publishes nothing; PHM could not tell a hung node from a healthy one")
     for topic, rate_hz in publish.items():
         if isinstance(rate_hz, bool) or not isinstance(rate_hz, int | float) or not 0.1 <= rate_hz <= 1000:
             raise ValueError(f"{where}: the rate of {topic} is {rate_hz!r}: allowed is 0.1 to 1000 Hz")

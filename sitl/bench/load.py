@@ -39,7 +39,7 @@ FAULTS = ("container_killed", "node_killed", "topic_silent")
 HALF = "half a core"
 LOADS = {"quiet": 0, "1 per core": 1, "2 per core": 2, "4 per core": 4, HALF: 0}
 """Runnable threads per core, each in a container of the default weight that PHM does not know."""
-UP_LIMIT_S, WELL_LIMIT_S, HEALED_LIMIT_S = 150.0, 60.0, 60.0
+UP_LIMIT_S, HEALTHY_LIMIT_S, HEALED_LIMIT_S = 150.0, 60.0, 60.0
 SETTLE_S = 5.0
 AFTER_S = 5.0
 HOG_S = SETTLE_S + HEALED_LIMIT_S + 2 * AFTER_S + 30.0
@@ -132,7 +132,7 @@ def run(stack: Stack, console: Console, loads: list[str], minutes: float) -> lis
     """Every fault under every load, for as long as there is time to begin."""
     found, until = [], time.monotonic() + 60 * minutes
     trial, faults = Trial(stack, console), all_faults()
-    if not trial.wait_well(UP_LIMIT_S):
+    if not trial.wait_healthy(UP_LIMIT_S):
         raise RuntimeError(f"the agent did not become OK within {UP_LIMIT_S:g} s; see {stack.logs}")
     autopilot = stack.agent.container("autopilot")
     update(autopilot, "--cpu-shares", str(FAVOURED))
@@ -143,7 +143,7 @@ def run(stack: Stack, console: Console, loads: list[str], minutes: float) -> lis
             if time.monotonic() > until:
                 console.print(f"[yellow]not measured[/]: {name}, {load}: {minutes:g} minutes are over")
                 continue
-            if not trial.wait_well(WELL_LIMIT_S):
+            if not trial.wait_healthy(HEALTHY_LIMIT_S):
                 console.print(f"[yellow]not everything is OK before[/] {name}, {load}")
             found.append(measure(trial, faults[name], load, heartbeats))
             console.print(f"  {' | '.join(table_cells(found[-1]))}", highlight=False)

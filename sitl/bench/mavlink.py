@@ -61,9 +61,9 @@ class Swarm:
     """A fleet whose agents say what the recorded reports say."""
 
     def __init__(
-        self, count: int, well: Sequence[UnitState], bad: Sequence[UnitState], weights: dict[str, Size]
+        self, count: int, healthy: Sequence[UnitState], bad: Sequence[UnitState], weights: dict[str, Size]
     ) -> None:
-        self.fleet = Fleet(count, units=well, step_s=0.25 if count <= 30 else 1.0)
+        self.fleet = Fleet(count, units=healthy, step_s=0.25 if count <= 30 else 1.0)
         self._bad, self._weights = bad, weights
         self.failing: set[int] = set()
 
@@ -82,12 +82,12 @@ class Swarm:
         weight: Counter[str] = Counter()
         count = 0
         for number, reports in (self._reported() - reported).items():
-            size = self._weights["bad" if number in self.failing else "well"]
+            size = self._weights["bad" if number in self.failing else "healthy"]
             count += reports
             for form in FORMS:
                 weight[form] += reports * (getattr(size, form) or 0)
         agents = len(self.fleet.agents)
-        known = self._weights["well"].diagnostics is not None
+        known = self._weights["healthy"].diagnostics is not None
         return Row(
             agents,
             len(self.failing),
@@ -121,7 +121,7 @@ def run(
     counts: Sequence[int], seconds: float, units: tuple[Sequence[UnitState], Sequence[UnitState]], console: Console
 ) -> Iterator[Row]:
     """Two rows for each count: nothing happens; a tenth of the agents, and at least one, has the fault."""
-    weights = {"well": sizes(units[0]), "bad": sizes(units[1])}
+    weights = {"healthy": sizes(units[0]), "bad": sizes(units[1])}
     for count in counts:
         with console.status(f"{count} agents settle"):
             swarm = Swarm(count, *units, weights)
@@ -163,7 +163,7 @@ def table(rows: Sequence[Row]) -> Table:
 def one_report(units: tuple[Sequence[UnitState], Sequence[UnitState]]) -> str:
     """Bytes of a single report in each form."""
     lines = []
-    for name, states in zip(("well", "failing"), units, strict=True):
+    for name, states in zip(("healthy", "failing"), units, strict=True):
         size = sizes(states)
         cdr = "not known: no ROS here" if size.diagnostics is None else f"{size.diagnostics}"
         lines.append(
@@ -187,18 +187,18 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="scripts/bench mavlink",
         description=__doc__,
-        epilog="Example: phm status --json > mine.json; scripts/bench mavlink --well mine.json --agents 8",
+        epilog="Example: phm status --json > mine.json; scripts/bench mavlink --healthy mine.json --agents 8",
     )
     parser.add_argument("--agents", type=int, nargs="+", default=list(COUNTS), metavar="N", help="swarms (1 8 30 100)")
     parser.add_argument(
         "--seconds", type=float, default=240.0, metavar="S", help="of the swarm's clock that are weighed (240)"
     )
     parser.add_argument(
-        "--well",
+        "--healthy",
         type=Path,
-        default=REPORTS / "well.json",
+        default=REPORTS / "healthy.json",
         metavar="FILE",
-        help="the report of a well agent, of `phm status --json`",
+        help="the report of a healthy agent, of `phm status --json`",
     )
     parser.add_argument(
         "--failing", type=Path, default=REPORTS / "failing.json", metavar="FILE", help="the same of one with a fault"
@@ -209,7 +209,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("--agents takes 1 to 249, --seconds 1 or more")
     console = Console(stderr=chosen.json)
     try:
-        units = load(chosen.well), load(chosen.failing)
+        units = load(chosen.healthy), load(chosen.failing)
     except (OSError, ValueError, KeyError) as error:
         parser.error(f"a report cannot be read: {error}; `phm status --json` makes one")
     rows = []
@@ -218,7 +218,7 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(f"{row.agents} agents, {row.failing} failing: {row.mavlink:.1f} bytes/s", style="dim")
     missed = verdict(rows)
     if chosen.json:
-        weights = {name: asdict(sizes(states)) for name, states in zip(("well", "failing"), units, strict=True)}
+        weights = {name: asdict(sizes(states)) for name, states in zip(("healthy", "failing"), units, strict=True)}
         figures = {"machine": machine(), "seconds": chosen.seconds, "one_report": weights, "missed": missed}
         print(json.dumps({**figures, "figures": list(map(asdict, rows))}, indent=2))
     else:

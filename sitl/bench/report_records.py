@@ -106,17 +106,21 @@ def _state(name: str, slot: Slot, values: dict[str, float], draw: random.Random)
     return UnitState(name, name.partition("/")[0], slot, layer, Level.OK, result, stamp, duration_s=draw.random() / 100)
 
 
-def _fault(log: LogReporter, clock: FakeClock, well: UnitState, name: str, draw: random.Random) -> None:
+def _fault(log: LogReporter, clock: FakeClock, healthy: UnitState, name: str, draw: random.Random) -> None:
     """A fault that an action ends."""
-    text = f"{well.unit} is gone: restart its container and check its log"
-    bad = replace(well, level=Level.ERROR, fault=name, result=Result(Level.ERROR, text, f"{well.unit} gone", "gone"))
-    opened = Fault(name, well.unit, well.slot, well.layer, bad.result, clock.stamp(), consequences=("topics", "rates"))
+    text = f"{healthy.unit} is gone: restart its container and check its log"
+    bad = replace(
+        healthy, level=Level.ERROR, fault=name, result=Result(Level.ERROR, text, f"{healthy.unit} gone", "gone")
+    )
+    opened = Fault(
+        name, healthy.unit, healthy.slot, healthy.layer, bad.result, clock.stamp(), consequences=("topics", "rates")
+    )
     log.handle(FaultOpened(clock.stamp(), opened))
     log.handle(Transition(clock.stamp(), Level.OK, bad))
     for phase in (Phase.STARTED, Phase.DONE, Phase.VERIFIED):
-        log.handle(ActionEvent(clock.stamp(), name, well.unit, "restart", "ros_a", phase, f"restart: {phase.value}"))
+        log.handle(ActionEvent(clock.stamp(), name, healthy.unit, "restart", "ros_a", phase, f"restart: {phase.value}"))
         clock.advance(draw.uniform(0.2, 2.0))
-    log.handle(Transition(clock.stamp(), Level.ERROR, well))
+    log.handle(Transition(clock.stamp(), Level.ERROR, healthy))
     closed = replace(opened, closed=clock.stamp(), outcome=Outcome.RESOLVED, by="restart")
     log.handle(FaultClosed(clock.stamp(), closed))
 

@@ -1,4 +1,4 @@
-"""Starve a real agent, and see what PHM makes of it: one alarm at the cause, no restart that cannot help, everything up at the end.
+"""Starve a real agent, and check how PHM handles it: one alarm at the cause, no restart that cannot help, everything up at the end.
 
 ``python -m sitl.bench.starvation`` expects the images (`scripts/image`; PHM_IMAGE and PHM_APP_IMAGE name others) and starts a new agent for each
 fault, with the shipped configuration. About 12 minutes, at most 30. Exit 0 only when every row holds. ``--markdown FILE...`` writes the table of
@@ -18,7 +18,7 @@ from typing import Any
 from rich.console import Console
 
 from sitl.acceptance.plan import STARVING
-from sitl.bench.starvation_rows import BEGIN, END, Row, as_json, cells, from_json, markdown, open_units, unwell
+from sitl.bench.starvation_rows import BEGIN, END, Row, as_json, cells, from_json, markdown, not_ok, open_units
 from sitl.faults import all_faults
 from sitl.faults._overload import LASTS_S
 from sitl.faults.base import Agent, Fault
@@ -32,7 +32,7 @@ UP_LIMIT_S = 150.0
 STARVED_S = 45.0
 """How long a limit is held: the restarts that it must not cause came within that time."""
 OVERLOADED_S = LASTS_S + 5.0
-WELL_LIMIT_S = 90.0
+HEALTHY_LIMIT_S = 90.0
 STEADY_S = 5.0
 AFTER_S = 10.0
 """How long everything is watched after it is OK again."""
@@ -83,17 +83,17 @@ class Trial:
         self.stack, self.console = stack, console
         self.record = Record(stack.record)
 
-    def wait_well(self, limit_s: float) -> bool:
+    def wait_healthy(self, limit_s: float) -> bool:
         """Until PHM has found everything OK for a while, the machine aside."""
-        well_from: list[float] = []
+        healthy_from: list[float] = []
 
         def steady(event: Event) -> bool:
             if event["event"] == "report":
-                if unwell(self.record.events) or not _covers(self.record.events):
-                    well_from.clear()
+                if not_ok(self.record.events) or not _covers(self.record.events):
+                    healthy_from.clear()
                 else:
-                    well_from.append(event["mono"])
-            return bool(well_from) and event["mono"] - well_from[0] >= STEADY_S
+                    healthy_from.append(event["mono"])
+            return bool(healthy_from) and event["mono"] - healthy_from[0] >= STEADY_S
 
         return self.record.wait(steady, limit_s, since=self.mark()) is not None
 
@@ -108,8 +108,8 @@ class Trial:
             ended = time.monotonic()
             if not fault.healable:
                 fault.clear(self.stack.agent)
-            if self.wait_well(WELL_LIMIT_S):
-                row.well_again_s = max(0.0, time.monotonic() - ended - STEADY_S)
+            if self.wait_healthy(HEALTHY_LIMIT_S):
+                row.healthy_again_s = max(0.0, time.monotonic() - ended - STEADY_S)
             self.watch(AFTER_S)
         finally:
             row.starts, row.sidecar_starts = (each.close() for each in starts)
@@ -117,7 +117,7 @@ class Trial:
                 fault.clear(self.stack.agent)
         self.record.update()
         row.read(self.record.events[mark:], moment, open_units(self.record.events[:mark]))
-        row.left = [*unwell(self.record.events), *self._down()]
+        row.left = [*not_ok(self.record.events), *self._down()]
         row.judge()
         return row
 
@@ -153,9 +153,9 @@ def run(names: list[str], project: str, console: Console) -> list[Row]:
         try:
             stack.up()
             trial = Trial(stack, console)
-            if not trial.wait_well(UP_LIMIT_S):
+            if not trial.wait_healthy(UP_LIMIT_S):
                 raise RuntimeError(
-                    f"the agent did not become OK within {UP_LIMIT_S:g} s: {unwell(trial.record.events)}"
+                    f"the agent did not become OK within {UP_LIMIT_S:g} s: {not_ok(trial.record.events)}"
                 )
             rows.append(trial.play(faults[name]))
         finally:

@@ -42,7 +42,7 @@ class Row:
     starts: int = 0
     detected_s: float | None = None
     healed_s: float | None = None
-    well_again_s: float | None = None
+    healthy_again_s: float | None = None
     left: list[str] = field(default_factory=list)
     sidecar_starts: int = 0
     problems: list[str] = field(default_factory=list)
@@ -104,7 +104,7 @@ def levels(events: Iterable[Event]) -> Mapping[str, str]:
     return found
 
 
-def unwell(events: Iterable[Event]) -> list[str]:
+def not_ok(events: Iterable[Event]) -> list[str]:
     """Units that are not OK, and open faults, but those of the machine, which other programs may keep busy."""
     events = list(events)
     found = [f"{unit} {level}" for unit, level in levels(events).items() if level not in OK_LEVELS]
@@ -139,7 +139,7 @@ def cells(row: Row) -> tuple[str, str, str]:
     seen = f" after {row.detected_s:.1f} s" if (row.detected_s or -1.0) > 0.0 and len(units) == 1 else ""
     acts = grouped(row.actions) or "none"
     healed = f", healed after {row.healed_s:.1f} s" if row.healed_s is not None else ""
-    again = "" if row.well_again_s is None else f" {row.well_again_s:.0f} s after"
+    again = "" if row.healthy_again_s is None else f" {row.healthy_again_s:.0f} s after"
     return f"{alarms}{seen}", f"{acts}{healed}", ", ".join(row.left) or f"all OK{again}"
 
 

@@ -36,7 +36,7 @@ WARM_S = 5.0
 AT_ONCE, NEW_S = 250, 15
 """The senders that the ground accepts in a burst, and per second after that (`phm.gcs.ingress_filter`), with a margin."""
 IDS = 250
-WELL = status_word.encode(dict.fromkeys(list(Slot)[:9], Level.OK))
+HEALTHY = status_word.encode(dict.fromkeys(list(Slot)[:9], Level.OK))
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Sender(threading.Thread):
                 self._ending.wait(max(0.0, begin + turn + place / len(self._senders) - time.monotonic()))
                 self._sock.sendto(_beat(pilot, 2, 3, 0), self._to)
                 self.sent[name] = time.monotonic()
-                self._sock.sendto(_beat(phm, 18, 8, WELL), self._to)
+                self._sock.sendto(_beat(phm, 18, 8, HEALTHY), self._to)
             turn += 1
 
     def end(self) -> None:

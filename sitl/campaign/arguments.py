@@ -26,7 +26,7 @@ See docs/development/campaign.md.
 def parser() -> argparse.ArgumentParser:
     words = argparse.ArgumentParser(
         prog="python -m sitl campaign",
-        description="Inject faults into a swarm of simulated agents and measure what PHM makes of them.",
+        description="Inject faults into a swarm of simulated agents and measure how PHM handles them.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -141,7 +141,7 @@ class Levels:
         """Whether the unit was already reported: then it would not be reported again."""
         return unit in self.open.values()
 
-    def unwell(self, usual: Mapping[str, str]) -> list[str]:
+    def not_ok(self, usual: Mapping[str, str]) -> list[str]:
         """Which units are worse than `usual`, levels by unit name, as text; empty when none is."""
         if not self.reported:
             return ["no report yet"]
@@ -156,5 +156,5 @@ class Levels:
         return found + [f"{unit} is not judged" for unit in usual if unit not in self.units]
 
     def as_usual(self) -> dict[str, str]:
-        """The present levels, for `unwell` later: with nothing injected, some units may be unknown permanently."""
+        """The present levels, for `not_ok` later: with nothing injected, some units may be unknown permanently."""
         return {unit: level for unit, level in self.units.items() if not unit.startswith(SHARED)}

@@ -234,7 +234,7 @@ def remarks(each: ScoredTrial, verdict: Verdict) -> list[str]:
         found.append(f"alarms: {verdict.count}, expected {verdict.expected}: {', '.join(extra) or 'reported again'}")
     if each.trial.kind == "trial":
         found += _recovery_remarks(verdict)
-    if each.trial.well_after is None:
+    if each.trial.healthy_after is None:
         found.append("not everything was OK afterwards")
     return found
 

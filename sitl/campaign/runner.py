@@ -35,7 +35,7 @@ AFTER_S = 10.0
 """How long a trial is watched after its faults are recovered or reported: longer than any grace, so late alarms are caught."""
 STILL_S = 10.0
 """How long nothing may change with recovery off."""
-WELL_LIMIT_S = 120.0
+HEALTHY_LIMIT_S = 120.0
 STEADY_S = 3.0
 """All must have been OK for this long before the next injection."""
 RECORD_LIMIT_S = 60.0
@@ -95,16 +95,16 @@ class Runner:
         ]
         if left:
             self._configure(left, {})
-        if not self._wait(lambda: self.watch.ear.heard() >= self.agents.keys(), WELL_LIMIT_S):
+        if not self._wait(lambda: self.watch.ear.heard() >= self.agents.keys(), HEALTHY_LIMIT_S):
             self.progress(
                 f"the ground does not hear {sorted(self.agents.keys() - self.watch.ear.heard())}; undoing what is left"
             )
         try:
-            self._well(WELL_LIMIT_S / 2)
+            self._healthy(HEALTHY_LIMIT_S / 2)
         except NotOk:
             for agent in self.agents.values():
                 restore(self.swarm, agent)
-            self._well(WELL_LIMIT_S)
+            self._healthy(HEALTHY_LIMIT_S)
         self.watch.learn()
 
     def resume(self, trials: Iterable[Trial]) -> None:
@@ -142,7 +142,7 @@ class Runner:
         self._keep_busy()
         trial = self._begin(NOMINAL, 0)
         self._wait(renewing, seconds)
-        return self._end(trial, well=not self.watch.unwell())
+        return self._end(trial, healthy=not self.watch.not_ok())
 
     def off(self, seed: int) -> Trial:
         """Inject faults that would be recovered, with recovery off: nothing may change."""
@@ -152,7 +152,7 @@ class Runner:
         draws = [Draw(name, agent) for name, agent in zip(LEFT_ALONE, victims, strict=False)]
         self._keep_busy()
         self._configure([self.agents[agent] for agent in victims], RECOVERY_OFF)
-        self._well(WELL_LIMIT_S)
+        self._healthy(HEALTHY_LIMIT_S)
         trial = self._begin(OFF, 0)
         try:
             self._inject(trial, draws)
@@ -174,9 +174,9 @@ class Runner:
             ]
         finally:
             self._clear(trial)
-        trial = self._end(trial, well=self._recover(victims))
+        trial = self._end(trial, healthy=self._recover(victims))
         self._configure([self.agents[agent] for agent in victims], {})
-        self._well(WELL_LIMIT_S)
+        self._healthy(HEALTHY_LIMIT_S)
         return trial
 
     def trial(self, plan: TrialPlan) -> Trial:
@@ -201,7 +201,7 @@ class Runner:
         for number, more in changes.items():
             self._configure([self.agents[number]], more)
         if special:
-            self._well(WELL_LIMIT_S)
+            self._healthy(HEALTHY_LIMIT_S)
         trial = self._begin(TRIAL, plan.number)
         trial.differences = differences
         try:
@@ -211,14 +211,14 @@ class Runner:
         finally:
             self._clear(trial)
         self._await_records([draw.agent for draw in plan.draws if self.faults[draw.fault].delays_record])
-        well = self._recover([draw.agent for draw in plan.draws])
-        trial = self._end(trial, well=well)
+        healthy = self._recover([draw.agent for draw in plan.draws])
+        trial = self._end(trial, healthy=healthy)
         for fault, agent in special:
             fault.dismantle(agent)
         for number in changes:
             self._configure([self.agents[number]], {})
-        if special or not well:
-            self._well(WELL_LIMIT_S)
+        if special or not healthy:
+            self._healthy(HEALTHY_LIMIT_S)
         return trial
 
     def _begin(self, kind: str, number: int) -> Trial:
@@ -233,10 +233,10 @@ class Runner:
         began, utc = time.monotonic(), time.time()
         return Trial(kind, number, agents, began, utc, heartbeat_s=heartbeat_s(agents), setting=dict(self.setting))
 
-    def _end(self, trial: Trial, *, well: bool) -> Trial:
+    def _end(self, trial: Trial, *, healthy: bool) -> Trial:
         self.watch.end()
         self._pacing.note(trial)
-        trial.well_after = trial.ended - trial.began if well else None
+        trial.healthy_after = trial.ended - trial.began if healthy else None
         trial.cost = self.meter.costs()
         # Until all is OK again: a restored link must be reopened, and a radio's buffer must be sent.
         trial.blind = [
@@ -304,7 +304,7 @@ class Runner:
     def _recover(self, victims: Sequence[int]) -> bool:
         """Whether all recovered once the faults were cleared; otherwise restore them by force."""
         try:
-            self._well(WELL_LIMIT_S)
+            self._healthy(HEALTHY_LIMIT_S)
         except NotOk as error:
             self.progress(f"restoring by force: {error}")
             for agent in victims:
@@ -312,19 +312,19 @@ class Runner:
             return False
         return True
 
-    def _well(self, limit_s: float) -> None:
+    def _healthy(self, limit_s: float) -> None:
         since: list[float] = []
 
         def steady() -> bool:
-            if self.watch.unwell():
+            if self.watch.not_ok():
                 since.clear()
             elif not since:
                 since.append(time.monotonic())
             return bool(since) and time.monotonic() - since[0] >= STEADY_S
 
         if not self._wait(steady, limit_s):
-            words = [f"A{agent:02d}: {', '.join(why[:4])}" for agent, why in self.watch.unwell().items()]
-            raise NotOk(f"not well after {limit_s:g} s: {'; '.join(words)}")
+            words = [f"A{agent:02d}: {', '.join(why[:4])}" for agent, why in self.watch.not_ok().items()]
+            raise NotOk(f"not OK after {limit_s:g} s: {'; '.join(words)}")
 
     def _configure(self, agents: Sequence[SwarmAgent], changes: Mapping[str, str]) -> None:
         """Start the PHM of these agents with their configuration and the changes, in parallel."""
@@ -333,7 +333,7 @@ class Runner:
             at_work = [pool.submit(self.swarm.configure, agent, changes) for agent in agents]
         for future in at_work:
             future.result()
-        if not self._wait(lambda: all(self._started(agent.number, mark) for agent in agents), WELL_LIMIT_S):
+        if not self._wait(lambda: all(self._started(agent.number, mark) for agent in agents), HEALTHY_LIMIT_S):
             late = [agent.name for agent in agents if not self._started(agent.number, mark)]
             raise NotOk(f"PHM did not start again on {', '.join(late)}; see {agents[0].logs}")
 

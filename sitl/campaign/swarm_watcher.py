@@ -103,7 +103,7 @@ class SwarmWatcher:
         """Take the present levels as the usual ones: with nothing injected, some units may be unknown permanently."""
         self.usual = {agent: levels.as_usual() for agent, levels in self.levels.items()}
 
-    def unwell(self) -> dict[int, list[str]]:
+    def not_ok(self) -> dict[int, list[str]]:
         """Agents that are not as usual, and why."""
-        found = {agent: levels.unwell(self.usual[agent]) for agent, levels in self.levels.items()}
+        found = {agent: levels.not_ok(self.usual[agent]) for agent, levels in self.levels.items()}
         return {agent: words for agent, words in found.items() if words}

@@ -199,7 +199,7 @@ class Trial:
     received: dict[int, int] = field(default_factory=dict)
     """Bytes of the frames from each agent's PHM that reached the ground between `began` and `ended`."""
     cost: list[Cost] = field(default_factory=list)
-    well_after: float | None = None
+    healthy_after: float | None = None
     """When all agents were OK again; None: not within the limit."""
     summaries: list[Summary] = field(default_factory=list)
     machine: list[Load] = field(default_factory=list)

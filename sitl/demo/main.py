@@ -61,9 +61,9 @@ class Demo:
         self.ground = Ground(f"tcp:127.0.0.1:{stack.ground_port}")
 
     def clean_pass(self) -> bool:
-        """Wait for a report in which slots 1 to 8 are all well, as the ground sees it too."""
+        """Wait for a report in which slots 1 to 8 are all OK, as the ground sees it too."""
         with self.console.status("waiting for the first clean report"):
-            report = self.record.wait(self._all_well, CLEAN_LIMIT_S)
+            report = self.record.wait(self._all_healthy, CLEAN_LIMIT_S)
         if report is None:
             self.console.print("[red]no clean report came[/]; the last lines of the log:")
             self._print_log_tail()
@@ -72,7 +72,7 @@ class Demo:
         return True
 
     def play(self, fault: Fault) -> Outcome:
-        """Inject one fault and watch until it is healed and everything is well again."""
+        """Inject one fault and watch until it is healed and everything is OK again."""
         self.record.update()
         mark, heard = len(self.record.events), len(self.ground.lines)
         unit = fault.unit.format(agent=self.stack.agent_name)
@@ -105,7 +105,7 @@ class Demo:
             table.add_row(entry.fault.title, entry.unit, str(len(entry.opened)), *times, entry.by or "-", verdict)
         return table
 
-    def _all_well(self, event: Event) -> bool:
+    def _all_healthy(self, event: Event) -> bool:
         return bool(event["event"] == "report" and all(digit == 1 for digit in event["status_array"]))
 
     def _print_log_tail(self) -> None:
@@ -175,7 +175,7 @@ def run(stack: Stack, console: Console, *, json_too: bool = False) -> int:
         outcomes = []
         for name in STORY:
             outcomes.append(demo.play(faults[name]))
-            demo.record.wait(demo._all_well, CLEAN_LIMIT_S, since=len(demo.record.events))
+            demo.record.wait(demo._all_healthy, CLEAN_LIMIT_S, since=len(demo.record.events))
         console.print()
         console.print(demo.table(outcomes))
         if json_too:

@@ -1,4 +1,4 @@
-"""A node is well, but it no longer listens to its topic."""
+"""A node is OK, but it no longer listens to its topic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A node is well, but its topic has fallen silent."""
+"""A node is OK, but its topic has fallen silent."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Injection(Fault):
     name, title, unit = "topic_silent", "topic silent, its node alive", "rates/{agent}/topic_1"
     condition = "silent"
     layer = "ros"
-    cause = "a node's source has stopped, the node itself is well"
+    cause = "a node's source has stopped, the node itself is OK"
     evidence, evidence_s = "the next message is missing, at 5 Hz", 0.2
     evidence_period_s = 0.2
 

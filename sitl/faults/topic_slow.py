@@ -1,4 +1,4 @@
-"""A node is well, but its topic has half its rate."""
+"""A node is OK, but its topic has half its rate."""
 
 from __future__ import annotations
 

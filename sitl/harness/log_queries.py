@@ -23,7 +23,7 @@ def container_state(agent: Agent) -> Mapping[str, Any]:
 
 
 def relapses(units: Sequence[str], events: Sequence[Event]) -> list[str]:
-    """What was not well after its repair had been verified, in words: then the proof of the repair was none."""
+    """What was not OK after its recovery had been verified, in words: then the verification proved nothing."""
     found = []
     for unit in units:
         healed = next((number for number, event in enumerate(events) if phase("verified", unit, event)), len(events))

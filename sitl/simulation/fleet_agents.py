@@ -67,7 +67,7 @@ class Agent:
         self.clock, self.boot_id, self.alive = SystemClock(), uuid.uuid4().hex[:12], True
         at = self.clock.stamp()
         self._units = {
-            unit: UnitState(unit, unit.partition("/")[0], slot, Layer.ROS, Level.OK, Result(Level.OK, "is well"), at)
+            unit: UnitState(unit, unit.partition("/")[0], slot, Layer.ROS, Level.OK, Result(Level.OK, "is OK"), at)
             for unit, slot in UNITS
         }
         self._fault: Fault | None = None
@@ -84,7 +84,7 @@ class Agent:
         at = self.clock.stamp()
         old, broken = self._units[NODE], self._fault is None
         level = Level.ERROR if broken else Level.OK
-        result = Result(level, "is dead" if broken else "is well", brief=f"at {at.mono:.6f}" if broken else "")
+        result = Result(level, "is dead" if broken else "is OK", brief=f"at {at.mono:.6f}" if broken else "")
         new = self._units[NODE] = replace(old, level=level, result=result, since=at)
         if self._fault is None:
             self._fault = Fault(f"{self.boot_id[:4]}-1", NODE, new.slot, new.layer, result, at)

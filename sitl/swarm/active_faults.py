@@ -26,7 +26,7 @@ def inject(swarm: Swarm, number: int, name: str) -> tuple[Fault, str]:
     fault.prepare(agent)
     if changes := fault.configuration(agent):
         swarm.configure(agent, changes)
-        swarm.wait_well()
+        swarm.wait_healthy()
     _write(swarm, [*_read(swarm), {"fault": name, "agent": number, "knows": {}, "configured": bool(changes)}])
     no_note = _inject_note.write(fault, agent)
     fault.inject(agent)

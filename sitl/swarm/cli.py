@@ -24,7 +24,7 @@ Verb = Callable[[argparse.Namespace], int]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; its exit code. 0: done, or all is well; 1: it failed, or something is not well; 2: wrong words."""
+    """Run one command; its exit code. 0: done, or all is OK; 1: it failed, or something is not OK; 2: wrong arguments."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     chosen = _parser().parse_args(words)
     verb: Verb = chosen.verb
@@ -40,7 +40,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m sitl", description="A simulated swarm on this machine: docs/development/sitl.md."
     )
     verbs = parser.add_subparsers(required=True, metavar="COMMAND")
-    up = _verb(verbs, "up", _up, "start a swarm and wait until all is well")
+    up = _verb(verbs, "up", _up, "start a swarm and wait until every agent is OK")
     up.add_argument("--agents", type=int, default=8, metavar="N", help=f"how many, 1 to {MOST_AGENTS} (8)")
     up.add_argument("--nodes", type=int, default=3, help="ROS nodes of each agent, in a ring (3)")
     up.add_argument("--rate", type=float, default=5.0, metavar="HZ", help="rate of each topic (5)")
@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     up.add_argument("--no-build", action="store_true", help="use the present images")
     down = _verb(verbs, "down", _down, "remove everything that belongs to a swarm")
     down.add_argument("--keep-logs", action="store_true", help="leave the folder with PHM's logs")
-    status = _verb(verbs, "status", _status, "how each agent is; exit code 0 when all are well")
+    status = _verb(verbs, "status", _status, "show the state of each agent; exit code 0 if all are OK")
     status.add_argument("--json", action="store_true", help="for programs")
     spent = _verb(verbs, "cost", _cost, "processor time and memory of each container")
     spent.add_argument("--for", dest="seconds", type=float, default=20.0, metavar="SECONDS", help="time to watch (20)")
@@ -78,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     clear = _verb(verbs, "clear", _clear, "undo what was injected")
     clear.add_argument("--agent", type=int, default=None, metavar="K", help="only in this agent")
     verbs.add_parser(
-        "campaign", help="inject many faults and judge what PHM makes of them: docs/development/campaign.md"
+        "campaign", help="inject many faults and evaluate how PHM handles them: docs/development/campaign.md"
     )
     return parser
 
@@ -119,7 +119,7 @@ def _up(chosen: argparse.Namespace) -> int:
         print("interrupted: removing what was started", file=sys.stderr)
         swarm.down()
         return 130
-    print(f"{options.agents} agents are well; a ground station connects to {swarm.ground_url}")
+    print(f"{options.agents} agents are OK; a ground station connects to {swarm.ground_url}")
     print(f"logs: {swarm.folder / 'logs'}; the end: python -m sitl down --name {swarm.name}")
     return 0
 
@@ -146,13 +146,13 @@ def _status(chosen: argparse.Namespace) -> int:
         )
     else:
         table = Table(title=f"{swarm.name}, ground station at {swarm.ground_url}", box=box.SIMPLE_HEAD)
-        for heading in ("agent", "application", "PHM", "status array", "not well"):
+        for heading in ("agent", "application", "PHM", "status array", "not OK"):
             table.add_column(heading)
         for row in rows:
             array = "".join("-" if digit is None else str(digit) for digit in row["array"] or ())
             table.add_row(row["name"], row["app"], row["sidecar"], array or "none yet", row["why"] or "-")
         make_console(json=False).print(table)
-    return 0 if all(row["well"] for row in rows) else 1
+    return 0 if all(row["healthy"] for row in rows) else 1
 
 
 def _cost(chosen: argparse.Namespace) -> int:

@@ -53,14 +53,14 @@ class Health:
         return {unit: level for unit, level in self._levels.items() if level not in OK_LEVELS}
 
     @property
-    def well(self) -> bool:
+    def healthy(self) -> bool:
         """A report was made since PHM's start, every unit is OK since, and no fault is open."""
         return self.array is not None and not self.bad and not self.open
 
     @property
     def why(self) -> str:
-        """What is not well, in a few words; empty when all is."""
-        if self.well:
+        """What is not OK, in a few words; empty when all is."""
+        if self.healthy:
             return ""
         if self.array is None:
             return "no report of PHM yet"

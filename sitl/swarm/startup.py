@@ -26,7 +26,7 @@ BUILD_LIMIT_S = 1200.0
 AIR_LIMIT_S = 30.0
 APP_LIMIT_S = 90.0
 PHM_LIMIT_S = 90.0
-WELL_LIMIT_S = 180.0
+HEALTHY_LIMIT_S = 180.0
 LOCK_LIMIT_S = 0.0
 POLL_S = 0.4
 LAST_LINES = 5
@@ -103,7 +103,7 @@ def _bring_up(swarm: Swarm, lock: int, progress: Callable[[str], None]) -> dict[
         lambda: _staggered(swarm.agents, at_once, lambda agent, stop: _application(swarm, agent, nodes, stop)),
     )
     phase("sidecars", lambda: _staggered(swarm.agents, at_once, _sidecar))
-    phase("all well", lambda: swarm.wait_well(WELL_LIMIT_S))
+    phase("all OK", lambda: swarm.wait_healthy(HEALTHY_LIMIT_S))
     return took
 
 

@@ -27,7 +27,7 @@ DOWN_LOCK_S = 200.0
 """Longer than a Compose command that lost its parent may take."""
 POLL_S = 0.2
 SLACK_S = 5.0
-"""PHM reports every interval; one that has written nothing for longer is not well."""
+"""PHM reports every interval; one that has written nothing for longer is not OK."""
 
 
 @dataclass
@@ -113,8 +113,8 @@ class Swarm:
         (self.folder / "swarm.json").write_text(json.dumps(words, indent=2) + "\n", "utf-8")
 
     def status(self) -> list[dict[str, Any]]:
-        """For each agent: agent, name, app, sidecar (states of the containers), well, array (PHM's status array), open
-        (units with an open fault), why (what is not well), heard_s (age of PHM's last line; None: it has written none)."""
+        """For each agent: agent, name, app, sidecar (states of the containers), healthy, array (PHM's status array), open
+        (units with an open fault), why (what is not OK), heard_s (age of PHM's last line; None: it has written none)."""
         states = {
             (one.labels.get("com.docker.compose.project"), one.labels.get("com.docker.compose.service")): one.status
             for one in self.docker.containers.list(
@@ -123,10 +123,10 @@ class Swarm:
         }
         return [self._status_of(agent, states) for agent in self.agents]
 
-    def wait_well(self, limit_s: float = 120.0) -> None:
+    def wait_healthy(self, limit_s: float = 120.0) -> None:
         """Until every agent's PHM has every unit OK and no open fault; the units of the machine, `host/...`, do not count.
 
-        RuntimeError names the agents that are not well, and why.
+        RuntimeError names the agents that are not OK, and why.
         """
         watches = {agent.name: HealthMonitor(agent.record, but=(MACHINE,)) for agent in self.agents}
         end = time.monotonic() + limit_s
@@ -139,7 +139,7 @@ class Swarm:
                 return
             if time.monotonic() > end:
                 words = "; ".join(f"{name}: {why}" for name, why in bad.items())
-                raise RuntimeError(f"not well after {limit_s:g} s: {words}; logs in {self.folder / 'logs'}")
+                raise RuntimeError(f"not OK after {limit_s:g} s: {words}; logs in {self.folder / 'logs'}")
             time.sleep(POLL_S)
 
     def configure(self, agent: SwarmAgent, changes: Mapping[str, str]) -> None:
@@ -165,7 +165,7 @@ class Swarm:
             "name": agent.name,
             "app": states.get((agent.project, "ros_app"), "none"),
             "sidecar": states.get((agent.project, "phm"), "none"),
-            "well": standing.well,
+            "healthy": standing.healthy,
             "array": standing.array,
             "open": sorted(standing.open.values()),
             "why": standing.why,

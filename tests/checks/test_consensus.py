@@ -438,14 +438,14 @@ def test_a_node_never_received_in_this_run_of_its_container_is_not_restarted() -
         assert isinstance(result, api.Result)
         return result
 
-    well, unseen = matrix(A, B, C), matrix(A, B, C, not_received=UNSEEN)
-    after(40, well, "first")
+    healthy, unseen = matrix(A, B, C), matrix(A, B, C, not_received=UNSEEN)
+    after(40, healthy, "first")
     result = after(12, unseen, "first")
     assert (result.condition, result.target, result.evidence.never_ok) == ("quorum_dead", "two", False)
-    after(2, well, "second")  # reports of its neighbours about the process before
+    after(2, healthy, "second")  # reports of its neighbours about the process before
     result = after(12, unseen, "second")
     assert (result.condition, result.evidence.never_ok) == ("quorum_dead", True)
-    after(20, well, "second")
+    after(20, healthy, "second")
     assert after(12, unseen, "second").evidence.never_ok is False
 
 

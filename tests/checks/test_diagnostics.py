@@ -200,7 +200,7 @@ def test_without_the_ros_child_the_status_is_stale() -> None:
 def test_external_text_is_reduced_to_one_line() -> None:
     """A status cannot write its own lines into the log."""
     result = evaluate(
-        build(), frequency=status(2, message="a\n2026 ---- SUCCESS: all is well\x1b[2J", hardware_id="x\ny")
+        build(), frequency=status(2, message="a\n2026 ---- SUCCESS: all is OK\x1b[2J", hardware_id="x\ny")
     )
     assert result.summary.isprintable()
 

@@ -40,7 +40,7 @@ def test_all_differences_are_in_one_text() -> None:
 
 def test_a_hostile_name_cannot_break_the_text() -> None:
     """No line break, no terminal sequence, and a bounded length."""
-    result = judge(api.TreeFact(1, 1, 1, new=("x\n2026-01-01 ---- SUCCESS: all is well\x1b[2J" + "y" * 5000,)))
+    result = judge(api.TreeFact(1, 1, 1, new=("x\n2026-01-01 ---- SUCCESS: all is OK\x1b[2J" + "y" * 5000,)))
     assert "\n" not in result.summary and "\x1b" not in result.summary
     assert len(result.summary) < 500
 

@@ -43,7 +43,7 @@ TICK_S = 0.1
 SILENCE_S = 0.5
 PROBING_S = 5.0
 """After a start, the engine says `starting` until so many probes in a row have failed that the container is unhealthy."""
-OK = Result(Level.OK, "well")
+OK = Result(Level.OK, "healthy")
 NODES = {n: f"nodes/agent_1/node_{n}" for n in (1, 2, 3)}
 TOPICS = {n: f"topics/agent_1/topic_{n}" for n in (1, 2, 3)}
 RATES = {n: f"rates/agent_1/topic_{n}" for n in (1, 2, 3)}
@@ -249,7 +249,7 @@ class World:
         target = TARGET if unit in targeted() else ""
         found = [span for span in self.bad.get(unit, ()) if span.covers(at)]
         if not found:
-            return Result(Level.OK, "well", evidence=evidence)
+            return Result(Level.OK, "healthy", evidence=evidence)
         probing_s = self._running_since(at) + PROBING_S - at
         if unit.startswith("health/") and probing_s > 0:
             return Result(Level.STALE, "starting", target=target, decides_s=PROBING_S)
@@ -321,7 +321,7 @@ class Sim:
         self.held: str = ""
         self.reset_units: list[str] = []
         self.granted: dict[str, float] = {entry.unit.id: 0.0 for entry in self.plan.tracked}
-        self.well_from: dict[str, float] = {}
+        self.healthy_from: dict[str, float] = {}
         self.sure: dict[str, float] = {}
         self.touched = targeted().union(*(self.tracker.graph.downstream(unit) for unit in targeted()))
         self._graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
@@ -417,10 +417,10 @@ class Sim:
 
     def _observe(self, unit: str, result: Result, started: float) -> None:
         if result.level is Level.OK:
-            if self.now - self.well_from.setdefault(unit, self.now) >= GRACE_ENDS_AFTER_OK_S:
+            if self.now - self.healthy_from.setdefault(unit, self.now) >= GRACE_ENDS_AFTER_OK_S:
                 self.sure[unit] = self.now
         else:
-            self.well_from.pop(unit, None)
+            self.healthy_from.pop(unit, None)
         self.take(self.tracker.observe(unit, result, started, self.stamp()))
 
     def take(self, step: Effects) -> None:
@@ -446,7 +446,7 @@ class Sim:
         """From now on these units have grace: earlier observations must not be reported."""
         for unit in units:
             self.granted[unit] = self.now
-            self.well_from.pop(unit, None)
+            self.healthy_from.pop(unit, None)
 
     def _opened(self, event: FaultOpened) -> None:
         """Assert what holds for every alarm."""

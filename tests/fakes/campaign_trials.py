@@ -54,7 +54,7 @@ def trial(**more: Any) -> Trial:
         "acts": [verified(4.0)],
         "lines": [line(0.9, "A03 FAIL 6 node_1 dead")],
         "heartbeats": {agent: [T0 - 2 + 2 * beat for beat in range(22)] for agent in range(1, 9)},
-        "well_after": 6.0,
+        "healthy_after": 6.0,
         "ended": T0 + 40,
     }
     return Trial(**{"kind": "trial", "number": 1, "agents": 8, "began": T0 - 1, "utc": 1.7e9, **given, **more})

@@ -3,7 +3,7 @@
     python tests/fakes/ros_stamped.py NAME HZ
 
 Node /agent_1/NAME publishes geometry_msgs PointStamped on /agent_1/odom: x is random, y within -1 and 1, z a counter. Each line of
-standard input is the new behaviour, `well` or some of: `ahead` (an hour), `back` (up to 3 s late, each by another time), `frozen`,
+standard input is the new behaviour, `healthy` or some of: `ahead` (an hour), `back` (up to 3 s late, each by another time), `frozen`,
 `lossy` (every second number is not published), `outside` (y is NaN).
 """
 
@@ -28,7 +28,7 @@ class Source:
 
     def obey(self) -> None:
         for line in sys.stdin:
-            self.wrong = frozenset(line.split()) - {"well"}
+            self.wrong = frozenset(line.split()) - {"healthy"}
 
     def message(self) -> PointStamped:
         wrong = self.wrong

@@ -8,7 +8,7 @@ from phm.api import Layer, Level, Result, Slot, Unit, error, ok
 from phm.core.model import Event, FaultClosed, FaultOpened, Outcome, Stamp
 from phm.tracker import Effects, TrackedUnit, Tracker, graph_of
 
-OK = ok("well")
+OK = ok("healthy")
 BAD = error("broken", brief="broken", condition="broken")
 
 
@@ -33,7 +33,7 @@ class Bench:
     def see(self, unit: str, result: Result, *, started: float | None = None) -> set[str]:
         return self.take(self.tracker.observe(unit, result, self.now if started is None else started, self.stamp()))
 
-    def all_well(self) -> None:
+    def all_healthy(self) -> None:
         for entry in self.tracked:
             self.see(entry.unit.id, OK)
         self.events.clear()

@@ -204,7 +204,9 @@ class Agent:
         for unit in self.units:
             condition = self.bad.get(unit)
             target = unit.partition("/")[2]
-            found = error(condition, brief=condition, condition=condition, target=target) if condition else ok("well")
+            found = (
+                error(condition, brief=condition, condition=condition, target=target) if condition else ok("healthy")
+            )
             found = self.found.get(unit, found)
             self.pipeline.observe({unit: found}, self.clock.mono(), 0.0)
 

@@ -9,8 +9,8 @@ from phm.core.model import Fault, FaultClosed, FaultOpened, Outcome, Phase
 from tests.proxy.haproxy import EngineAccess
 from tests.recovery.test_recovery_real import Phm
 
-RUN = "trap 'exit 0' TERM; touch /tmp/well; while :; do sleep 0.1; done"
-CHECK = ["sh", "-c", "test -e /tmp/well && echo fine || { echo PUMP dry; exit 2; }"]
+RUN = "trap 'exit 0' TERM; touch /tmp/healthy; while :; do sleep 0.1; done"
+CHECK = ["sh", "-c", "test -e /tmp/healthy && echo fine || { echo PUMP dry; exit 2; }"]
 
 
 def entry(**more: Any) -> dict[str, Any]:
@@ -30,7 +30,7 @@ def test_a_failed_check_restarts_its_container_only_on_request(
     """Once as a fault without a target, and with `recovery` healed; both directly and through the socket proxy."""
     app = real.container(RUN)
     containers = [{"name": app.name, "alias": "app", "recover": True, "address": False}]
-    alone = entry(name="alone", command=[*CHECK[:2], CHECK[2].replace("well", "alone")])
+    alone = entry(name="alone", command=[*CHECK[:2], CHECK[2].replace("healthy", "alone")])
     healed = entry(recovery={"container": "app"})
     app.exec_run(["touch", "/tmp/alone"])
     phm = Phm(tmp_path, engine_access, containers, custom=[alone, healed], verify="60s", limit_s=180.0)
@@ -38,7 +38,7 @@ def test_a_failed_check_restarts_its_container_only_on_request(
         phm.start()
         app.exec_run(["rm", "/tmp/alone"])
         phm.until(lambda: faults(phm, FaultOpened), "the fault without recovery")
-        app.exec_run(["rm", "/tmp/well"])
+        app.exec_run(["rm", "/tmp/healthy"])
         phm.until(lambda: phm.count(Phase.VERIFIED) == 1, "the verified restart")
         assert [fault.unit for fault in faults(phm, FaultOpened)] == ["custom/alone", "custom/pump"], phm.seen()
         phm.until(lambda: faults(phm, FaultClosed), "the end of its fault")  # published once the container is released

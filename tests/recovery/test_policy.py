@@ -212,7 +212,7 @@ def test_a_fault_that_an_operator_fixed_is_tried_again() -> None:
     """An operator fixed it after PHM gave up: when it fails minutes later, earlier attempts say nothing about it."""
     history = attempts(900.0, 910.0, 920.0)
     assert say(history, fault=fault(ok_s=RULES.verify + 1)) == Act("restart", 1)
-    assert isinstance(say(history, fault=fault(ok_s=RULES.verify - 1)), GiveUp), "it was well for a moment only"
+    assert isinstance(say(history, fault=fault(ok_s=RULES.verify - 1)), GiveUp), "it was OK for a moment only"
 
 
 def test_attempts_on_the_fault_itself_count_however_long_it_was_ok() -> None:

@@ -29,8 +29,8 @@ DEAD = unit(
     fault="ab12-1",
 )
 BLOCKED = unit("topics/agent_1/topic_1", Slot.TOPICS, Level.STALE, "blocked by it", blocked_by=DEAD.unit)
-WELL = unit("container/ros_app", Slot.CONTAINER, summary="ros_app is running")
-NODE, TOPIC, CONTAINER = (f"phm/agent_1/ros: {state.unit}" for state in (DEAD, BLOCKED, WELL))
+HEALTHY = unit("container/ros_app", Slot.CONTAINER, summary="ros_app is running")
+NODE, TOPIC, CONTAINER = (f"phm/agent_1/ros: {state.unit}" for state in (DEAD, BLOCKED, HEALTHY))
 SUMMARY = "phm/agent_1: summary"
 ROS: dict[str, Any] = {"nodes": [{"name": "/agent_1/node_1"}]}
 
@@ -60,7 +60,7 @@ def make(states: tuple[UnitState, ...] = (), ros: Any = ROS, **parts: Any) -> tu
 
 def test_each_unit_and_the_summary_are_a_status() -> None:
     """Name, level, message and hardware id follow the conventions of diagnostic_updater."""
-    reporter, port = make((WELL, DEAD, BLOCKED))
+    reporter, port = make((HEALTHY, DEAD, BLOCKED))
     reporter.handle(opened(DEAD))
     (sent,) = port.sent
     assert [(name, fact.level, fact.message) for name, fact in sent.items()] == [
@@ -98,7 +98,7 @@ def test_a_unit_has_the_contract_keys_and_its_values() -> None:
 
 def test_the_summary_has_array_word_and_counts() -> None:
     """Array and word as sent to the ground, and the number of units of each level."""
-    reporter, port = make((WELL, DEAD, BLOCKED))
+    reporter, port = make((HEALTHY, DEAD, BLOCKED))
     reporter.tick()
     values = port.sent[-1][SUMMARY].values
     assert (values["status_array"], values["agent_id"]) == ("[-, 1, -, -, -, 0, -, -]", "1")
@@ -107,7 +107,7 @@ def test_the_summary_has_array_word_and_counts() -> None:
 
 def test_the_contract_is_documented() -> None:
     """docs/reference/ros.md names exactly the keys that are published."""
-    reporter, port = make((WELL,))
+    reporter, port = make((HEALTHY,))
     reporter.tick()
     text = DOCUMENT.read_text().partition("### Published by PHM")[2].partition("\n### ")[0]
     tables = text.partition("\nEach unit")[2].split("\nThe summary")
@@ -117,7 +117,7 @@ def test_the_contract_is_documented() -> None:
 
 def test_layers_are_part_of_the_name() -> None:
     """An aggregator groups by prefix."""
-    reporter, port = make((replace(WELL, layer=Layer.DOCKER),))
+    reporter, port = make((replace(HEALTHY, layer=Layer.DOCKER),))
     reporter.tick()
     assert "phm/agent_1/docker: container/ros_app" in port.sent[-1]
 
@@ -136,15 +136,15 @@ def test_a_change_is_published_immediately_and_a_burst_once() -> None:
 
 def test_a_stalled_scheduler_publishes_nothing() -> None:
     """A dead man's switch: outdated states must not look current."""
-    reporter, port = make((WELL,), alive=lambda: False)
+    reporter, port = make((HEALTHY,), alive=lambda: False)
     reporter.tick()
-    reporter.handle(transition(WELL))
+    reporter.handle(transition(HEALTHY))
     assert port.sent == []
 
 
 def test_close_publishes_the_end() -> None:
     """The last array states for each status that it is no longer known."""
-    reporter, port = make((WELL, DEAD))
+    reporter, port = make((HEALTHY, DEAD))
     reporter.close()
     assert {(fact.level, fact.message) for fact in port.sent[-1].values()} == {(3, "PHM has stopped")}
     assert set(port.sent[-1]) == {SUMMARY, CONTAINER, NODE}

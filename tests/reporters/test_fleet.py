@@ -16,7 +16,7 @@ from phm.testing import FakeClock
 from phm.transport.zenoh_link import FleetFact
 from tests.fakes.records import at, closed, context, fault, opened, transition, unit
 
-WELL = unit("container/ros_app", Slot.CONTAINER)
+HEALTHY = unit("container/ros_app", Slot.CONTAINER)
 DEAD = unit("nodes/a/one", Slot.NODES, Level.ERROR, brief="one dead", condition="gone", fault="ab12-1")
 CONNECTED = FleetFact(True, 100.0, "", 3, 1, 900, 1, ())
 
@@ -48,7 +48,7 @@ class Link:
 
 
 class Bench:
-    def __init__(self, states: Sequence[UnitState] = (WELL,), **parts: Any) -> None:
+    def __init__(self, states: Sequence[UnitState] = (HEALTHY,), **parts: Any) -> None:
         self.clock, self.link, self.alive, self.states = FakeClock(), Link(), True, tuple(states)
         self.settings = Settings.model_validate(
             {
@@ -87,13 +87,13 @@ def test_the_state_is_boot_before_the_first_report() -> None:
     bench.fleet.tick()
     assert bench.last["state"] == "BOOT"
     bench.clock.advance(1)
-    bench.fleet.handle(Report(at(), 1, at(), (WELL,)))
+    bench.fleet.handle(Report(at(), 1, at(), (HEALTHY,)))
     assert bench.last["state"] == "ACTIVE"
     bench.clock.advance(AGAIN_S)
     bench.fleet.tick()
     count = len(bench.link.put_)
     bench.clock.advance(1)
-    bench.fleet.handle(Report(at(), 2, at(), (WELL,)))
+    bench.fleet.handle(Report(at(), 2, at(), (HEALTHY,)))
     bench.fleet.tick()
     assert len(bench.link.put_) == count
 
@@ -103,7 +103,7 @@ def test_a_change_is_published_immediately_and_a_burst_once() -> None:
     bench = Bench()
     bench.fleet.tick()
     bench.clock.advance(1)
-    bench.states = (WELL, DEAD)
+    bench.states = (HEALTHY, DEAD)
     for _ in range(50):
         bench.fleet.handle(transition(DEAD))
     bench.fleet.handle(opened(DEAD))
@@ -184,7 +184,7 @@ def test_phm_status_shows_the_connection(capsys: Any) -> None:
 
 def test_the_document_names_every_key() -> None:
     """docs/reference/fleet.md is a contract: each key of the payload is in its table."""
-    bench = Bench((WELL, DEAD), restored=(fault(DEAD),))
+    bench = Bench((HEALTHY, DEAD), restored=(fault(DEAD),))
     bench.fleet.tick()
     text = Path(__file__).parents[2].joinpath("docs", "reference", "fleet.md").read_text()
     missing = [key for key in (*bench.last, *bench.last["faults"][0]) if f"`{key}`" not in text]

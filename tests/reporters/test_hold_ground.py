@@ -17,7 +17,7 @@ from tests.gcs.bench import Ground, phm_heartbeat, text_frame
 
 HELD = unit("container/ros_app", Slot.CONTAINER, Level.STALE, brief="ros_app on hold", condition=ON_HOLD)
 BELOW = unit("nodes/a", Slot.NODES, Level.STALE, blocked_by="container/ros_app")
-WELL = unit("files/ros_app", Slot.FILES)
+HEALTHY = unit("files/ros_app", Slot.FILES)
 
 
 def changed(target: str, *, began: bool, for_s: float = 1200.0, reason: str = "new firmware") -> HoldChanged:
@@ -52,15 +52,15 @@ def test_a_hold_line_fits_whatever_its_target_is_called() -> None:
 
 def test_the_refresh_says_hold_when_all_unknown_units_are_on_hold() -> None:
     """A bad unit, or one unknown for another reason, comes first."""
-    assert status_line.refresh(1, [HELD, BELOW, WELL]) == "A01 HOLD --1----- 2 ros_app on hold"
-    assert status_line.refresh(1, [HELD, replace(BELOW, blocked_by=""), WELL]) == "A01 STALE --1----- 2"
+    assert status_line.refresh(1, [HELD, BELOW, HEALTHY]) == "A01 HOLD --1----- 2 ros_app on hold"
+    assert status_line.refresh(1, [HELD, replace(BELOW, blocked_by=""), HEALTHY]) == "A01 STALE --1----- 2"
     bad = unit("files/b", Slot.FILES, Level.ERROR, brief="b missing")
     assert status_line.refresh(1, [HELD, bad]).startswith("A01 FAIL ")
 
 
 def test_a_held_slot_is_not_a_failed_slot() -> None:
     """Neither in the status word and the heartbeat's state, nor in the digest of the swarm."""
-    states: tuple[UnitState, ...] = (HELD, BELOW, WELL)
+    states: tuple[UnitState, ...] = (HELD, BELOW, HEALTHY)
     word = status_word.encode(worst_by_slot(states))
     assert status_word.decode(word) == {Slot.FILES: Level.OK}
     assert status_word.system_status(states, complete=True) == status_word.ACTIVE

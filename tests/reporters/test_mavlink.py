@@ -387,11 +387,11 @@ def test_a_flapping_unit_is_reported_as_such_and_again_when_it_is_stable() -> No
 def test_lost_events_are_compensated_at_the_refresh() -> None:
     """A queue that overflowed must not leave a fault unreported, nor a closed one listed."""
     scene = Scene(refresh=10).running()
-    well = scene.units["nodes/a"]
-    scene.units["nodes/a"] = replace(well, level=Level.ERROR, result=Result(Level.ERROR, "", "a dead"), fault="F9")
+    healthy = scene.units["nodes/a"]
+    scene.units["nodes/a"] = replace(healthy, level=Level.ERROR, result=Result(Level.ERROR, "", "a dead"), fault="F9")
     scene.pass_time(10.5)
     assert (2, "A01 FAIL 6 a dead") in scene.port.lines()
-    scene.units["nodes/a"] = well
+    scene.units["nodes/a"] = healthy
     scene.pass_time(10.0)
     assert (5, "A01 OK 6 cleared: a dead") in scene.port.lines()
 

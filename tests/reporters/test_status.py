@@ -182,9 +182,9 @@ def test_a_health_check_without_packages_gives_the_same_result(tmp_path: Path) -
     assert nothing.returncode == 1
     assert "PHM is not running" in nothing.stdout
     fresh(tmp_path)
-    well = answer("-X", "importtime")
-    assert (well.returncode, well.stdout[:15]) == (0, "PHM is healthy:")
-    imported = {line.rpartition("|")[2].strip() for line in well.stderr.splitlines()}
+    healthy = answer("-X", "importtime")
+    assert (healthy.returncode, healthy.stdout[:15]) == (0, "PHM is healthy:")
+    imported = {line.rpartition("|")[2].strip() for line in healthy.stderr.splitlines()}
     assert "json" in imported
     assert imported.isdisjoint({"typing", "site", "click", "phm"})
     (tmp_path / "status.json").write_text(json.dumps(fresh(tmp_path, alive=False)))

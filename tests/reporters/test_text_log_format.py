@@ -231,7 +231,7 @@ def test_a_logged_transition_is_not_repeated() -> None:
 @pytest.mark.parametrize("breaker", ["\n", "\r", "\r\n", "\x0b", "\x0c", "\x1c", "\x85", "\u2028", "\u2029", "\x00"])
 def test_text_from_outside_cannot_forge_a_line(breaker: str) -> None:
     """Log injection: every line-breaking character is escaped."""
-    evil = f"bad{breaker}2026-03-01 12:00:00.123 ---- SUCCESS: (6) All is well"
+    evil = f"bad{breaker}2026-03-01 12:00:00.123 ---- SUCCESS: (6) Everything is OK"
     (line,) = TextLogFormatter().format(transition(unit("nodes/a", Slot.NODES, Level.ERROR, evil)))
     assert len(line.splitlines()) == 1
     assert "\\" in line

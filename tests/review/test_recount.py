@@ -85,7 +85,7 @@ def test_a_fault_that_is_open_over_two_flights_counts_in_the_one_in_which_it_ope
 
 
 def test_a_fault_that_the_next_run_does_not_know_has_ended(tmp_path: Path) -> None:
-    """PHM was restarted without its state, and the unit is well: the fault ended at an unknown time."""
+    """PHM was restarted without its state, and the unit is OK: the fault ended at an unknown time."""
     first = Flown(tmp_path)
     first.until(100)
     first.fail("nodes/node_1", lasts=None)

@@ -85,7 +85,7 @@ def test_fields_of_a_real_topic_are_compared(bench: Bench, source: subprocess.Po
     agent.until("wrong_type", Level.ERROR, f"is published as {POINT}, expected std_msgs/msg/Float64")
     send(source, "outside")
     agent.until("within", Level.ERROR, "is NaN, expected a number")
-    send(source, "well")
+    send(source, "healthy")
     agent.until("within", Level.OK, "is 0.5")
 
 

@@ -56,7 +56,7 @@ def test_each_condition_of_a_real_publisher_is_reported_and_ends(bench: Bench) -
         probe, lambda fact: {"data_gaps", "data_range"} <= {*examined(fact).conditions} and examined(fact), "both"
     )
     assert [(outside.field, outside.value) for outside in fact.outside] == [("point.y", "nan")]
-    make(source, "well")
+    make(source, "healthy")
     reported(probe)
     make(source, "back")
     reported(probe, "data_order")

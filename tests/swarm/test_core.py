@@ -16,7 +16,7 @@ from phm.swarm.peers import LATE_PERIODS, LOST_PERIODS, Peers
 from phm.wire import status_word
 from phm.wire.tunnel import PeerState, PeerView
 
-WELL = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
+HEALTHY = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
 PERIOD_S = 2.0
 
 
@@ -29,7 +29,7 @@ class Swarm:
         self.peers = {agent: Peers(agent, PERIOD_S, self.agents) for agent in self.agents}
         self.down: set[int] = set()
         self.cut: set[tuple[int, int]] = set()
-        self.words = dict.fromkeys(self.agents, WELL)
+        self.words = dict.fromkeys(self.agents, HEALTHY)
         self.now, self.sequence = 0.0, 0
 
     def run(self, seconds: float) -> None:
@@ -146,7 +146,7 @@ def test_the_first_loss_is_late_before_it_is_lost() -> None:
     """LATE after LATE_PERIODS, LOST after LOST_PERIODS."""
     peers = Peers(1, PERIOD_S)
     for at in range(0, 20, 2):
-        peers.heartbeat(2, WELL, at)
+        peers.heartbeat(2, HEALTHY, at)
     assert peers.states(18 + LATE_PERIODS * PERIOD_S)[2] is PeerState.ALIVE
     assert peers.states(18.1 + LATE_PERIODS * PERIOD_S)[2] is PeerState.LATE
     assert peers.states(18.1 + LOST_PERIODS * PERIOD_S)[2] is PeerState.LOST
@@ -156,7 +156,7 @@ def test_a_slower_peer_is_not_late() -> None:
     """It sends every 10 s where we send every 2 s: its period is learned from its own gaps."""
     peers = Peers(1, 2.0)
     for at in range(0, 200, 10):
-        peers.heartbeat(2, WELL, float(at))
+        peers.heartbeat(2, HEALTHY, float(at))
     assert peers.states(200.0)[2] is PeerState.ALIVE
 
 
@@ -165,7 +165,7 @@ def test_an_agent_stopped_on_purpose_has_left() -> None:
     swarm = Swarm(range(1, 4))
     swarm.run(20)
     for hearer in (1, 2):
-        swarm.peers[hearer].heartbeat(3, WELL, swarm.now, leaving=True)
+        swarm.peers[hearer].heartbeat(3, HEALTHY, swarm.now, leaving=True)
     swarm.down = {3}
     swarm.run(20)
     assert swarm.agreed(1).statuses[3].state is MemberState.LEFT
@@ -177,8 +177,8 @@ def test_an_unlisted_agent_has_no_vote() -> None:
     listed, open_ = Peers(1, PERIOD_S, [1, 2, 3]), Peers(1, PERIOD_S)
     for peers in (listed, open_):
         for at in range(0, 20, 2):
-            peers.heartbeat(2, WELL, float(at), frame=at)
-            peers.heartbeat(77, WELL, float(at), frame=at)
+            peers.heartbeat(2, HEALTHY, float(at), frame=at)
+            peers.heartbeat(77, HEALTHY, float(at), frame=at)
             peers.add_view(77, PeerView(at, True, True, True, {2: PeerState.LOST}), float(at))
     assert listed.states(20.0) == {2: PeerState.ALIVE, 3: PeerState.NEVER}
     assert (listed.unlisted(20.0), listed.agents_on_links(20.0)) == ((77,), 3)
@@ -190,7 +190,7 @@ def test_an_unlisted_agent_has_no_vote() -> None:
 def test_a_list_of_only_this_agent_is_respected() -> None:
     """It flies alone, and no other agent may join it."""
     peers = Peers(1, PERIOD_S, [1])
-    peers.heartbeat(2, WELL, 0.0, frame=1)
+    peers.heartbeat(2, HEALTHY, 0.0, frame=1)
     assert (peers.states(0.0), peers.agents_on_links(0.0), peers.unlisted(0.0)) == ({}, 1, (2,))
 
 
@@ -219,7 +219,7 @@ def test_the_budget_share_changes_slowly_and_returns() -> None:
     assert share.update(3, 3600.0) == 3
     peers = Peers(1, PERIOD_S)
     for agent in range(2, 250):
-        peers.heartbeat(agent, WELL, 0.0, frame=1)
+        peers.heartbeat(agent, HEALTHY, 0.0, frame=1)
     assert peers.agents_on_links(1.0) == 1
 
 
@@ -235,11 +235,11 @@ def test_a_duplicate_id_is_detected_and_a_restart_is_not() -> None:
     """Two senders count their frames separately; a restart resets the count once; loss and reordering never do."""
     peers = Peers(1, PERIOD_S)
     for at, frame in enumerate((250, 252, 5, 4, 60, 61, 0, 1, 2)):  # lost, reordered, restarted at 0
-        peers.heartbeat(2, WELL, 2.0 * at, frame=frame)
+        peers.heartbeat(2, HEALTHY, 2.0 * at, frame=frame)
     assert peers.duplicate_ids(18.0) == ()
     for turn in range(4):
-        peers.heartbeat(2, WELL, 20.0 + turn, frame=10 + turn)
-        peers.heartbeat(2, WELL, 20.5 + turn, frame=90 + turn)
+        peers.heartbeat(2, HEALTHY, 20.0 + turn, frame=10 + turn)
+        peers.heartbeat(2, HEALTHY, 20.5 + turn, frame=90 + turn)
     assert peers.duplicate_ids(24.0) == (2,)
     assert peers.duplicate_ids(24.0 + 61 * PERIOD_S) == ()
 
@@ -249,8 +249,8 @@ def test_duplicates_that_were_started_together_are_detected(behind: int) -> None
     """Their sequence numbers are always close, and their status words equal except in one of them."""
     peers = Peers(1, PERIOD_S)
     for turn in range(12):
-        peers.heartbeat(2, WELL, 2.0 * turn, frame=turn + behind)
-        peers.heartbeat(2, WELL | 3 << 16, 2.0 * turn + 1.0, frame=turn)
+        peers.heartbeat(2, HEALTHY, 2.0 * turn, frame=turn + behind)
+        peers.heartbeat(2, HEALTHY | 3 << 16, 2.0 * turn + 1.0, frame=turn)
     assert peers.duplicate_ids(24.0) == (2,)
 
 
@@ -260,8 +260,8 @@ def test_duplicates_with_equal_heartbeats_are_detected_by_other_messages() -> No
     first, second = 4, 0
     for turn in range(30):
         first, second = first + 1 + (turn % 5 == 0), second + 1 + (turn % 5 == 2)
-        peers.heartbeat(2, WELL, 2.0 * turn, frame=first % 256)
-        peers.heartbeat(2, WELL, 2.0 * turn + 1.0, frame=second % 256)
+        peers.heartbeat(2, HEALTHY, 2.0 * turn, frame=first % 256)
+        peers.heartbeat(2, HEALTHY, 2.0 * turn + 1.0, frame=second % 256)
     assert peers.duplicate_ids(60.0) == (2,)
 
 
@@ -269,9 +269,9 @@ def test_a_late_copy_is_not_a_duplicate_id() -> None:
     """The same heartbeats once more, three heartbeats later, by the same link."""
     peers = Peers(1, PERIOD_S)
     for turn in range(100):
-        peers.heartbeat(2, WELL, 2.0 * turn, frame=turn % 256)
+        peers.heartbeat(2, HEALTHY, 2.0 * turn, frame=turn % 256)
         if turn >= 3:
-            peers.heartbeat(2, WELL, 2.0 * turn + 1.0, frame=(turn - 3) % 256)
+            peers.heartbeat(2, HEALTHY, 2.0 * turn + 1.0, frame=(turn - 3) % 256)
         assert peers.duplicate_ids(2.0 * turn) == ()
 
 
@@ -279,15 +279,15 @@ def test_the_same_frame_by_two_links_is_not_a_duplicate_id() -> None:
     """Routers forward a frame on several links, each with its own delay."""
     peers = Peers(1, PERIOD_S)
     for frame in range(200):
-        peers.heartbeat(2, WELL, 2.0 * frame, frame=frame, link="radio")
-        peers.heartbeat(2, WELL, 2.0 * frame, frame=max(0, frame - 40), link="mesh")
+        peers.heartbeat(2, HEALTHY, 2.0 * frame, frame=frame, link="radio")
+        peers.heartbeat(2, HEALTHY, 2.0 * frame, frame=max(0, frame - 40), link="mesh")
     assert peers.duplicate_ids(400.0) == ()
 
 
 def test_our_own_frames_are_not_a_peer() -> None:
     """A router may send them back."""
     peers = Peers(7, PERIOD_S)
-    assert not peers.heartbeat(7, WELL, 0.0)
+    assert not peers.heartbeat(7, HEALTHY, 0.0)
     assert not peers.add_view(7, PeerView(0, True, True, True), 0.0)
     assert peers.states(0.0) == {}
 
@@ -375,12 +375,16 @@ def bad(slot: Slot, level: Level = Level.ERROR) -> int:
 @pytest.mark.parametrize(
     ("words", "lost", "line"),
     [
-        (dict.fromkeys(range(1, 9), WELL), (), "SWARM 8/8 OK"),
-        ({**dict.fromkeys(range(1, 9), WELL), 3: bad(Slot.NODES)}, (), "SWARM 7/8 FAIL A03:ROS"),
-        ({**dict.fromkeys(range(1, 9), WELL), 3: bad(Slot.NODES)}, (6, 7), "SWARM 5/8 FAIL A06:lost A07:lost A03:ROS"),
-        ({**dict.fromkeys(range(1, 9), WELL), 2: bad(Slot.HOST, Level.WARN)}, (), "SWARM 7/8 WARN A02:HOST"),
-        ({**dict.fromkeys(range(1, 9), WELL), 2: bad(Slot.PEERS)}, (), "SWARM 8/8 OK"),
-        ({1: 0, 2: WELL}, (), "SWARM 1/2 OK A01:unknown"),
+        (dict.fromkeys(range(1, 9), HEALTHY), (), "SWARM 8/8 OK"),
+        ({**dict.fromkeys(range(1, 9), HEALTHY), 3: bad(Slot.NODES)}, (), "SWARM 7/8 FAIL A03:ROS"),
+        (
+            {**dict.fromkeys(range(1, 9), HEALTHY), 3: bad(Slot.NODES)},
+            (6, 7),
+            "SWARM 5/8 FAIL A06:lost A07:lost A03:ROS",
+        ),
+        ({**dict.fromkeys(range(1, 9), HEALTHY), 2: bad(Slot.HOST, Level.WARN)}, (), "SWARM 7/8 WARN A02:HOST"),
+        ({**dict.fromkeys(range(1, 9), HEALTHY), 2: bad(Slot.PEERS)}, (), "SWARM 8/8 OK"),
+        ({1: 0, 2: HEALTHY}, (), "SWARM 1/2 OK A01:unknown"),
         (dict.fromkeys(range(1, 101), bad(Slot.CONTAINER)), (), "SWARM 0/100 FAIL A01:DOCKER A02:DOCKER +98"),
     ],
 )
@@ -402,11 +406,11 @@ def test_the_line_always_fits(words: dict[int, int], data: st.DataObject) -> Non
 def test_an_agent_without_a_gcs_is_named_unless_it_has_a_worse_failure() -> None:
     """One agent has one place in the line."""
     statuses = {
-        2: MemberStatus(MemberState.ALIVE, gcs=False, word=WELL),
+        2: MemberStatus(MemberState.ALIVE, gcs=False, word=HEALTHY),
         3: MemberStatus(MemberState.ALIVE, gcs=False, word=bad(Slot.NODES)),
     }
     assert (
-        digest.digest_line(digest.member_levels(Consensus(1, statuses), WELL, no_gcs=(2, 3)))
+        digest.digest_line(digest.member_levels(Consensus(1, statuses), HEALTHY, no_gcs=(2, 3)))
         == "SWARM 1/3 FAIL A03:ROS A02:no-GCS"
     )
 
@@ -414,15 +418,15 @@ def test_an_agent_without_a_gcs_is_named_unless_it_has_a_worse_failure() -> None
 def test_a_lost_gcs_does_not_hide_other_failures() -> None:
     """It reports its own lost ground link (slot 1 or 11, and 10 unknown); the ground needs its other states."""
     way = {Slot.COMPANION: Level.ERROR, Slot.RADIO: Level.ERROR, Slot.AUTOPILOT: Level.STALE}
-    well, broken = (
+    healthy, broken = (
         dict.fromkeys(list(Slot)[:8], Level.OK) | way | more for more in ({}, {Slot.CONTAINER: Level.ERROR})
     )
-    words = [status_word.encode(levels) for levels in (well, broken)]
+    words = [status_word.encode(levels) for levels in (healthy, broken)]
     assert digest.relay_line(3, [1, 2], words[0]) == "A03 no GCS radio, received by A01 A02: OK"
     assert digest.relay_line(3, [1, 2], words[1]) == "A03 no GCS radio, received by A01 A02: 2 ERROR"
     assert [int(digest.relay_severity(word)) for word in words] == [4, 2]
     statuses = {agent: MemberStatus(MemberState.ALIVE, gcs=False, word=word) for agent, word in enumerate(words, 2)}
     assert (
-        digest.digest_line(digest.member_levels(Consensus(1, statuses), WELL, no_gcs=(2, 3)))
+        digest.digest_line(digest.member_levels(Consensus(1, statuses), HEALTHY, no_gcs=(2, 3)))
         == "SWARM 1/3 FAIL A03:DOCKER A02:no-GCS"
     )

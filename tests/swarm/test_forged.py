@@ -26,7 +26,7 @@ from tests.fakes.mavlink import free_port, heartbeat
 from tests.fakes.until import until
 
 KEY = bytes(range(1, 33))
-WELL = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
+HEALTHY = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
 OURS = (1, 2, 3)
 Start = Callable[..., "Agent"]
 
@@ -108,9 +108,9 @@ def test_invented_agents_have_no_effect_where_the_agents_are_listed(start: Start
     agent = start([*OURS])
     for _turn in range(3):
         for forged in range(4, 251):
-            agent.send(forged, heartbeat(WELL), LOST)
+            agent.send(forged, heartbeat(HEALTHY), LOST)
         for ours in (2, 3):
-            agent.send(ours, heartbeat(WELL), view(False, {1: PeerState.ALIVE, 5 - ours: PeerState.ALIVE}))
+            agent.send(ours, heartbeat(HEALTHY), view(False, {1: PeerState.ALIVE, 5 - ours: PeerState.ALIVE}))
         agent.read()
     agent.swarm.wake_if_changed()
     fact = agent.swarm.look()
@@ -125,7 +125,7 @@ def test_invented_agents_do_not_slow_heartbeats_immediately(start: Start) -> Non
     agent = start([])
     for _turn in range(4):
         for forged in range(2, 251):
-            agent.send(forged, heartbeat(WELL))
+            agent.send(forged, heartbeat(HEALTHY))
         agent.read()
         agent.swarm.wake_if_changed()
     assert agent.hub.agents < 30
@@ -135,11 +135,11 @@ def test_invented_agents_do_not_slow_heartbeats_immediately(start: Start) -> Non
 def test_with_signing_an_unsigned_frame_is_ignored(start: Start) -> None:
     """A forged shutdown of a live agent, and heartbeats of agents that do not exist, change nothing."""
     agent = start([*OURS], signs=True)
-    farewell = mavlink.MAVLink_heartbeat_message(18, 8, 0, WELL, mavlink.MAV_STATE_POWEROFF, 3)
+    farewell = mavlink.MAVLink_heartbeat_message(18, 8, 0, HEALTHY, mavlink.MAV_STATE_POWEROFF, 3)
     for _turn in range(3):
-        agent.send(2, heartbeat(WELL), signed=True)
+        agent.send(2, heartbeat(HEALTHY), signed=True)
     agent.send(2, farewell)
-    agent.send(3, heartbeat(WELL))
+    agent.send(3, heartbeat(HEALTHY))
     agent.read()
     fact = agent.swarm.look()
     assert {number: peer.state for number, peer in fact.peers.items()} == {2: "alive", 3: "never seen"}

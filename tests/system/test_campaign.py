@@ -55,7 +55,7 @@ def test_a_campaign_detects_and_recovers_one_fault_of_each_layer(name: str, tmp_
     assert judge(trials[0]).false == [], short
     assert trials[1].changed == [], short
     for trial in trials[2:]:
-        assert trial.well_after is not None, short
+        assert trial.healthy_after is not None, short
         # Additional alarms are not scored here: a machine on which other tests run may be too slow for its topics.
         for verdict in judge(trial).verdicts:
             fault = verdict.injection

@@ -23,7 +23,7 @@ RECOVERED_LIMIT_S, REPORT_LIMIT_S = 120.0, 60.0
 
 @pytest.fixture
 def swarm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Swarm]:
-    """A swarm of one agent, which is well."""
+    """A swarm of one agent, which is OK."""
     monkeypatch.setenv("PHM_SITL_DIR", str(tmp_path))
     name = f"phm-t{uuid.uuid4().hex[:6]}"
     try:

@@ -18,9 +18,9 @@ GRACE_S = 30.0
 def bench() -> Bench:
     """The host, and a topic that may take GRACE_S to start."""
     made = Bench([unit("host/cpu"), unit("rates/x", starved_by=("host/cpu",), grace_s=GRACE_S)])
-    made.all_well()
+    made.all_healthy()
     made.later(GRACE_S)
-    made.all_well()
+    made.all_healthy()
     return made
 
 

@@ -21,7 +21,7 @@ def living() -> Bench:
         ]
     )
     bench.later(20)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", ran_in_life(1))
     bench.later(1)
     return bench
@@ -55,7 +55,7 @@ def test_a_start_event_gives_the_same_grace() -> None:
     """Also when the container cannot be checked: its check is disabled, or the Docker Engine hangs."""
     bench = Bench([unit("health", target="app"), unit("nodes", "health", target="app", settle_s=0.3, grace_s=8.0)])
     bench.later(20)
-    bench.all_well()
+    bench.all_healthy()
     all_published_ok(bench)
     for _ in range(14):
         bench.later(0.5)
@@ -158,7 +158,7 @@ def test_an_outdated_ok_does_not_end_grace() -> None:
     """A topic counts as silent only three seconds after its publisher disappears; OK until then proves nothing."""
     bench = Bench([unit("container", target="app"), unit("rates", "container", grace_s=8.0, memory_s=4.0)])
     bench.later(20)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", ran_in_life(1))
     bench.see("container", ran_in_life(2))
     for result in (*[OK] * 6, *[BAD] * 8):

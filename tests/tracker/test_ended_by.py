@@ -13,7 +13,7 @@ REBOOTED = warn("rebooted", brief="rebooted", condition="rebooted").with_evidenc
 def failing(target: str = "") -> Bench:
     bench = Bench([unit("pilot", target=target, grace_s=5.0)])
     bench.later(10)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("pilot", BAD)
     bench.later(3)

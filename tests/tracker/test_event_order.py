@@ -26,7 +26,7 @@ def agent() -> Bench:
         ]
     )
     bench.later(20)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", ran_in_life(1))
     bench.later(5)
     return bench

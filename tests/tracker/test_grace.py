@@ -15,7 +15,7 @@ def test_a_flicker_of_a_dependency_gives_grace() -> None:
     """
     bench = Bench([unit("engine", failures=2), unit("nodes", "engine", grace_s=5.0)])
     bench.later(10)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("engine", BAD)
     bench.see("nodes", BAD)
     bench.now += 1
@@ -29,7 +29,7 @@ def test_a_flicker_of_a_dependency_gives_grace() -> None:
 def test_a_result_from_before_grace_never_counts() -> None:
     """A bad result from before the dependency recovered opens no fault, however long the unit is not run again."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", BAD)
     bench.see("nodes", BAD)
     bench.now += 1
@@ -63,7 +63,7 @@ def test_conclusive_evidence_needs_no_grace() -> None:
     assert bench.opened == ["nodes"]
     bench = chain(grace_s=5.0)
     bench.later(6)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", BAD)
     bench.see("nodes", certain)
     bench.now += 1
@@ -79,7 +79,7 @@ def test_a_blocked_unit_gets_grace_after_its_dependency_recovered() -> None:
     """A blocked unit gets time to recover before its own failure counts."""
     bench = chain(grace_s=5.0)
     bench.later(6)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", BAD)
     bench.see("nodes", BAD)
     bench.now += 1
@@ -98,7 +98,7 @@ def test_a_blocked_unit_gets_grace_after_its_dependency_recovered() -> None:
 def recovered(bench: Bench) -> None:
     """The container was down and is back; its nodes have eight seconds of grace."""
     bench.later(10)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", BAD)
     bench.see("nodes", BAD)
     bench.now += 1
@@ -136,7 +136,7 @@ def test_a_short_ok_does_not_end_grace() -> None:
 def test_a_node_that_ends_before_its_stopped_container_is_not_a_fault() -> None:
     """`docker stop`: nodes shut down before the container has exited; only the container is published."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
-    bench.all_well()
+    bench.all_healthy()
     bench.take(bench.tracker.expect_stop("app", bench.stamp(), 11.0))
     bench.now += 0.1
     bench.see("nodes", BAD)
@@ -149,7 +149,7 @@ def test_a_node_that_ends_before_its_stopped_container_is_not_a_fault() -> None:
 def test_an_ignored_stop_masks_faults_only_briefly() -> None:
     """The signal was caught and only a node ended: it is published when the time for stopping is over."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app")])
-    bench.all_well()
+    bench.all_healthy()
     bench.take(bench.tracker.expect_stop("app", bench.stamp(), 11.0))
     bench.see("nodes", BAD)
     for _ in range(12):
@@ -162,7 +162,7 @@ def test_an_ignored_stop_masks_faults_only_briefly() -> None:
 def stopping() -> Bench:
     """A container with a stop timeout of one minute, whose nodes keep running for a while."""
     bench = Bench([unit("container", target="app"), unit("nodes", "container", target="app", settle_s=0.3)])
-    bench.all_well()
+    bench.all_healthy()
     bench.take(bench.tracker.expect_stop("app", bench.stamp(), 60.0))
     for _ in range(8):
         bench.later(1.0)

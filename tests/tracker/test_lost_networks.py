@@ -11,7 +11,7 @@ def test_a_lost_network_hides_silence_but_not_an_ended_process() -> None:
     """That a process has ended is known from the Docker Engine; nothing on a network ends it. A lost container does hide it."""
     gone = error("process ended", brief="dead", condition="node_missing").with_evidence(Evidence(conclusive=True))
     bench = Bench([unit("container/app"), unit("network/app", "container/app"), unit("nodes/n", "network/app")])
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("network/app", BAD)
     bench.see("container/app", OK)
@@ -35,7 +35,7 @@ def test_a_lost_network_does_not_hide_a_stopped_process() -> None:
         Evidence(certain=True, conclusive=True)
     )
     bench = Bench([unit("container/app"), unit("network/app", "container/app"), unit("nodes/n", "network/app")])
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     for _ in range(2):
         bench.see("network/app", BAD)
@@ -50,7 +50,7 @@ def test_a_lost_network_hides_what_a_running_node_reports() -> None:
     """It is conclusive that a node repeats old data or has no input, but its camera may be on that network: one cause, one alarm."""
     frozen = error("frozen", brief="frozen", condition="data_frozen").with_evidence(Evidence(conclusive=True))
     bench = Bench([unit("container/app"), unit("network/app", "container/app"), unit("data/image", "network/app")])
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("network/app", BAD)
     bench.see("container/app", OK)

@@ -17,7 +17,7 @@ def holding() -> Bench:
         ]
     )
     bench.later(10)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK)
@@ -104,7 +104,7 @@ def repairing() -> Bench:
     """The container's network was lost; a repair that needs verification is running."""
     bench = Bench([unit("network", target="app"), unit("nodes", "network", target="app", grace_s=8.0)])
     bench.later(10)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("network", BAD)
     bench.take(bench.tracker.begin_action("app", "network", "reconnect", bench.stamp(), 60.0, proving=True))
@@ -187,7 +187,7 @@ def test_a_late_repair_without_dependents_counts_as_soon_as_the_unit_is_ok() -> 
     """A topic that flows again after its repair failed verification is no longer a fault."""
     bench = Bench([unit("topics", target="app")])
     bench.later(10)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("topics", BAD)
     bench.take(bench.tracker.begin_action("app", "topics", "restart", bench.stamp(), 60.0, proving=True))
     bench.later(12.0)
@@ -214,7 +214,7 @@ def test_a_unit_behind_another_target_waits_for_verification() -> None:
     """
     bench = Bench([unit("radio", target="link"), unit("gcs", "radio", grace_s=5.0)])
     bench.later(10)
-    bench.all_well()
+    bench.all_healthy()
     bench.see("radio", BAD)
     bench.take(bench.tracker.begin_action("link", "radio", "reopen", bench.stamp(), 60.0, proving=True))
     bench.see("gcs", BAD)
@@ -235,7 +235,7 @@ def test_the_restart_of_a_dependent_takes_no_credit_from_the_action_that_it_is_p
     """The container was started; the containers that depend on it were restarted after that."""
     bench = Bench([unit("container", target="app"), unit("other", target="dependent")])
     bench.later(10)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("container", BAD)
     bench.see("other", BAD)

@@ -39,9 +39,9 @@ def bench(**more: float) -> Bench:
             unit("rates/x", "nodes/n", starved_by=BOTH, **more),
         ]
     )
-    made.all_well()
+    made.all_healthy()
     made.later(3.0)
-    made.all_well()
+    made.all_healthy()
     return made
 
 
@@ -148,7 +148,7 @@ def test_a_measurement_above_the_limit_delays_a_symptom_before_there_is_a_warnin
 def test_a_warning_that_explains_nothing_delays_nothing(condition: str) -> None:
     """Memory that is used up is not waited for: on a small computer such a warning may last for the entire flight."""
     made = Bench([unit("host/memory"), unit("rates/x", starved_by=("host/memory",))])
-    made.all_well()
+    made.all_healthy()
     full = warn("memory at 86 %", brief="memory 86 %", condition=condition)
     made.see("host/memory", full)
     made.later(0.1)
@@ -162,7 +162,7 @@ def test_a_container_waits_for_the_host_only_while_that_is_rising(condition: str
     """The computer waits for the same resource: one alarm, there. Where it does not, the container is the cause, immediately."""
     of_app = error("app waits", brief="app waits", condition=condition)
     made = Bench([unit("host/x"), unit("pressure/app", starved_by=("host/x",))])
-    made.all_well()
+    made.all_healthy()
     made.later(0.1)
     made.see("pressure/app", of_app)
     made.see("host/x", OK.with_evidence(Evidence(rising=True)))
@@ -296,7 +296,7 @@ def test_a_symptom_that_persists_after_starvation_is_a_separate_fault() -> None:
 def test_after_starvation_old_evidence_proves_nothing() -> None:
     """A health probe that failed during starvation counts only when a later one fails, too."""
     made = Bench([unit("pressure/app"), unit("health/app", starved_by=("pressure/app",))])
-    made.all_well()
+    made.all_healthy()
     unhealthy = error("unhealthy", brief="unhealthy", condition="unhealthy")
     made.see("pressure/app", THROTTLED)
     made.see("health/app", unhealthy)
@@ -386,7 +386,7 @@ def test_the_last_result_of_a_pressure_unit_stays_valid_for_a_limited_time() -> 
 def test_full_memory_without_stalls_explains_nothing() -> None:
     """A high level is not starvation: it delays nothing."""
     made = Bench([unit("host/memory"), unit("rates/x", starved_by=("host/memory",))])
-    made.all_well()
+    made.all_healthy()
     made.see("host/memory", error("memory at 97 %", brief="memory 97 %", condition="memory_high"))
     made.see("rates/x", SLOW)
     made.see("host/memory", error("memory at 97 %", brief="memory 97 %", condition="memory_high"))
@@ -398,7 +398,7 @@ def test_a_limit_of_processes_explains_a_probe_that_cannot_start_and_no_slow_top
     limit = error("app has reached its limit of 20 processes", brief="app pids", condition="pids_limit")
     by = ("pressure/app",)
     made = Bench([unit("pressure/app"), unit("health/app", starved_by=by), unit("rates/x", starved_by=by)])
-    made.all_well()
+    made.all_healthy()
     made.see("pressure/app", limit)
     made.see("health/app", error("unhealthy", brief="unhealthy", condition="unhealthy"))
     made.see("rates/x", SLOW)
@@ -445,9 +445,9 @@ LOST = error("autopilot silent for 4 s", brief="silent", condition="autopilot_si
 def test_a_link_silent_for_longer_than_phm_was_late_is_lost() -> None:
     """PHM subtracts its own lateness: a silence longer than UNREAD_S is not lateness. The alarm then stays."""
     made = Bench([unit("host/cpu"), unit("autopilot/fcu", starved_by=HOST)])
-    made.all_well()
+    made.all_healthy()
     made.later(3.0)
-    made.all_well()
+    made.all_healthy()
     made.see("host/cpu", OVERLOADED)
     made.see("autopilot/fcu", LOST)
     assert made.blocked_by("autopilot/fcu") == "host/cpu"
@@ -475,7 +475,7 @@ def test_only_published_starvation_discounts_attempts() -> None:
 def test_a_repair_is_verified_regardless_of_its_containers_pressure() -> None:
     """A container that is up again and still starved was restarted successfully."""
     made = Bench([unit("container/app", target="app"), unit("pressure/app", "container/app", target="app")])
-    made.all_well()
+    made.all_healthy()
     made.later(3.0)
     made.see("pressure/app", THROTTLED)
     assert made.tracker.failing_dependents("container/app", 0.0) == ()

@@ -20,7 +20,7 @@ def test_before_any_result_everything_is_stale() -> None:
 def test_an_error_without_dependencies_is_published_immediately() -> None:
     """No upstream unit can explain it, so there is nothing to wait for."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", BAD)
     assert bench.opened == ["container"]
     assert bench.level("container") is Level.ERROR
@@ -29,7 +29,7 @@ def test_an_error_without_dependencies_is_published_immediately() -> None:
 def test_dependencies_run_again_before_an_error_is_published() -> None:
     """A dependent's ERROR waits until all its upstream units have answered since."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     assert bench.see("topics", BAD) == {"container", "nodes"}
     assert bench.opened == []
@@ -43,7 +43,7 @@ def test_dependencies_run_again_before_an_error_is_published() -> None:
 def test_a_fault_says_how_long_its_confirmation_took() -> None:
     """From the start of the first of its ERROR results in a row; after any other result it counts again from 0."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     for seconds, result in ((1.0, BAD), (1.0, OK), (1.0, BAD), (0.25, BAD)):
         bench.now += seconds
         bench.see("topics", result)
@@ -57,7 +57,7 @@ def test_a_fault_says_how_long_its_confirmation_took() -> None:
 def test_a_result_with_another_target_confirms_no_action_on_the_first() -> None:
     """The same condition and text, and nothing to act on: the fault follows the newest result."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", replace(BAD, target="app"))
     bench.now += 1
     bench.see("container", replace(BAD, target=""))
@@ -68,7 +68,7 @@ def test_a_result_with_another_target_confirms_no_action_on_the_first() -> None:
 def test_only_the_root_cause_is_published_in_any_order() -> None:
     """Consequences seen before their cause raise no alarm."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("topics", BAD)
     bench.see("nodes", BAD)
@@ -82,7 +82,7 @@ def test_only_the_root_cause_is_published_in_any_order() -> None:
 def test_a_result_of_an_older_run_is_ignored() -> None:
     """An overdue run that returns late is outdated by the run that followed it."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", BAD, started=bench.now - 5)
     assert bench.opened == []
 
@@ -90,7 +90,7 @@ def test_a_result_of_an_older_run_is_ignored() -> None:
 def test_a_dependencys_result_from_before_the_failure_does_not_count() -> None:
     """A dependency's run that began before the dependent failed says nothing about its present state."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK, started=bench.now - 0.5)
@@ -100,7 +100,7 @@ def test_a_dependencys_result_from_before_the_failure_does_not_count() -> None:
 def test_an_open_fault_is_reattributed_when_its_cause_appears_later() -> None:
     """Late evidence of the cause still results in one open fault, at the cause."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK)
@@ -114,7 +114,7 @@ def test_an_open_fault_is_reattributed_when_its_cause_appears_later() -> None:
 def test_an_error_is_not_published_before_settle_s() -> None:
     """A topic is silent before its node is known to be dead: settle_s covers the difference."""
     bench = chain(settle_s=2.0)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK)
@@ -129,7 +129,7 @@ def test_an_error_is_not_published_before_settle_s() -> None:
 def test_a_result_may_settle_earlier_than_its_unit() -> None:
     """With evidence against an upstream cause, it is published once all upstream units have run again."""
     bench = chain(settle_s=2.0)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK)
@@ -142,7 +142,7 @@ def test_a_result_may_settle_earlier_than_its_unit() -> None:
 def test_a_result_that_settles_immediately_still_runs_its_dependencies() -> None:
     """Only the cause is published, even when its event was lost."""
     bench = chain(settle_s=2.0)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     assert bench.see("nodes", replace(BAD, settle_s=0.0)) == {"container"}
     assert bench.opened == []
@@ -153,7 +153,7 @@ def test_a_result_that_settles_immediately_still_runs_its_dependencies() -> None
 def test_a_result_may_settle_later_than_its_unit() -> None:
     """For a failure that is known to clear spontaneously."""
     bench = chain(settle_s=0.3)
-    bench.all_well()
+    bench.all_healthy()
     slow = replace(BAD, settle_s=3.0)
     for _ in range(3):
         bench.later(0.9)
@@ -169,7 +169,7 @@ def test_a_result_may_settle_later_than_its_unit() -> None:
 def test_a_settling_unit_is_checked_often() -> None:
     """Evidence that ends the wait early must not wait for the check's period; dependencies are queried once a second."""
     bench = chain(settle_s=2.0)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK)
@@ -182,7 +182,7 @@ def test_upstream_units_run_once_more_after_settling() -> None:
     run.
     """
     bench = chain(settle_s=0.3)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     bench.now += 0.1
@@ -196,7 +196,7 @@ def test_upstream_units_run_once_more_after_settling() -> None:
 def test_settling_restarts_after_a_good_result() -> None:
     """A flicker shorter than settle_s is never published."""
     bench = chain(settle_s=2.0)
-    bench.all_well()
+    bench.all_healthy()
     for _ in range(5):
         bench.now += 1
         bench.see("nodes", BAD)
@@ -209,7 +209,7 @@ def test_settling_restarts_after_a_good_result() -> None:
 def test_settling_restarts_when_the_level_returns_to_the_published_one() -> None:
     """A unit published as WARN that was ERROR only briefly is not published as ERROR at its next brief ERROR."""
     bench = chain(settle_s=2.0)
-    bench.all_well()
+    bench.all_healthy()
     nearly = warn("nearly", brief="nearly")
     for result in (nearly, nearly, BAD, nearly):
         bench.later(3.0)
@@ -225,7 +225,7 @@ def test_settling_restarts_when_the_level_returns_to_the_published_one() -> None
 def test_dependencies_are_queried_repeatedly_while_waiting() -> None:
     """A dependency without a period would otherwise answer only at the next pass."""
     bench = chain(settle_s=5.0)
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     assert bench.later(1.0) == {"nodes", "container"}
@@ -234,7 +234,7 @@ def test_dependencies_are_queried_repeatedly_while_waiting() -> None:
 def test_failures_in_a_row_are_counted() -> None:
     """`failures` consecutive bad runs are required; one good run restarts the count."""
     bench = Bench([unit("ping", failures=3)])
-    bench.all_well()
+    bench.all_healthy()
     for result in (BAD, BAD, OK, BAD, BAD):
         bench.now += 1
         bench.see("ping", result)
@@ -246,7 +246,7 @@ def test_failures_in_a_row_are_counted() -> None:
 def test_stale_neither_opens_nor_closes() -> None:
     """An unknown result neither opens nor resolves a fault."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", stale("engine silent"))
     assert bench.opened == []
     bench.see("container", BAD)
@@ -260,7 +260,7 @@ def test_stale_neither_opens_nor_closes() -> None:
 def test_a_fault_states_the_longest_earlier_pause_of_its_unit() -> None:
     """Only what ended without an action counts: an action ends a fault before the pause would have."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     for seconds in (3.0, 1.0):
         bench.see("container", BAD)
         bench.later(seconds)
@@ -288,7 +288,7 @@ def test_a_failure_ended_by_a_restart_of_others_is_not_a_pause(announced: bool) 
         bench.see("container", OK.with_evidence(Evidence(generation=generation)))
         bench.later(1)
 
-    bench.all_well()
+    bench.all_healthy()
     fail("1")
     bench.later(40)
     if announced:
@@ -306,7 +306,7 @@ def test_a_failure_ended_by_a_restart_of_others_is_not_a_pause(announced: bool) 
 def test_a_warning_blocks_no_unit_and_opens_no_fault() -> None:
     """WARN is published as a transition; only ERROR can be a cause."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.see("container", warn("nearly", brief="nearly"))
     bench.now += 1
     bench.see("nodes", BAD)
@@ -337,7 +337,7 @@ def test_a_changed_summary_at_the_same_level_is_published() -> None:
 def test_independent_faults_are_each_published() -> None:
     """Two causes, two alarms."""
     bench = Bench([unit("a"), unit("b"), unit("c", "a")])
-    bench.all_well()
+    bench.all_healthy()
     bench.see("a", BAD)
     bench.see("b", BAD)
     bench.see("c", BAD)
@@ -347,7 +347,7 @@ def test_independent_faults_are_each_published() -> None:
 def test_a_fault_lists_what_it_blocks() -> None:
     """The cause names its consequences."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("container", BAD)
     bench.see("nodes", BAD)
@@ -370,7 +370,7 @@ def test_a_fault_names_its_consequences_when_it_opens() -> None:
 def test_events_are_in_publication_order() -> None:
     """An opening precedes its transition; a closing follows its transition and precedes that of a reattributed unit."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", BAD)
     bench.see("container", OK)
@@ -392,7 +392,7 @@ def test_a_suspect_is_named_and_blocks_no_unit() -> None:
     """A full disk can cause a dead node but need not: the fault is published with the disk as a hint."""
     disk = TrackedUnit(Unit("host/disk", suspect=True), "host", Slot.HOST, Layer.COMPANION)
     bench = Bench([disk, unit("nodes")])
-    bench.all_well()
+    bench.all_healthy()
     bench.see("host/disk", warn("nearly full", brief="disk 90%"))
     bench.see("nodes", BAD)
     bench.see("nodes", OK)
@@ -406,7 +406,7 @@ def test_a_suspect_is_named_and_blocks_no_unit() -> None:
 def test_an_unknown_dependency_gets_time_to_answer() -> None:
     """A topic is silent while the graph is still incomplete: its dead node is published, not the topic."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", stale("the graph is young"))
     bench.see("topics", BAD)
@@ -423,7 +423,7 @@ def test_an_unknown_dependency_gets_time_to_answer() -> None:
 def test_a_result_from_before_a_dependency_became_known_does_not_count() -> None:
     """A restarted node appears before its topic: an earlier failure of the topic is checked once more."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", stale("it is starting"))
     bench.see("topics", BAD)
@@ -441,7 +441,7 @@ def test_a_result_from_before_a_dependency_became_known_does_not_count() -> None
 def test_an_unknown_dependency_hides_a_fault_for_a_limited_time() -> None:
     """A check that never reaches a result costs ten seconds, not the alarm."""
     bench = chain()
-    bench.all_well()
+    bench.all_healthy()
     bench.now += 1
     bench.see("nodes", stale("the graph is young"))
     bench.see("topics", BAD)

@@ -13,7 +13,7 @@ from phm.core.model import Evidence, Level, Slot, UnitState
 from phm.wire import fleet_status, status_word
 from tests.fakes.records import at, fault, unit
 
-WELL = unit("container/ros_app", Slot.CONTAINER)
+HEALTHY = unit("container/ros_app", Slot.CONTAINER)
 DEAD = unit("nodes/a/one", Slot.NODES, Level.ERROR, brief="one dead", condition="gone", fault="ab12-1")
 
 
@@ -23,7 +23,7 @@ def made(*states: UnitState, faults: tuple[Any, ...] = ()) -> bytes:
 
 def test_the_payload_has_the_contract_keys() -> None:
     """Exactly these keys, in this form."""
-    assert json.loads(made(WELL, DEAD, faults=(fault(DEAD),))) == {
+    assert json.loads(made(HEALTHY, DEAD, faults=(fault(DEAD),))) == {
         "v": 1,
         "agent": "agent_3",
         "agent_id": 3,
@@ -53,7 +53,7 @@ def test_the_payload_has_the_contract_keys() -> None:
 
 def test_a_status_is_read_as_written() -> None:
     """Levels by slot, word, sequence number and times are read back."""
-    status = fleet_status.decode(made(WELL, DEAD, faults=(fault(DEAD),)))
+    status = fleet_status.decode(made(HEALTHY, DEAD, faults=(fault(DEAD),)))
     assert (status.agent, status.agent_id, status.boot_id, status.sequence) == ("agent_3", 3, "0123456789ab", 7)
     assert status.levels == status_word.decode(status.word) == {Slot.CONTAINER: Level.OK, Slot.NODES: Level.ERROR}
     assert (status.utc_s, status.mono_s, status.state) == (1772366400.123, 100.0, "EMERGENCY")
@@ -68,7 +68,7 @@ def path(level: Level, blocked_by: str = "", broken: str = "") -> UnitState:
 @pytest.mark.parametrize(
     ("states", "hop"),
     [
-        ((WELL,), None),
+        ((HEALTHY,), None),
         ((path(Level.OK),), ""),
         ((path(Level.STALE, "radio/ground", "radio"),), "radio"),
         ((path(Level.STALE, "gcs"),), "gcs"),
@@ -90,7 +90,7 @@ def test_the_longest_status_is_accepted_by_a_reader() -> None:
     assert len(payload) <= fleet_status.MAX_BYTES
 
 
-GOOD = json.loads(made(WELL, DEAD, faults=(fault(DEAD),)))
+GOOD = json.loads(made(HEALTHY, DEAD, faults=(fault(DEAD),)))
 
 
 @pytest.mark.parametrize(
@@ -107,7 +107,7 @@ GOOD = json.loads(made(WELL, DEAD, faults=(fault(DEAD),)))
         {"utc_s": 10**400},
         {"slots": []},
         {"slots": {"16": "OK"}},
-        {"slots": {"2": "WELL"}},
+        {"slots": {"2": "HEALTHY"}},
         {"slots": {"2": None}},
         {"faults": {}},
         {"broken_hop": 1},

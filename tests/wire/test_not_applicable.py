@@ -43,7 +43,7 @@ def test_only_an_ok_unit_can_be_not_applicable() -> None:
 
 
 def test_a_path_that_was_never_used_is_not_known_to_the_fleet() -> None:
-    """None; empty says that all hops are well."""
+    """None; empty says that all hops are OK."""
     path = unit("path", Slot.AUTOPILOT, bypass=True)
     assert fleet_status.first_broken_hop([path]) is None
     assert fleet_status.first_broken_hop([unit("path", Slot.AUTOPILOT)]) == ""

@@ -20,7 +20,7 @@ def unit(slot: Slot, level: Level, brief: str = "", name: str = "") -> UnitState
     return UnitState(name or f"check/{slot}", "check", slot, Layer.ROS, level, result, Stamp(0.0, 0.0))
 
 
-WELL = [unit(slot, Level.OK) for slot in Slot if slot <= 8]
+HEALTHY = [unit(slot, Level.OK) for slot in Slot if slot <= 8]
 
 
 def fits(line: str) -> bool:
@@ -38,7 +38,7 @@ def test_every_line_fits_whatever_the_names_are(agent: int, level: Level, slot: 
         status_line.gave_up(agent, slot, first, second),
         status_line.gave_up(agent, slot, first, second, 123_456_789),
         status_line.operator_request(agent, slot, first, "refused", second),
-        status_line.refresh(agent, [*WELL, unit(slot, level, first, second)]),
+        status_line.refresh(agent, [*HEALTHY, unit(slot, level, first, second)]),
     ]
     assert all(fits(line) for line in lines), lines
     assert all(line.startswith(status_line.agent_name(agent) + " ") for line in lines)
@@ -101,15 +101,15 @@ def test_advice_and_giving_up_name_the_target() -> None:
 def test_the_refresh_begins_with_the_worst_unit() -> None:
     """An ERROR comes before a WARN of an earlier slot; the array has 1 for WARN and 0 for ERROR."""
     node, disk = unit(Slot.NODES, Level.ERROR, "node_1 dead"), unit(Slot.COMPANION, Level.WARN, "radio closed")
-    others = [state for state in WELL if state.slot is not Slot.NODES]
-    assert status_line.refresh(1, WELL) == "A01 OK 11111111"
+    others = [state for state in HEALTHY if state.slot is not Slot.NODES]
+    assert status_line.refresh(1, HEALTHY) == "A01 OK 11111111"
     assert status_line.refresh(1, [disk, *others, node]) == "A01 FAIL 11111011 6 node_1 dead +1"
-    assert status_line.refresh(1, [disk, *WELL]) == "A01 WARN 11111111 1 radio closed"
+    assert status_line.refresh(1, [disk, *HEALTHY]) == "A01 WARN 11111111 1 radio closed"
 
 
 def test_an_unknown_state_is_never_ok() -> None:
     """An unknown unit is a dash, and the line does not say OK; nor does it without any unit."""
-    others = [state for state in WELL if state.slot is not Slot.RATES]
+    others = [state for state in HEALTHY if state.slot is not Slot.RATES]
     assert status_line.refresh(1, [*others, unit(Slot.RATES, Level.STALE)]) == "A01 STALE 1111111- 8"
     assert status_line.refresh(1, []) == "A01 STALE --------"
     assert status_line.refresh(1, others) == "A01 OK 1111111-"

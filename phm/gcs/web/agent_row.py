@@ -55,7 +55,7 @@ def name(document: Mapping[str, Any]) -> str:
 
 def row(document: Mapping[str, Any], problem: str) -> Json:
     """The row. Its moments are monotonic seconds of this machine, on which the daemon runs as well."""
-    well, there = not problem, bool(document)
+    healthy, there = not problem, bool(document)
     written = _seconds(document.get("written_mono"))
     units = [_unit(one, document) for one in document.get("checks", ())]
     bad = [one for one in units if one["level"] in (Level.WARN.name, Level.ERROR.name)]
@@ -65,17 +65,17 @@ def row(document: Mapping[str, Any], problem: str) -> Json:
         "name": name(document),
         "component": PHM_COMPONENT,
         "link": None,
-        "how": _how(worst, document) if well else "LOST" if there else UNKNOWN,
-        "presence": _ALIVE if well else _LOST if there else _NEVER,
+        "how": _how(worst, document) if healthy else "LOST" if there else UNKNOWN,
+        "presence": _ALIVE if healthy else _LOST if there else _NEVER,
         "at": None if written is None else round(written, 2),
         "period_s": PERIOD_S,
         "word": document.get("status_word"),
         "state": None,
-        "slots": _slots(units) if well else {},
+        "slots": _slots(units) if healthy else {},
         "last_slots": _slots(units),
         "hop": None,
         "line": None,
-        "bad": [{key: one[key] for key in ("slot", "level", "text", "at")} for one in bad] if well else [],
+        "bad": [{key: one[key] for key in ("slot", "level", "text", "at")} for one in bad] if healthy else [],
         "advice": [],
         "containers": [],
         "view": None,

@@ -14,6 +14,7 @@ import time
 from typing import TYPE_CHECKING
 
 from phm.core import memory
+from phm.core.parent_death import die_with_parent
 from phm.probes.ros import fastdds_profile, sandbox
 from phm.probes.ros.line_splitter import LineSplitter
 from phm.probes.ros.protocol import (
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
 MISSED = "the ROS child discovers again with a new participant: the previous one missed {}"
 STALE = "the ROS child discovers again with a new participant: the previous one still listed {}, which has ended"
 MAX_NAMES = 300
-_PR_SET_PDEATHSIG = 1
 OOM_MORE, OOM_MOST = 500, 1000
 """Value for /proc/PID/oom_score_adj, higher than the daemon's. Raising it needs no privilege."""
 
@@ -46,7 +46,7 @@ def main() -> int:
     """Read the configuration from standard input, then report until it is closed. Returns the exit code."""
     out = _claim_stdout()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the daemon, which then closes the pipe
-    _die_with_parent()
+    die_with_parent(os.getppid())  # in case it hangs and does not notice the closed pipe
     _go_first()
     try:
         wanted = decode_wanted(_first_line())
@@ -155,19 +155,6 @@ def _claim_stdout() -> int:
     out = os.dup(1)
     os.dup2(2, 1)
     return out
-
-
-def _die_with_parent() -> None:
-    """Let the kernel kill this process with its parent, in case it hangs and does not notice the closed pipe."""
-    import ctypes
-
-    parent = os.getppid()
-    try:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
-    except (OSError, AttributeError):
-        return
-    if os.getppid() != parent:
-        os._exit(0)
 
 
 def _go_first() -> None:

@@ -41,7 +41,7 @@ def _status_and_gcs(state: Path, folder: Path, ports: DemoPorts) -> None:
         def seen() -> object:
             return swarm.logs(), gcs.screen().plain
 
-        until(lambda: _well(swarm), "four agents without a fault", seen, poll_s=LOOK_S)
+        until(lambda: _healthy(swarm), "four agents without a fault", seen, poll_s=LOOK_S)
         swarm.relay.stall()
         until(lambda: _resolved(swarm.status(BUSY)), "the reopened connection", seen, poll_s=LOOK_S)
         swarm.kill_planner(BUSY)
@@ -69,7 +69,7 @@ def _demo(state: Path, folder: Path, ports: DemoPorts) -> None:
     _write(folder, "demo.svg", "phm demo", _since_fault(shown), TABLE_COLUMNS)
 
 
-def _well(swarm: PictureAgents) -> bool:
+def _healthy(swarm: PictureAgents) -> bool:
     """Whether no agent has a fault and each has known its autopilot for a while."""
     documents = [swarm.status(agent) for agent in swarm.agents]
     if not all(document.get("checks") for document in documents):

@@ -268,7 +268,7 @@ def test_with_a_hung_engine_a_file_is_unknown(mounted: Mounted) -> None:
 
 def test_a_folder_that_hangs_does_not_block_other_folders(mounted: Mounted, monkeypatch: pytest.MonkeyPatch) -> None:
     """A second look at the same folder waits for a limited time, and cannot tell."""
-    for name in ("stuck", "well"):
+    for name in ("stuck", "healthy"):
         (mounted.here / name).mkdir()
         (mounted.here / name / name).write_text("text")
     hangs, go_on, real = threading.Event(), threading.Event(), file_tree._Walk._read
@@ -286,8 +286,8 @@ def test_a_folder_that_hangs_does_not_block_other_folders(mounted: Mounted, monk
         assert hangs.wait(10)
         with ThreadPoolExecutor(1) as pool:
             try:
-                well = pool.submit(mounted.files.listing, "app", "/data/well", ()).result(10)
-                assert well is not None and set(well.sums) == {"well"}
+                healthy = pool.submit(mounted.files.listing, "app", "/data/healthy", ()).result(10)
+                assert healthy is not None and set(healthy.sums) == {"healthy"}
                 with pytest.raises(CannotTell, match="still reading"):
                     pool.submit(mounted.files.listing, "app", "/data/stuck", ()).result(10)
             finally:

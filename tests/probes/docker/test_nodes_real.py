@@ -43,7 +43,7 @@ class Agent:
             assert other.level in (api.Level.OK, api.Level.STALE), other.summary
             return results[node].condition == condition and process in str(results[node].values["process"])
 
-        until(shown, f"{node} as {condition or 'well'}, process {process}")
+        until(shown, f"{node} as {condition or 'healthy'}, process {process}")
 
 
 @pytest.fixture

@@ -51,7 +51,7 @@ def test_static_peers_are_looked_for_on_more_ports() -> None:
 
 
 def test_transports_of_the_users_own_stay() -> None:
-    """Who wants shared memory, or shares the IPC namespace, gets what the middleware makes of it."""
+    """A node configured for shared memory, or one that shares the IPC namespace, gets the transports of the middleware."""
     environ = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT", **LOCAL}
     assert "userTransports" not in elements(environ)
     assert environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"

@@ -16,7 +16,7 @@ REPORTS = mavlink.REPORTS
 
 def test_the_recorded_reports_are_read_unchanged() -> None:
     """Units in, the same JSON out; the failing one has one fault at its cause."""
-    for name in ("well", "failing"):
+    for name in ("healthy", "failing"):
         path = REPORTS / f"{name}.json"
         wanted = json.loads(path.read_text())["checks"]
         assert report_json("agent_1", report_sizes.load(path))["checks"] == wanted
@@ -34,7 +34,7 @@ def test_the_bench_prints_the_figures_of_each_swarm(capsys: pytest.CaptureFixtur
     assert idle["heartbeats"] == pytest.approx(2 * 21 / 2)
     assert idle["mavlink"] == pytest.approx(idle["heartbeats"] + idle["texts"] + idle["tunnels"])
     assert idle["reports"] == pytest.approx(2 / 10)
-    assert idle["json"] == pytest.approx(idle["reports"] * printed["one_report"]["well"]["json"])
+    assert idle["json"] == pytest.approx(idle["reports"] * printed["one_report"]["healthy"]["json"])
     assert idle["mavlink"] < idle["deflated"] < idle["json"]
     assert failing["texts"] > idle["texts"]
 
@@ -44,7 +44,7 @@ def test_an_invalid_report_is_rejected(tmp_path: Path, capsys: pytest.CaptureFix
     wrong = tmp_path / "wrong.json"
     wrong.write_text("{}")
     with pytest.raises(SystemExit) as ended:
-        mavlink.main(["--well", str(wrong)])
+        mavlink.main(["--healthy", str(wrong)])
     assert ended.value.code == 2
     assert "has no 'checks'; `phm status --json` makes one" in capsys.readouterr().err
 
@@ -52,7 +52,7 @@ def test_an_invalid_report_is_rejected(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.ros
 def test_a_diagnostic_array_is_measured_by_ros() -> None:
     """The bytes include at least all names and messages, four bytes for the length of each, and the stamp."""
-    units = report_sizes.load(REPORTS / "well.json")
+    units = report_sizes.load(REPORTS / "healthy.json")
     weight = report_sizes.sizes(units).diagnostics
     assert weight is not None
     assert weight > sum(len(state.unit) + len(state.result.summary) + 8 for state in units) + 8

@@ -9,7 +9,7 @@ import pytest
 
 from sitl.acceptance.plan import STARVING
 from sitl.bench import starvation
-from sitl.bench.starvation_rows import BEGIN, END, Row, as_json, cells, count, from_json, levels, markdown, unwell
+from sitl.bench.starvation_rows import BEGIN, END, Row, as_json, cells, count, from_json, levels, markdown, not_ok
 from sitl.harness.compose_stack import ROOT
 
 CAUSE = "pressure/ros_app"
@@ -95,7 +95,7 @@ def test_remaining_levels_and_faults_are_found() -> None:
         event("fault_closed", 6.0, "d"),
     ]
     assert levels(events) == {"b": "STALE", "host/cpu": "ERROR"}
-    assert unwell(events) == ["b STALE", "fault at c"]
+    assert not_ok(events) == ["b STALE", "fault at c"]
 
 
 def test_equal_entries_are_counted() -> None:

@@ -62,23 +62,23 @@ def test_a_restarted_phm_is_complete_with_its_first_report() -> None:
 def test_an_agent_has_recovered_when_its_units_are_as_before() -> None:
     """Not before the first report; not with a fault open; units that were never known and the host's load do not count."""
     levels = Levels()
-    assert levels.unwell({}) == ["no report yet"]
+    assert levels.not_ok({}) == ["no report yet"]
     for unit, level in (("nodes/a", "OK"), ("gcs", "STALE"), ("host/cpu", "ERROR")):
         levels.take(event("unit", 1.0, unit=unit, level=level))
     levels.take(event("report", 1.0))
     usual = levels.as_usual()
-    assert levels.unwell(usual) == []
+    assert levels.not_ok(usual) == []
     levels.take(event("fault_opened", 2.0, fault="f1"))
     levels.take(event("transition", 2.0, level="ERROR"))
-    assert levels.unwell(usual) == ["nodes/a is faulty", "nodes/a is ERROR"]
+    assert levels.not_ok(usual) == ["nodes/a is faulty", "nodes/a is ERROR"]
     assert (levels.bad("nodes/a"), levels.bad("gcs")) == (True, False)
     levels.take(event("fault_closed", 3.0, fault="f1"))
     levels.take(event("transition", 3.0, level="OK"))
-    assert levels.unwell(usual) == []
+    assert levels.not_ok(usual) == []
     levels.take(event("transition", 3.5, unit="companion", level="WARN"))
-    assert levels.unwell(usual) == [], "PHM says for a while that it had ended"
+    assert levels.not_ok(usual) == [], "PHM says for a while that it had ended"
     levels.take(event("start", 4.0))
-    assert levels.unwell(usual) == ["no report yet"]
+    assert levels.not_ok(usual) == ["no report yet"]
     assert levels.since == 4.0
 
 
@@ -89,6 +89,6 @@ def test_on_a_busy_machine_a_unit_may_be_stale_for_that() -> None:
         levels.take(event("unit", 1.0, level="OK"))
         levels.take(event("report", 1.0))
         levels.take(event("transition", 2.0, level="STALE", blocked_by="host/cpu"))
-        assert levels.unwell({"nodes/a": "OK"}) == found
+        assert levels.not_ok({"nodes/a": "OK"}) == found
         levels.take(event("transition", 3.0, level="STALE", blocked_by="container/a"))
-        assert levels.unwell({"nodes/a": "OK"}) == ["nodes/a is STALE"]
+        assert levels.not_ok({"nodes/a": "OK"}) == ["nodes/a is STALE"]

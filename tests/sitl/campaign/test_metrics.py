@@ -91,7 +91,7 @@ def test_excluded_spans_are_subtracted_once(holes: list[tuple[float, float]], on
 
 def quiet(kind: str = NOMINAL, seconds: float = 100.0, **more: object) -> Trial:
     heartbeats = {agent: [-2.0 + 2 * number for number in range(53)] for agent in range(1, 9)}
-    made = Trial(kind, 1, 8, 0.0, 1.7e9, seconds, heartbeats=heartbeats, well_after=0.0)
+    made = Trial(kind, 1, 8, 0.0, 1.7e9, seconds, heartbeats=heartbeats, healthy_after=0.0)
     for name, value in more.items():
         setattr(made, name, value)
     return made

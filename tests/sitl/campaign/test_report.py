@@ -96,8 +96,8 @@ def test_a_repeated_trial_replaces_the_first(tmp_path: Path) -> None:
     file = tmp_path / "trials.jsonl"
     assert load(file) == []
     append(file, trial())
-    append(file, trial(well_after=9.0))
-    assert [each.well_after for each in load(file)] == [9.0]
+    append(file, trial(healthy_after=9.0))
+    assert [each.healthy_after for each in load(file)] == [9.0]
 
 
 class Page(HTMLParser):
@@ -162,7 +162,7 @@ def test_curves_and_dots_are_those_of_the_times() -> None:
 def test_reports_can_be_made_of_empty_and_full_campaigns() -> None:
     """Each format can be made of an empty campaign, too, and states how many of the planned trials were made."""
     full = full_trial()
-    for trials in ([full], [full, trial(number=2, alarms=[], acts=[], lines=[], well_after=None, setting=SETTING)]):
+    for trials in ([full], [full, trial(number=2, alarms=[], acts=[], lines=[], healthy_after=None, setting=SETTING)]):
         assert json.loads(as_json(trials))["groups"][0]["seeds"] == [7]
         for text in (as_html(trials), unwrapped(as_markdown(trials))):
             assert f"{len(trials)} of 20 planned trials" in text

@@ -66,7 +66,7 @@ def runner(tmp_path: Path, steps: Steps, monkeypatch: pytest.MonkeyPatch) -> Run
     made.meter = Mock(costs=list)
     made.injector._world = Mock()  # there is nothing to observe
     monkeypatch.setattr(made, "_wait", lambda wanted, limit_s: wanted() or True)
-    monkeypatch.setattr(made, "_well", lambda limit_s: None)
+    monkeypatch.setattr(made, "_healthy", lambda limit_s: None)
     monkeypatch.setattr(made, "_rest", lambda draws: steps.done.append("rest"))
     monkeypatch.setattr(made, "_configure", lambda agents, changes: steps.done.append("configure"))
     begin, inject = made._begin, made._inject
@@ -81,13 +81,13 @@ def test_a_trial_is_complete_before_the_swarm_is_made_ready(runner: Runner, monk
     runner.on_end = found.append
 
     def not_ok(limit_s: float) -> None:
-        raise NotOk("not well")
+        raise NotOk("not OK")
 
-    monkeypatch.setattr(runner, "_well", not_ok)
+    monkeypatch.setattr(runner, "_healthy", not_ok)
     monkeypatch.setattr(campaign_runner, "restore", lambda swarm, agent: None)
     with pytest.raises(NotOk):
         runner.trial(PLAN)
-    assert [(each.number, each.well_after, bool(each.injections)) for each in found] == [(4, None, True)]
+    assert [(each.number, each.healthy_after, bool(each.injections)) for each in found] == [(4, None, True)]
 
 
 def test_an_aborted_run_has_what_was_observed(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,8 +101,8 @@ def test_an_aborted_run_has_what_was_observed(runner: Runner, monkeypatch: pytes
     assert (made.kind, made.number, made.aborted) == (ABORTED, 4, "trial: KeyboardInterrupt: ")
     assert [each.fault for each in made.injections] == ["planned"]
     assert made.ended >= made.began
-    early = runner.aborted("trial", 5, NotOk("not well"))
-    assert (early.number, early.aborted, early.injections) == (5, "trial: NotOk: not well", [])
+    early = runner.aborted("trial", 5, NotOk("not OK"))
+    assert (early.number, early.aborted, early.injections) == (5, "trial: NotOk: not OK", [])
     assert early.setting == {"seed": 7}
 
 
@@ -141,9 +141,9 @@ def test_the_load_is_renewed_after_the_pause(runner: Runner, steps: Steps) -> No
 
 
 def test_the_load_outlasts_a_trial() -> None:
-    """Also the longest one: PHM's restart until all is well, a slow injection, recovery, and until all is well again."""
+    """Also the longest one: PHM's restart until all is OK, a slow injection, recovery, and until all is OK again."""
     assert (
-        3 * campaign_runner.WELL_LIMIT_S + 2 * LEAK_S + ALL["as-found"].healed_limit_s + campaign_runner.AFTER_S
+        3 * campaign_runner.HEALTHY_LIMIT_S + 2 * LEAK_S + ALL["as-found"].healed_limit_s + campaign_runner.AFTER_S
         <= LASTS_S - RENEW_S
     )
 

@@ -166,14 +166,14 @@ def test_an_agent_is_healthy_after_a_report_with_every_unit_ok() -> None:
     """A unit that was STALE in the report and became OK since counts as OK; an open fault does not."""
     standing = Health()
     standing.feed(events(unit("nodes/a", "STALE", "unit"), REPORT))
-    assert not standing.well
+    assert not standing.healthy
     assert standing.why == "nodes/a STALE"
     standing.feed(events(unit("nodes/a", "OK")))
-    assert standing.well
+    assert standing.healthy
     standing.feed(events({"event": "fault_opened", "fault": "x-1", "unit": "files/a"}))
     assert standing.why == "open fault at files/a"
     standing.feed(events({"event": "fault_closed", "fault": "x-1", "unit": "files/a"}))
-    assert standing.well
+    assert standing.healthy
 
 
 def test_a_restart_of_phm_resets_the_health() -> None:
@@ -197,8 +197,8 @@ def test_host_units_can_be_excluded() -> None:
     everything, agent = Health(), Health(but=(MACHINE,))
     everything.feed(loaded)
     agent.feed(loaded)
-    assert not everything.well
-    assert agent.well
+    assert not everything.healthy
+    assert agent.healthy
 
 
 # ---------------------------------------------------------------- workspace, options, commands

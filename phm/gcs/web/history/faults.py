@@ -95,8 +95,8 @@ class FaultList:
             case "detail":
                 return self._detail(who, str(line["fault"]), str(line["text"]), utc_s)
             case "slots":
-                well = [int(slot) for slot, (_, new) in dict(line["changed"]).items() if new not in _BAD]
-                over = self._close([one for one in self._of(who) if one.slot in well], utc_s, BY_HEARTBEAT)
+                healthy = [int(slot) for slot, (_, new) in dict(line["changed"]).items() if new not in _BAD]
+                over = self._close([one for one in self._of(who) if one.slot in healthy], utc_s, BY_HEARTBEAT)
                 self._quiet.extend((utc_s, one) for one in over)
                 return over
             case "restart":

@@ -54,7 +54,7 @@ FAULT = "INSERT OR REPLACE INTO fault (key, who, at, changed, open, body) VALUES
 _UNUSABLE = (
     sqlite3.IntegrityError, sqlite3.ProgrammingError, sqlite3.InterfaceError, OverflowError, UnicodeError, ValueError,
 )  # fmt: skip
-"""What writing a row raises that is not fit for the file, such as half a character. The file itself is well."""
+"""What writing a row raises that is not fit for the file, such as half a character. The file itself is OK."""
 MAX_ASIDES = 3
 """This many damaged files of one run are kept: on a broken disk, each new file would be damaged again."""
 
