@@ -26,8 +26,10 @@ WATCHDOG_EVERY = 30
 """Calls of `supervise` after which a watchdog process that ended is started again."""
 STALLED_END_S = 30.0
 """A daemon that has stalled for this long exits: Docker restarts a process that exits, not one that hangs."""
-STOP_S = 5.0
+STOP_S = 6.0
 """Limit for all of `stop`. Docker sends SIGKILL 10 s after SIGTERM by default."""
+PROBE_S = 3.0
+"""Limit for one probe: the ROS child publishes PHM's last diagnostics."""
 
 
 class Daemon:
@@ -140,7 +142,7 @@ class Daemon:
             closing.step(name, close, 1.0)
         closing.step("state", parts.memory.close, 1.0)
         for name, close in parts.probes.closers():
-            closing.step(name, close, 1.5)
+            closing.step(name, close, PROBE_S)
         return tuple(closing.hung)
 
     def _stop_recovery(self, closing: ShutdownSequence) -> None:
@@ -165,7 +167,7 @@ class Daemon:
         self._stop_checks(closing)
         self._logs = parts.probes.logs.hand_over()
         for name, close in parts.probes.closers(links=False):
-            closing.step(name, close, 1.5)
+            closing.step(name, close, PROBE_S)
         state = parts.memory.state()
         parts.loop.stop()
         closing.step("loop", partial(parts.loop.join, 1.0), 1.0)

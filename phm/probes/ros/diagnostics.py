@@ -6,6 +6,7 @@ contract.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -26,6 +27,8 @@ _REST = 10
 MAX_REMARKS = 20
 MAX_TEXT = 255
 MAX_VALUES = 32
+ACKNOWLEDGED_S = 0.5
+"""Deadline for the acknowledgments of the last arrays: a subscriber may have lost its link."""
 _FRAME = b"phm"
 """`header.frame_id` of PHM's own arrays, by which they are recognized before decoding."""
 _MISSING = (
@@ -74,6 +77,18 @@ class DiagnosticsListener:
         if order.topic not in self._publishers:
             self._publishers[order.topic] = self._node.create_publisher(self._kinds.DiagnosticArray, order.topic, 1)
         self._publishers[order.topic].publish(self._array(order))
+
+    def close(self) -> None:
+        """Wait until the subscribers have received the last arrays: the middleware discards what is not acknowledged with
+        its publisher.
+        """
+        if not self._publishers:
+            return
+        from rclpy.duration import Duration
+
+        end_s = time.monotonic() + ACKNOWLEDGED_S
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, end_s - time.monotonic())))
 
     def _load(self) -> bool:
         if self._kinds is None and not self._missing:

@@ -125,6 +125,7 @@ class Observer:
     def close(self) -> None:
         """Leave the graph, so that other participants remove this one immediately and not after its lease."""
         self._events.close()
+        self._diagnostics.close()
         self._node.destroy_node()
         self._context.try_shutdown()
 

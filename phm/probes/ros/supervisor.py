@@ -78,8 +78,8 @@ class SupervisorLimits:
     """Time between attempts without rclpy."""
     goodbye_s: float = 0.2
     """Time to write the last array to a child before it is asked to exit."""
-    farewell_s: float = 1.0
-    """Time for a child to exit before SIGKILL."""
+    farewell_s: float = 2.5
+    """Time for a child to publish its last arrays and exit before SIGKILL; on a busy machine it may get no CPU for a second."""
 
 
 class RosSupervisor:
