@@ -332,7 +332,7 @@ BROKEN = [
     Broken("back-off", "recovery:\n  backoff: 2min\n", 2, "recovery.backoff", ("is 120", "'backoff_max'")),
     Broken("hold", "recovery:\n  hold: 5h\n", 2, "recovery.hold", ("is 18000", "'hold_max'")),
     Broken("manual stop", "recovery:\n  on_manual_stop: ignore\n", 2, "recovery.on_manual_stop",
-           ("'ignore'", "recover", "advise", "respect")),
+           ("'ignore'", "heal", "advise", "respect")),
     Broken("window", "recovery:\n  maintenance:\n  - when: sun 2-4\n", 3, "recovery.maintenance[0].when",
            ("'sun 2-4'", "HH:MM-HH:MM")),
     Broken("window of no container", ONE + "recovery:\n  maintenance:\n  - {when: '02:00-04:00', container: ap}\n", 5,

@@ -13,9 +13,9 @@ from phm.core.settings.base import Name, Seconds, Section
 class ManualStopSettings(Section):
     """How to treat a stop by an operator (`docker stop`, `docker compose stop`, `down`)."""
 
-    ground: Literal["recover", "advise", "respect"] = "respect"
+    ground: Literal["heal", "advise", "respect"] = "respect"
     """While the autopilot reports that it is disarmed."""
-    air: Literal["recover", "advise", "respect"] = "recover"
+    air: Literal["heal", "advise", "respect"] = "heal"
     """While it is armed, or its armed state is not known."""
 
 
@@ -24,12 +24,12 @@ def _for_both(value: Any) -> Any:
         return value
     if value not in _RULE["enum"]:
         raise ValueError(
-            f"{value[:60]!r} is not a rule: allowed are recover, advise and respect, or one each for ground and air"
+            f"{value[:60]!r} is not a rule: allowed are heal, advise and respect, or one each for ground and air"
         )
     return {"ground": value, "air": value}
 
 
-_RULE: dict[str, Any] = {"enum": ["recover", "advise", "respect"], "type": "string"}
+_RULE: dict[str, Any] = {"enum": ["heal", "advise", "respect"], "type": "string"}
 
 
 ManualStop = Annotated[
@@ -94,7 +94,7 @@ class RecoverySettings(Section):
     approval: Annotated[Seconds, Field(ge=5, le=600)] = 60.0
     """Seconds for which an approval is valid; after that the action must be approved again."""
     on_manual_stop: ManualStop = ManualStopSettings()
-    """How to treat a container that an operator stopped or removed. `recover`: like a failure; `advise`: raise an alarm and only
+    """How to treat a container that an operator stopped or removed. `heal`: like a failure; `advise`: raise an alarm and only
     recommend an action; `respect`: put it on hold. One value, or one each for `ground` and `air`."""
     hold: Annotated[Seconds, Field(ge=1, le=86400)] = 600.0
     """How long a hold lasts without `phm hold --for`, and after a stop that is respected."""

@@ -68,7 +68,6 @@ ONLY_IF_OK_BEFORE = frozenset(
 )
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
 namespace, a publisher that was created again, a second node started by an operator, a node that its neighbours no longer
-receive, a source that repeats old data, a wrong clock on another computer, a node that was deactivated.
-Where the unit was OK in this generation,
-a restart restores what the start had, and is tried once; where it never was, nothing is done. A user's own ladder is used
-unchanged."""
+receive, a source that repeats old data, a wrong clock on another computer, a node that was deactivated. Where the
+unit was OK in this generation, a restart restores what the start had, and is tried once; where it never was, nothing is done. A
+user's own ladder is used unchanged."""

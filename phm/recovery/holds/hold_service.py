@@ -269,7 +269,7 @@ class HoldService:
             until = self._clock.mono() + self._rules.hold
             self._begin(Hold(key, STOP, until, "an operator", f"{done} by hand"))
             return
-        advise = rule != "recover"
+        advise = rule != "heal"
         self._holds.mark_stopped(key, advise)
         what = "PHM only recommends what would help" if advise else "PHM treats it as a failure"
         self._pipeline.note("HOLD", f"{key} was {done} manually; {what} (recovery.on_manual_stop)")

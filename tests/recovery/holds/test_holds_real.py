@@ -22,7 +22,7 @@ from tests.fakes.until import until
 
 LIMIT_S = 90.0
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
-RESPECT, RECOVER = {"on_manual_stop": "respect"}, {"on_manual_stop": "recover"}
+RESPECT, HEAL = {"on_manual_stop": "respect"}, {"on_manual_stop": "heal"}
 
 
 class Phm:
@@ -123,7 +123,7 @@ def phm(tmp_path: Path, project: Project) -> Iterator[Any]:
 
 def test_a_recreation_by_compose_raises_no_alarm(phm: Any, project: Project) -> None:
     """`docker compose up --force-recreate` is not a failure, whatever the rule for stops is."""
-    agent, old = phm(**RECOVER), project.id()
+    agent, old = phm(**HEAL), project.id()
     project.compose("up", "-d", "--force-recreate")
     assert project.id() != old
     agent.until(lambda: agent.decided() and agent.level() is Level.OK, "the new container to be OK")
@@ -155,8 +155,8 @@ def test_a_respected_stop_is_recovered_when_its_hold_expires(phm: Any, project: 
 
 
 def test_a_manual_stop_is_recovered_with_the_rule_heal(phm: Any, project: Project) -> None:
-    """`recover`, the default in flight: a manual stop is a failure like any other."""
-    agent = phm(**RECOVER)
+    """`heal`, the default in flight: a manual stop is a failure like any other."""
+    agent = phm(**HEAL)
     project.docker("stop", project.container)
     agent.until(lambda: Phase.VERIFIED in agent.phases(), "the container to be started")
     assert agent.faults() == [agent.unit]
@@ -246,7 +246,7 @@ def test_a_removal_is_on_hold_until_compose_recreates_it(phm: Any, project: Proj
 
 def test_an_operator_holds_and_releases_a_container(phm: Any, project: Project) -> None:
     """On hold, a crash is STALE, raises no alarm, and is left alone; after the release it is a fault and recovered."""
-    agent = phm(**RECOVER)
+    agent = phm(**HEAL)
     said = agent.verb("hold", project.container, "--for", "10min", "--reason", "swapping firmware")
     assert said.startswith(f"{project.container} is on hold until ") and "swapping firmware" in said
     project.docker("kill", project.container)
@@ -261,12 +261,12 @@ def test_an_operator_holds_and_releases_a_container(phm: Any, project: Project) 
 
 def test_a_hold_survives_a_restart_of_phm(phm: Any, project: Project, tmp_path: Path) -> None:
     """The next PHM keeps the previous holds, until the same end."""
-    agent = phm(**RECOVER)
+    agent = phm(**HEAL)
     agent.daemon.components.holds.hold(project.container, 600.0, "swapping firmware", "operator (uid 0)")
     before = agent.daemon.components.holds.snapshot()[0]
     agent.daemon.stop()
     project.docker("kill", project.container)
-    following = Phm(tmp_path, project.container, **RECOVER)
+    following = Phm(tmp_path, project.container, **HEAL)
     try:
         following.until(lambda: following.level() is Level.STALE and following.daemon.pipeline.complete, "the hold")
         after = following.daemon.components.holds.snapshot()[0]

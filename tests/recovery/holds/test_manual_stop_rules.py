@@ -215,7 +215,7 @@ def test_a_hold_prevents_an_action_that_has_not_begun(scene: Scene, monkeypatch:
 
 def test_no_alarm_is_raised_during_a_possible_recreation(scenes: Any) -> None:
     """Whatever the rule is; a crash raises one immediately."""
-    scene = scenes(on_manual_stop="recover")
+    scene = scenes(on_manual_stop="heal")
     scene.happen(("replace", ""), *STOP, ("destroy", ""))
     scene.agent.bad = {"container/app": "missing"}
     scene.agent.rest(10)
@@ -231,7 +231,7 @@ def test_no_alarm_is_raised_during_a_possible_recreation(scenes: Any) -> None:
 
 def test_other_faults_are_raised_meanwhile(scenes: Any) -> None:
     """Only an end of the container may be part of a restart."""
-    scene = scenes(on_manual_stop="recover")
+    scene = scenes(on_manual_stop="heal")
     scene.happen(("kill", "signal 1"))
     scene.agent.bad = {"nodes/app": "broken"}
     scene.agent.until(lambda: scene.agent.opened() == ["nodes/app"], "the alarm")
