@@ -14,7 +14,7 @@ entry-point group ``phm.checks``; the entry point's name is the check's name::
             if volts < 14.0:
                 return api.error(f"battery at {volts:.1f} V, expected 14.0 V or more: land and swap it",
                                  brief=f"battery {volts:.1f} V", condition="battery_low")
-            return api.ok(f"battery at {volts:.1f} V", battery_v=volts)
+            return api.ok(f"battery at {volts:.1f} V", values={"battery_v": volts})
 
 `run` may block, raise and be slow: it runs in its own thread. An exception or an exceeded deadline becomes STALE, a
 statement about PHM and never a fault of the vehicle.
@@ -27,7 +27,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from phm.core.model import Evidence, HostReadings, Layer, Level, NodeVotes, Result, Slot, Value
+from phm.core.model import Evidence, HostReadings, Layer, Level, NodeVotes, Result, Slot, Value, Values
 from phm.core.settings import (
     ContainerSettings,
     DataSettings,
@@ -169,6 +169,7 @@ __all__ = [
     "TrendSettings",
     "Unit",
     "Value",
+    "Values",
     "WatchedDiagnosticSettings",
     "World",
     "bypass",
@@ -253,22 +254,22 @@ class Check(ABC):
         """One result for the only unit, or a result by unit id. A unit left out is STALE."""
 
 
-def ok(summary: str, **values: Value) -> Result:
-    """The unit is OK. values: measurements for the log; the name of each has its unit, e.g. ``battery_v=14.8``."""
-    return Result(Level.OK, summary, values=values)
+def ok(summary: str, *, values: Values | None = None) -> Result:
+    """The unit is OK. values: measurements for the log; the name of each has its unit, e.g. ``{"battery_v": 14.8}``."""
+    return Result(Level.OK, summary, values=dict(values or {}))
 
 
-def bypass(summary: str, **values: Value) -> Result:
+def bypass(summary: str, *, values: Values | None = None) -> Result:
     """Nothing to evaluate: shown as n/a, logged as BYPASS. Alone it leaves its slot unused."""
-    return Result(Level.OK, summary, values=values, bypass=True)
+    return Result(Level.OK, summary, values=dict(values or {}), bypass=True)
 
 
-def warn(summary: str, *, brief: str, condition: str = "", target: str = "", **values: Value) -> Result:
+def warn(summary: str, *, brief: str, condition: str = "", target: str = "", values: Values | None = None) -> Result:
     """A warning: it opens no fault and starts no recovery. Arguments: as of `error`; `condition` may be empty."""
-    return Result(Level.WARN, summary, brief, condition, target, values)
+    return Result(Level.WARN, summary, brief, condition, target, dict(values or {}))
 
 
-def error(summary: str, *, brief: str, condition: str, target: str = "", **values: Value) -> Result:
+def error(summary: str, *, brief: str, condition: str, target: str = "", values: Values | None = None) -> Result:
     """An error, which opens a fault.
 
     summary:   for the log: what is wrong, what was expected, what to do.
@@ -277,12 +278,12 @@ def error(summary: str, *, brief: str, condition: str, target: str = "", **value
     target:    what an action is applied to: the key of a container, or ``disk:PATH``; empty: no action.
     values:    as of `ok`.
     """
-    return Result(Level.ERROR, summary, brief, condition, target, values)
+    return Result(Level.ERROR, summary, brief, condition, target, dict(values or {}))
 
 
-def stale(summary: str, *, brief: str = "", **values: Value) -> Result:
+def stale(summary: str, *, brief: str = "", values: Values | None = None) -> Result:
     """The state could not be determined. Never opens a fault and never triggers recovery."""
-    return Result(Level.STALE, summary, brief, values=values)
+    return Result(Level.STALE, summary, brief, values=dict(values or {}))
 
 
 def worst(results: Iterable[Result]) -> Result:

@@ -77,9 +77,9 @@ class Cpu:
             return self._bad(quick[0], quick[1], 100.0, values)
         if level is Level.OK:
             self._steady.forget("cpu")
-            return api.ok(f"CPU at {mean:.0f} %", **values)
+            return api.ok(f"CPU at {mean:.0f} %", values=values)
         if not full:
-            return api.stale(f"CPU at {mean:.0f} %, averaging over {span(window_s)} before judging", brief="", **values)
+            return api.stale(f"CPU at {mean:.0f} %, averaging over {span(window_s)} before judging", values=values)
         words = f"CPU at {mean:.0f} % over {span(window_s)}, expected below {self._limits.cpu.warn:g} %"
         return self._bad(level, words, mean, values)
 

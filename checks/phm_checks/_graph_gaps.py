@@ -32,14 +32,12 @@ class GraphGaps:
                 return api.stale(
                     f"topic {name} has a {kind} whose node PHM does not know: whether {listed(lacking)} "
                     f"{'is' if len(lacking) == 1 else 'are'} connected is unknown",
-                    brief="",
-                    **numbers,
+                    values=numbers,
                 )
         if self._unlisted_flows(name, seen, now):
             return api.stale(
                 f"data arrives on topic {name} though discovery lists no publisher: PHM's view of the graph is incomplete",
-                brief="",
-                **numbers,
+                values=numbers,
             )
         return None
 

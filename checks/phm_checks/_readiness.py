@@ -64,7 +64,7 @@ class Subject:
         if not missing:
             names = [*self.ready.services, *self.ready.topics, *filter(None, [self.ready.call])]
             what = f": {listed(names)}" if names else ""
-            return api.ok(f"{self.name[0].upper()}{self.name[1:]} is ready{what}", **values)
+            return api.ok(f"{self.name[0].upper()}{self.name[1:]} is ready{what}", values=values)
         level = Level.ERROR if self.ready.level == "error" else Level.WARN
         words = "; ".join(one.words for one in missing)
         busy = any(one.unanswered for one in missing) and all(one.unanswered or one.silent for one in missing)

@@ -24,7 +24,7 @@ def unexpected(
     level: `warn` or `error`. noun, does: such as `container` and `runs`.
     """
     if not found:
-        return api.ok(f"no unexpected {noun} {does}", unexpected=0)
+        return api.ok(f"no unexpected {noun} {does}", values={"unexpected": 0})
     names = listed(f"{name} ({detail})" if detail else name for name, detail in found)
     first = found[0][0] if len(found) == 1 else f"{len(found)} {noun}s"
     return api.Result(

@@ -86,7 +86,7 @@ class Autopilot(api.Check):
         self._lost_at = None
         flying = "armed" if fact.armed else "disarmed"
         words = f"last autopilot heartbeat {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}"
-        return api.ok(words, **_values(fact)).with_evidence(api.Evidence(ended_by=ended_by))
+        return api.ok(words, values=_values(fact)).with_evidence(api.Evidence(ended_by=ended_by))
 
     def _certain(self, world: api.World, fact: api.AutopilotFact) -> bool:
         """Whether no link, router or radio on the way can be the cause."""
@@ -117,8 +117,7 @@ class Autopilot(api.Check):
             f"{span(REBOOTING_S)}",
             brief="autopilot rebooting",
             condition="autopilot_rebooted",
-            target="",
-            **_values(fact),
+            values=_values(fact),
         )
         return replace(found, settle_s=0.0)
 
@@ -148,7 +147,7 @@ class Autopilot(api.Check):
             brief=brief("autopilot:", f"no heartbeat{shown}"),
             condition="autopilot_silent",
             target=target_of(name) if nothing else "",
-            **({} if fact is None else _values(fact)),
+            values={} if fact is None else _values(fact),
         )
         return replace(found, settle_s=0.0) if fact is not None and self._certain(world, fact) else found
 
@@ -161,15 +160,13 @@ def _rebooted(fact: api.AutopilotFact, ago_s: float, values: dict[str, api.Value
             f"{words}, while it was armed: check the vehicle and the autopilot's power supply",
             brief="autopilot rebooted while armed",
             condition="autopilot_rebooted",
-            target="",
-            **values,
+            values=values,
         )
     return api.warn(
         f"{words}; check its power supply unless the reboot was intended",
         brief="autopilot rebooted",
         condition="autopilot_rebooted",
-        target="",
-        **values,
+        values=values,
     )
 
 

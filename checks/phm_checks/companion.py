@@ -29,7 +29,7 @@ class Companion(api.Check):
         bad = self._own(facts)
         values: dict[str, api.Value] = {"uptime_s": round(facts.uptime_s, 1), "ros_restarts": facts.ros_restarts}
         if not bad:
-            return api.ok("Companion Computer is running aboard agent", **values)
+            return api.ok("Companion Computer is running aboard agent", values=values)
         first = api.worst(bad)
         summary = joined([finding.summary for finding in bad])
         return api.Result(first.level, summary, first.brief, first.condition, values=values)

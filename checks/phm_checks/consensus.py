@@ -130,7 +130,7 @@ class Consensus(api.Check):
             f"check that PHM_BEACON is not off{_refused(fact)}",
             brief=brief(last(lacking[0]), "has no beacon"),
             condition="beacon_missing",
-            refused=fact.refused,
+            values={"refused": fact.refused},
         )
 
     def _none_received(self, fact: api.RosFact) -> api.Result:
@@ -139,7 +139,7 @@ class Consensus(api.Check):
                 f"no beacon received from the configured nodes{_refused(fact)}",
                 brief="beacons refused",
                 condition="beacons_refused",
-                refused=fact.refused,
+                values={"refused": fact.refused},
             )
         return api.bypass("No beacon received from the configured nodes: PHM is their only observer")
 
@@ -173,7 +173,7 @@ class Consensus(api.Check):
             short = brief(last(first.node), f"not seen by {last(first.not_heard_by[0])}"[:30])
             return api.Result(Level.WARN, joined([*dissents, REMEDY]), short, "dissent", "", values)
         stuck = f"; the executor of {_names(hung)} is blocked" if hung else ""
-        return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", **values)
+        return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", values=values)
 
     def _quorum_dead(
         self, agreement: Agreement, dead: Sequence[Opinion], values: Mapping[str, api.Value]
@@ -215,8 +215,7 @@ def _copied(fact: api.RosFact, beacons: Mapping[str, api.BeaconFact]) -> api.Res
         brief=brief(last(names[0]), "beacon copied"),
         condition="beacon_copied",
         target="",
-        copied=len(names),
-        refused=fact.refused,
+        values={"copied": len(names), "refused": fact.refused},
     )
 
 

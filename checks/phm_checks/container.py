@@ -103,7 +103,7 @@ class Container(PerContainer):
                 brief=brief(self.key, "was restarted"),
                 condition="restarted",
                 target=self.key,
-                **values,
+                values=values,
             )
         if more_often:
             return api.warn(
@@ -111,10 +111,9 @@ class Container(PerContainer):
                 f"see `docker logs {fact.name}` and `docker inspect` for why, before it no longer starts",
                 brief=brief(self.key, f"{self._trend.count} restarts, ever faster"),
                 condition="restarts_rising",
-                target="",
-                **values,
+                values=values,
             )
-        return api.ok(f"Container {self.key} is running", **values)
+        return api.ok(f"Container {self.key} is running", values=values)
 
     def _stopped(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:
         key, status = self.key, fact.status
@@ -143,7 +142,7 @@ class Container(PerContainer):
         ended = f"exit code {fact.exit_code}: {code_in_words(fact.exit_code)}"
         if not self._restarts.looping:
             # Usually over within 0.1 s: wait for its outcome.
-            return api.stale(f"{self.key} has exited ({ended}); Docker is about to restart it", brief="", **values)
+            return api.stale(f"{self.key} has exited ({ended}); Docker is about to restart it", values=values)
         words = (
             f"{self.key} exits repeatedly; Docker waits before restarting it (restart {fact.restart_count}; last {ended})."
             f"{said} PHM leaves it to Docker's restart policy; see `docker logs {fact.name}`"
@@ -164,4 +163,4 @@ class Container(PerContainer):
         return self._bad("exited", words, f"exited {fact.exit_code}", values)
 
     def _bad(self, condition: str, words: str, short: str, values: dict[str, api.Value] | None = None) -> api.Result:
-        return api.error(words, brief=brief(self.key, short), condition=condition, target=self.key, **(values or {}))
+        return api.error(words, brief=brief(self.key, short), condition=condition, target=self.key, values=values)

@@ -122,7 +122,7 @@ class Diagnostics(api.Check):
             return self._not_received(item, fact, world.clock.mono() - began_s)
         worst = min(evaluated, key=lambda one: _RANK[one.level])
         if worst.level is Level.OK:
-            return api.ok(_ok_summary(evaluated), heard=len(evaluated))
+            return api.ok(_ok_summary(evaluated), values={"heard": len(evaluated)})
         return _bad(worst, evaluated, item.container)
 
     def _not_received(self, item: Watched, fact: api.RosFact, ran_s: float) -> api.Result:

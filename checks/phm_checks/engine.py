@@ -50,4 +50,4 @@ class Engine(api.Check):
                 brief="Docker not responding",
                 condition="engine_down",
             )
-        return api.ok(f"Docker Engine {version} responds", engine_version=version)
+        return api.ok(f"Docker Engine {version} responds", values={"engine_version": version})

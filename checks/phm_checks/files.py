@@ -49,7 +49,7 @@ class Files(PerContainer):
         }
         if first.level is api.Level.OK:
             paths = listed(wanted.path for wanted in self.entry.files)
-            return api.ok(f"File check passed: {paths}", **values)
+            return api.ok(f"File check passed: {paths}", values=values)
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
         return replace(first, summary=summary, values=values)
 

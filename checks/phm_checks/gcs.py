@@ -49,9 +49,9 @@ class Gcs(api.Check):
     def run(self, world: api.World) -> api.Result:
         fact, limit_s = world.links.gcs(), self._settings.mavlink.gcs_timeout
         if fact is None:
-            return api.bypass("no ground station heartbeat received yet", gcs_age_s=None)
+            return api.bypass("no ground station heartbeat received yet", values={"gcs_age_s": None})
         if fact.left:
-            return api.bypass("the last ground station has announced its end", gcs_age_s=None)
+            return api.bypass("the last ground station has announced its end", values={"gcs_age_s": None})
         values: dict[str, api.Value] = {
             "gcs_age_s": round(fact.age_s, 1),
             "gcs": f"{fact.system}/{fact.component}",
@@ -59,21 +59,20 @@ class Gcs(api.Check):
         }
         if fact.silent_s <= limit_s and not self._early(world, fact):
             self._age.forget("gcs")
-            return api.ok(f"last ground station heartbeat {span(fact.age_s)} ago", **values)
+            return api.ok(f"last ground station heartbeat {span(fact.age_s)} ago", values=values)
         if all_closed(world, to_ground(self._settings)):
             words = "ground station state unknown: every link to the ground is closed"
-            return api.stale(words, brief="", **values)
+            return api.stale(words, values=values)
         if not _alone(world, fact) and self._radio_due(world, fact):
             words = f"no ground station heartbeat for {span(fact.age_s)}, and no report from the onboard radio since, which is due"
-            return api.stale(words, brief="", **values)
+            return api.stale(words, values=values)
         expected_s = fact.due_s if fact.overdue and fact.due_s is not None else limit_s
         return api.error(
             f"no ground station heartbeat for {span(fact.age_s)}, expected one within {span(expected_s)}: "
             f"{self._advice(world, fact)}",
             brief=brief("GCS:", f"no heartbeat {self._age.show('gcs', fact.age_s):.0f} s"),
             condition="gcs_lost",
-            target="",
-            **values,
+            values=values,
         )
 
     def _early(self, world: api.World, fact: api.GcsFact) -> bool:

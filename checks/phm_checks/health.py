@@ -41,12 +41,10 @@ class Health(PerContainer):
         output = clean(fact.health_output)
         values: dict[str, api.Value] = {"health": fact.health, "failing_streak": fact.health_streak}
         if fact.health == "healthy":
-            return api.ok(f"Health check of {self.key} passes", **values)
+            return api.ok(f"Health check of {self.key} passes", values=values)
         if fact.health == "unhealthy" and fact.health_streak == 0:
             # The engine reports this between the end of a pause and the first probe after it.
-            return api.stale(
-                f"health check of {self.key} has not run since the container was paused", brief="", **values
-            )
+            return api.stale(f"health check of {self.key} has not run since the container was paused", values=values)
         if fact.health == "unhealthy":
             unhealthy = api.error(
                 f"health check of {self.key} failed {fact.health_streak} times in a row, expected healthy. Last output: "
@@ -54,14 +52,14 @@ class Health(PerContainer):
                 brief=brief(self.key, "unhealthy"),
                 condition="unhealthy",
                 target=self.key,
-                **values,
+                values=values,
             )
             return replace(unhealthy, age_s=world.clock.mono() - shown_from)
         if fact.health == "starting":
             decides_s = fact.healthcheck.decides_s if fact.healthcheck is not None else None
             within = f", which may take {span(decides_s)} from its start" if decides_s is not None else ""
             words = f"health check of {self.key} has not decided yet (starting){within}"
-            return replace(api.stale(words, brief="", **values), decides_s=decides_s)
+            return replace(api.stale(words, values=values), decides_s=decides_s)
         return self._none(values)
 
     def _note_probe(self, fact: api.ContainerFact | None, now: float) -> float:
@@ -79,12 +77,12 @@ class Health(PerContainer):
 
     def _none(self, values: dict[str, api.Value]) -> api.Result:
         if self.entry.healthcheck != "required":
-            return api.bypass(f"No health check defined for {self.key}.", **values)
+            return api.bypass(f"No health check defined for {self.key}.", values=values)
         return api.error(
             f"{self.key} has no health check, but the configuration requires one: add HEALTHCHECK to its image or "
             "`healthcheck:` to its compose file, or set `healthcheck: auto`",
             brief=brief(self.key, "no healthcheck"),
             condition="healthcheck_missing",
             target=self.key,
-            **values,
+            values=values,
         )

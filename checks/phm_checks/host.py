@@ -100,7 +100,7 @@ class Host(api.Check):
             findings.append(self._bad(level, words, shown, "memory_high", values))
         rising = api.Evidence(rising=self._memory_stalls.rising and stalled is None)
         if not findings:
-            return api.ok(f"Memory at {used:.0f} %", **values).with_evidence(rising)
+            return api.ok(f"Memory at {used:.0f} %", values=values).with_evidence(rising)
         first = api.worst(findings).with_evidence(rising)
         return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
 
@@ -126,7 +126,7 @@ class Host(api.Check):
         if level is Level.OK:
             self._steady.forget("io")
             words = f"Tasks wait for disks {fact.io_stalled_percent:.0f} % of the time"
-            return api.ok(words, **values).with_evidence(api.Evidence(rising=self._io_stalls.rising))
+            return api.ok(words, values=values).with_evidence(api.Evidence(rising=self._io_stalls.rising))
         words = (
             f"the computer waited for its disks {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/io), expected below "
             f"{self._io_limit.warn:g} %: a slow or worn SD card, or a program that writes more than it can handle; write less, or to "
@@ -145,7 +145,7 @@ class Host(api.Check):
         for finding in findings:
             values.update(finding.values)
         if first.level is Level.OK:
-            return api.ok(joined([finding.summary for finding in findings]), **values)
+            return api.ok(joined([finding.summary for finding in findings]), values=values)
         summary = joined([finding.summary for finding in findings if finding.level is not Level.OK])
         return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
 
@@ -173,7 +173,7 @@ class Host(api.Check):
                     f"writes to it, {disk.free_bytes / 1e6:.0f} MB are free"
                 )
                 return self._bad(Level.WARN, words, f"disk {path} full {forecast.short(soon)}", "disk_filling", values)
-            return api.ok(f"Disk {path} is {disk.used_percent:.0f} % full", **values)
+            return api.ok(f"Disk {path} is {disk.used_percent:.0f} % full", values=values)
         words = (
             f"disk {path} at {most:.0f} % {what}, {disk.free_bytes / 1e6:.0f} MB free, expected below "
             f"{self._limits.disk.warn:g} %: remove old logs, bags and images (`docker system df`)"
@@ -187,7 +187,7 @@ class Host(api.Check):
         """Temperature and throttling: both slow the CPU down."""
         fans: dict[str, api.Value] = {f"fan_rpm {number}": rpm for number, rpm in enumerate(fact.fans_rpm)}
         if fact.temperature_c is None and fact.throttled is None:
-            return api.bypass("This machine does not report its temperature.", **fans)
+            return api.bypass("This machine does not report its temperature.", values=fans)
         values: dict[str, api.Value] = {"temperature_c": fact.temperature_c, **fans}
         findings = []
         if fact.temperature_c is not None:
@@ -211,7 +211,7 @@ class Host(api.Check):
             return api.Result(first.level, summary, first.brief, first.condition, values=values)
         heat = "Temperature not reported" if fact.temperature_c is None else f"Temperature {fact.temperature_c:.0f} C"
         earlier = f", earlier: {listed(fact.throttled)}" if fact.throttled else ""
-        return api.ok(f"{heat}{earlier}", **values)
+        return api.ok(f"{heat}{earlier}", values=values)
 
     def _judge_clock(self, fact: api.HostFact, now: float) -> api.Result:
         """WARN after a jump. An unsynchronised clock is only mentioned: in the field there is often no time source."""
@@ -233,7 +233,7 @@ class Host(api.Check):
             False: "Clock is steady but not synchronised: logs of different agents may not line up",
             None: "Clock is steady; this machine does not report whether it is synchronised",
         }
-        return api.ok(said[fact.clock_synchronized], **values)
+        return api.ok(said[fact.clock_synchronized], values=values)
 
     @staticmethod
     def _bad(level: Level, words: str, short: str, condition: str, values: Mapping[str, api.Value]) -> api.Result:

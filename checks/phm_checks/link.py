@@ -91,7 +91,7 @@ class Link(api.Check):
         if not findings:
             self._loss.forget("loss")
             self._silence.forget("silence")
-            return api.ok(f"MAVLink endpoint {clean(link.name, 80)} is open{_traffic(link)}", **values)
+            return api.ok(f"MAVLink endpoint {clean(link.name, 80)} is open{_traffic(link)}", values=values)
         first = api.worst(findings)
         words = joined([finding.summary for finding in findings])
         return api.Result(first.level, words, first.brief, first.condition, first.target, values)

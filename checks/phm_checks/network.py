@@ -61,7 +61,7 @@ class Network(PerContainer):
         if bad:
             summary = joined([finding.summary for finding in bad])
             return api.Result(bad[0].level, summary, bad[0].brief, bad[0].condition, self.key, values)
-        return self._blocked(world, fact) or api.ok(joined([finding.summary for finding in findings]), **values)
+        return self._blocked(world, fact) or api.ok(joined([finding.summary for finding in findings]), values=values)
 
     def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
         """The result when the networks are correct, but no data from the nodes arrive; None when they do."""

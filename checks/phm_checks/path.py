@@ -81,10 +81,10 @@ class CommandPath(api.Check):
         values: dict[str, api.Value] = {one.name: one.state.value for one in hops}
         broken = first_broken(hops)
         if broken is None and found[0].state is HopState.UNKNOWN and found[-1].state is HopState.UNUSED:
-            return api.bypass(f"neither a ground station nor an autopilot received yet: {words}", **values)
+            return api.bypass(f"neither a ground station nor an autopilot received yet: {words}", values=values)
         if broken is None:
-            return api.ok(f"no broken hop detected on the command path: {words}{self._unclear}", **values)
-        result = api.stale(f"the command path is broken at {broken.name}: {words}", brief="", **values)
+            return api.ok(f"no broken hop detected on the command path: {words}{self._unclear}", values=values)
+        result = api.stale(f"the command path is broken at {broken.name}: {words}", values=values)
         return result.with_evidence(api.Evidence(broken_hop=broken.name))
 
     def _hops(self, world: api.World) -> list[Hop]:

@@ -66,9 +66,9 @@ class Peers(api.Check):
             return api.Result(first.level, words, first.brief, first.condition, values=values, evidence=first.evidence)
         if not fact.peers:
             return api.bypass(
-                "no heartbeat from another agent received, and none is configured (swarm.agents)", **values
+                "no heartbeat from another agent received, and none is configured (swarm.agents)", values=values
             )
-        return api.ok(f"{fact.living} of {fact.members} agents of the swarm are alive", **values)
+        return api.ok(f"{fact.living} of {fact.members} agents of the swarm are alive", values=values)
 
     def _split(self, fact: api.SwarmFact) -> list[api.Result]:
         lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]
@@ -122,8 +122,8 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         short = brief(name, f"not seen by {_names(peer.not_heard_by, 3)}")
         return api.Result(Level.WARN, words, short, "peer_partly", values=values, evidence=known)
     if peer.state == "left":
-        return api.bypass(f"agent {name} was shut down intentionally", **values)
-    return api.ok(f"agent {name} is {peer.state}", **values)
+        return api.bypass(f"agent {name} was shut down intentionally", values=values)
+    return api.ok(f"agent {name} is {peer.state}", values=values)
 
 
 def _duplicate_ids(fact: api.SwarmFact) -> list[api.Result]:

@@ -98,7 +98,9 @@ class Pressure(PerContainer):
         ]
         values = _values(fact, over)
         if not findings:
-            result = api.ok(f"{self.key} has enough CPU, memory and I/O ({fact.source}{_not_seen(fact)})", **values)
+            result = api.ok(
+                f"{self.key} has enough CPU, memory and I/O ({fact.source}{_not_seen(fact)})", values=values
+            )
             return result.with_evidence(api.Evidence(rising=self._above(newest)))
         first = api.worst(findings)
         return replace(first, summary=joined([finding.summary for finding in findings]), values=values)

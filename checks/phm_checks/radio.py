@@ -84,7 +84,7 @@ class Radio(api.Check):
             brief=brief(f"{self._label}:", f"no RADIO_STATUS{shown}"),
             condition="radio_silent",
             target=target_of(self.entry.key) if nothing else "",
-            radio_age_s=None if age_s is None else round(age_s, 1),
+            values={"radio_age_s": None if age_s is None else round(age_s, 1)},
         )
 
     def _judged(self, fact: api.RadioFact, at_s: float) -> api.Result:
@@ -94,10 +94,10 @@ class Radio(api.Check):
         if not findings:
             self._margin.forget("margin")
             alone = "; it receives nothing from the remote radio" if fact.alone else ""
-            return api.ok(f"last RADIO_STATUS {span(fact.age_s)} ago{_margin_words(fact)}{alone}", **values)
+            return api.ok(f"last RADIO_STATUS {span(fact.age_s)} ago{_margin_words(fact)}{alone}", values=values)
         first = findings[0]
         words = joined([finding.summary for finding in findings])
-        return api.warn(words, brief=first.brief, condition=first.condition, target="", **values)
+        return api.warn(words, brief=first.brief, condition=first.condition, values=values)
 
     def _weak(self, fact: api.RadioFact) -> list[api.Result]:
         limit = self._limits.radio_margin + (EASE_MARGIN if "radio_weak" in self._was else 0.0)

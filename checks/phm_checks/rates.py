@@ -130,7 +130,7 @@ class Rates(api.Check):
             return api.stale(f"{name} is not measured yet: it has no sampler")
         values = _values(topic, seen.rate)
         if seen.rate.problem:
-            return api.stale(f"rate of {name} cannot be measured: {clean(seen.rate.problem)}", brief="", **values)
+            return api.stale(f"rate of {name} cannot be measured: {clean(seen.rate.problem)}", values=values)
         case = _Case(topic, topic.rate, self._targets[_unit(topic)], values)
         hz, silent_s = seen.rate.hz, seen.rate.silent_s
         if silent_s is None:
@@ -139,7 +139,7 @@ class Rates(api.Check):
             memory.off_since = None
             return self._silent(case, silent_s, seen, fact, world.clock.mono())
         if hz is None:
-            return api.stale(f"{name} is received; measuring its rate", brief="", **values)
+            return api.stale(f"{name} is received; measuring its rate", values=values)
         return self._rate(case, hz, seen, fact, memory, world.clock.mono())
 
     def _silent(self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact, now: float) -> api.Result:
@@ -175,14 +175,16 @@ class Rates(api.Check):
                 f"{name}: offline. It is latched but has no publisher: start the node that publishes it",
                 brief=brief(last(name), "has no publisher"),
                 condition="not_received",
-                publishers=0,
+                values={"publishers": 0},
             )
         values: dict[str, api.Value] = {"publishers": len(seen.publishers)}
         rate = seen.rate
         if rate is None or rate.problem:
-            return api.ok(f"{name}: latched, its publisher exists", **values)
+            return api.ok(f"{name}: latched, its publisher exists", values=values)
         if rate.age_s is not None:
-            return api.ok(f"{name}: latched, published {span(rate.age_s)} ago", age_s=round(rate.age_s, 1), **values)
+            return api.ok(
+                f"{name}: latched, published {span(rate.age_s)} ago", values={"age_s": round(rate.age_s, 1), **values}
+            )
         kept = all((end.durability, end.reliability) == ("transient_local", "reliable") for end in seen.publishers)
         if rate.silent_s is None and kept and fact.up_s >= self._grace_s:
             return api.warn(
@@ -190,17 +192,15 @@ class Rates(api.Check):
                 "was published yet, or the transport is blocked",
                 brief=brief(last(name), "not received"),
                 condition="not_received",
-                publishers=len(seen.publishers),
+                values={"publishers": len(seen.publishers)},
             )
-        return api.ok(f"{name}: latched, its publisher exists", **values)
+        return api.ok(f"{name}: latched, its publisher exists", values=values)
 
     def _never(self, case: _Case, seen: api.TopicFact, fact: api.RosFact, world: api.World) -> api.Result:
         """A topic that is listed but was never received. Slow topics get three periods."""
         if not self._due(case.topic, fact):
             return api.stale(
-                f"no sample of {case.name} yet; PHM has listened for only {span(fact.heard_for_s)}",
-                brief="",
-                **case.values,
+                f"no sample of {case.name} yet; PHM has listened for only {span(fact.heard_for_s)}", values=case.values
             )
         if evidence := self._blocked(case.target, seen, fact):
             return self._bad(
@@ -262,14 +262,14 @@ class Rates(api.Check):
         if off <= warn + 1e-6:
             memory.off_since = None
             self._hz.forget(case.name)
-            return self._widening(case, measured, memory, now) or api.ok(f"{case.name}: {hz:.3f}", **case.values)
+            return self._widening(case, measured, memory, now) or api.ok(f"{case.name}: {hz:.3f}", values=case.values)
         if memory.off_since is None:
             memory.off_since = now
         sure = self._changed(seen, fact)
         if not sure and not _confirmed(case, measured, now - memory.off_since):
             if memory.reported is not None and memory.reported.level is not Level.STALE:
                 return memory.reported
-            return api.stale(f"{case.name} was measured once at {hz:.3f} Hz; measuring again", brief="", **case.values)
+            return api.stale(f"{case.name} was measured once at {hz:.3f} Hz; measuring again", values=case.values)
         low = hz < case.rate
         result = self._bad(
             Level.ERROR if off > error + 1e-6 else Level.WARN,

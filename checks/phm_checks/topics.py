@@ -133,7 +133,7 @@ class Topics(api.Check):
         return api.ok(
             f"Topic {api.topic_id(topic.name)} is connected: {_count(seen.publishers, 'publisher')}, "
             f"{_count(seen.subscribers, 'subscriber')}",
-            **_numbers(seen),
+            values=_numbers(seen),
         )
 
     def _audit(self, topic: api.TopicSettings, seen: api.TopicFact) -> Sequence[api.Result]:

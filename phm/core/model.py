@@ -12,6 +12,7 @@ from enum import Enum, IntEnum
 
 Value = str | int | float | bool | None
 """Types allowed in a result's `values`: those that JSON represents without loss."""
+Values = Mapping[str, Value]
 ON_HOLD = "on_hold"
 """Condition of a STALE unit whose target is on hold: the unit is bad intentionally, so this is not a fault."""
 

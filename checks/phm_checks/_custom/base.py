@@ -88,7 +88,7 @@ class CustomCheck(api.Check):
         text = f"{self.subject}: {clean(found.text, 300)}"
         if found.level is Level.OK:
             self._shown = (Level.OK, "", 0.0)
-            return api.ok(text, **found.values)
+            return api.ok(text, values=found.values)
         level = Level.WARN if self.entry.level == "warn" else found.level
         words = f"{text}. {clean(self.entry.advice)}" if self.entry.advice else text
         short = brief(self.entry.brief or brief(self.subject, found.short))

@@ -11,4 +11,4 @@ class Battery(api.Check):
     name, slot, layer = "battery", api.Slot.USER_1, api.Layer.CUSTOM
 
     def run(self, world: api.World) -> api.Result:
-        return api.ok("battery at 15.2 V", battery_v=15.2)
+        return api.ok("battery at 15.2 V", values={"battery_v": 15.2})
