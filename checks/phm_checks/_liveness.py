@@ -56,8 +56,9 @@ BLIND_HANG_S = 15.0
 CERTAIN_HANG_S = 15.0
 """A lack of CPU does not block an executor for this long while the beacon of the same process is on time: with 3 % of a core, executors
 ran more than twice a second."""
-LOST_S = 5.0
-"""PHM waits this long for a node that left the graph while its process runs: on a machine short of CPU, leases expire."""
+LOST_S = 10.0
+"""PHM waits this long for a node that left the graph while its process runs: on a machine short of CPU, leases expire, and the ROS child
+then needs up to 10 s to rediscover it with a second participant (`phm.probes.ros.second_look`)."""
 GOODBYE_S = 0.3
 """Nodes that shut down cleanly leave the graph a moment before PHM sees that their container has exited."""
 BARE_S = 2.0
