@@ -183,7 +183,7 @@ def outlasted(record: UnitRecord, now: float) -> bool:
     )
 
 
-def observe(record: UnitRecord, now: float) -> Change:
+def observe(record: UnitRecord, now: float) -> StarvationChange:
     """Record the latest result of a pressure unit: it explains symptoms until RECOVERY_S after its newest measurement above the
     limit, however long its report goes on.
     """
@@ -201,7 +201,7 @@ def observe(record: UnitRecord, now: float) -> Change:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class StarvationChange:
     """What a result of a pressure unit has changed. below_from: since when nothing waits (monotonic seconds), of a starvation that ended."""
 
     began: bool = False
@@ -209,8 +209,8 @@ class Change:
     below_from: float = 0.0
 
 
-def _change(was: Starvation | None, now: Starvation | None, below_from: float) -> Change:
-    return Change(was is None and now is not None, was is not None and now is None, below_from)
+def _change(was: Starvation | None, now: Starvation | None, below_from: float) -> StarvationChange:
+    return StarvationChange(was is None and now is not None, was is not None and now is None, below_from)
 
 
 def ended(record: UnitRecord, pressure_unit: str, below_from: float) -> None:

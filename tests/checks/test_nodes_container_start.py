@@ -9,6 +9,7 @@ import pytest
 
 from phm import api
 from phm_checks._graph_evidence import TWICE_S
+from phm_checks._liveness import LOST_S
 from phm_checks._process_table import BLIND_S, QUIET_S, SOON_S
 from tests.fakes.nodes_bench import (
     GRACE_S,
@@ -249,7 +250,7 @@ def test_an_unusual_start_has_its_full_grace(why: str) -> None:
     if why == "nothing is known":
         bench.processes(MAIN)
         bench.ros.change(nodes={})
-        bench.result()
+        bench.after(LOST_S + 1.0)
         later = restarted(bench, late_s=90.0)
     elif why == "the sibling is missing, too":
         later = restarted(bench, sibling_s=99.0)

@@ -8,7 +8,7 @@ import pytest
 
 from phm import api
 from phm.recovery.actions.ladders import LADDERS
-from phm_checks._liveness import HANG_S
+from phm_checks._liveness import HANG_S, LOST_S
 from phm_checks._process_table import BLIND_S
 from phm_checks.nodes import BUSY_S
 from tests.fakes.nodes_bench import (
@@ -46,7 +46,7 @@ def test_only_evidence_from_its_process_is_conclusive() -> None:
     assert (stopped.condition, stopped.evidence.conclusive) == ("node_hung", True)
     bench.processes(MAIN, ONE)
     bench.ros.change(nodes={})
-    left = bench.after(8.0)
+    left = bench.after(LOST_S + 3.0)
     assert (left.condition, left.evidence.conclusive) == ("node_missing", False)
     bench.processes(MAIN)
     dead = bench.after(12.0)
@@ -77,7 +77,7 @@ def test_a_node_that_only_left_the_graph_may_come_back_by_waiting() -> None:
     bench = rated()
     bench.after(3.0)
     bench.ros.change(nodes={}, topics=active_topic(9.0))
-    left = bench.after(8.0)
+    left = bench.after(LOST_S + 3.0)
     assert (left.condition, left.evidence.certain) == ("node_missing", False)
 
 
