@@ -15,7 +15,7 @@ MAKERS = [api.ok, api.bypass, api.warn, api.error, api.stale]
 
 @pytest.mark.parametrize("make", MAKERS)
 def test_a_misspelt_argument_is_refused(make: Callable[..., api.Result]) -> None:
-    """It is no measurement: without `**values`, mypy refuses it, too."""
+    """It does not become a measurement: without `**values`, mypy refuses it, too."""
     known = inspect.signature(make).parameters
     assert all(parameter.kind is not inspect.Parameter.VAR_KEYWORD for parameter in known.values())
     needed: dict[str, Any] = {name: "x" for name in ("brief", "condition") if name in known}
