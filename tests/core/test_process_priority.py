@@ -12,10 +12,10 @@ from phm.core.process_priority import apply
 from phm.core.settings import ProcessSettings
 
 INHERITED = """
-import os, threading
+import os, sys, threading
 from phm.core.process_priority import apply
 from phm.core.settings import ProcessSettings
-found = apply(ProcessSettings(nice=os.getpriority(os.PRIO_PROCESS, 0) + 1))
+found = apply(ProcessSettings(nice=int(sys.argv[1])))
 seen = []
 thread = threading.Thread(target=lambda: seen.append(os.getpriority(os.PRIO_PROCESS, 0)))
 thread.start(), thread.join()
@@ -30,14 +30,14 @@ print(min(1000, before + 500) == own())
 """
 
 
-def run(script: str) -> str:
-    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
+def run(script: str, *words: str) -> str:
+    return subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True).stdout.strip()
 
 
 def test_threads_that_are_started_later_inherit_it() -> None:
     """It is set before there are threads: main loop, links and the ROS child process inherit it."""
     nice = min(19, os.getpriority(os.PRIO_PROCESS, 0) + 1)
-    assert run(INHERITED) == f"{nice} {nice}"
+    assert run(INHERITED, str(nice)) == f"{nice} {nice}"
 
 
 def test_a_denied_priority_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,9 @@ PHM = (sys.executable, "-m", "phm.cli")
 STATUS_COLUMNS, STATUS_ROWS = 116, 60
 TABLE_COLUMNS, TABLE_ROWS = 110, 32
 LOOK_S = 0.2
-FIRST_FAULT = "A02 FAIL 10"
+FIRST_FAULT, FIRST_FAULT_OVER, LAST_FAULT = "A02 FAIL 10", "A02 OK", "A03 broken at companion"
+DEMO_RUNS = 3
+"""Both faults of `phm demo` are there for a few seconds, and on a busy machine another agent may miss a measurement just then."""
 PROVEN_S = 10.0
 """How long PHM has received the autopilot before its connection fails: longer than the settling of a start."""
 
@@ -57,16 +59,27 @@ def _status_and_gcs(state: Path, folder: Path, ports: DemoPorts) -> None:
 
 
 def _demo(state: Path, folder: Path, ports: DemoPorts) -> None:
+    for _ in range(DEMO_RUNS):
+        shown = _demo_screen(state, ports)
+        if not catalog.missing("demo.svg", shown.plain):
+            break
+    _write(folder, "demo.svg", "phm demo", shown, TABLE_COLUMNS)
+
+
+def _demo_screen(state: Path, ports: DemoPorts) -> Text:
+    """The first drawing with everything that the caption says, or else one from after the first fault."""
     options = ("--for", "300", "--first-port", str(ports.first), "--ground-port", str(ports.ground))
     with terminal([*PHM, "demo", *options], TABLE_COLUMNS, TABLE_ROWS, {"TMPDIR": str(state)}) as demo:
-        until(
-            lambda: "A03 broken at companion" in demo.screen().plain,
-            "both faults",
-            lambda: demo.screen().plain,
-            poll_s=LOOK_S,
-        )
-        shown = demo.screen()
-    _write(folder, "demo.svg", "phm demo", _since_fault(shown), TABLE_COLUMNS)
+
+        def complete() -> Text | None:
+            screen = demo.screen()
+            if LAST_FAULT not in screen.plain:
+                return None
+            shown = _since_fault(screen)
+            return shown if FIRST_FAULT_OVER in shown.plain or not catalog.missing("demo.svg", shown.plain) else None
+
+        shown: Text = until(complete, "both faults", lambda: demo.screen().plain, poll_s=LOOK_S)
+    return shown
 
 
 def _healthy(swarm: PictureAgents) -> bool:
