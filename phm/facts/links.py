@@ -76,6 +76,10 @@ class AutopilotFact:
     """Has the same meaning as in `GcsFact`."""
     rebooting_s: float | None = None
     """Since it acknowledged a command to reboot; None: it has not, or it was seen to reboot since."""
+    contradicted: bool = False
+    """Its heartbeats reported armed and disarmed as no single vehicle does, and no landing was received since."""
+    landed_s: float | None = None
+    """Since a link changed to disarmed after it had reported nothing but armed for seconds; None: never."""
 
     @property
     def silent_s(self) -> float:

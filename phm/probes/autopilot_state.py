@@ -16,6 +16,7 @@ from typing import Any
 from phm.core.scheduling_delay import Late, never_late
 from phm.facts.links import REBOOT_SILENCE_S, AutopilotFact
 from phm.probes.adaptive_timeout import AdaptiveTimeout
+from phm.probes.armed_reports import ArmedReports
 from phm.transport.dialect import mavlink
 
 BACK_S = 3.0
@@ -42,6 +43,7 @@ class AutopilotState:
         self._silent_s = min(timeout_s, REBOOT_SILENCE_S)
         self._said: dict[str, tuple[float, bool]] = {}
         """Per link: time of the last heartbeat, and whether it reported armed."""
+        self._reports = ArmedReports(timeout_s)
         self._said_armed: dict[bool, float] = {}
         """When armed (True) and disarmed (False) were last reported, on any link."""
         self._disarmed_from: float | None = None
@@ -95,6 +97,7 @@ class AutopilotState:
         self._cadence.beat(now, late_s)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         self._said[link] = (now, armed)
+        self._reports.heartbeat(now, armed, link)
         if armed:
             self._disarmed_from = None
         elif self._disarmed_from is None or now - self._said_armed.get(False, now) > self._timeout_s:
@@ -167,6 +170,8 @@ class AutopilotState:
             None if self._disarmed_from is None else now - self._disarmed_from,
             max(min(unread_s, self._timeout_s), self._late_s(heard, self._timeout_s)),
             None if self._commanded is None else now - self._commanded,
+            self._reports.contradicted(),
+            None if self._reports.landed is None else now - self._reports.landed,
         )
 
     def _reboot(self, now: float, *, armed: bool, began: float | None = None) -> bool:

@@ -31,7 +31,9 @@ print(min(1000, before + 500) == own())
 
 
 def run(script: str, *words: str) -> str:
-    return subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        [sys.executable, "-c", script, *words], capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def test_threads_that_are_started_later_inherit_it() -> None:

@@ -99,7 +99,8 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
         def last_known(body: Any) -> LastArmedState | None:
             if body is None:
                 return None
-            return LastArmedState(body["armed"] is True, carried(_read_stamp(body["since"]), FAULT_AGE_S).mono)
+            since = carried(_read_stamp(body["since"]), FAULT_AGE_S)
+            return LastArmedState(body["armed"] is True, since.mono, body.get("contradicted") is True)
 
         def generation(body: Any) -> Generation:
             name, started, by = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "by"))
@@ -175,7 +176,7 @@ def _generation_data(generation: Generation, now: Stamp) -> dict[str, Any]:
 
 
 def _last_known(last: LastArmedState, now: Stamp) -> dict[str, Any]:
-    return {"armed": last.armed, "since": _moment(last.since, now)}
+    return {"armed": last.armed, "since": _moment(last.since, now), "contradicted": last.contradicted}
 
 
 def _hold(kept: PersistedHold) -> dict[str, Any]:

@@ -40,10 +40,12 @@ class ArmedStatus:
 
 @dataclass(frozen=True, slots=True)
 class LastArmedState:
-    """The part that survives a restart of PHM; `since`: when it was first observed (monotonic seconds)."""
+    """The part that survives a restart of PHM. since: when it was first observed (monotonic seconds)."""
 
     armed: bool
     since: float
+    contradicted: bool = False
+    """Its heartbeats contradicted each other: only a landing ends that."""
 
 
 def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | None = None) -> ArmedStatus:
@@ -62,6 +64,9 @@ def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | 
         return ArmedStatus(ArmedState.UNKNOWN, silent)
     if _within(fact.stalled_s, timeout_s):
         return ArmedStatus(ArmedState.UNKNOWN, "PHM was suspended and may have read old heartbeats of the autopilot")
+    if contradicted(fact, last):
+        why = "reported armed and disarmed by turns, and no landing since: another sender may use its id"
+        return ArmedStatus(ArmedState.ARMED, f"the autopilot {why}")
     if fact.rebooted_armed and (fact.rebooted_s is None or fact.rebooted_s <= REBOOT_S):
         ago = "" if fact.rebooted_s is None else f" {fact.rebooted_s:.0f} s ago"
         return ArmedStatus(ArmedState.ARMED, f"the autopilot rebooted while armed{ago}")
@@ -71,6 +76,13 @@ def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | 
             ArmedState.ARMED, f"the autopilot {why}: a disarmed report is trusted {REBOOT_S:.0f} s after the reboot"
         )
     return ArmedStatus(ArmedState.DISARMED, "the autopilot is disarmed")
+
+
+def contradicted(fact: AutopilotFact | None, last: LastArmedState | None) -> bool:
+    """Whether its heartbeats contradicted each other, in this run of PHM or in an earlier one, without a landing since."""
+    if fact is not None and (fact.contradicted or fact.landed_s is not None):
+        return fact.contradicted
+    return last is not None and last.contradicted
 
 
 def _never_received(last: LastArmedState | None) -> ArmedStatus:
@@ -114,11 +126,12 @@ class ArmedMonitor:
         self._last = last
 
     def now(self) -> ArmedStatus:
-        found = assess(self._pilot(), self._timeout_s, self._last)
-        armed = found.state is ArmedState.ARMED
+        fact = self._pilot()
+        found = assess(fact, self._timeout_s, self._last)
+        known = found.state is ArmedState.ARMED, contradicted(fact, self._last)
         certain = found.state is not ArmedState.UNKNOWN
-        if certain and (self._last is None or self._last.armed != armed):
-            self._last = LastArmedState(armed, self._clock.mono())
+        if certain and (self._last is None or (self._last.armed, self._last.contradicted) != known):
+            self._last = LastArmedState(known[0], self._clock.mono(), known[1])
         return found
 
     def kept(self) -> LastArmedState | None:

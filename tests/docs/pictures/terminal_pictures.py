@@ -17,7 +17,7 @@ from tests.fakes.until import until
 PHM = (sys.executable, "-m", "phm.cli")
 STATUS_COLUMNS, STATUS_ROWS = 116, 60
 TABLE_COLUMNS, TABLE_ROWS = 110, 32
-LOOK_S = 0.2
+LOOK_S, LIMIT_S = 0.2, 300.0
 FIRST_FAULT, FIRST_FAULT_OVER, LAST_FAULT = "A02 FAIL 10", "A02 OK", "A03 broken at companion"
 DEMO_RUNS = 3
 """Both faults of `phm demo` are there for a few seconds, and on a busy machine another agent may miss a measurement just then."""
@@ -43,14 +43,14 @@ def _status_and_gcs(state: Path, folder: Path, ports: DemoPorts) -> None:
         def seen() -> object:
             return swarm.logs(), gcs.screen().plain
 
-        until(lambda: _healthy(swarm), "four agents without a fault", seen, poll_s=LOOK_S)
+        until(lambda: _healthy(swarm), "four agents without a fault", seen, limit_s=LIMIT_S, poll_s=LOOK_S)
         swarm.relay.stall()
-        until(lambda: _resolved(swarm.status(BUSY)), "the reopened connection", seen, poll_s=LOOK_S)
+        until(lambda: _resolved(swarm.status(BUSY)), "the reopened connection", seen, limit_s=LIMIT_S, poll_s=LOOK_S)
         swarm.kill_planner(BUSY)
         swarm.kill_daemon(DEAD)
-        until(lambda: _blocked(swarm.status(BUSY)), "the fault of the planner", seen, poll_s=LOOK_S)
+        until(lambda: _blocked(swarm.status(BUSY)), "the fault of the planner", seen, limit_s=LIMIT_S, poll_s=LOOK_S)
         lost = f"A{DEAD:02d} broken at companion"
-        until(lambda: lost in gcs.screen().plain, "the loss of an agent", seen, poll_s=LOOK_S)
+        until(lambda: lost in gcs.screen().plain, "the loss of an agent", seen, limit_s=LIMIT_S, poll_s=LOOK_S)
         table = gcs.screen()
         with terminal([*PHM, "status", "--run-dir", str(swarm.run_dir(BUSY))], STATUS_COLUMNS, STATUS_ROWS) as status:
             shown = status.output()
@@ -78,7 +78,7 @@ def _demo_screen(state: Path, ports: DemoPorts) -> Text:
             shown = _since_fault(screen)
             return shown if FIRST_FAULT_OVER in shown.plain or not catalog.missing("demo.svg", shown.plain) else None
 
-        shown: Text = until(complete, "both faults", lambda: demo.screen().plain, poll_s=LOOK_S)
+        shown: Text = until(complete, "both faults", lambda: demo.screen().plain, limit_s=LIMIT_S, poll_s=LOOK_S)
     return shown
 
 

@@ -11,8 +11,9 @@ from tests.docs.pictures.agents import free_ports
 
 
 @pytest.mark.long
-def test_real_runs_show_what_the_captions_say(tmp_path: Path) -> None:
+def test_real_runs_show_what_the_captions_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A fault, the recovery of another one and a lost agent are in the tables, and in the drawings of them."""
+    monkeypatch.setenv("PHM_DEMO_HOST", "false")  # the load of the machine that runs the tests is not shown
     folder, state = tmp_path / "pictures", tmp_path / "state"
     folder.mkdir()
     state.mkdir()

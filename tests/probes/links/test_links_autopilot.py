@@ -187,7 +187,7 @@ def test_two_links_that_disagree_count_as_armed_and_are_reported() -> None:
     scene.receive(7, 1, pilot(), "router")
     fact = scene.links.autopilot()
     assert fact is not None
-    assert not fact.armed
+    assert (fact.armed, fact.contradicted) == (False, True)
     assert scene.links.problems() == ()
 
 

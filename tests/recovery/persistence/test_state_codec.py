@@ -56,7 +56,7 @@ FULL = PersistedState(
         {"ab12-1": PersistedCase(True, ("advised start",), "start")},
         {"app": UnfinishedAction("ab12-1", attempt(99.0))},
         {"app": Generation("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, OTHERS), "side": Generation("id1", "t")},
-        LastArmedState(True, 91.0),
+        LastArmedState(True, 91.0, contradicted=True),
         {"app": "app", "side": "app"},
         lowered=(LoweredWeight("other", "id3", 512, "pressure/app"),),
     ),
