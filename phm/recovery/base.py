@@ -155,6 +155,7 @@ class ActionContext:
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within this many seconds.
     armed:      the armed state of the vehicle now.
     relief:     lowers CPU weights and restores them later.
+    restart_ros: starts PHM's own ROS process again, for the reason given; the application is not touched.
     on_hold:    why a container must not be restarted as a dependent: it is on hold, or an operator stopped it; empty: it may.
     lock_dependent: locks a dependent; inside this context, failures of the dependent are consequences of this recovery.
     """
@@ -173,6 +174,7 @@ class ActionContext:
     on_hold: Callable[[str], str] = lambda key: ""
     armed: Callable[[], ArmedStatus] = _not_known_armed
     relief: CpuWeights | None = None
+    restart_ros: Callable[[str], None] = lambda reason: None
 
 
 class Action(ABC):

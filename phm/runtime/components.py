@@ -21,13 +21,11 @@ from phm.commands.mavlink_commands import MavlinkCommands
 from phm.commands.services import CommandServices, no_reload
 from phm.core.bus import Bus
 from phm.core.clock import Clock
-from phm.core.model import ActionEvent, Event, Phase
 from phm.core.settings import Settings
 from phm.core.watchdog import DaemonWatchdog
 from phm.facts import SelfFact
 from phm.probes.docker_event import DockerEvent
 from phm.recovery.actions.cpu_weights import CpuWeights
-from phm.recovery.actions.join_network import JOINED
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor, NotNow
 from phm.recovery.holds.hold_registry import HoldRegistry
@@ -156,11 +154,12 @@ class Components:
             reopen=self.probes.reopen,
             on_hold=lambda key: held.why_not_start(key, clock.stamp()),
             relief=self.relief,
+            restart_ros=self.probes.restart_ros,
         )
         graces = {entry.unit.id: entry.unit.grace_s for entry in self.plan.tracked}
         self.executor = Executor(
             pipeline,
-            self._publish_action,
+            self.bus.publish,
             clock,
             registry.usable(registry.find(registry.ACTIONS, Action)),
             self.action_context,
@@ -190,11 +189,6 @@ class Components:
 
     def _acting_on(self, container: str) -> bool:
         return self.executor.action_on(container)
-
-    def _publish_action(self, event: Event) -> None:
-        self.bus.publish(event)
-        if isinstance(event, ActionEvent) and event.phase is Phase.DONE and JOINED in event.detail:
-            self.probes.restart_ros("PHM joined a network")
 
     def _observe(self, batch: CheckRun) -> None:
         """Docker events that arrived before these results are applied first, because they may explain them."""

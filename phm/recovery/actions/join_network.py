@@ -8,9 +8,6 @@ from phm.facts import NotPermitted
 from phm.recovery.actions._networks import missing, network_id, not_there
 from phm.recovery.base import Action, ActionContext, NotNeeded, Target, container_settings
 
-JOINED = "PHM joined network"
-"""In the sentence of each action that has put PHM on a network."""
-
 
 class JoinNetwork(Action):
     """Connect PHM's own container to the networks of a container, so that it can see its nodes."""
@@ -28,9 +25,16 @@ class JoinNetwork(Action):
         return not_there(gone) if gone and len(gone) == len(networks) else ""
 
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
-        return join_networks(container_settings(target), context) or NotNeeded(
-            f"PHM is on the networks of {target.key} already"
-        )
+        joined = rejoin_networks(container_settings(target), context)
+        return joined or NotNeeded(f"PHM is on the networks of {target.key} already")
+
+
+def rejoin_networks(container: ContainerSettings, context: ActionContext) -> str:
+    """As `join_networks`, while ROS runs: a DDS participant does not use an interface that was added after its start."""
+    joined = join_networks(container, context)
+    if joined:
+        context.restart_ros("PHM joined a network")
+    return joined
 
 
 def join_networks(container: ContainerSettings, context: ActionContext) -> str:
@@ -56,4 +60,4 @@ def join_networks(container: ContainerSettings, context: ActionContext) -> str:
                 raise
             continue
         joined.append(name)
-    return f"{JOINED} {', '.join(joined)}" if joined else ""
+    return f"PHM joined network {', '.join(joined)}" if joined else ""

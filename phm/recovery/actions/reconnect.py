@@ -8,7 +8,7 @@ from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact, NotPermitted
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
-from phm.recovery.actions.join_network import join_networks
+from phm.recovery.actions.join_network import rejoin_networks
 from phm.recovery.actions.restart import Restart, restart_dependents, restart_gracefully
 from phm.recovery.base import (
     Action,
@@ -102,7 +102,7 @@ def _join(container: ContainerSettings, context: ActionContext) -> str:
     Returns a clause for the log. It is empty if PHM is already connected, or cannot be: the next result shows that.
     """
     with contextlib.suppress(CannotTell):
-        joined = join_networks(container, context)
+        joined = rejoin_networks(container, context)
         return f"; {joined}" if joined else ""
     return ""
 

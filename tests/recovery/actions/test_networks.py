@@ -210,8 +210,10 @@ def test_phm_joins_the_existing_networks(fake: FakeEngine, ask: DockerEngine) ->
     made.settings.containers[0].networks.insert(0, "radio")
     fake.containers["phm"] = container("phm")
     me = testing.container("phm", id=fake.containers["phm"]["Id"])
-    context = replace(made.context(), own_container=lambda: me)
+    restarts: list[str] = []
+    context = replace(made.context(), own_container=lambda: me, restart_ros=restarts.append)
     assert JoinNetwork().run(made.target("app"), OFF, context) == "PHM joined network swarm"
+    assert restarts == ["PHM joined a network"]
 
 
 def both_off(fake: FakeEngine, ask: DockerEngine) -> tuple[Bench, ActionContext]:
@@ -224,9 +226,11 @@ def both_off(fake: FakeEngine, ask: DockerEngine) -> tuple[Bench, ActionContext]
 
 def test_phm_joins_the_network_to_which_it_reconnects_a_container(fake: FakeEngine, ask: DockerEngine) -> None:
     """Both have lost it: otherwise the container's unit stays bad, and the reconnection counts as failed after 30 s."""
+    restarts: list[str] = []
     made, context = both_off(fake, ask)
-    words = Reconnect().run(made.target("app"), OFF, context)
+    words = Reconnect().run(made.target("app"), OFF, replace(context, restart_ros=restarts.append))
     assert words == "reconnected app to swarm; PHM joined network swarm"
+    assert restarts == ["PHM joined a network"]
     assert changes(fake) == ["connect", "connect"]
 
 
