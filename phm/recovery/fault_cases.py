@@ -18,7 +18,7 @@ from phm.core.clock import Clock
 from phm.core.model import ActionEvent, Event, Fault, Phase
 from phm.recovery.actions.ladders import DOWN
 from phm.recovery.operator.approval import Approval
-from phm.recovery.ownership import Generation, Shared, by_phm
+from phm.recovery.ownership import Generation, Shared
 
 CLEAN_S = 600.0
 """After this long without an attempt, counts and back-off start again."""
@@ -321,7 +321,7 @@ class ExternalChanges:
         before, self._generation = self._generation, self._generations.current(self._target)
         if self._generation is None or before is None or self._generation.same(before):
             return
-        now, mine = self._clock.mono(), self._generation.by == by_phm(self._target)
+        now, mine = self._clock.mono(), self._generation.phm_for == self._target
         for case in cases:
             self._expect_current(case)
             if case.interrupted and not mine:

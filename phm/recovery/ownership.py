@@ -26,14 +26,12 @@ import contextlib
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 
 from phm.checking.pipeline import Pipeline
 from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact
 
-FOUND, ENGINE, OTHERS, RECREATED, COUNTED = "found", "engine", "others", "recreated", "counted"
-"""Who started a generation: unknown, it ran at the first observation; the restart policy; others; others, with a new
-container; and others, after the attempts were reset for it. PHM is `phm:` and the container for which it acted."""
 UNFINISHED_S = 600.0
 """How long a call without a response may take effect; older attempts do not count (`phm.recovery.policy.CLEAN_S`)."""
 SETTLED_S = 0.5
@@ -42,9 +40,23 @@ POLL_S = 0.05
 """A lock that another attempt has is tried again this often."""
 
 
-def by_phm(whose: str) -> str:
-    """`Generation.by` of a generation that PHM started to recover container `whose`."""
-    return f"phm:{whose}"
+class StartedBy(str, Enum):
+    """Who started a generation.
+
+    FOUND:     unknown, it ran at the first observation.
+    ENGINE:    the engine's restart policy.
+    PHM:       PHM.
+    OTHERS:    others.
+    RECREATED: others, with a new container.
+    COUNTED:   others, after the attempts were reset for it.
+    """
+
+    FOUND = "found"
+    ENGINE = "engine"
+    PHM = "phm"
+    OTHERS = "others"
+    RECREATED = "recreated"
+    COUNTED = "counted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,25 +64,21 @@ class Generation:
     """The time from one start of a container to the next; `id` and `started` are the engine's and identify it.
 
     since: when it was first observed instead of another (monotonic seconds); None: at the first observation. made: the
-    same for the container, which may have several generations. by: who started it, one of the words above.
+    same for the container, which may have several generations. phm_for: the container that PHM recovered when it started this
+    generation; empty: others started it.
     """
 
     id: str
     started: str
     since: float | None = None
     made: float | None = None
-    by: str = FOUND
+    by: StartedBy = StartedBy.FOUND
+    phm_for: str = ""
 
     @property
     def name(self) -> str:
         """As in results of checks: see `phm.facts.ContainerFact.generation`."""
         return f"{self.id}@{self.started}"
-
-    @property
-    def whose(self) -> str:
-        """The container for which PHM started this generation; empty when others did."""
-        name = self.by.removeprefix("phm:")
-        return name if name != self.by else ""
 
     def same(self, other: Generation | None) -> bool:
         return other is not None and (self.id, self.started) == (other.id, other.started)
@@ -86,16 +94,17 @@ def next_generation(
         return old
     if old.id != fact.id:
         replaced_s = float("inf") if old.made is None else now - old.made
-        return Generation(fact.id, fact.started_at, now, now, RECREATED if replaced_s >= lasting_s else OTHERS)
-    by = by_phm(phm_for) if phm_for else ENGINE if fact.restart_count else OTHERS
-    return Generation(fact.id, fact.started_at, now, old.made, by)
+        by = StartedBy.RECREATED if replaced_s >= lasting_s else StartedBy.OTHERS
+        return Generation(fact.id, fact.started_at, now, now, by)
+    by = StartedBy.PHM if phm_for else StartedBy.ENGINE if fact.restart_count else StartedBy.OTHERS
+    return Generation(fact.id, fact.started_at, now, old.made, by, phm_for)
 
 
 def resets_attempts(generation: Generation, fact: ContainerFact, now: float, lasting_s: float) -> bool:
     """Whether attempts before this generation do not apply to it."""
-    if generation.since is None or generation.by == RECREATED:
-        return generation.by == RECREATED
-    return generation.by == OTHERS and fact.running and now - generation.since >= lasting_s
+    if generation.since is None or generation.by is StartedBy.RECREATED:
+        return generation.by is StartedBy.RECREATED
+    return generation.by is StartedBy.OTHERS and fact.running and now - generation.since >= lasting_s
 
 
 @dataclass(slots=True)
@@ -155,7 +164,7 @@ class GenerationTracker:
                 or not resets_attempts(generation, fact, self._clock.mono(), self._lasting_s)
             ):
                 return None
-            self._generations[key] = replace(generation, by=COUNTED)
+            self._generations[key] = replace(generation, by=StartedBy.COUNTED)
             return generation.since
 
     def forget(self, key: str) -> None:
@@ -229,7 +238,7 @@ class GenerationTracker:
         old = self._generations.get(key)
         generation = self._generations[key] = next_generation(old, fact, self._clock.mono(), self._lasting_s, phm_for)
         if actor is not None:
-            if generation is not old and generation.whose:
+            if generation is not old and generation.phm_for:
                 actor.unanswered -= 1
             if actor.over(began):
                 del self._actors[key]

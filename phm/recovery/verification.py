@@ -13,7 +13,7 @@ from phm.core.model import Fault, Level, Result
 from phm.facts import CannotTell
 from phm.recovery.actions.ladders import OUTSIDE
 from phm.recovery.base import Action, ActionContext, Target
-from phm.recovery.ownership import ENGINE, Generation, Shared, by_phm
+from phm.recovery.ownership import Generation, Shared, StartedBy
 from phm.tracker.starvation import explanation
 
 POLL_S = 0.05
@@ -220,9 +220,9 @@ def superseded_by(now: Generation | None, expected: Generation | None, target: s
 
     A restart by the engine's restart policy does not count: the verification shows whether the container is OK after it.
     """
-    if now is None or expected is None or now.same(expected) or now.by in (ENGINE, by_phm(target)):
+    if now is None or expected is None or now.same(expected) or now.by is StartedBy.ENGINE or now.phm_for == target:
         return None
-    owner = now.whose
+    owner = now.phm_for
     by = f"by the recovery of {owner}" if owner else "outside PHM"
     return VerificationResult(superseded_by=by, not_counted=bool(owner))
 

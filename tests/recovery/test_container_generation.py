@@ -9,15 +9,10 @@ import pytest
 from phm import testing
 from phm.facts import CannotTell, ContainerFact
 from phm.recovery.ownership import (
-    COUNTED,
-    ENGINE,
-    FOUND,
-    OTHERS,
-    RECREATED,
     UNFINISHED_S,
     Generation,
     GenerationTracker,
-    by_phm,
+    StartedBy,
     next_generation,
     resets_attempts,
 )
@@ -43,9 +38,14 @@ class Watch:
         self.fact = replace(self.fact, **fields)  # type: ignore[arg-type]
 
     @property
-    def by(self) -> str:
-        life = self.lives.current("app")
-        return life.by if life is not None else ""
+    def by(self) -> StartedBy | None:
+        generation = self.lives.current("app")
+        return generation.by if generation is not None else None
+
+    @property
+    def phm_for(self) -> str:
+        generation = self.lives.current("app")
+        return generation.phm_for if generation is not None else ""
 
     def resets(self, after_s: float = 0.0) -> bool:
         self.clock.advance(after_s)
@@ -55,7 +55,7 @@ class Watch:
 def test_the_first_generation_is_attributed_to_no_one() -> None:
     """However long it lasts, nothing has happened."""
     watch = Watch()
-    assert watch.by == FOUND
+    assert watch.by is StartedBy.FOUND
     assert not watch.resets(after_s=1000)
 
 
@@ -69,7 +69,7 @@ def test_a_new_container_resets_attempts_immediately_and_once() -> None:
     assert watch.lives.external_start("app") == now
     assert not watch.resets()
     assert not watch.resets(after_s=LASTING_S)
-    assert watch.by == COUNTED
+    assert watch.by is StartedBy.COUNTED
 
 
 def test_a_container_that_is_recreated_repeatedly_is_a_crash_loop() -> None:
@@ -113,10 +113,10 @@ def test_the_restart_policy_never_resets_attempts() -> None:
     watch.resets()
     for number in range(1, 20):
         watch.change(started_at=f"p{number}", restart_count=number)
-        assert watch.by == ENGINE
+        assert watch.by is StartedBy.ENGINE
         assert not watch.resets(after_s=60.0)
     watch.change(started_at="by hand", restart_count=0)
-    assert watch.by == OTHERS
+    assert watch.by is StartedBy.OTHERS
     assert watch.resets(after_s=LASTING_S)
 
 
@@ -126,10 +126,10 @@ def test_phms_own_starts_never_reset_attempts() -> None:
     watch.resets()
     with watch.lives.acting("app", "app"):
         watch.change(started_at="t2")
-    assert watch.by == by_phm("app")
+    assert watch.phm_for == "app"
     assert not watch.resets(after_s=LASTING_S)
     watch.change(started_at="t3")
-    assert watch.by == OTHERS
+    assert watch.by is StartedBy.OTHERS
 
 
 def test_a_cached_fact_is_not_the_outcome_of_an_action() -> None:
@@ -138,12 +138,12 @@ def test_a_cached_fact_is_not_the_outcome_of_an_action() -> None:
     watch.resets()
     with watch.lives.acting("app", "owner"):
         pass
-    assert watch.by == FOUND
+    assert watch.by is StartedBy.FOUND
     watch.clock.advance(0.3)
     watch.change(started_at="t2")
     life = watch.lives.current("app")
     assert life is not None
-    assert life.whose == "owner"
+    assert life.phm_for == "owner"
 
 
 def test_a_start_before_phms_action_is_external() -> None:
@@ -152,7 +152,7 @@ def test_a_start_before_phms_action_is_external() -> None:
     watch.resets()
     watch.change(started_at="t2")
     with watch.lives.acting("app", "app"):
-        assert watch.by == OTHERS
+        assert watch.by is StartedBy.OTHERS
 
 
 def test_a_new_container_is_always_external() -> None:
@@ -161,7 +161,7 @@ def test_a_new_container_is_always_external() -> None:
     watch.resets()
     with watch.lives.acting("app", "app"):
         watch.change(id="two", started_at="t2")
-        assert watch.by == RECREATED
+        assert watch.by is StartedBy.RECREATED
 
 
 def test_an_interrupted_action_may_still_be_finished_by_the_engine() -> None:
@@ -171,11 +171,11 @@ def test_an_interrupted_action_may_still_be_finished_by_the_engine() -> None:
     watch.lives.add_unfinished("app", "app")
     watch.clock.advance(60.0)
     watch.change(started_at="t2")
-    assert watch.by == by_phm("app")
+    assert watch.phm_for == "app"
     watch.clock.advance(20.0)
-    assert watch.by == by_phm("app")
+    assert watch.phm_for == "app"
     watch.change(started_at="t3")
-    assert watch.by == OTHERS
+    assert watch.by is StartedBy.OTHERS
 
 
 def late(watch: Watch) -> None:
@@ -191,14 +191,14 @@ def test_a_start_after_the_deadline_is_attributed_to_phm() -> None:
     for _ in range(2):
         late(watch)
         watch.clock.advance(5.0)
-        assert watch.by == FOUND
+        assert watch.by is StartedBy.FOUND
     for number in (2, 3):
         watch.clock.advance(60.0)
         watch.change(started_at=f"t{number}")
-        assert watch.by == by_phm("app")
+        assert watch.phm_for == "app"
         assert not watch.resets(after_s=LASTING_S)
     watch.change(started_at="t4")
-    assert watch.by == OTHERS
+    assert watch.by is StartedBy.OTHERS
 
 
 def test_an_unanswered_call_is_valid_for_ten_minutes() -> None:
@@ -206,11 +206,11 @@ def test_an_unanswered_call_is_valid_for_ten_minutes() -> None:
     watch = Watch()
     watch.resets()
     late(watch)
-    assert watch.by == FOUND
+    assert watch.by is StartedBy.FOUND
     watch.clock.advance(UNFINISHED_S)
-    assert watch.by == FOUND
+    assert watch.by is StartedBy.FOUND
     watch.change(started_at="t2")
-    assert watch.by == OTHERS
+    assert watch.by is StartedBy.OTHERS
 
 
 def test_an_unfinished_action_is_known_after_a_restart_of_phm() -> None:
@@ -253,7 +253,7 @@ def test_the_record_does_not_change_during_a_life() -> None:
     """Each change of it is written to the disk."""
     life = next_generation(None, FIRST, 5.0, LASTING_S)
     assert next_generation(life, replace(FIRST, status="paused"), 50.0, LASTING_S) is life
-    assert not resets_attempts(Generation("one", "t1", None, None, OTHERS), FIRST, 1e9, LASTING_S)
+    assert not resets_attempts(Generation("one", "t1", None, None, StartedBy.OTHERS), FIRST, 1e9, LASTING_S)
 
 
 def test_a_start_while_there_were_no_attempts_resets_nothing_later() -> None:
@@ -262,5 +262,5 @@ def test_a_start_while_there_were_no_attempts_resets_nothing_later() -> None:
     watch.resets()
     watch.lives.forget("app")
     watch.change(started_at="t2")
-    assert watch.by == FOUND
+    assert watch.by is StartedBy.FOUND
     assert not watch.resets(after_s=LASTING_S)

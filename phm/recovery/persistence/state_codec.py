@@ -14,11 +14,11 @@ from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.actions.cpu_weights import LoweredWeight
 from phm.recovery.fault_cases import CLEAN_S, KEPT, MAX_REPORTED, AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.holds.hold_registry import MAX_DONE, MAX_HOLDS, Hold, PersistedHold, carried
-from phm.recovery.ownership import Generation
+from phm.recovery.ownership import Generation, StartedBy
 from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.safety.armed_state import LastArmedState
 
-VERSION = 4
+VERSION = 5
 MAX_FAULTS = 256
 MAX_TARGETS = 64
 MAX_TEXT = 2000
@@ -103,8 +103,10 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
             return LastArmedState(body["armed"] is True, since.mono, body.get("contradicted") is True)
 
         def generation(body: Any) -> Generation:
-            name, started, by = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "by"))
-            return Generation(name, started, moment(body["since"]), moment(body["made"]), by)
+            name, started, phm_for = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "phm_for"))
+            return Generation(
+                name, started, moment(body["since"]), moment(body["made"]), StartedBy(body["by"]), phm_for
+            )
 
         recovery = RecoveryState(
             {
@@ -171,7 +173,8 @@ def _generation_data(generation: Generation, now: Stamp) -> dict[str, Any]:
         "started": generation.started[:MAX_TEXT],
         "since": None if generation.since is None else _moment(generation.since, now),
         "made": None if generation.made is None else _moment(generation.made, now),
-        "by": generation.by[:MAX_TEXT],
+        "by": generation.by.value,
+        "phm_for": generation.phm_for[:MAX_TEXT],
     }
 
 

@@ -15,9 +15,9 @@ from phm import testing
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.actions.cpu_weights import LoweredWeight
 from phm.recovery.fault_cases import AttemptRecord, PersistedCase, UnfinishedAction
-from phm.recovery.ownership import OTHERS, Generation
+from phm.recovery.ownership import Generation, StartedBy
 from phm.recovery.persistence.state import PersistedState, RecoveryState
-from phm.recovery.persistence.state_codec import InvalidState, convert_time, decode, encode
+from phm.recovery.persistence.state_codec import VERSION, InvalidState, convert_time, decode, encode
 from phm.recovery.persistence.state_file import KEPT_CORRUPT, MAX_BYTES, StateFile
 from phm.recovery.safety.armed_state import LastArmedState
 from tests.recovery.simulated_agent import Agent, Containers, Of
@@ -55,7 +55,10 @@ FULL = PersistedState(
         {"app": (replace(attempt(90.0), backoff_reset=True, not_counted=True), attempt())},
         {"ab12-1": PersistedCase(True, ("advised start",), "start")},
         {"app": UnfinishedAction("ab12-1", attempt(99.0))},
-        {"app": Generation("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, OTHERS), "side": Generation("id1", "t")},
+        {
+            "app": Generation("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, StartedBy.PHM, "app"),
+            "side": Generation("id1", "t"),
+        },
         LastArmedState(True, 91.0, contradicted=True),
         {"app": "app", "side": "app"},
         lowered=(LoweredWeight("other", "id3", 512, "pressure/app"),),
@@ -122,8 +125,8 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
     "change",
     [
         lambda document: [document],
-        spoil("v", 3),
-        spoil("v", 5),
+        spoil("v", VERSION - 1),
+        spoil("v", VERSION + 1),
         spoil("v", None),
         spoil("faults", 3),
         spoil("faults", [{}]),
@@ -134,7 +137,10 @@ def spoil(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
         spoil("under_way", {"app": {"fault": "x"}}),
         spoil("armed", {"armed": True}),
         spoil("armed", []),
-        spoil("generations", {"app": {"id": "x", "started": "y", "by": "z", "made": None}}),
+        spoil("generations", {"app": {"id": "x", "started": "y", "by": "phm", "phm_for": "app", "made": None}}),
+        spoil(
+            "generations", {"app": {"id": "x", "started": "y", "by": "z", "phm_for": "", "since": None, "made": None}}
+        ),
         lambda document: {key: value for key, value in document.items() if key != "boot"},
     ],
 )
