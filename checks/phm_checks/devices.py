@@ -70,7 +70,8 @@ class Devices(PerContainer):
         }
         if first.level is api.Level.OK:
             said = joined([finding.summary for finding in findings])
-            return api.ok(f"Found {len(findings)} devices connected to container {self.key}: {said}", values=values)
+            count = "1 device" if len(findings) == 1 else f"{len(findings)} devices"
+            return api.ok(f"Found {count} in container {self.key}: {said}", values=values)
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
         return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
 

@@ -85,7 +85,7 @@ class Files(PerContainer):
             found = "; ".join(f"{kind}: {listed(paths, 8)}" for kind, paths in kinds if paths)
             count = "1 file differs" if tree.differing == 1 else f"{tree.differing} files differ"
             words = (
-                f"{where} is not as its manifest {last(manifest)}: {count}: {found}. Restore them, or update the manifest "
+                f"{where} differs from its manifest {last(manifest)}: {count}: {found}. Restore them, or update the manifest "
                 "with `phm learn`"
             )
             kind, name = next((kind, paths[0]) for kind, paths in kinds if paths)

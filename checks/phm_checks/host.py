@@ -110,7 +110,7 @@ class Host(api.Check):
             self._steady.forget("memory stalls")
             return None
         words = (
-            f"the computer waited for memory {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/memory), with "
+            f"all tasks waited for memory during {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/memory), with "
             f"{fact.memory_available_bytes / 1e6:.0f} MB available: find the leak, or give its container a memory limit"
         )
         shown = f"host waits for memory {self._steady.show('memory stalls', mean):.0f} %"
@@ -128,7 +128,7 @@ class Host(api.Check):
             words = f"Tasks wait for disks {fact.io_stalled_percent:.0f} % of the time"
             return api.ok(words, values=values).with_evidence(api.Evidence(rising=self._io_stalls.rising))
         words = (
-            f"the computer waited for its disks {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/io), expected below "
+            f"all tasks waited for disks during {mean:.0f} % of the last {span(self._window_s)} (/proc/pressure/io), expected below "
             f"{self._io_limit.warn:g} %: a slow or worn SD card, or a program that writes more than it can handle; write less, or to "
             "another disk"
         )

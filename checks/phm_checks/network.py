@@ -158,7 +158,7 @@ class Network(PerContainer):
         if world.docker.reachable(attached.address) or world.docker.reachable(attached.address):
             return api.ok(f"{self.key} is connected to {name} and responds at {attached.address}")
         return self._bad(
-            f"{self.key} is connected to {name}, but {attached.address} did not respond twice, expected an immediate response: "
+            f"{self.key} is connected to {name}, but {attached.address} did not respond to two pings, expected an immediate response: "
             "its interface may be down, or a firewall may drop its traffic",
             f"unreachable on {name}",
             "address_silent",

@@ -82,8 +82,8 @@ class Peers(api.Check):
         here = {fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in there)} - self._away
         return [
             api.error(
-                f"the swarm is split: {_names(self._away)} disappeared together and {_names(here)} are still reachable: a network between them is "
-                "broken, or all of those failed",
+                f"the swarm is split: {_names(self._away)} disappeared together and {_names(here)} are still reachable: either the network "
+                "between the groups is broken or all agents of that group failed",
                 brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(self._away, 3)}"),
                 condition="split",
             ).with_evidence(api.Evidence(conclusive=len(here) > 1))

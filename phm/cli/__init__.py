@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # Verb: its line in `phm --help` (kept here so that help needs no imports; a test compares them).
 VERBS = {
-    "init": "Write a folder to start PHM from.",
+    "init": "Create a folder with everything needed to start PHM.",
     "doctor": "Show what PHM can use on this machine, and what is missing.",
     "run": "Run the daemon until SIGTERM.",
     "once": "Run every check once and print the results.",

@@ -145,7 +145,7 @@ class _Client:
         from phm.gcs import operator
 
         if not self._until(lambda: bool(self._row()["advice"]), ADVICE_S):
-            raise click.ClickException(f"{self._row()['name']} advises no action that could be approved")
+            raise click.ClickException(f"{self._row()['name']} has no recommended action to approve")
         advice = self._row()["advice"]
         if len(advice) > 1:
             numbers = "; ".join(f"{one['fault']}: {one['action']} {one['target']}" for one in advice)

@@ -106,7 +106,7 @@ def show_record(record: str, speed: float, choice: WebChoice, wait: Callable[[],
     except RecordError as error:
         raise click.ClickException(f"--replay {error}") from None
     page = listening("--web", choice.web, lambda: ReplayPage(found, options, SystemClock(), speed))
-    click.echo(f"page at {page.url}: {found.end:.0f} s of {record}", err=True)
+    click.echo(f"serving {page.url}: replay of {record}, {found.end:.0f} s", err=True)
     try:
         page.start()
         wait()

@@ -1,4 +1,4 @@
-"""`phm init`: writes a folder to start PHM from, for the application that runs on this machine."""
+"""`phm init`: creates a folder with everything needed to start PHM, for the application that runs on this machine."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SOCKET = "unix:///var/run/docker.sock"
 @click.option("--no-ros", is_flag=True, help="Do not look for ROS nodes.")
 @click.option("--socket", default=SOCKET, show_default=True, help="Address of the Docker Engine.")
 def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, **given: Any) -> None:
-    """Write a folder to start PHM from.
+    """Create a folder with everything needed to start PHM.
 
     Looks at the running containers, asks at most five questions, and writes phm.yaml, compose.yaml, agent.env and
     fastdds.xml to DIR (default: phm-agent). Then `docker compose up -d` in that folder starts PHM.

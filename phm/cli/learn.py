@@ -78,7 +78,7 @@ def command(
         files.check(new, str(output or base or "phm.yaml"), os.environ)
         if not (baseline.containers or baseline.nodes or baseline.mavlink.values):
             raise ObservationFailed(
-                f"nothing was learned: {'; '.join(seen.problems) or 'no container and no ROS node runs'}"
+                f"nothing was learned: {'; '.join(seen.problems) or 'no container or ROS node is running'}"
             )
         written = files.write(output, new, baseline) if output is not None else []
     except ConfigError as error:

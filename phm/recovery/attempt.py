@@ -197,9 +197,9 @@ class Attempt:
         # After the last step nothing more can be done for what has not recovered: it is reported as separate faults.
         if not verified.missing or (self._last and verified.missing != unit):
             words = f"{unit} is OK again {self._clock.mono() - self._began:.1f} s after the action began"
-            other = "there was nothing to do" if not_needed else self._other_cause()
+            other = "no action was needed" if not_needed else self._other_cause()
             self._credited = not other
-            return AttemptOutcome(True, f"{words}; the action {name} did not cause this: {other}" if other else words)
+            return AttemptOutcome(True, f"{words}; not credited to {name}: {other}" if other else words)
         if verified.undecided:
             words = f"{name} {target}: it is not yet known whether {unit} is OK; PHM waits"
             return AttemptOutcome(False, words, undecided=True)

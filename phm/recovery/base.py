@@ -97,7 +97,7 @@ class Impact(Enum):
 
 
 class NotNeeded(str):
-    """What `Action.run` returns when there was nothing to do: a recovery is then not credited to the action."""
+    """What `Action.run` returns when no action was needed: a recovery is then not credited to the action."""
 
     __slots__ = ()
 

@@ -170,13 +170,13 @@ def decide(
         if starved:
             return Wait(
                 now + STARVED_AGAIN_S,
-                f"{starved} explains the fault, and a restart would need even more of what is short",
+                f"{starved} is the cause; a restart would need even more of that resource",
                 report=True,
                 subject=STARVED,
             )
     most = 1 if _once(condition, settings) else settings.same_failure
     if not given_up and len(same) >= most:
-        goes_on = f", one start every {settings.backoff_max:g} s goes on" if condition in DOWN else ""
+        goes_on = f"; PHM still tries one start every {settings.backoff_max:g} s" if condition in DOWN else ""
         return GiveUp(action, f"{_in_vain(len(same))}{goes_on}")
     elsewhere = failures.of_the_action(action) if action in container_wide and condition not in DOWN else []
     if len(elsewhere) >= most:

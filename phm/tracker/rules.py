@@ -228,7 +228,8 @@ def in_grace(record: UnitRecord, now: float) -> bool:
 
 
 def _unverified(record: UnitRecord, context: RuleContext) -> bool:
-    """Whether the unit's fault, open or given up, is still being proven to be healed, or was not: its OK is kept back."""
+    """Whether the recovery of the unit's fault, open or given up, is still being verified or failed verification; its OK is not
+    published."""
     if record.fault is None and not record.escalated:
         return False
     action = context.view.actions.get(record.target)

@@ -155,7 +155,7 @@ def read_answer(line: bytes, sent: Request, key: bytes) -> DeliveryAnswer:
                 _mac(key, ["phm delivery answer", sent.mac, text]).encode(), mac.encode("utf-8", "surrogatepass")
             )
             return _answer(document, trusted=trusted)
-    raise NotADelivery("its answer is not PHM's")
+    raise NotADelivery("the response is not from PHM")
 
 
 # ------------------------------------------------------------ inside
@@ -167,10 +167,10 @@ def _answer(document: Mapping[str, Any], *, trusted: bool) -> DeliveryAnswer:
             kept = tuple(each for each in problems[:MAX_PROBLEMS] if _is_problem(each))
             if not trusted:
                 return DeliveryAnswer(
-                    False, f"an answer without the key, so perhaps not the agent's: {text}"[:MAX_TEXT]
+                    False, f"response not authenticated with the key; it may not be from the agent: {text}"[:MAX_TEXT]
                 )
             return DeliveryAnswer(ok, text[:MAX_TEXT], present if _HEX.fullmatch(present) else "", kept, True)
-    raise NotADelivery("its answer is not PHM's")
+    raise NotADelivery("the response is not from PHM")
 
 
 def _is_problem(each: object) -> bool:

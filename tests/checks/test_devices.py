@@ -36,6 +36,7 @@ def test_a_mapped_device_is_ok() -> None:
     """It exists, is accessible and is mapped."""
     result = evaluate(build(), there(description="PX4 FMU"))
     assert result.level is api.Level.OK
+    assert result.summary.startswith(f"Found 1 device in container ros_app: {PATH} ")
     assert "PX4 FMU" in result.summary
 
 

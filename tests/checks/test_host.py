@@ -163,7 +163,7 @@ def test_disks_that_stall_the_machine_are_reported_after_a_while() -> None:
         "io_pressure",
         "host waits for disk 98 %",
     )
-    assert "waited for its disks 98 % of the last 10 s" in result.summary and "SD card" in result.summary
+    assert "all tasks waited for disks during 98 % of the last 10 s" in result.summary and "SD card" in result.summary
     assert bench.looks(12, "host/io", io_stalled_percent=1.0)[-1].level is api.Level.OK
 
 
@@ -198,5 +198,5 @@ def test_memory_stalls_are_reported_together_with_memory_usage() -> None:
         "host waits for memory 45 %",
     )
     result = bench.looks(1, "host/memory", memory_percent=99.0)[-1]
-    assert "waited for memory 45 %" in result.summary and "memory at 99 %" in result.summary
+    assert "waited for memory during 45 %" in result.summary and "memory at 99 %" in result.summary
     assert bench.looks(12, "host/memory", memory_percent=40.0, memory_stalled_percent=1.0)[-1].level is api.Level.OK

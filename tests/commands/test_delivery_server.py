@@ -115,7 +115,9 @@ def test_another_key_is_refused_before_the_configuration_is_read(bench: Bench) -
     answer = bench.deliver(OTHER)
     assert not answer.ok and not answer.trusted and "key" in answer.text
     assert bench.executed == []
-    assert answer.text.startswith("an answer without the key, so perhaps not the agent's: the key is not this agent's")
+    assert answer.text.startswith(
+        "response not authenticated with the key; it may not be from the agent: the key is not this agent's"
+    )
     assert bench.notes == [f"a configuration from 127.0.0.1 was refused: {answer.text.partition(': ')[2]}"]
 
 
@@ -257,7 +259,7 @@ def test_an_answer_of_someone_without_the_key_is_never_a_success() -> None:
     assert wire.read_answer(wire.answer_line(good, KEY, request), request, KEY).ok
     for line in (wire.answer_line(good), wire.answer_line(good, OTHER, request)):
         got = wire.read_answer(line, request, KEY)
-        assert not got.ok and got.text == "an answer without the key, so perhaps not the agent's: done"
+        assert not got.ok and got.text == "response not authenticated with the key; it may not be from the agent: done"
     before, _ = wire.request(said, BASE, TEXT, KEY)
     assert not wire.read_answer(wire.answer_line(good, KEY, before), request, KEY).ok, "an answer to another request"
 

@@ -385,7 +385,7 @@ def test_a_symptom_of_starvation_causes_no_restart() -> None:
     symptom.
     """
     decision = say(starved="pressure/app")
-    assert isinstance(decision, Wait) and decision.report and "pressure/app explains the fault" in decision.why
+    assert isinstance(decision, Wait) and decision.report and "pressure/app is the cause" in decision.why
     assert say(starved="") == Act("restart", 1)
 
 

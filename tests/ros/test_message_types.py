@@ -127,14 +127,14 @@ def test_an_unknown_memory_layout_is_reported_and_not_followed(monkeypatch: pyte
 def test_the_copied_names_must_be_where_they_are_expected(monkeypatch: pytest.MonkeyPatch) -> None:
     """The original's own names, found where they are to be changed, prove that the layout is the known one."""
     monkeypatch.setattr(opaque_types, "_BASE", ("rcl_interfaces", "msg", "Log"))
-    with pytest.raises(TypeUnavailable, match="its names are elsewhere"):
+    with pytest.raises(TypeUnavailable, match="unexpected offset of its names"):
         OpaqueTypes().make("a", "msg", "B")
 
 
 def test_functions_must_be_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """The addresses of functions must point to code."""
     monkeypatch.setattr(opaque_types, "_code", lambda: [(0, 1)])
-    with pytest.raises(TypeUnavailable, match="its functions are elsewhere"):
+    with pytest.raises(TypeUnavailable, match="unexpected offset of its functions"):
         OpaqueTypes().make("a", "msg", "B")
 
 

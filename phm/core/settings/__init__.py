@@ -154,7 +154,7 @@ class Settings(Section):
     notify: NotifySettings = NotifySettings()
     """Alerts to other services."""
     custom: Annotated[list[CustomCheckSettings], Field(max_length=64)] = Field(default_factory=list)
-    """Own checks without code."""
+    """User-defined checks without code."""
     metrics: MetricsSettings = MetricsSettings()
     """Measurements for Prometheus."""
     delivery: DeliverySettings = DeliverySettings()

@@ -17,9 +17,9 @@ class FleetTlsSettings(Section):
     """Certificates for endpoints `tls/` and `quic/`, as files in PEM."""
 
     ca: AbsolutePath | None = None
-    """Of the authority that the routers' certificates come from; default: those that the system trusts."""
+    """CA certificate that signed the routers' certificates; default: the system's trusted CAs."""
     certificate: AbsolutePath | None = None
-    """This agent's own, for routers that ask for one."""
+    """This agent's client certificate, for routers that require one."""
     key: AbsolutePath | None = None
     """The private key of `certificate`."""
     verify_name: bool = True
@@ -32,7 +32,7 @@ class FleetSettings(Section):
     enabled: bool = False
     """True: the status is published."""
     name: Name = "fleet"
-    """Of the fleet; the second part of each key."""
+    """Name of the fleet; the second part of each Zenoh key."""
     mode: Literal["client", "peer"] = "client"
     """`client`: through a router; `peer`: also directly to other peers."""
     connect: Annotated[list[FleetEndpoint], Field(max_length=16)] = Field(default_factory=list)

@@ -75,18 +75,18 @@ class PressureSettings(Section):
     waiting: Limit = Limit(warn=75, error=90)
     """Share of time in which all of a container's runnable tasks wait for a CPU, because others use them."""
     memory: Limit = Limit(warn=40, error=60)
-    """Share of time in which all of a container waits for memory."""
+    """Share of time in which all tasks of a container waited for memory."""
     memory_faults: FaultLimit = FaultLimit(warn=50, error=200)
     """Pages a second that a container must read back because its memory limit left no room for them."""
     io: Limit = Limit(warn=50, error=75)
-    """Share of time in which all of a container waits for the disk, over at least 5 s."""
+    """Share of time in which all tasks of a container waited for the disk, over at least 5 s."""
     pids: Limit = Limit(warn=90, error=100)
     """Share of a container's limit of processes and threads in use."""
     host_memory: Limit = Limit(warn=10, error=30)
-    """Share of time in which all of the computer waits for memory, over `host_window`."""
+    """Share of time in which all tasks of the computer waited for memory, over `host_window`."""
     host_io: Limit = Limit(warn=70, error=95)
-    """Share of time in which all of the computer waits for its disks, over `host_window`."""
+    """Share of time in which all tasks of the computer waited for its disks, over `host_window`."""
     host_window: Annotated[Seconds, Field(ge=1, le=600)] = 10.0
-    """Seconds over which the two are averaged."""
+    """Averaging window of `host_memory` and `host_io`."""
     cgroups: AbsolutePath = "/sys/fs/cgroup"
     """Where the host's /sys/fs/cgroup is mounted in PHM's container (docker/compose.yaml: /host/cgroup)."""

@@ -115,6 +115,6 @@ class MavlinkSettings(Section):
     commands: list[Literal["status", "details", "check", "approve", "restart", "hold"]] = Field(
         default=["status", "details"]
     )
-    """What the ground may request by MAVLink commands; the first two only read. See docs/reference/mavlink.md."""
+    """What the ground may request by MAVLink commands; `status` and `details` are read-only. See docs/reference/mavlink.md."""
     signing: SigningSettings = SigningSettings()
     """Signed messages."""

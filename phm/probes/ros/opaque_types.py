@@ -121,12 +121,12 @@ class _Base:
         _demand(_text(handle[0]) == _FASTRTPS, "its handle differs")
         callbacks = _CALLBACKS.unpack(_peek(handle[1], _CALLBACKS.size))
         names = (_text(callbacks[0]), _text(callbacks[1]))
-        _demand(names == (f"{_BASE[0]}::{_BASE[1]}".encode(), _BASE[2].encode()), "its names are elsewhere")
+        _demand(names == (f"{_BASE[0]}::{_BASE[1]}".encode(), _BASE[2].encode()), "unexpected offset of its names")
         _demand(callbacks[6] == 0, "it has a key")
         code = _code()
         _demand(
             all(any(start <= at < end for start, end in code) for at in (*handle[2:], *callbacks[2:6])),
-            "its functions are elsewhere",
+            "unexpected offset of its functions",
         )
         introspection = ask(original, _C_INTROSPECTION) if needs_introspection else None
         _demand(not needs_introspection or introspection is not None, "it has no introspection")

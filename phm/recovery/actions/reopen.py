@@ -57,7 +57,7 @@ class Reopen(Action):
     def other_cause(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """Whether a reboot or a stall of the autopilot, or a late answer, explains the recovery."""
         if not self._prompt:
-            return "no data arrived soon after it was opened, so the other side has recovered by itself"
+            return "data arrived too late after the reopen to be its effect; the other side recovered by itself"
         before = self._pilot
         if before is None or before.link != target.key:
             return ""

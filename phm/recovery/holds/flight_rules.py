@@ -36,7 +36,7 @@ class FlightRules:
         """Why these must not be put on hold now, as part of a sentence; empty: they may be."""
         if not (self.armed and self.critical(keys)):
             return ""
-        return "is flight-critical, or another one that depends on it, and the autopilot is armed: its failures stay visible"
+        return "cannot be put on hold while the autopilot is armed: it, or a container that depends on it, is flight-critical"
 
     def warning(self, keys: Sequence[str]) -> str:
         """What an operator must know who puts something flight-critical on hold while the armed state is unknown.

@@ -271,7 +271,7 @@ class HoldService:
             return
         advise = rule != "heal"
         self._holds.mark_stopped(key, advise)
-        what = "PHM only recommends what would help" if advise else "PHM treats it as a failure"
+        what = "PHM only recommends an action" if advise else "PHM treats it as a failure"
         self._pipeline.note("HOLD", f"{key} was {done} manually; {what} (recovery.on_manual_stop)")
 
     def _end_on_arming(self) -> None:

@@ -276,4 +276,4 @@ def test_the_command_serves_the_record(tmp_path: Path) -> None:
     flight(path)
     result = CliRunner().invoke(group, ["gcs", "--replay", str(path), "--web", "0", "--speed", "10", "--for", "0.5"])
     assert result.exit_code == 0, result.output
-    assert "120 s of" in result.output
+    assert f"replay of {path}, 120 s" in result.output

@@ -80,5 +80,5 @@ def test_a_reboot_is_reported_as_one_and_no_action_is_credited(vehicle: Vehicle)
     lost = levels.index(Level.ERROR)
     assert levels[lost : lost + 2] == [Level.ERROR, Level.WARN]
     acts = [event for event in list(vehicle.events) if isinstance(event, ActionEvent)]
-    assert all("action reopen did not cause this" in act.detail for act in acts if act.phase is Phase.VERIFIED)
+    assert all("not credited to reopen" in act.detail for act in acts if act.phase is Phase.VERIFIED)
     assert not [line for line in vehicle.lines() if "reopen" in line]

@@ -33,7 +33,7 @@ class HttpCheckSettings(CustomBase):
     status: Annotated[list[Annotated[int, Field(ge=100, le=599)]], Field(min_length=1, max_length=16)] = Field(
         default_factory=lambda: [200]
     )
-    """Status codes that are right. Redirects are not followed."""
+    """Accepted HTTP status codes. Redirects are not followed."""
     body: Pattern | None = None
     """Regular expression that must occur in the first 64 KiB of the body; default: any body."""
     json_field: Annotated[str, Field(min_length=1, max_length=200)] | None = None

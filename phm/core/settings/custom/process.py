@@ -18,7 +18,7 @@ class ProcessCheckSettings(CustomBase):
     process: Annotated[list[Annotated[str, Field(min_length=1, max_length=255)]], Field(min_length=1, max_length=16)]
     """Words that all occur in the command line of the process."""
     container: Name | None = None
-    """Key of the container that is searched; default: the processes that PHM sees, all of the computer with `pid: host`."""
+    """Key of the container that is searched; default: all processes visible to PHM; with `pid: host`, all of the host."""
     min_count: Annotated[int, Field(ge=0, le=1000)] = 1
     """Fewest processes."""
     max_count: Annotated[int, Field(ge=0, le=1000)] | None = None
