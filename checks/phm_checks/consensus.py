@@ -166,7 +166,7 @@ class Consensus(api.Check):
         if agreement.split:
             count = "|".join(str(len(side)) for side in _sides(agreement))
             words = [f"{_split(agreement)}: {REMEDY}", *_dissents(agreement)]
-            return api.Result(Level.WARN, joined(words), brief("nodes split", count), "split", "", values)
+            return api.Result(Level.WARN, joined(words), brief("nodes split", count), "nodes_split", "", values)
         dissents = _dissents(agreement)
         if dissents:
             first = agreement.dissents[0]

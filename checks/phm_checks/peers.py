@@ -85,7 +85,7 @@ class Peers(api.Check):
                 f"the swarm is split: {_names(self._away)} disappeared together and {_names(here)} are still reachable: either the network "
                 "between the groups is broken or all agents of that group failed",
                 brief=brief(f"split {len(here)}/{fact.members}", f"lost {_names(self._away, 3)}"),
-                condition="split",
+                condition="swarm_split",
             ).with_evidence(api.Evidence(conclusive=len(here) > 1))
         ]
 

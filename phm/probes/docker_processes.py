@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.facts import CannotTell, ProcessFact
 from phm.transport.docker import DockerEngine, EngineBroken
@@ -31,7 +32,7 @@ class Processes:
 
     def __init__(self, engine: DockerEngine, clock: Clock) -> None:
         self._engine, self._clock = engine, clock
-        self._best_from, self._wait_s = float("-inf"), AGAIN_S
+        self._best_from, self._backoff = float("-inf"), Backoff(AGAIN_S, AGAIN_MOST_S)
 
     def look(self, container_id: str) -> tuple[ProcessFact, ...]:
         """Raises CannotTell if the container does not run, no response came in time, or it cannot be parsed."""
@@ -41,10 +42,9 @@ class Processes:
                 found = processes(self._engine.top(container_id, best, deadline_s=LIMIT_S))
             except EngineBroken:
                 found = processes(self._engine.top(container_id, simple, deadline_s=LIMIT_S))
-                self._best_from = self._clock.mono() + self._wait_s
-                self._wait_s = min(2 * self._wait_s, AGAIN_MOST_S)
+                self._best_from = self._clock.mono() + self._backoff.next_s()
             else:
-                self._wait_s = AGAIN_S
+                self._backoff.reset()
             return found
         return processes(self._engine.top(container_id, simple, deadline_s=LIMIT_S))
 

@@ -87,7 +87,7 @@ EXPLAINED: Mapping[str, Explanation] = {
         "it answers late, or is dropped from the graph; not where its lifecycle state was observed", begins_again=True
     ),
     "dissent": _VIEWS,
-    "split": _VIEWS,
+    "nodes_split": _VIEWS,
     "quorum_dead": _VIEWS,
     "diagnostic_stale": Explanation("its publisher is not scheduled in time", begins_again=True),
     "unhealthy": Explanation(
@@ -103,6 +103,7 @@ EXPLAINED: Mapping[str, Explanation] = {
     ),
     "peer_partly": _UNREAD,
     "all_peers_lost": _UNREAD,
+    "swarm_split": _UNREAD,
     "cpu_starved": Explanation(
         "all containers wait when the machine has no core to spare", OF_HOST, settle_s=WARN_WAIT_S
     ),

@@ -28,9 +28,9 @@ from sitl.harness.stack_monitor import StackMonitor
 
 NOMINAL_S = 20.0
 SEEN_LIMIT_S = 30.0
-HEALED_LIMIT_S = 90.0
+RECOVERED_LIMIT_S = 90.0
 AFTER_S = 12.0
-"""How long a fault is watched after it is healed: longer than any grace, so late alarms are caught."""
+"""How long a fault is watched after it is recovered: longer than any grace, so late alarms are caught."""
 STILL_S = 10.0
 """How long nothing may happen in the modes `off` and `advise`."""
 LASTING_S = 31.0
@@ -83,19 +83,19 @@ class AcceptanceRun:
                 row.problems.append(f"reported or done: {', '.join([*row.alarms, *row.actions])}")
         return [starting, healthy]
 
-    def heal(self, fault: Fault, title: str = "") -> Row:
-        """Inject, watch until it is healed and verified (or given up), then whether everything is OK again."""
+    def recover(self, fault: Fault, title: str = "") -> Row:
+        """Inject, watch until it is recovered and verified (or given up), then whether everything is OK again."""
         row = self._row(fault, title)
         self._wait_lasting(row)
         mark = self.monitor.mark()
         moment = fault.inject(self.agent)
         if fault.healable:
             for unit in row.expected:
-                self.record.wait(partial(phase, "verified", unit), HEALED_LIMIT_S, since=mark)
+                self.record.wait(partial(phase, "verified", unit), RECOVERED_LIMIT_S, since=mark)
         else:
             self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)
             if self._acted(mark):
-                self.record.wait(partial(phase, "escalated", row.unit), HEALED_LIMIT_S, since=mark)
+                self.record.wait(partial(phase, "escalated", row.unit), RECOVERED_LIMIT_S, since=mark)
         self._watch(AFTER_S, mark)
         self._fill(row, self.record.events[mark:], moment)
         row.problems += relapses(row.expected, self.record.events[mark:])
@@ -187,7 +187,7 @@ class AcceptanceRun:
                 elif phase("escalated", row.unit, event):
                     row.given_up_s = after
         row.detected_s = max(seen[unit] for unit in row.expected) if seen.keys() >= set(row.expected) else None
-        row.healed_s = max(verified.values()) if verified.keys() == set(row.expected) else None
+        row.recovered_s = max(verified.values()) if verified.keys() == set(row.expected) else None
 
     def _judge_condition(self, row: Row, fault: Fault, mark: int) -> None:
         """The alarm was for this fault and no other at the same unit. It may have been another thing for a moment first."""
@@ -197,7 +197,7 @@ class AcceptanceRun:
             row.problems.append(f"known as {', '.join(sorted(seen)) or 'nothing'}, expected {fault.condition}")
 
     def _healthy_again(self, row: Row, mark: int) -> None:
-        """Everything is OK again, and neither healing nor clearing raised a further alarm."""
+        """Everything is OK again, and neither recovery nor clearing raised a further alarm."""
         try:
             self.monitor.wait_ok()
         except RuntimeError as error:
@@ -219,7 +219,7 @@ def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play])
             proof.configure(play.mode, relaunch=play.relaunch, prepared=alone)
         for name in play.faults:
             title = f"{faults[name].title}, `relaunch` configured" if play.relaunch else ""
-            row = proof.heal(faults[name], title) if play.mode == "act" else proof.leave_alone(faults[name])
+            row = proof.recover(faults[name], title) if play.mode == "act" else proof.leave_alone(faults[name])
             rows.append(_print_row(row, console))
     return rows
 

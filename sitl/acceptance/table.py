@@ -14,7 +14,7 @@ from rich.table import Table
 from sitl.harness.machine import machine
 
 BEGIN, END = "<!-- proof: begin, written by scripts/proof --markdown -->", "<!-- proof: end -->"
-COLUMNS = ("mode", "fault", "alarms", "named", "seen after", "action", "healed and verified after", "outcome")
+COLUMNS = ("mode", "fault", "alarms", "named", "seen after", "action", "recovered and verified after", "outcome")
 
 
 @dataclass
@@ -33,7 +33,7 @@ class Row:
     actions: list[str] = field(default_factory=list)
     advised: list[str] = field(default_factory=list)
     detected_s: float | None = None
-    healed_s: float | None = None
+    recovered_s: float | None = None
     given_up_s: float | None = None
     summary: str = ""
     outcome: str = "quiet"
@@ -63,7 +63,7 @@ class Row:
             named,
             seconds(self.detected_s),
             acts,
-            seconds(self.healed_s),
+            seconds(self.recovered_s),
             f"{self.outcome}; beside it {', '.join(self.beside)}" if self.beside else self.outcome,
         )
 
@@ -73,18 +73,18 @@ def set_outcome(row: Row, *, healable: bool) -> None:
     if sorted(row.alarms) != sorted(row.expected):
         row.problems.append(f"alarms: {row.alarms or 'none'}, expected one at {' and '.join(row.expected)}")
     if healable:
-        row.outcome = "healed" if row.healed_s is not None else "not healed"
-        if row.healed_s is None:
-            row.problems.append("was not healed and verified")
-    elif row.healed_s is not None:
-        row.problems.append("is said to be healed, but nothing can have healed it")
-        row.outcome = "healed"
+        row.outcome = "recovered" if row.recovered_s is not None else "not recovered"
+        if row.recovered_s is None:
+            row.problems.append("was not recovered and verified")
+    elif row.recovered_s is not None:
+        row.problems.append("counts as recovered, but nothing can have recovered it")
+        row.outcome = "recovered"
     elif row.given_up_s is not None:
         row.outcome = f"given up and reported after {row.given_up_s:.0f} s"
     else:
         row.outcome = "reported, left to the operator"
         if row.actions:
-            row.problems.append("was acted upon and neither healed nor given up")
+            row.problems.append("was acted upon and neither recovered nor given up")
 
 
 def grouped(words: Iterable[str]) -> str:

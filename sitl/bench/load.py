@@ -39,10 +39,10 @@ FAULTS = ("container_killed", "node_killed", "topic_silent")
 HALF = "half a core"
 LOADS = {"quiet": 0, "1 per core": 1, "2 per core": 2, "4 per core": 4, HALF: 0}
 """Runnable threads per core, each in a container of the default weight that PHM does not know."""
-UP_LIMIT_S, HEALTHY_LIMIT_S, HEALED_LIMIT_S = 150.0, 60.0, 60.0
+UP_LIMIT_S, HEALTHY_LIMIT_S, RECOVERED_LIMIT_S = 150.0, 60.0, 60.0
 SETTLE_S = 5.0
 AFTER_S = 5.0
-HOG_S = SETTLE_S + HEALED_LIMIT_S + 2 * AFTER_S + 30.0
+HOG_S = SETTLE_S + RECOVERED_LIMIT_S + 2 * AFTER_S + 30.0
 HALF_US, PERIOD_US = 50_000, 100_000
 HEARTBEAT_S = 2.0
 """PHM's period for so few agents."""
@@ -118,7 +118,7 @@ def measure(trial: Trial, fault: Fault, load: str, heartbeats: Heartbeats) -> Me
         with burdened(agent, load):
             trial.watch(SETTLE_S)
             moment = fault.inject(agent)
-            trial.record.wait(verified, HEALED_LIMIT_S, since=mark)
+            trial.record.wait(verified, RECOVERED_LIMIT_S, since=mark)
             trial.watch(AFTER_S)
             late = heartbeats.late_s(began, time.monotonic())
     finally:

@@ -41,7 +41,7 @@ class Row:
     actions: list[str] = field(default_factory=list)
     starts: int = 0
     detected_s: float | None = None
-    healed_s: float | None = None
+    recovered_s: float | None = None
     healthy_again_s: float | None = None
     left: list[str] = field(default_factory=list)
     sidecar_starts: int = 0
@@ -73,7 +73,7 @@ class Row:
             elif event["event"] == "action" and event["phase"] == "started" and event["action"] not in OWN_REPAIRS:
                 self.actions.append(event["action"])
             if unit in self.expected[:1] and phase("verified", unit, event):
-                self.healed_s = after if self.healed_s is None else self.healed_s
+                self.recovered_s = after if self.recovered_s is None else self.recovered_s
         self.warnings, self.blocked = sorted(warned), sorted(blocked)
 
     def judge(self) -> None:
@@ -85,8 +85,8 @@ class Row:
             )
         if len(self.actions) > self.healable:
             self.problems.append(f"{len(self.actions)} actions, of which {int(self.healable)} can help")
-        if self.healable and self.healed_s is None:
-            self.problems.append("was not healed and verified")
+        if self.healable and self.recovered_s is None:
+            self.problems.append("was not recovered and verified")
         if self.left:
             self.problems.append(f"not OK at the end: {', '.join(self.left)}")
         if self.sidecar_starts:
@@ -138,9 +138,9 @@ def cells(row: Row) -> tuple[str, str, str]:
     alarms = f"{len(units)}: {count(units)}" if units else "none"
     seen = f" after {row.detected_s:.1f} s" if (row.detected_s or -1.0) > 0.0 and len(units) == 1 else ""
     acts = grouped(row.actions) or "none"
-    healed = f", healed after {row.healed_s:.1f} s" if row.healed_s is not None else ""
+    recovered = f", recovered after {row.recovered_s:.1f} s" if row.recovered_s is not None else ""
     again = "" if row.healthy_again_s is None else f" {row.healthy_again_s:.0f} s after"
-    return f"{alarms}{seen}", f"{acts}{healed}", ", ".join(row.left) or f"all OK{again}"
+    return f"{alarms}{seen}", f"{acts}{recovered}", ", ".join(row.left) or f"all OK{again}"
 
 
 def as_json(rows: Sequence[Row], where: str, what: str) -> str:

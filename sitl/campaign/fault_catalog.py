@@ -146,7 +146,7 @@ def injection(fault: Fault, agent: Agent, profile: Profile) -> Injection:
         agent=agent.number,
         unit=fault.unit.format(**names),
         condition=fault.condition,
-        healable=fault.healable and fault.name not in profile.not_healed,
+        healable=fault.healable and fault.name not in profile.not_recovered,
         level=fault.level,
         others=fault.others.format(**names),
         earlier=fault.earlier,

@@ -36,17 +36,17 @@ NAMING = re.compile(
 @dataclass(frozen=True)
 class Profile:
     """changes: of the shipped configuration of all agents. unseen: faults that its configuration cannot detect, and
-    why. not_healed: faults that PHM may only report. seen_limit_s: a fault that was not reported for this long after
-    its first evidence is missed. healed_limit_s: how long a recovery may take after the first evidence. actions: most
+    why. not_recovered: faults that PHM may only report. seen_limit_s: a fault that was not reported for this long after
+    its first evidence is missed. recovered_limit_s: how long a recovery may take after the first evidence. actions: most
     actions of PHM on an agent within `recovery.window` before its next fault; None: any number.
     """
 
     name: ProfileName
     changes: Mapping[str, str] = field(default_factory=dict)
     unseen: Mapping[str, str] = field(default_factory=dict)
-    not_healed: frozenset[str] = frozenset()
+    not_recovered: frozenset[str] = frozenset()
     seen_limit_s: float = 30.0
-    healed_limit_s: float = 90.0
+    recovered_limit_s: float = 90.0
     actions: int | None = None
 
     @property
@@ -55,7 +55,7 @@ class Profile:
 
 
 _UNSEEN = {"file_altered": "the shipped configuration does not have the SHA-256 of the file"}
-_NOT_HEALED = frozenset({"file_deleted", "file_not_executable"})
+_NOT_RECOVERED = frozenset({"file_deleted", "file_not_executable"})
 """The shipped configuration does not allow PHM to restore files."""
 _OF_FIVE = 2
 """The shipped budget is five actions in ten minutes. A campaign injects more often than faults occur, so it waits until at
@@ -63,10 +63,10 @@ least three are left.
 """
 ALL: Mapping[str, Profile] = {
     "tuned": Profile("tuned", CHANGES),
-    "shipped": Profile("shipped", {}, _UNSEEN, _NOT_HEALED, actions=_OF_FIVE),
+    "shipped": Profile("shipped", {}, _UNSEEN, _NOT_RECOVERED, actions=_OF_FIVE),
     # Docker runs the HEALTHCHECK every 30 s: up to 30 s pass before a failure, and again before a success.
     "as-found": Profile(
-        "as-found", {}, _UNSEEN, _NOT_HEALED, seen_limit_s=45.0, healed_limit_s=150.0, actions=_OF_FIVE
+        "as-found", {}, _UNSEEN, _NOT_RECOVERED, seen_limit_s=45.0, recovered_limit_s=150.0, actions=_OF_FIVE
     ),
 }
 assert tuple(ALL) == PROFILES

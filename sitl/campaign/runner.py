@@ -206,7 +206,7 @@ class Runner:
         trial.differences = differences
         try:
             self._inject(trial, plan.draws)
-            self._wait(partial(self._done, trial), self._healed_limit_s(trial))
+            self._wait(partial(self._done, trial), self._recovered_limit_s(trial))
             self._wait(lambda: False, AFTER_S)
         finally:
             self._clear(trial)
@@ -265,9 +265,9 @@ class Runner:
         if not self._wait(lambda: all(self.watch.levels[agent].newest > now for agent in agents), RECORD_LIMIT_S):
             self.progress(f"  no new records after {RECORD_LIMIT_S:g} s: the trial is judged by what there is")
 
-    def _healed_limit_s(self, trial: Trial) -> float:
+    def _recovered_limit_s(self, trial: Trial) -> float:
         """How long the recovery of its faults may take: some can only be detected late."""
-        return self.profile.healed_limit_s + max((each.evidence_s or 0.0 for each in trial.injections), default=0.0)
+        return self.profile.recovered_limit_s + max((each.evidence_s or 0.0 for each in trial.injections), default=0.0)
 
     def _done(self, trial: Trial) -> bool:
         """Whether every fault is recovered, or reported where it cannot be recovered, or nothing more can be expected

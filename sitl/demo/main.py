@@ -1,7 +1,7 @@
 """The demonstration: one agent for real, four faults, each detected, reported once at its cause, recovered and verified.
 
 ``python -m sitl.demo`` expects an engine and the images (`scripts/demo` makes both). Exit 0 only when every
-fault was opened exactly once, at the right check, was healed by PHM and verified, and the ground heard it.
+fault was opened exactly once, at the right check, was recovered by PHM and verified, and the ground heard it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STORY = ("node_killed", "network_disconnected", "container_stopped", "unhealthy"
 CLEAN_LIMIT_S = 90.0
 FAULT_LIMIT_S = 60.0
 AFTER_S = 12.0
-"""How long each fault is watched after it is healed: longer than any grace, so late alarms are caught."""
+"""How long each fault is watched after it is recovered: longer than any grace, so late alarms are caught."""
 
 
 @dataclass
@@ -43,13 +43,13 @@ class Outcome:
     opened: list[Event]
     detected_s: float | None = None
     reported_s: float | None = None
-    healed_s: float | None = None
+    recovered_s: float | None = None
     by: str = ""
 
     @property
     def good(self) -> bool:
         once = [event["unit"] for event in self.opened] == [self.unit]
-        return once and None not in (self.detected_s, self.reported_s, self.healed_s) and bool(self.by)
+        return once and None not in (self.detected_s, self.reported_s, self.recovered_s) and bool(self.by)
 
 
 class Demo:
@@ -72,7 +72,7 @@ class Demo:
         return True
 
     def play(self, fault: Fault) -> Outcome:
-        """Inject one fault and watch until it is healed and everything is OK again."""
+        """Inject one fault and watch until it is recovered and everything is OK again."""
         self.record.update()
         mark, heard = len(self.record.events), len(self.ground.lines)
         unit = fault.unit.format(agent=self.stack.agent_name)
@@ -96,12 +96,12 @@ class Demo:
 
     def table(self, outcomes: list[Outcome]) -> Table:
         table = Table(title="Faults of this run, seconds after each was there", box=box.SIMPLE_HEAD)
-        for name in ("fault", "seen at", "alarms", "detected", "reported", "healed", "by", ""):
-            number = name in ("alarms", "detected", "reported", "healed")
+        for name in ("fault", "seen at", "alarms", "detected", "reported", "recovered", "by", ""):
+            number = name in ("alarms", "detected", "reported", "recovered")
             table.add_column(name, justify="right" if number else "left", overflow="fold", no_wrap=number)
         for entry in outcomes:
             verdict = "[green]ok[/]" if entry.good else "[red]NOT OK[/]"
-            times = (_seconds(entry.detected_s), _seconds(entry.reported_s), _seconds(entry.healed_s))
+            times = (_seconds(entry.detected_s), _seconds(entry.reported_s), _seconds(entry.recovered_s))
             table.add_row(entry.fault.title, entry.unit, str(len(entry.opened)), *times, entry.by or "-", verdict)
         return table
 
@@ -122,14 +122,14 @@ def judge(fault: Fault, unit: str, moment: float, events: Sequence[Event], lines
     """
     opened = [event for event in events if event["event"] == "fault_opened"]
     named = next((event for event in opened if event["unit"] == unit), None)
-    healed = next((event for event in events if _verified(event, unit)), None)
+    recovered = next((event for event in events if _verified(event, unit)), None)
     outcome = Outcome(fault, unit, [event for event in opened if event["slot"] != Slot.HOST])
     if named is not None:
         received = next((line for line in lines if _reports(line.text, named["slot"])), None)
         outcome.detected_s = named["mono"] - moment
         outcome.reported_s = received.mono - moment if received is not None else None
-    if healed is not None:
-        outcome.healed_s, outcome.by = healed["mono"] - moment, healed["action"]
+    if recovered is not None:
+        outcome.recovered_s, outcome.by = recovered["mono"] - moment, recovered["action"]
     return outcome
 
 
@@ -151,7 +151,7 @@ def as_json(outcomes: list[Outcome]) -> str:
             "alarms": [event["unit"] for event in entry.opened],
             "detected_s": entry.detected_s,
             "reported_s": entry.reported_s,
-            "healed_s": entry.healed_s,
+            "recovered_s": entry.recovered_s,
             "by": entry.by,
             "good": entry.good,
         }

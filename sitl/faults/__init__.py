@@ -1,7 +1,7 @@
 """Faults to inject into a simulated agent: one file each, found by being here.
 
 A fault's file defines a class `Injection` (see `sitl.faults.base.Fault`); files with a leading `_` are what several share. It is injected through the
-same doors that real trouble uses (the Docker Engine, signals), and undone by `clear` where healing does not.
+same doors that real trouble uses (the Docker Engine, signals), and undone by `clear` where recovery does not.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ class Fault(ABC):
     others: unit at which all other agents of its swarm must see it, too; empty: nowhere.
     earlier: condition of the fault that is opened at `unit` before `condition` is known; empty: none.
     also: units of further faults that it causes, independent of the first, each with a separate alarm.
-    healable: whether PHM is expected to heal it. passes: it ends without anybody's doing.
+    healable: whether PHM is expected to recover it. passes: it ends without anybody's doing.
     prepared: what `prepare` adds to the agent, in words; empty: nothing.
     needs: what it takes: ``air``, emulated links; ``peers``, other agents; ``configuration``, changes to the
     shipped one, which `configuration` gives; ``alone``, since all agents of the machine see it; ``starvation``, someone who
@@ -233,7 +233,7 @@ class Fault(ABC):
         """Cause it; the moment from which it was there, in seconds of the monotonic clock, never too late."""
 
     def clear(self, agent: Agent) -> None:
-        """Undo what healing by PHM does not undo. Doing it twice is harmless."""
+        """Undo what PHM's recovery does not undo. Doing it twice is harmless."""
 
     def restored(self, agent: Agent) -> bool | None:
         """Whether the world is as before the injection, observed without PHM. None: this fault cannot be observed so.

@@ -16,8 +16,8 @@ NODE = "node_4"
 class Injection(Fault):
     """`docker kill` of the application while a container beside it has `network_mode: container:...`.
 
-    Started again, the application has a new namespace, and its dependant one without an interface: PHM must restart it, too,
-    and what breaks in it meanwhile is not a separate alarm. A ROS node in the dependant shows that.
+    Started again, the application has a new namespace, and its dependent one without an interface: PHM must restart it, too,
+    and what breaks in it meanwhile is not a separate alarm. A ROS node in the dependent shows that.
     """
 
     name, title = "netns_owner_killed", "container killed, another shares its network"
@@ -32,8 +32,8 @@ class Injection(Fault):
     def configuration(self, agent: Agent) -> Mapping[str, str]:
         graph, topics = "\n# The ROS graph of this agent.\n", "\n  # Topics that must have data, a list."
         return {
-            graph: f"\n  - name: {self._dependant(agent)}\n    alias: dependant\n    recover: true\n{graph}",
-            topics: f"\n    - name: /{agent.name}/{NODE}\n      container: dependant{topics}",
+            graph: f"\n  - name: {self._dependent(agent)}\n    alias: dependent\n    recover: true\n{graph}",
+            topics: f"\n    - name: /{agent.name}/{NODE}\n      container: dependent{topics}",
         }
 
     def prepare(self, agent: Agent) -> None:
@@ -52,18 +52,18 @@ class Injection(Fault):
                 "--publish",
                 "topic_4:10",
             ],
-            name=self._dependant(agent),
+            name=self._dependent(agent),
             detach=True,
             # Fast DDS takes containers with one address for one machine and sends through shared memory, which they do not share.
             environment=[*app.attrs["Config"]["Env"], "FASTDDS_BUILTIN_TRANSPORTS=UDPv4"],
             # A container of the project, as far as its end goes: `docker compose down --remove-orphans` takes it, too.
-            labels={**app.labels, "com.docker.compose.service": "dependant"},
+            labels={**app.labels, "com.docker.compose.service": "dependent"},
             network_mode=f"container:{app.id}",
         )
 
     def dismantle(self, agent: Agent) -> None:
         with contextlib.suppress(NotFound):
-            agent.docker.containers.get(self._dependant(agent)).remove(force=True)
+            agent.docker.containers.get(self._dependent(agent)).remove(force=True)
 
     def inject(self, agent: Agent) -> float:
         app = agent.app
@@ -75,15 +75,15 @@ class Injection(Fault):
         agent.app.start()
 
     def restored(self, agent: Agent) -> bool | None:
-        dependant = agent.docker.containers.get(self._dependant(agent))
-        owned = str(dependant.attrs["HostConfig"]["NetworkMode"]) == f"container:{agent.app.id}"
+        dependent = agent.docker.containers.get(self._dependent(agent))
+        owned = str(dependent.attrs["HostConfig"]["NetworkMode"]) == f"container:{agent.app.id}"
         return (
             app_runs(agent)
             and owned
-            and runs(dependant)
-            and network_namespace(dependant) == network_namespace(agent.app)
+            and runs(dependent)
+            and network_namespace(dependent) == network_namespace(agent.app)
         )
 
     @staticmethod
-    def _dependant(agent: Agent) -> str:
-        return f"{agent.project}-dependant-1"
+    def _dependent(agent: Agent) -> str:
+        return f"{agent.project}-dependent-1"

@@ -12,7 +12,7 @@ BEFORE_S = 10.0
 
 
 class Injection(Fault):
-    """Kills node_1 after 10 s of an overload that goes on for 50 s: the load explains neither its death nor the restart that heals it."""
+    """Kills node_1 after 10 s of an overload that goes on for 50 s: the load explains neither its death nor the restart that recovers it."""
 
     name, title, unit = "overload_node_killed", "node killed (SIGKILL) during an overload", "nodes/{agent}/node_1"
     condition = "node_missing"

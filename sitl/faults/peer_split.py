@@ -11,7 +11,7 @@ class Injection(Fault):
     """Half of the swarm, this agent among it, no longer hears the other half: one fault on either side."""
 
     name, title, unit = "peer_split", "network between agents split", "peers/swarm"
-    condition = "split"
+    condition = "swarm_split"
     layer = "link"
     cause = "the swarm has flown apart, or what relayed between its halves is gone"
     others = "peers/swarm"

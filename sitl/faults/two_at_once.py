@@ -8,7 +8,7 @@ from sitl.faults.file_deleted import CRITICAL, critical_file_is_intact, put_back
 
 
 class Injection(Fault):
-    """Removes the critical file and kills node_1: two causes, two alarms, each healed by its own action."""
+    """Removes the critical file and kills node_1: two causes, two alarms, each recovered by its own action."""
 
     name, title = "two_at_once", "node killed and file deleted"
     unit, also = "nodes/{agent}/node_1", ("files/ros_app",)

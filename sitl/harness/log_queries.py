@@ -26,10 +26,10 @@ def relapses(units: Sequence[str], events: Sequence[Event]) -> list[str]:
     """What was not OK after its recovery had been verified, in words: then the verification proved nothing."""
     found = []
     for unit in units:
-        healed = next((number for number, event in enumerate(events) if phase("verified", unit, event)), len(events))
-        for event in events[healed:]:
+        recovered = next((number for number, event in enumerate(events) if phase("verified", unit, event)), len(events))
+        for event in events[recovered:]:
             if event["event"] == "transition" and event["unit"] == unit and event["level"] not in OK_LEVELS:
-                after_s = event["mono"] - events[healed]["mono"]
+                after_s = event["mono"] - events[recovered]["mono"]
                 found.append(f"{unit} was {event['level']} {after_s:.1f} s after it was verified: {event['summary']}")
     return found
 

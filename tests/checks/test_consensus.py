@@ -203,7 +203,7 @@ def test_dissent_is_a_warning_with_all_names() -> None:
 def test_a_split_is_a_warning_that_names_the_sides() -> None:
     """The larger side first."""
     result = evaluate(matrix(*ALL, not_received=both((A, B), (A, C), (A, D))), build(*ALL))
-    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "split", "nodes split 3|1")
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "nodes_split", "nodes split 3|1")
     assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not receive each other" in result.summary
 
 
@@ -385,7 +385,7 @@ def test_a_split_with_a_majority_is_an_error_that_names_the_sides() -> None:
     assert "agent_1/b, agent_1/c, agent_1/d | agent_1/a do not receive each other" in result.summary
     halves = matrix(*ALL, not_received=both((A, C), (A, D), (B, C), (B, D)))
     result = Quorum(*ALL).after(60, halves)
-    assert (result.level, result.condition) == (api.Level.WARN, "split")
+    assert (result.level, result.condition) == (api.Level.WARN, "nodes_split")
 
 
 def test_a_node_that_no_observer_receives_is_left_to_the_nodes_check_first() -> None:

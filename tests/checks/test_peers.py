@@ -76,7 +76,7 @@ def test_a_split_is_one_fault_and_the_cause_of_the_single_losses() -> None:
     check = Peers((2, 3, 4))
     assert all(unit.needs == (SWARM,) for unit in check.units if unit.id != SWARM)
     result = evaluate({2: ALIVE, 3: LOST, 4: LOST}, split=(3, 4))[SWARM]
-    assert (result.level, result.condition) == (Level.ERROR, "split")
+    assert (result.level, result.condition) == (Level.ERROR, "swarm_split")
     assert "A03 A04 disappeared together and A01 A02 are still reachable" in result.summary
 
 

@@ -15,7 +15,7 @@ from phm.cli import group
 from phm.wire import status_file
 from phm.wire.shape import TableShape, mismatch
 from tests.cli.test_cli import DEAD, running
-from tests.cli.test_faults import HEALED, OPEN, record
+from tests.cli.test_faults import OPEN, RECOVERED, record
 
 STRANGE = st.one_of(
     st.none(),
@@ -142,7 +142,7 @@ def test_a_damaged_log_line_affects_only_its_own_event(
 ) -> None:
     """`phm faults` shows the faults of the other lines, whatever one line contains."""
     folder = tmp_path_factory.mktemp("log")
-    record(folder, *HEALED, *OPEN)
+    record(folder, *RECOVERED, *OPEN)
     file = folder / "log" / "phm.jsonl"
     lines = [json.loads(line) for line in file.read_text().splitlines()]
     hit = data.draw(st.integers(1, len(lines) - 2))
@@ -169,7 +169,7 @@ def test_a_log_line_with_a_value_of_another_type_is_read_without_it(
     event: str, key: str, value: object, tmp_path: Path
 ) -> None:
     """Everything else is shown."""
-    record(tmp_path, *HEALED, *OPEN)
+    record(tmp_path, *RECOVERED, *OPEN)
     file = tmp_path / "log" / "phm.jsonl"
     lines = [json.loads(line) for line in file.read_text().splitlines()]
     next(line for line in lines if line["event"] == event)[key] = value

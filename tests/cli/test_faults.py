@@ -27,7 +27,7 @@ def step(phase: Phase, fault: str, detail: str) -> ActionEvent:
     return ActionEvent(at(1.0), fault, DEAD.unit, "restart", "app", phase, detail)
 
 
-HEALED: list[Event] = [
+RECOVERED: list[Event] = [
     opened(DEAD, "ab12-1"),
     Transition(at(0.5), Level.OK, BLOCKED),
     step(Phase.ADVISED, "ab12-1", "advised: restart app"),
@@ -58,7 +58,7 @@ def as_json(folder: Path, *words: str) -> dict[str, Any]:
 
 def test_without_the_daemon_the_log_is_shown(tmp_path: Path) -> None:
     """Open faults with the recommended action, resolved ones with its cause, and a note that PHM is not running."""
-    record(tmp_path, *HEALED, *OPEN)
+    record(tmp_path, *RECOVERED, *OPEN)
     shown = invoke(tmp_path)
     assert shown.exit_code == 0
     for words in ("resolved by restart in 4.5 s", "blocks topics/t1", "advised: restart app", "PHM is not running"):
@@ -68,7 +68,7 @@ def test_without_the_daemon_the_log_is_shown(tmp_path: Path) -> None:
 
 def test_one_fault_is_shown_step_by_step(tmp_path: Path) -> None:
     """Opened, blocked units, each phase, closed: in that order."""
-    record(tmp_path, *HEALED)
+    record(tmp_path, *RECOVERED)
     lines = invoke(tmp_path, "ab12-1").output.splitlines()
     steps = ["opened", "blocks", "restart advised", "restart approved", "restart started", "restart verified"]
     found = [next(index for index, line in enumerate(lines) if f"Z  {word}" in line) for word in steps]

@@ -1,4 +1,4 @@
-"""docs/guides/write-a-check.md takes a reader from nothing to a healed fault: it is carried out here, command by command."""
+"""docs/guides/write-a-check.md takes a reader from nothing to a recovered fault: it is carried out here, command by command."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def shell(tmp_path: Path) -> Iterator[Shell]:
 
 @pytest.mark.packaging
 @pytest.mark.long
-def test_the_page_leads_to_a_healed_fault(shell: Shell) -> None:
+def test_the_page_leads_to_a_recovered_fault(shell: Shell) -> None:
     """Each command succeeds and shows what the page says; alarm, action and proof are in the log."""
     found = walk.steps(PAGE.read_text("utf-8"))
     commands = [step.command for step in found]

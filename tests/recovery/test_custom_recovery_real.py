@@ -27,13 +27,13 @@ def faults(phm: Phm, kind: type[FaultOpened] | type[FaultClosed]) -> list[Fault]
 def test_a_failed_check_restarts_its_container_only_on_request(
     real: Any, engine_access: EngineAccess, tmp_path: Path
 ) -> None:
-    """Once as a fault without a target, and with `recovery` healed; both directly and through the socket proxy."""
+    """Once as a fault without a target, and recovered with `recovery`; both directly and through the socket proxy."""
     app = real.container(RUN)
     containers = [{"name": app.name, "alias": "app", "recover": True, "address": False}]
     alone = entry(name="alone", command=[*CHECK[:2], CHECK[2].replace("healthy", "alone")])
-    healed = entry(recovery={"container": "app"})
+    recovered = entry(recovery={"container": "app"})
     app.exec_run(["touch", "/tmp/alone"])
-    phm = Phm(tmp_path, engine_access, containers, custom=[alone, healed], verify="60s", limit_s=180.0)
+    phm = Phm(tmp_path, engine_access, containers, custom=[alone, recovered], verify="60s", limit_s=180.0)
     try:
         phm.start()
         app.exec_run(["rm", "/tmp/alone"])

@@ -97,7 +97,7 @@ def test_a_split_names_its_sides(scene: Scene, bench: Bench, monkeypatch: pytest
     monkeypatch.setattr(_quorum, "RECEIVED_S", 1000.0)
     scene.nodes["c"].kill()
     bench.script(SCRIPT, "c", "--hello", "/elsewhere")
-    result = scene.wait(2, "split", observers=4)
+    result = scene.wait(2, "nodes_split", observers=4)
     assert result.level is api.Level.WARN
     assert result.brief == "nodes split 2|1"
     assert "agent_1/a, agent_1/b | agent_1/c do not receive each other" in result.summary

@@ -47,7 +47,7 @@ def test_one_fault_raises_one_alarm_and_is_recovered(
     mark = phm.mark()
     inject(app)
     closed = phm.wait(
-        lambda event: event["event"] == "fault_closed" and event["unit"] == unit, f"{unit} healed", since=mark
+        lambda event: event["event"] == "fault_closed" and event["unit"] == unit, f"{unit} recovered", since=mark
     )
     settled(phm, mark, closed["mono"])
     assert phm.opened(mark) == [unit]

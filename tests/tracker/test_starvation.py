@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from phm.api import Level, Result, error, ok, stale, warn
+from phm import testing
+from phm.api import Level, PeerFact, Result, error, ok, stale, warn
 from phm.core.model import Evidence, Outcome, Transition
 from phm.tracker.starvation import BEFORE_PRESSURE_S, EXPLAINED, RECOVERY_S, UNKNOWN_PRESSURE_S, UNREAD_S, WARN_WAIT_S
+from phm_checks.peers import SWARM, Peers
 from tests.fakes.tracker_bench import OK, Bench, unit
 
 HOST = ("host/cpu",)
@@ -439,28 +441,36 @@ def test_the_documented_table_is_that_of_the_code() -> None:
     assert documented == {condition: entry.evidence for condition, entry in EXPLAINED.items()}
 
 
+def split_swarm() -> Result:
+    """Two peers lost together, as seen by an agent that receives no other one."""
+    lost = PeerFact("lost", 20.0, (), (1,))
+    peers = {2: lost, 3: lost, 4: PeerFact("never seen", None)}
+    return Peers((2, 3, 4)).run(testing.world(swarm=testing.FakeSwarm(peers=peers, split=(2, 3))))[SWARM]
+
+
 LOST = error("autopilot silent for 4 s", brief="silent", condition="autopilot_silent")
 
 
-def test_a_link_silent_for_longer_than_phm_was_late_is_lost() -> None:
+@pytest.mark.parametrize("lost", [LOST, split_swarm()], ids=lambda result: result.condition)
+def test_a_link_silent_for_longer_than_phm_was_late_is_lost(lost: Result) -> None:
     """PHM subtracts its own lateness: a silence longer than UNREAD_S is not lateness. The alarm then stays."""
-    made = Bench([unit("host/cpu"), unit("autopilot/fcu", starved_by=HOST)])
+    made = Bench([unit("host/cpu"), unit("link/a", starved_by=HOST)])
     made.all_healthy()
     made.later(3.0)
     made.all_healthy()
     made.see("host/cpu", OVERLOADED)
-    made.see("autopilot/fcu", LOST)
-    assert made.blocked_by("autopilot/fcu") == "host/cpu"
+    made.see("link/a", lost)
+    assert made.blocked_by("link/a") == "host/cpu"
     made.later(UNREAD_S - 1.0)
     made.see("host/cpu", OVERLOADED)
-    made.see("autopilot/fcu", LOST)
+    made.see("link/a", lost)
     assert made.opened == ["host/cpu"]
     for _ in range(3):
         made.later(2.0)
         made.see("host/cpu", OVERLOADED)
-        made.see("autopilot/fcu", LOST)
-    assert made.opened == ["host/cpu", "autopilot/fcu"]
-    assert made.level("autopilot/fcu") is Level.ERROR
+        made.see("link/a", lost)
+    assert made.opened == ["host/cpu", "link/a"]
+    assert made.level("link/a") is Level.ERROR
 
 
 def test_only_published_starvation_discounts_attempts() -> None:

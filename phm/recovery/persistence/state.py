@@ -17,7 +17,7 @@ from phm.recovery.safety.armed_state import LastArmedState
 class RecoveryState:
     """Recovery's own part: attempts by target, cases by fault id, actions under way and generations of containers by target.
 
-    unfinished: containers on which PHM was acting, dependants included, with the container to recover.
+    unfinished: containers on which PHM was acting, dependents included, with the container to recover.
     """
 
     attempts: Mapping[str, tuple[AttemptRecord, ...]] = field(default_factory=dict)

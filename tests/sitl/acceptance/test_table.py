@@ -13,7 +13,7 @@ from sitl.harness.log_queries import relapses
 
 def row(**changes: object) -> Row:
     made = Row("act", "node_killed", "node killed", "nodes/a/n", alarms=["nodes/a/n"], actions=["restart"])
-    made.detected_s, made.healed_s = 1.25, 4.5
+    made.detected_s, made.recovered_s = 1.25, 4.5
     for name, value in changes.items():
         setattr(made, name, value)
     return made
@@ -22,15 +22,15 @@ def row(**changes: object) -> Row:
 @pytest.mark.parametrize(
     ("changes", "healable", "good", "outcome"),
     [
-        ({}, True, True, "healed"),
-        ({"alarms": []}, True, False, "healed"),
-        ({"alarms": ["nodes/a/n", "nodes/a/n"]}, True, False, "healed"),
-        ({"alarms": ["topics/a/t"]}, True, False, "healed"),
-        ({"healed_s": None}, True, False, "not healed"),
-        ({"healed_s": None, "actions": []}, False, True, "reported, left to the operator"),
-        ({"healed_s": None, "given_up_s": 31.4}, False, True, "given up and reported after 31 s"),
-        ({"healed_s": None}, False, False, "reported, left to the operator"),
-        ({}, False, False, "healed"),
+        ({}, True, True, "recovered"),
+        ({"alarms": []}, True, False, "recovered"),
+        ({"alarms": ["nodes/a/n", "nodes/a/n"]}, True, False, "recovered"),
+        ({"alarms": ["topics/a/t"]}, True, False, "recovered"),
+        ({"recovered_s": None}, True, False, "not recovered"),
+        ({"recovered_s": None, "actions": []}, False, True, "reported, left to the operator"),
+        ({"recovered_s": None, "given_up_s": 31.4}, False, True, "given up and reported after 31 s"),
+        ({"recovered_s": None}, False, False, "reported, left to the operator"),
+        ({}, False, False, "recovered"),
     ],
 )
 def test_a_row_holds_with_one_alarm_and_the_expected_recovery(
@@ -56,8 +56,8 @@ def test_a_repair_that_was_verified_too_early_is_found() -> None:
     def transition(level: str, mono: float, unit: str = "nodes/a/n") -> dict[str, object]:
         return {"event": "transition", "unit": unit, "level": level, "mono": mono, "summary": "it is not known"}
 
-    healed = {"event": "action", "phase": "verified", "unit": "nodes/a/n", "mono": 5.0}
-    before = [transition("ERROR", 1.0), transition("OK", 4.9), healed, transition("STALE", 5.5, "topics/a/t")]
+    recovered = {"event": "action", "phase": "verified", "unit": "nodes/a/n", "mono": 5.0}
+    before = [transition("ERROR", 1.0), transition("OK", 4.9), recovered, transition("STALE", 5.5, "topics/a/t")]
     assert relapses(["nodes/a/n"], before) == []
     assert relapses(["nodes/a/n"], before[:2]) == []
     (words,) = relapses(["nodes/a/n"], [*before, transition("STALE", 6.0)])
@@ -81,10 +81,10 @@ def test_repeated_actions_are_counted() -> None:
 
 def test_the_markdown_table_shows_failed_rows() -> None:
     """A failed row is not hidden, and a bar in a title does not break the table."""
-    made = row(title="a|b", problems=["was not healed"])
+    made = row(title="a|b", problems=["was not recovered"])
     text = markdown([made], "x86_64", "2026-01-01")
     assert "2026-01-01 (x86_64)" in text
-    assert "does not hold: was not healed" in text
+    assert "does not hold: was not recovered" in text
     assert "a/b" in text
 
 

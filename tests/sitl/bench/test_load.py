@@ -38,6 +38,6 @@ def test_the_loads_and_faults_exist() -> None:
 def test_a_table_row_has_dashes_for_missing_values() -> None:
     """A value that was not measured is a dash."""
     row = Row("node_killed", "node killed", ["nodes/a"], healable=True, alarms=["nodes/a node_missing"], detected_s=0.5)
-    row.actions, row.healed_s = ["restart"], 4.0
+    row.actions, row.recovered_s = ["restart"], 4.0
     line = table_cells(Measured("quiet", row, None))
-    assert line == ("quiet", "node killed", "0.5 s", "1: nodes/a", "restart, healed after 4.0 s", "-")
+    assert line == ("quiet", "node killed", "0.5 s", "1: nodes/a", "restart, recovered after 4.0 s", "-")

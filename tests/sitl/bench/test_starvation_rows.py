@@ -65,7 +65,7 @@ def test_a_real_fault_under_load_needs_one_verified_action() -> None:
     done = [action(103.0, "started", node), action(110.0, "verified", node)]
     made = row([*alarms, *done], healable=True, expected=(node, host))
     assert made.good
-    assert made.healed_s == 10.0
+    assert made.recovered_s == 10.0
     assert not row(alarms, healable=True, expected=(node, host)).good
     twice = row([*alarms, done[0], *done], healable=True, expected=(node, host))
     assert twice.problems == ["2 actions, of which 1 can help"]

@@ -143,7 +143,7 @@ def test_the_load_is_renewed_after_the_pause(runner: Runner, steps: Steps) -> No
 def test_the_load_outlasts_a_trial() -> None:
     """Also the longest one: PHM's restart until all is OK, a slow injection, recovery, and until all is OK again."""
     assert (
-        3 * campaign_runner.HEALTHY_LIMIT_S + 2 * LEAK_S + ALL["as-found"].healed_limit_s + campaign_runner.AFTER_S
+        3 * campaign_runner.HEALTHY_LIMIT_S + 2 * LEAK_S + ALL["as-found"].recovered_limit_s + campaign_runner.AFTER_S
         <= LASTS_S - RENEW_S
     )
 
@@ -170,9 +170,9 @@ def test_with_recovery_off_the_world_is_compared_with_that_of_the_injection(
 def test_slow_faults_have_longer_to_recover(runner: Runner) -> None:
     """A HEALTHCHECK every 30 s, as in `as-found`, delays detection and the proof of recovery; so does one that hangs."""
     made = trial(injections=[injection(evidence_s=33.0), injection(evidence_s=None)])
-    assert runner._healed_limit_s(made) == 90.0 + 33.0
+    assert runner._recovered_limit_s(made) == 90.0 + 33.0
     runner.profile = ALL["as-found"]
-    assert runner._healed_limit_s(made) == 150.0 + 33.0
+    assert runner._recovered_limit_s(made) == 150.0 + 33.0
 
 
 def test_a_campaign_on_a_running_swarm_knows_its_last_actions(runner: Runner) -> None:
