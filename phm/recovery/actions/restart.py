@@ -144,7 +144,7 @@ def dependents(
     """Keys of the configured containers to be restarted after the container `target`, in order, including dependents of
     dependents.
 
-    A container depends on another if it uses its network namespace, which is new after each start, or its PID
+    A container depends on another if it uses its network or IPC namespace, which is new after each start, or its PID
     namespace, whose processes end with the first one, or names it in `after`. One that depends on several comes after
     the last of them. network_only: only by the network namespace.
     """
@@ -171,7 +171,8 @@ def _shares(fact: ContainerFact | None, owner: ContainerFact, *, network_only: b
     """Whether `fact` uses a namespace of `owner`."""
     if fact is None:
         return False
-    return _names(fact.network_mode, owner) or (not network_only and _names(fact.pid_mode, owner))
+    modes = [fact.network_mode] if network_only else [fact.network_mode, fact.pid_mode, fact.ipc_mode]
+    return any(_names(mode, owner) for mode in modes)
 
 
 def _names(mode: str, owner: ContainerFact) -> bool:

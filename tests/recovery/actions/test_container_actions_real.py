@@ -186,3 +186,14 @@ def test_a_dependent_in_its_pid_namespace_is_restarted(real: Any, engine: Docker
     assert made.run(Restart, "app", EXITED) == "restarted app; restarted side, which depends on it"
     assert engine.inspect(side.id)["State"]["Running"]
     assert printed(side, "readlink /proc/self/ns/pid") == printed(app, "readlink /proc/self/ns/pid")
+
+
+def test_a_dependent_in_its_ipc_namespace_is_restarted(real: Any, engine: DockerEngine) -> None:
+    """It ran on with the /dev/shm of the previous run, which the restarted container does not see."""
+    app = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done", ipc_mode="shareable")
+    side = real.container("trap 'exit 0' TERM; while :; do sleep 0.1; done", ipc_mode=f"container:{app.id}")
+    entries = [{"name": one.name, "alias": alias, "recover": True} for one, alias in ((side, "side"), (app, "app"))]
+    made = bench(engine, containers=entries)
+    assert made.run(Restart, "app", EXITED) == "restarted app; restarted side, which depends on it"
+    inside(app, "echo new > /dev/shm/file")
+    assert printed(side, "cat /dev/shm/file") == "new"

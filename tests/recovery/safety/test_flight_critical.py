@@ -121,11 +121,12 @@ def test_criticality_is_inherited_from_dependents(state: ArmedState, target: str
     assert scene.flight_critical_guard.forbids(target, reach) == ""
 
 
-def test_a_shared_pid_namespace_counts_like_a_shared_network() -> None:
-    """Its first process takes all processes in it down; a reconnection does not."""
+@pytest.mark.parametrize("kind", ["pid_mode", "ipc_mode"])
+def test_a_shared_pid_or_ipc_namespace_counts_like_a_shared_network(kind: str) -> None:
+    """A restart of its owner ends the processes in it, or separates its /dev/shm; a reconnection does neither."""
     scene = Scene()
-    fc_app = scene.facts["fc_app"]
-    scene.facts["fc_app"] = replace(fc_app, network_mode="bridge", pid_mode=f"container:{scene.facts['camera'].id}")
+    shared: dict[str, Any] = {kind: f"container:{scene.facts['camera'].id}"}
+    scene.facts["fc_app"] = replace(scene.facts["fc_app"], network_mode="bridge", **shared)
     assert "would take down fc_app" in scene.flight_critical_guard.forbids("camera", Impact.CONTAINER)
     assert scene.flight_critical_guard.forbids("camera", Impact.NETWORK) == ""
     assert scene.flight_critical_guard.forbids("vpn", Impact.CONTAINER) == ""
