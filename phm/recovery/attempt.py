@@ -50,6 +50,8 @@ READS = frozenset(
     }
 )
 """Calls that change nothing; every other one is checked."""
+NOT_ABOUT_A_CONTAINER = frozenset({"create_from_image", "exec_read", "exec_exit_code"})
+"""Creates a container that is never started; concern a program that `exec_create` has prepared in a named container."""
 REACH = {
     "start": Impact.NOTHING,
     "unpause": Impact.NOTHING,
@@ -328,13 +330,12 @@ class GuardedEngine:
 
     def _ask(self, call: str, ref: str) -> None:
         """Raises FlightCriticalError, and CannotTell when the engine does not say which container is meant."""
-        if not ref or (call in BRINGS_BACK and ref in self._down):
+        if call in NOT_ABOUT_A_CONTAINER or (call in BRINGS_BACK and ref in self._down):
             return
-        if self._guard is not None and not self._guard.inactive:
-            key = self._guard.key_of(ref)
-            reach = REACH.get(call, Impact.CONTAINER)
-            why = self._guard.forbids(key, reach, self._approved_at) if key else ""
+        reach = REACH.get(call, Impact.CONTAINER)
+        if self._guard is not None:
+            why = self._guard.refusal(call, ref, reach, self._approved_at, self._engine.inspect)
             if why:
-                raise FlightCriticalError(f"{call} of {key} was not done: {why}")
-        if REACH.get(call) is not Impact.NOTHING and call not in BRINGS_BACK:
+                raise FlightCriticalError(why)
+        if reach is not Impact.NOTHING and call not in BRINGS_BACK:
             self._down.add(ref)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact
@@ -29,47 +30,73 @@ class FlightCriticalGuard:
         self._containers, self._container, self._myself, self.armed = containers, container, myself, armed
         self._critical = critical_containers(containers)
 
-    def forbids(self, target: str, impact: Impact, approved_at: ArmedState | None = None) -> str:
+    def forbids(
+        self,
+        target: str,
+        impact: Impact,
+        approved_at: ArmedState | None = None,
+        unconfigured: ContainerFact | None = None,
+    ) -> str:
         """Why nothing of this impact may be done to `target` now; empty: it may.
 
         approved_at: the armed state at which an operator approved it, which holds as long as that is the state.
+        unconfigured: `target` is this container's id, not a key of the configuration.
         """
-        if not self._critical or impact is Impact.OTHERS:
-            return ""
-        armed = self.armed()
-        if not armed.restricts or armed.state is approved_at:
+        armed = self._restriction(approved_at)
+        if armed is None or impact is Impact.OTHERS:
             return ""
         if target in self._critical:
             return f"flight-critical, and {armed.why}"
         if impact is Impact.NOTHING:
             return ""
         try:
-            below = self._below(target, network_only=impact is Impact.NETWORK)
+            below = self._below(target, unconfigured, network_only=impact is Impact.NETWORK)
         except CannotTell as error:
             return f"what it would take down is not known ({error}), and {armed.why}"
         hit = next((key for key in below if key in self._critical), "")
         return f"it would take down {hit}, which is flight-critical, and {armed.why}" if hit else ""
 
-    def key_of(self, ref: str) -> str:
-        """The key of the configured container that the engine knows by this id or name; empty: none, or PHM's own.
+    def refusal(
+        self,
+        call: str,
+        ref: str,
+        impact: Impact,
+        approved_at: ArmedState | None,
+        inspect: Callable[[str], Mapping[str, Any]],
+    ) -> str:
+        """Why an action may not make this call about the container `ref` now, as a sentence; empty: it may. Raises CannotTell.
 
-        Raises CannotTell.
+        inspect: asks the engine which container it means, because it also accepts "/name" and the beginning of an id.
+        A flight-critical container may use the namespaces of one that is not configured, so that one is protected, too.
         """
-        me = self._myself()
-        if me is not None and ref in (me.id, me.name):
+        armed = self._restriction(approved_at)
+        if armed is None:
             return ""
-        for entry in self._containers:
-            fact = self._container(entry.key)
-            if fact is not None and ref in (fact.id, fact.name):
-                return entry.key
-        return ""
+        if not ref:
+            return f"{call} was not done: it names no container, so what it takes down is not known, and {armed.why}"
+        answer = inspect(ref)
+        called = ContainerFact(str(answer.get("Name") or "").lstrip("/"), str(answer.get("Id") or ""), "", "")
+        if not called.id:
+            raise CannotTell(f"the Docker Engine described {ref} without an id")
+        me = self._myself()
+        if me is not None and called.id == me.id and impact is Impact.NETWORK:
+            return ""  # PHM connects itself to networks
+        key = next((entry.key for entry in self._containers if self._is(entry, called)), "")
+        why = self.forbids(key or called.id, impact, approved_at, None if key else called)
+        return f"{call} of {key or called.name} was not done: {why}" if why else ""
 
-    @property
-    def inactive(self) -> bool:
-        """Whether everything is allowed: no container is flight-critical, or the vehicle is disarmed."""
-        return not self._critical or not self.armed().restricts
+    def _restriction(self, approved_at: ArmedState | None) -> ArmedStatus | None:
+        """The armed state if it restricts actions; None: everything is allowed."""
+        armed = self.armed() if self._critical else None
+        return armed if armed is not None and armed.restricts and armed.state is not approved_at else None
 
-    def _below(self, target: str, *, network_only: bool) -> list[str]:
+    def _is(self, entry: ContainerSettings, called: ContainerFact) -> bool:
+        fact = self._container(entry.key)
+        return fact is not None and fact.id == called.id
+
+    def _below(self, target: str, unconfigured: ContainerFact | None, *, network_only: bool) -> list[str]:
         facts = {entry.key: self._container(entry.key) for entry in self._containers}
         seen = {key: fact for key, fact in facts.items() if fact is not None}
+        if unconfigured is not None:
+            seen[target] = unconfigured
         return dependents(target, seen, self._containers, network_only=network_only)

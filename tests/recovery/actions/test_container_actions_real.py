@@ -14,7 +14,7 @@ from phm.recovery.actions.relaunch import Relaunch
 from phm.recovery.actions.restart import Restart
 from phm.recovery.actions.restore_file import RestoreFile
 from phm.recovery.actions.start import Start
-from phm.recovery.base import ActionFailed
+from phm.recovery.base import ActionFailed, FlightCriticalError
 from phm.transport.docker import DockerEngine
 from tests.fakes.until import until
 from tests.proxy.haproxy import BehindProxy
@@ -197,3 +197,24 @@ def test_a_dependent_in_its_ipc_namespace_is_restarted(real: Any, engine: Docker
     assert made.run(Restart, "app", EXITED) == "restarted app; restarted side, which depends on it"
     inside(app, "echo new > /dev/shm/file")
     assert printed(side, "cat /dev/shm/file") == "new"
+
+
+def test_an_armed_flight_critical_container_is_protected_under_each_name(real: Any, engine: DockerEngine) -> None:
+    """So is one that is not configured and whose network it shares; the proxy refuses names that are not exact."""
+    gateway = real.container()
+    app = real.container(network_mode=f"container:{gateway.id}")
+    made = bench(
+        engine,
+        containers=[{"name": app.name, "alias": "app", "recover": True, "flight_critical": True}],
+        mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14599", "leads_to": "autopilot"}]},
+    )
+    made.armed = True
+    ask = made.context().engine
+    before = [engine.inspect(one.id)["State"]["StartedAt"] for one in (app, gateway)]
+    for one in (app, gateway):
+        for ref in (one.name, one.id, one.id[:12]):
+            with pytest.raises((FlightCriticalError, NotPermitted)):
+                ask.restart(ref)
+        with pytest.raises((FlightCriticalError, NotPermitted)):
+            ask.disconnect("bridge", f"/{one.name}", force=True)
+    assert [engine.inspect(one.id)["State"]["StartedAt"] for one in (app, gateway)] == before

@@ -11,17 +11,14 @@ import pytest
 from phm import testing
 from phm.core.settings import Settings
 from phm.facts import CannotTell, ContainerFact
-from phm.recovery.attempt import READS
+from phm.recovery.attempt import NOT_ABOUT_A_CONTAINER, READS
 from phm.recovery.base import FlightCriticalError, Impact
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
 from phm.testing import settings
-from phm.transport.docker import DockerEngine
+from phm.transport.docker import DockerEngine, EngineMissing
 from phm.transport.docker_session import DockerSession
 from tests.recovery.action_bench import guarded
-
-NOT_ABOUT_A_CONTAINER = {"create_from_image", "exec_read", "exec_exit_code"}
-"""Creates a container that is never started; concern a program that `exec_create` has prepared in a named container."""
 
 
 class Scene:
@@ -51,10 +48,20 @@ class Scene:
             self.settings.containers, self.fact, lambda: self.me, lambda: ArmedStatus(self.state, "it is armed")
         )
 
+        self.unconfigured = [testing.container("gateway"), testing.container("bystander")]
+
     def fact(self, key: str) -> ContainerFact | None:
         if key in self.unknown:
             raise CannotTell("the engine does not answer")
         return self.facts.get(key)
+
+    def known_as(self, ref: str) -> ContainerFact:
+        """The container that the engine means by `ref`. Raises EngineMissing."""
+        every = [*self.facts.values(), *self.unconfigured, *([self.me] if self.me else [])]
+        for fact in every:
+            if ref.removeprefix("/") == fact.name or (len(ref) > 5 and fact.id.startswith(ref)):
+                return fact
+        raise EngineMissing(f"there is no {ref}")
 
 
 class Calls:
@@ -84,9 +91,18 @@ class Calls:
     def connect(self, network: str, container: str, aliases: tuple[str, ...] = (), address: str = "") -> None:
         self._note(f"connect {container}")
 
+    def kill(self, ref: str, signal: str = "SIGKILL") -> None:
+        self._note(f"kill {ref}")
+
+    def remove(self, ref: str) -> None:
+        self._note(f"remove {ref}")
+
+    def call(self, fn: Any, *, deadline_s: float | None = None, what: str = "answer") -> None:
+        self._note("call")
+
     def inspect(self, ref: str) -> dict[str, str]:
-        self._note(f"inspect {ref}")
-        return {}
+        fact = self.scene.known_as(ref)
+        return {"Id": fact.id, "Name": f"/{fact.name}"}
 
 
 def engine(scene: Scene) -> tuple[DockerEngine, Calls]:
@@ -166,7 +182,76 @@ def test_the_armed_state_is_checked_before_each_call() -> None:
     ask.inspect("fc_app")
     ask.restart("camera")
     ask.connect("net", "phm")
-    assert calls.made[1:] == ["inspect fc_app", "restart camera", "connect phm"]
+    assert calls.made[1:] == ["restart camera", "connect phm"]
+
+
+@pytest.mark.parametrize("short", ["/fc_app", "id-of-fc", "/vpn", "id-of-v"])
+def test_a_container_is_protected_under_each_name_that_the_engine_accepts(short: str) -> None:
+    """With a slash before its name, and by the beginning of its id."""
+    ask, calls = engine(Scene())
+    for call in (ask.restart, ask.kill, ask.remove, lambda ref: ask.disconnect("net", ref)):
+        with pytest.raises(FlightCriticalError, match=r"of (fc_app|vpn) was not done"):
+            call(short)
+    assert calls.made == []
+
+
+@pytest.mark.parametrize("kind", ["network_mode", "pid_mode", "ipc_mode"])
+def test_an_unconfigured_container_is_protected_if_a_flight_critical_one_uses_its_namespace(kind: str) -> None:
+    """PHM's configuration does not name it, but its restart would disturb the flight-critical one."""
+    scene = Scene()
+    gateway = scene.unconfigured[0]
+    shared: dict[str, Any] = {"network_mode": "bridge", kind: f"container:{gateway.id}"}
+    scene.facts["fc_app"] = replace(scene.facts["fc_app"], **shared)
+    ask, calls = engine(scene)
+    for ref in (gateway.id, "gateway", "/gateway"):
+        with pytest.raises(FlightCriticalError, match="restart of gateway was not done: it would take down fc_app"):
+            ask.restart(ref)
+    ask.remove("bystander")
+    ask.start("gateway")
+    scene.state = ArmedState.DISARMED
+    ask.restart("gateway")
+    assert calls.made == ["remove bystander", "start gateway", "restart gateway"]
+
+
+def test_phm_may_connect_itself_to_networks_but_not_restart_what_a_flight_critical_container_uses() -> None:
+    """Its own container is protected like any other, except from its own changes of networks."""
+    scene = Scene()
+    assert scene.me is not None
+    scene.facts["fc_app"] = replace(scene.facts["fc_app"], network_mode=f"container:{scene.me.id}")
+    ask, calls = engine(scene)
+    ask.connect("net", "phm")
+    with pytest.raises(FlightCriticalError, match="restart of phm was not done"):
+        ask.restart("phm")
+    assert calls.made == ["connect phm"]
+
+
+def test_a_call_that_names_no_container_is_refused_while_armed() -> None:
+    """What it would take down cannot be known."""
+    scene = Scene()
+    ask, calls = engine(scene)
+    with pytest.raises(FlightCriticalError, match="names no container"):
+        ask.call(lambda client: client.restart("fc_app"))
+    scene.state = ArmedState.DISARMED
+    ask.call(lambda client: client.restart("fc_app"))
+    assert calls.made == ["call"]
+
+
+def test_a_container_that_does_not_exist_is_reported_as_missing() -> None:
+    """While armed as on the ground, so that an action may ignore it."""
+    ask, calls = engine(Scene())
+    with pytest.raises(EngineMissing):
+        ask.remove("nothing")
+    assert calls.made == []
+
+
+def test_a_call_is_not_made_if_the_engine_does_not_say_which_container_it_means() -> None:
+    """An answer without an id could be about a flight-critical container."""
+    scene = Scene()
+    scene.unconfigured.append(testing.container("unclear", id=""))
+    ask, calls = engine(scene)
+    with pytest.raises(CannotTell, match="described unclear without an id"):
+        ask.restart("unclear")
+    assert calls.made == []
 
 
 @pytest.mark.parametrize(
