@@ -57,11 +57,11 @@ REACH = {
     "unpause": Impact.NOTHING,
     "exec_detached": Impact.NOTHING,
     "put_file": Impact.NOTHING,
-    "set_cpu_shares": Impact.NOTHING,
     "connect": Impact.NETWORK,
     "disconnect": Impact.NETWORK,
 }
 """What a call takes down; a call that is not listed: the container."""
+TAKES_DOWN = frozenset({"restart", "stop", "kill", "pause", "disconnect"})
 BRINGS_BACK = frozenset({"start", "unpause", "connect"})
 """Calls that are never refused for what the same action took down: to stop halfway would be worse."""
 STARTS = frozenset({"start", "restart"})
@@ -332,10 +332,10 @@ class GuardedEngine:
         """Raises FlightCriticalError, and CannotTell when the engine does not say which container is meant."""
         if call in NOT_ABOUT_A_CONTAINER or (call in BRINGS_BACK and ref in self._down):
             return
-        reach = REACH.get(call, Impact.CONTAINER)
         if self._guard is not None:
+            reach = REACH.get(call, Impact.CONTAINER)
             why = self._guard.refusal(call, ref, reach, self._approved_at, self._engine.inspect)
             if why:
                 raise FlightCriticalError(why)
-        if reach is not Impact.NOTHING and call not in BRINGS_BACK:
+        if call in TAKES_DOWN:
             self._down.add(ref)

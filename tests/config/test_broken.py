@@ -328,6 +328,12 @@ BROKEN = [
         "recovery:\n  relieve: [app]\n",
         6, "recovery.relieve[0]", ("flight-critical", "only other containers"),
     ),
+    Broken(
+        "relieve what a critical one needs",
+        "containers:\n  - {name: app, flight_critical: true, after: [vpn]}\n  - {name: vpn, after: [base]}\n"
+        "  - {name: base}\nmavlink:\n  endpoints: [{url: 'udpin:0.0.0.0:14550'}]\nrecovery:\n  relieve: [base]\n",
+        8, "recovery.relieve[0]", ("'app' is flight-critical and needs it", "'after'", "remove this"),
+    ),
     Broken("reserve", "recovery:\n  reserve: 6\n", 2, "recovery.reserve", ("is 6", "'budget'", "5 or less")),
     Broken("back-off", "recovery:\n  backoff: 2min\n", 2, "recovery.backoff", ("is 120", "'backoff_max'")),
     Broken("hold", "recovery:\n  hold: 5h\n", 2, "recovery.hold", ("is 18000", "'hold_max'")),

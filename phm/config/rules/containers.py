@@ -105,6 +105,12 @@ def named_containers_exist(root: ConfigNode) -> None:
         if window.get("container").text:
             configured(window.get("container"), known)
     report_duplicates("container", ((place.text, place) for place in root.get("recovery", "relieve").texts))
+    critical = [key for key, entry in known.items() if entry.get("flight_critical").value is True]
+    after = {key: {place.text for place in entry.get("after").texts} for key, entry in known.items()}
     for place in root.get("recovery", "relieve").texts:
-        if configured(place, known) and known[place.text].get("flight_critical").value is True:
+        if not configured(place, known):
+            continue
+        if place.text in critical:
             place.add_problem("is flight-critical: only other containers can be relieved")
+        elif needed_by := next((key for key in critical if shortest_path(after, key, place.text)), ""):
+            place.add_problem(f"container {shown(needed_by)} is flight-critical and needs it ('after'): remove this")

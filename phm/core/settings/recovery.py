@@ -101,8 +101,8 @@ class RecoverySettings(Section):
     hold_max: Annotated[Seconds, Field(ge=1, le=86400)] = 14400.0
     """The longest hold that `phm hold` accepts."""
     relieve: Annotated[list[Name], Field(max_length=16)] = Field(default_factory=list)
-    """Containers, none of them flight-critical, whose CPU weight is lowered while a flight-critical container with
-    `recover: true` waits for a CPU because of others, and restored afterwards."""
+    """Containers, none of them flight-critical or needed by one that is, whose CPU weight is lowered while a flight-critical
+    container with `recover: true` waits for a CPU because of others, and restored afterwards."""
     maintenance: Annotated[list[MaintenanceSettings], Field(max_length=16)] = Field(default_factory=list)
     """Times in which containers are on hold. A container's label `phm.maintenance` has the same effect."""
     ladders: dict[str, list[str]] = Field(default_factory=dict)

@@ -5,11 +5,15 @@ from __future__ import annotations
 from phm.core.model import Fault
 from phm.core.settings import Settings
 from phm.recovery.actions.cpu_weights import LOW_SHARES
+from phm.recovery.actions.restart import dependents
 from phm.recovery.base import Action, ActionContext, ActionFailed, Impact, NotNeeded, Target
 
 
 class Relieve(Action):
-    """Lower the CPU weight of the containers in `recovery.relieve`, so that a flight-critical one gets a core."""
+    """Lower the CPU weight of the containers in `recovery.relieve`, so that a flight-critical one gets a core.
+
+    Not of those on which a flight-critical one depends, which the engine may show and the configuration not.
+    """
 
     name = "relieve"
     impact = Impact.OTHERS
@@ -25,13 +29,21 @@ class Relieve(Action):
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         if context.relief is None:
             raise ActionFailed("CPU weights cannot be changed here")
-        lowered = []
+        lowered, needed = [], _needed(context)
         for key in context.settings.recovery.relieve:
             fact = context.container(key)
-            if fact is None or not fact.running or key == target.key or context.on_hold(key):
+            if fact is None or not fact.running or key == target.key or key in needed or context.on_hold(key):
                 continue
             if context.relief.lower(key, fact, fault.unit, context.engine):
                 lowered.append(key)
         if not lowered:
             return NotNeeded("no container in recovery.relieve can be lowered")
         return f"lowered the CPU weight of {', '.join(lowered)} to {LOW_SHARES}"
+
+
+def _needed(context: ActionContext) -> set[str]:
+    """Containers in `recovery.relieve` on which a flight-critical one depends. Raises CannotTell."""
+    containers = context.settings.containers
+    facts = {entry.key: fact for entry in containers if (fact := context.container(entry.key)) is not None}
+    critical = {entry.key for entry in containers if entry.flight_critical}
+    return {key for key in context.settings.recovery.relieve if critical & set(dependents(key, facts, containers))}

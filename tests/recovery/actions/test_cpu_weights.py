@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from phm import testing
 from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
+from phm.facts import ContainerFact
 from phm.recovery.actions.cpu_weights import CALM_S, DEFAULT_SHARES, LOW_SHARES, CpuWeights
 from phm.recovery.actions.relieve import Relieve
 from phm.recovery.actions.unpause import Unpause
 from phm.recovery.attempt import Attempt
-from phm.recovery.base import Action, NotNeeded, Target
+from phm.recovery.base import Action, ActionContext, NotNeeded, Target
 from phm.recovery.ownership import Shared
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
@@ -122,6 +125,36 @@ def test_relieve_applies_to_a_flight_critical_container_with_configured_others()
     critical = Target.of(app.model_copy(update={"flight_critical": True}))
     assert Relieve.applies(critical, STARVED, named)
     assert not Relieve.applies(critical, STARVED, settings(containers=[{"name": "app"}]))
+
+
+def relieve_with(facts: Mapping[str, ContainerFact], *, after: Sequence[str] = ()) -> list[str]:
+    """The containers that are relieved for the flight-critical `app`; all others may be."""
+    lowered: list[str] = []
+    others = [key for key in facts if key != "app"]
+    named = settings(
+        containers=[{"name": "app", "flight_critical": True, "after": list(after)}, *({"name": key} for key in others)],
+        recovery={"relieve": others},
+    )
+    relief = SimpleNamespace(lower=lambda key, *more: bool(lowered.append(key)) or True)
+    context = SimpleNamespace(
+        settings=named, container=facts.__getitem__, relief=relief, engine=None, on_hold=lambda key: ""
+    )
+    Relieve().run(Target.of(named.containers[0]), STARVED, cast(ActionContext, context))
+    return lowered
+
+
+@pytest.mark.parametrize("kind", ["network_mode", "pid_mode", "ipc_mode"])
+def test_what_a_flight_critical_container_shares_is_not_relieved(kind: str) -> None:
+    """It would slow down the container that it is to relieve."""
+    mode: dict[str, Any] = {kind: "container:vpn"}
+    facts = {"app": testing.container("app", **mode), "vpn": testing.container("vpn"), "cam": testing.container("cam")}
+    assert relieve_with(facts) == ["cam"]
+
+
+def test_what_a_flight_critical_container_starts_after_is_not_relieved() -> None:
+    """Also if the rules of the configuration did not refuse it."""
+    facts = {key: testing.container(key) for key in ("app", "vpn", "cam")}
+    assert relieve_with(facts, after=["vpn"]) == ["cam"]
 
 
 @pytest.mark.engine

@@ -97,6 +97,9 @@ class Calls:
     def remove(self, ref: str) -> None:
         self._note(f"remove {ref}")
 
+    def set_cpu_shares(self, container: str, shares: int) -> None:
+        self._note(f"weight of {container}")
+
     def call(self, fn: Any, *, deadline_s: float | None = None, what: str = "answer") -> None:
         self._note("call")
 
@@ -269,6 +272,22 @@ def test_an_action_may_restart_what_it_has_taken_down(down: tuple[str, ...], up:
     other, _ = engine(scene)
     with pytest.raises(FlightCriticalError):
         getattr(other, up[0])(*up[1:], "fc_app")
+
+
+def test_the_cpu_weight_of_what_a_flight_critical_container_depends_on_is_not_lowered() -> None:
+    """It would be starved with that container; and lowering a weight does not permit a start."""
+    scene = Scene()
+    ask, calls = engine(scene)
+    for ref in ("fc_app", "vpn", "base"):
+        with pytest.raises(FlightCriticalError, match="set_cpu_shares"):
+            ask.set_cpu_shares(ref, 64)
+    ask.set_cpu_shares("camera", 64)
+    scene.state = ArmedState.DISARMED
+    ask.set_cpu_shares("fc_app", 64)
+    scene.state = ArmedState.ARMED
+    with pytest.raises(FlightCriticalError, match="start"):
+        ask.start("fc_app")
+    assert calls.made == ["weight of camera", "weight of fc_app"]
 
 
 def test_every_engine_call_is_read_only_or_guarded() -> None:
