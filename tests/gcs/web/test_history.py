@@ -66,6 +66,26 @@ def test_samples_events_and_open_faults_survive_a_restart(tmp_path: Path) -> Non
         assert len(client.get("/api/history/series?agent=A07&kind=gap")["points"]) >= len(gaps)
 
 
+def test_a_fault_that_has_ended_is_listed_since_a_moment() -> None:
+    """Open faults, and those that ended after it; with the time of their end."""
+    with ground() as here:
+        vehicle, client = here.vehicle(), here.client()
+        vehicle.beat()
+        before = here.clock.utc()
+        vehicle.say("A07 FAIL 2 ros_app exited 1")
+        vehicle.say("A07 FAIL 6 planner dead")
+        vehicle.say("A07 OK 2 ros_app restarted", 5)
+        until(lambda: len(faults(client, "open=1")) == 1 == len(faults(client)) - 1, "the end", lambda: faults(client))
+
+        def listed(since: float) -> list[tuple[str, bool]]:
+            return [(one["unit"], one["open"]) for one in faults(client, f"agent=A07&since={since}")]
+
+        assert sorted(listed(before)) == [("planner", True), ("ros_app", False)]
+        assert listed(here.clock.utc() + 1) == [("planner", True)]
+        ended = {one["unit"]: one["ended_utc_s"] for one in faults(client)}
+        assert ended["planner"] is None and before <= ended["ros_app"] <= here.clock.utc()
+
+
 def test_events_are_found_by_text_grade_agent_and_page(tmp_path: Path) -> None:
     """Newest first; what is asked for is a value, never part of the query."""
     with ground() as here:
@@ -143,7 +163,7 @@ def test_an_empty_file_becomes_a_history(tmp_path: Path) -> None:
     for _ in range(2):
         store = HistoryStore(path, SystemClock())
         store.start()
-        until(lambda: HistoryReader(path).faults("", only_open=True) == {"faults": []}, "the tables")
+        until(lambda: HistoryReader(path).faults("") == {"faults": []}, "the tables")
         assert store.problem() == ""
         store.close()
     assert [each.name for each in tmp_path.iterdir()] == ["history.db"]

@@ -29,7 +29,7 @@ DAY_S = 86_400.0
 
 @dataclass(slots=True)
 class FaultEntry:
-    """key: unique in the history. number: as in `#17`, None: not known."""
+    """key: unique in the history. number: as in `#17`, None: not known. ended: UTC seconds; None: it is open."""
 
     key: str
     who: str
@@ -38,8 +38,12 @@ class FaultEntry:
     level: str
     at: float
     number: int | None = None
-    open: bool = True
+    ended: float | None = None
     steps: list[Json] = field(default_factory=list)
+
+    @property
+    def open(self) -> bool:
+        return self.ended is None
 
     def step(self, name: str, utc_s: float, text: str) -> None:
         if len(self.steps) < MAX_STEPS:
@@ -57,6 +61,7 @@ class FaultEntry:
             "number": self.number,
             "open": self.open,
             "utc_s": round(self.at, 3),
+            "ended_utc_s": None if self.ended is None else round(self.ended, 3),
             "steps": self.steps,
         }
 
@@ -71,7 +76,7 @@ def from_json(body: Mapping[str, Any]) -> FaultEntry:
         str(body["level"]),
         float(body["utc_s"]),
         body["number"],
-        bool(body["open"]),
+        body.get("ended_utc_s"),
         [{**step, "utc_s": float(step["utc_s"])} for step in list(body["steps"])[:MAX_STEPS]],
     )
 
@@ -183,7 +188,7 @@ class FaultList:
 
     def _close(self, over: list[FaultEntry], utc_s: float, text: str, step: str = "recovered") -> list[FaultEntry]:
         for one in over:
-            one.open = False
+            one.ended = utc_s if one.ended is None else one.ended  # a line may follow the heartbeat with the end
             one.step(step, utc_s, text)
             self._open.pop(one.key, None)
         return over

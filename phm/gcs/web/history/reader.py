@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import sqlite3
 import time
 from collections.abc import Iterator
@@ -102,12 +103,12 @@ class HistoryReader:
         found = [{**body, "id": key} for key, text in rows[:limit] for body in _bodies(text)]
         return {"events": found, "more": len(rows) > limit}
 
-    def faults(self, who: str, *, only_open: bool, until: float | None = None) -> Json:
-        """Faults, newest first. until: UTC seconds."""
+    def faults(self, who: str, *, since: float = 0.0, until: float = math.inf) -> Json:
+        """Faults that began by `until`, and are open or ended after `since`, newest first. UTC seconds."""
         with self._open() as connection:
             rows = connection.execute(
-                "SELECT body FROM fault WHERE (? = '' OR who = ?) AND open >= ? AND at <= ? ORDER BY at DESC LIMIT ?",
-                (who, who, int(only_open), until if until is not None else 1e12, MAX_FAULTS),
+                "SELECT body FROM fault WHERE (? = '' OR who = ?) AND at <= ? AND (open = 1 OR changed > ?) ORDER BY at DESC LIMIT ?",
+                (who, who, until, since, MAX_FAULTS),
             ).fetchall()
         return {"faults": [body for (text,) in rows for body in _bodies(text)]}
 
@@ -115,7 +116,7 @@ class HistoryReader:
         """Those that were open when the ground stopped; empty if there is no history yet, or it cannot be read."""
         found: list[FaultEntry] = []
         with contextlib.suppress(HistoryError):
-            for body in reversed(self.faults("", only_open=True)["faults"]):
+            for body in reversed(self.faults("", since=math.inf)["faults"]):
                 with contextlib.suppress(KeyError, TypeError, ValueError):
                     found.append(from_json(body))
         return found

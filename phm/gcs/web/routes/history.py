@@ -79,8 +79,9 @@ def _events(site: Site, history: HistoryReader, request: web.Request) -> Any:
 
 
 def _faults(site: Site, history: HistoryReader, request: web.Request) -> Any:
-    until = site.view.moment()[1] if site.replay is not None else None
-    return history.faults(_text(request, "agent"), only_open=request.query.get("open") == "1", until=until)
+    until = site.view.moment()[1] if site.replay is not None else math.inf
+    since = until if request.query.get("open") == "1" else _number(request, "since", 0.0)
+    return history.faults(_text(request, "agent"), since=since, until=until)
 
 
 def _armed(site: Site, who: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -99,8 +100,38 @@ def test_open_faults_have_their_steps(page: Page) -> None:
     fault = page.locator("#panel .fault")
     expect(fault).to_contain_text("ros_app exited (137)")
     expect(fault.locator(".steps")).to_contain_text("advised")
-    expect(fault.locator(".stages .reached").last).to_have_text("confirmed")
+    expect(fault.locator(".stages .reached").last).to_contain_text("confirmed")
     expect(page.locator("#panel .log")).to_contain_text("A07 FAIL")
+
+
+def test_a_recovered_fault_shows_all_stages(page: Page, agents: Fleet) -> None:
+    """It stays in the list, marked as ended, with the time of each stage that the ground has received."""
+    page.locator(".row[data-name=A12]").click()
+    agents.say(12, "A12 FAIL 6 mapper dead")
+    agents.say(12, "A12 ADVISE 6 relaunch mapper #21 60s", 4)
+    agents.say(12, "A12 APPROVED 6 relaunch mapper", 5)
+    agents.say(12, "A12 OK 6 mapper relaunched", 5)
+    fault = page.locator("#panel .fault", has_text="mapper dead")
+    expect(fault).to_contain_text(re.compile(r"ended \d\d:\d\d:\d\d"))
+    expect(fault.locator(".stages .reached")).to_have_text(
+        [re.compile(f"{name}.*\\d\\d:\\d\\d:\\d\\d") for name in ("detected", "confirmed", "action", "proof")]
+    )
+
+
+def test_a_fault_that_phm_gave_up_says_so(page: Page, agents: Fleet) -> None:
+    """An approval that expired and an action that PHM stopped trying take the place of the action."""
+    page.locator(".row[data-name=A10]").click()
+    agents.say(10, "A10 FAIL 6 mapper dead")
+    agents.say(10, "A10 ADVISE 6 relaunch mapper #22 60s", 4)
+    agents.say(10, "A10 EXPIRED 6 relaunch mapper", 4)
+    failed = page.locator("#panel .fault", has_text="mapper dead").locator(".stages .failed")
+    expect(failed).to_have_text(re.compile(r"EXPIRED.*\d\d:\d\d:\d\d"))
+    agents.say(10, "A10 GAVE UP 6 mapper dead #22")
+    expect(failed).to_have_text(re.compile(r"GAVE UP.*\d\d:\d\d:\d\d"))
+    agents.say(10, "A10 OK 6 mapper recovered", 5)
+    stages = page.locator("#panel .fault", has_text="mapper dead").locator(".stages li")
+    expect(stages.last).to_have_text(re.compile(r"recovered.*\d\d:\d\d:\d\d"))
+    expect(failed).to_contain_text("GAVE UP")
 
 
 def test_the_two_views_are_side_by_side_and_differences_are_marked(page: Page) -> None:

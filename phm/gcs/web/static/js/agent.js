@@ -7,12 +7,14 @@ import { button, byId, el, render, said, setClass, setText } from "./dom.js";
 import { eventLine } from "./events.js";
 import { path } from "./path.js";
 import { startPlots, stopPlots } from "./plots.js";
-import { ageOf, now, on, store } from "./store.js";
+import { ageOf, now, on, store, utcNow } from "./store.js";
 import { LAYERS, PRESENCE, age, ago, cell, clock, pilotWords, received, slotLong, stateClass } from "./words.js";
 
 const FAULTS_EVERY_MS = 5000;
 const AGAIN_MS = 3000;
 const MOST_EVENTS = 20;
+const MOST_ENDED = 10;
+const RECENT_S = 900;
 const CHOICE_KEYS = ["advice", "containers", "on_hold", "presence"];
 let shown = "";
 let parts = {};
@@ -56,13 +58,15 @@ function build(panel, name) {
   parts = {
     title: el("h2", { tabindex: "-1", text: name }), state: el("span"), age: el("span", { class: "age" }), facts: el("p", { class: "facts" }),
     alarm: el("div", { class: "own-alarm" }), gone: el("p", { class: "gone", hidden: true }), path: el("div"), choices: el("div", { class: "choices" }),
-    requests: el("div"), layers: el("div", { class: "layers" }), faults: el("div"), views: el("div"), plots: el("div"), events: el("div"),
+    requests: el("div"), layers: el("div", { class: "layers" }), faults: el("div"), ended: el("div"), views: el("div"), plots: el("div"), events: el("div"),
   };
+  parts.endedSection = section("Ended faults", parts.ended);
+  parts.endedSection.hidden = true;
   panel.setAttribute("aria-label", `Agent ${name}`);
   panel.replaceChildren(
     el("header", {}, parts.title, parts.state, parts.age, el("a", { class: "close", href: "#/swarm", text: "Close", "aria-label": `Close ${name}` })),
     parts.facts, parts.alarm, parts.gone,
-    section("Path of a command", parts.path), section("Open faults", parts.faults), section("Requests", parts.choices, parts.requests),
+    section("Path of a command", parts.path), section("Open faults", parts.faults), parts.endedSection, section("Requests", parts.choices, parts.requests),
     section("Layers and checks", parts.layers), section("Plots", parts.plots), section("The ground's view and the swarm's", parts.views),
     section("Recent events", parts.events));
   panel.scrollTop = 0;
@@ -160,7 +164,7 @@ async function loadFaults() {
   let found = [];
   let note = "";
   try {
-    found = (await getJson("api/history/faults", { agent: name, open: 1 })).faults;
+    found = (await getJson("api/history/faults", { agent: name, since: utcNow() - RECENT_S })).faults;
   } catch (error) {
     note = error.status === 404 ? "There is no history: steps of faults are not kept." : `No faults: ${error.message}.`;
   }
@@ -170,27 +174,44 @@ async function loadFaults() {
   if (agent) showFaults(agent);
 }
 
-const STEPS = ["detected", "confirmed", "action", "proof"];
-
 function showFaults(agent) {
-  render(parts.faults, [faults, faultsNote, agent.advice, agent.bad?.length], () => [
+  const [open, ended] = [faults.filter((fault) => fault.open), faults.filter((fault) => !fault.open)];
+  render(parts.faults, [open, faultsNote, agent.advice, agent.bad?.length], () => [
     ...(agent.advice ?? []).map((one) => el("p", { class: "advice" }, el("strong", { text: `Waits for an approval: fault ${one.fault}: ` }),
       said(`${one.action} ${one.target}`), " ", since(one.at))),
-    ...faults.map(faultItem),
-    !faults.length && !agent.advice?.length ? el("p", { class: "quiet",
+    ...open.map(faultItem),
+    !open.length && !agent.advice?.length ? el("p", { class: "quiet",
       text: agent.bad?.length ? `Reported as bad: see below. ${faultsNote}` : faultsNote || "No open fault is known." }) : null,
   ]);
+  parts.endedSection.hidden = !ended.length;
+  render(parts.ended, ended, () => [...ended.slice(0, MOST_ENDED).map(faultItem),
+    ended.length > MOST_ENDED ? el("p", { class: "quiet", text: `${ended.length - MOST_ENDED} earlier ones: see Events.` }) : null]);
 }
 
 function faultItem(fault) {
-  const reached = new Set(fault.steps.map((step) => (step.step === "advised" || step.step === "approved" ? "confirmed" : step.step)));
-  // The ground hears of a fault with its report: what was confirmed was detected before.
-  if (reached.size) reached.add("detected");
-  return el("article", { class: "fault" }, el("h4", {}, said(fault.unit || slotLong(fault.slot)), ": ", said(fault.text)),
-    el("ol", { class: "stages", "aria-label": "Stages" }, ...STEPS.map((step) =>
-      el("li", { class: reached.has(step) ? "reached" : "", text: `${step}${reached.has(step) ? "" : " –"}` }))),
+  return el("article", { class: fault.open ? "fault" : "fault ended" },
+    el("h4", {}, said(fault.unit || slotLong(fault.slot)), ": ", said(fault.text), fault.open ? "" : `, ended ${clock(fault.ended_utc_s)}`),
+    el("ol", { class: "stages", "aria-label": "Stages" }, ...stages(fault.steps).map(([name, reached, words]) =>
+      el("li", { class: reached }, el("strong", { text: name }), ` ${words || "–"}`))),
     el("ol", { class: "steps" }, ...fault.steps.map((step) => el("li", {}, el("time", { text: clock(step.utc_s) }),
       el("strong", { text: step.step }), " ", said(step.text)))));
+}
+
+/** The stages of a fault: name, class, and time in words. */
+function stages(steps) {
+  const last = (...names) => steps.findLast((step) => names.includes(step.step));
+  const stage = (name, step, className = "reached") => [name, step ? className : "", step ? clock(step.utc_s) : ""];
+  const confirmed = steps.find((step) => step.step !== "detected");
+  const detected = last("detected");
+  const action = last("advised", "approved", "expired", "gave up", "action");
+  const proof = last("proof", "recovered");
+  return [
+    // The ground receives a fault when it is confirmed; details say when it was detected.
+    detected ? stage("detected", detected) : ["detected", "reached", confirmed ? `before ${clock(confirmed.utc_s)}` : ""],
+    stage("confirmed", confirmed),
+    ["expired", "gave up"].includes(action?.step) ? stage(action.step.toUpperCase(), action, "failed") : stage("action", last("action")),
+    stage(proof?.step ?? "proof", proof),
+  ];
 }
 
 function viewKey(agent) {
