@@ -16,7 +16,7 @@ from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
 from phm.gcs.presence import COPY_S
 from phm.gcs.web.history.collector import MAX_TOPICS
-from phm.gcs.web.history.faults import FaultList
+from phm.gcs.web.history.faults import FaultList, as_of
 from phm.gcs.web.history.reader import HistoryReader
 from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from phm.transport.dialect import mavlink
@@ -351,6 +351,24 @@ def test_a_fault_whose_end_was_not_received_ends_with_the_heartbeat() -> None:
     assert book.take(line("slots", 2, changed={"6": ["OK", "ERROR"]})) == []
     closed = book.take(line("slots", 3, changed={"2": ["ERROR", "OK"]}))
     assert [(one.open, one.steps[-1]["text"]) for one in closed] == [(False, "by its heartbeat")]
+
+
+def test_a_fault_can_be_shown_as_it_was_known_at_a_moment() -> None:
+    """With its level and steps of then; details that arrived later do not count, though they are about an earlier time."""
+    book = FaultList()
+    book.take(said("A07 WARN 2 ros_app slow", 10))
+    book.take(said("A07 FAIL 2 ros_app slow", 20))
+    book.take(line("detail", 30, fault="ab12-17", text="container/ros_app: x; open since 00:00:05 UTC"))
+    (fault,) = book.take(said("A07 OK 2 ros_app restarted", 40))
+
+    def shown(until: float) -> tuple[str, bool, list[str]]:
+        found = as_of(fault.json(), until)
+        return found["level"], found["open"], [step["step"] for step in found["steps"]]
+
+    assert shown(15) == ("WARN", True, ["confirmed"])
+    assert shown(25) == ("ERROR", True, ["confirmed", "confirmed"])
+    assert shown(35) == ("ERROR", True, ["detected", "confirmed", "confirmed"])
+    assert shown(45) == ("ERROR", False, ["detected", "confirmed", "confirmed", "action", "proof"])
 
 
 def test_a_repeated_line_adds_no_second_fault() -> None:

@@ -133,6 +133,26 @@ def test_the_history_ends_at_the_time_that_is_shown(client: Client, live: Live) 
     assert [step["step"] for step in fault["steps"]] == ["confirmed", "action", "proof"]
 
 
+def test_a_fault_is_shown_as_it_was_at_the_time_that_is_shown(client: Client, live: Live) -> None:
+    """Before its end it is open, without the steps that follow; after it, it has ended."""
+
+    def found(query: str) -> list[tuple[bool, float | None, list[str]]]:
+        listed = client.get(f"/api/history/faults?agent=A07&{query}")["faults"]
+        return [(one["open"], one["ended_utc_s"], [step["step"] for step in one["steps"]]) for one in listed]
+
+    seek(client, live, 45)
+    until(lambda: found(""), "the history")
+    assert found("open=1") == found("") == [(True, None, ["confirmed"])]
+    seek(client, live, 110)
+    assert found("open=1") == []
+    begin = live.state["ground"]["replay"]["from_utc"]
+    ended = pytest.approx(begin + 60, abs=2)
+    assert found(f"since={begin + 50}") == [(False, ended, ["confirmed", "action", "proof"])]
+    assert found(f"since={begin + 100}") == []
+    seek(client, live, 45)
+    assert found("open=1") == [(True, None, ["confirmed"])]
+
+
 def test_requests_are_refused(client: Client, live: Live) -> None:
     """There is no agent; wrong controls are refused, too."""
     assert "a record is being replayed" in client.post("/api/requests", {"agent": "A07", "do": "check"}, 409)["error"]

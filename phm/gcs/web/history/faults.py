@@ -45,9 +45,10 @@ class FaultEntry:
     def open(self) -> bool:
         return self.ended is None
 
-    def step(self, name: str, utc_s: float, text: str) -> None:
+    def step(self, name: str, utc_s: float, text: str, **more: object) -> None:
+        """more: what `as_of` needs: `level`, from this step on, and `known_utc_s`, when the ground received it, if that is later."""
         if len(self.steps) < MAX_STEPS:
-            self.steps.append({"step": name, "utc_s": round(utc_s, 3), "text": text})
+            self.steps.append({"step": name, "utc_s": round(utc_s, 3), "text": text, **more})
             self.steps.sort(key=lambda one: float(one["utc_s"]))
 
     def json(self) -> Json:
@@ -79,6 +80,14 @@ def from_json(body: Mapping[str, Any]) -> FaultEntry:
         body.get("ended_utc_s"),
         [{**step, "utc_s": float(step["utc_s"])} for step in list(body["steps"])[:MAX_STEPS]],
     )
+
+
+def as_of(body: Mapping[str, Any], until: float) -> Json:
+    """The stored object as it was known at a moment."""
+    steps = [step for step in body["steps"] if step.get("known_utc_s", step["utc_s"]) <= until]
+    level = next((step["level"] for step in reversed(steps) if "level" in step), body["level"])
+    ended = body["ended_utc_s"] if body["ended_utc_s"] is not None and body["ended_utc_s"] <= until else None
+    return {**body, "steps": steps, "level": level, "open": ended is None, "ended_utc_s": ended}
 
 
 class FaultList:
@@ -150,12 +159,13 @@ class FaultList:
             if same[0].level == level:
                 return []
             same[0].level = level
-            same[0].step("confirmed", utc_s, f"{line.word} {line.text}")
+            same[0].step("confirmed", utc_s, f"{line.word} {line.text}", level=level)
             return same[:1]
         fault = FaultEntry(
             f"{who} {line.slot} {utc_s:.3f} {line.text}", who, line.slot, line.text, level, utc_s, line.fault
         )
-        fault.step("confirmed", utc_s, f"{line.word} {line.text}")
+        step = "gave up" if line.word == "GAVE UP" else "confirmed"  # the line of the fault itself was not received
+        fault.step(step, utc_s, f"{line.word} {line.text}", level=level)
         self._open[fault.key] = fault
         while len(self._open) > MAX_OPEN:
             self._open.popitem(last=False)
@@ -183,7 +193,8 @@ class FaultList:
         if not chosen or any(step["step"] == "detected" for step in chosen[0].steps):
             return []
         chosen[0].number = int(number)
-        chosen[0].step("detected", _moment(chosen[0].at, *map(int, since.groups())), text)
+        at = _moment(chosen[0].at, *map(int, since.groups()))
+        chosen[0].step("detected", at, text, known_utc_s=round(utc_s, 3))
         return chosen[:1]
 
     def _close(self, over: list[FaultEntry], utc_s: float, text: str, step: str = "recovered") -> list[FaultEntry]:

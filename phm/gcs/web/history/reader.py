@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from phm.gcs.web.events import GRADES
-from phm.gcs.web.history.faults import FaultEntry, from_json
+from phm.gcs.web.history.faults import FaultEntry, as_of, from_json
 from phm.gcs.web.history.store import APPLICATION
 
 Json = dict[str, Any]
@@ -104,13 +104,18 @@ class HistoryReader:
         return {"events": found, "more": len(rows) > limit}
 
     def faults(self, who: str, *, since: float = 0.0, until: float = math.inf) -> Json:
-        """Faults that began by `until`, and are open or ended after `since`, newest first. UTC seconds."""
+        """Faults as they were known at `until`, without those that had ended by `since`, newest first. UTC seconds."""
         with self._open() as connection:
             rows = connection.execute(
                 "SELECT body FROM fault WHERE (? = '' OR who = ?) AND at <= ? AND (open = 1 OR changed > ?) ORDER BY at DESC LIMIT ?",
                 (who, who, until, since, MAX_FAULTS),
             ).fetchall()
-        return {"faults": [body for (text,) in rows for body in _bodies(text)]}
+        found = [body for (text,) in rows for body in _bodies(text)]
+        if until != math.inf:
+            found = [
+                body for body in (as_of(one, until) for one in found) if body["open"] or body["ended_utc_s"] > since
+            ]
+        return {"faults": found}
 
     def open_faults(self) -> list[FaultEntry]:
         """Those that were open when the ground stopped; empty if there is no history yet, or it cannot be read."""

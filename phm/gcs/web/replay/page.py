@@ -97,7 +97,9 @@ class ReplayPage:
                 values = (line["utc_s"], line["who"], GRADES.index(line["grade"]), line["event"], line["words"])
                 self._put(HistoryRow(EVENT, (*values, dumps(line))))
             for one in faults:
-                self._put(HistoryRow(FAULT, (one.key, one.who, one.at, one.at, int(one.open), dumps(one.json()))))
+                self._put(
+                    HistoryRow(FAULT, (one.key, one.who, one.at, line["utc_s"], int(one.open), dumps(one.json())))
+                )
 
     def _samples(self, series: Collector, entry: Entry) -> None:
         self._make_room()

@@ -32,7 +32,7 @@ def test_a_record_is_shown_on_the_same_page(browser: Browser, tmp_path: Path) ->
 
 
 def test_pause_a_jump_and_plots(browser: Browser, tmp_path: Path) -> None:
-    """Paused, the moment is the same; a jump shows the state of its moment; an agent's levels are plotted."""
+    """Paused, the moment is the same; a jump shows the state and the faults of its moment; an agent's levels are plotted."""
     record = tmp_path / "flight.jsonl"
     flight(record)
     with ground(tmp_path, "--replay", str(record), "--speed", "0.1") as station, tab(browser, station.url) as page:
@@ -48,3 +48,7 @@ def test_pause_a_jump_and_plots(browser: Browser, tmp_path: Path) -> None:
             assert abs(float(slider.input_value()) - begin - seconds) < 3
         page.locator(".row[data-name=A07]").get_by_role("button").first.click()
         expect(page.locator("#panel figcaption").filter(has_text="worst level")).to_contain_text("3")
+        expect(page.locator("#panel .fault")).to_contain_text("ros_app exited 1")
+        expect(page.locator("#panel .ended")).to_have_count(0)
+        slider.fill(str(round(begin) + 110))
+        expect(page.locator("#panel .ended")).to_contain_text("action")
