@@ -89,7 +89,7 @@ def row(document: Mapping[str, Any], problem: str) -> Json:
         "problem": text(problem) or None,
         "first_utc": None,
     }
-    made = rows.row(found, alarm=None, armed_at=None, values={}, checks=units)
+    made = rows.row(found, alarm=None, values={}, checks=units)
     return {**made, "hops": [_hop(hop, units) for hop in made["hops"]]}
 
 

@@ -74,7 +74,6 @@ class StationFeed:
         self._events = SubscriberQueue(clock)
         self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_FRAMES)
         self._dirty: set[int] = set()
-        self._armed: dict[str, float] = {}
         self._values: dict[int, Json] = {}
         self._all_at = float("-inf")
         self.ground: Callable[[], Json] = dict
@@ -122,7 +121,6 @@ class StationFeed:
         with self._turning:
             self._frames.take(0.0)
             self._events.take(0.0)
-            self._armed.clear()
             self._values.clear()
             self._dirty.clear()
             self._alarms.clear()
@@ -177,13 +175,8 @@ class StationFeed:
         return body, {agent["name"]: self._row(agent, now) for agent in body.pop("agents")}
 
     def _row(self, agent: Mapping[str, Any], now: float) -> Json:
-        name, pilot = agent["name"], agent["pilot"]
-        if pilot is None or not pilot["armed"]:
-            self._armed.pop(name, None)
-        elif name not in self._armed:
-            self._armed[name] = round(float(pilot["at"]), 2)
-        more = {"alarm": self._alarms.row(name, now), "armed_at": self._armed.get(name)}
-        return rows.row(agent, **more, values=self._values.get(agent["agent"], {}))
+        alarm, values = self._alarms.row(agent["name"], now), self._values.get(agent["agent"], {})
+        return rows.row(agent, alarm=alarm, values=values)
 
     def _about(self) -> Json:
         """The keys of the ground that do not change."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sqlite3
 import threading
@@ -84,6 +85,73 @@ def test_a_fault_that_has_ended_is_listed_since_a_moment() -> None:
         assert listed(here.clock.utc() + 1) == [("planner", True)]
         ended = {one["unit"]: one["ended_utc_s"] for one in faults(client)}
         assert ended["planner"] is None and before <= ended["ros_app"] <= here.clock.utc()
+
+
+def first_since_arming(client: Client) -> float | None:
+    """UTC seconds of the first sample of the series; None: refused."""
+    status, body, _ = client.ask("GET", "/api/history/series?agent=A07&kind=level&since=armed")
+    return body["points"][0][0] if status == 200 and body["points"] else None
+
+
+def test_the_time_since_arming_survives_a_restart_and_the_landing(tmp_path: Path) -> None:
+    """It begins when the autopilot was armed; the last flight stays after its end, until the next arming."""
+    path = tmp_path / "history.db"
+    with ground(history=path) as first:
+        vehicle, client = first.vehicle(), first.client()
+        vehicle.beat()
+        vehicle.pilot(armed=False)
+        until(lambda: events(client, "agent=A07&event=pilot"), "the autopilot")
+        assert first_since_arming(client) is None
+        vehicle.pilot(armed=True)
+        vehicle.beat(FAILED)
+        begin = until(lambda: first_since_arming(client), "a sample after the arming")
+    with ground(history=path) as second:
+        vehicle, client = second.vehicle(), second.client()
+        vehicle.beat()
+        vehicle.pilot(armed=True)
+        until(lambda: len(events(client, "agent=A07&event=pilot")) == 3, "the autopilot in flight")
+        assert first_since_arming(client) == begin
+        flight = client.get("/api/history/flight?agent=A07")
+        assert round(flight["since"], 3) <= begin and flight["seen"] and flight["until"] is None
+        vehicle.pilot(armed=False)
+        landed = until(lambda: client.get("/api/history/flight?agent=A07")["until"], "the landing")
+        assert client.get("/api/history/flight?agent=A07") == {**flight, "until": landed}
+        assert first_since_arming(client) == begin
+        vehicle.pilot(armed=True)
+        until(lambda: client.get("/api/history/flight?agent=A07")["since"] >= landed, "the next flight")
+
+
+def test_a_flight_does_not_continue_over_a_time_without_the_ground(tmp_path: Path) -> None:
+    """Nothing is known of that time; without a disarmed autopilot before it, the arming was not received."""
+    path, clock = tmp_path / "history.db", SystemClock()
+    store, reader, begin = HistoryStore(path, clock), HistoryReader(path), clock.utc() - 10_000
+    store.start()
+
+    def pilot(at: float, *, armed: bool) -> None:
+        body = json.dumps({"utc_s": begin + at, "armed": armed})
+        store.put(HistoryRow(EVENT, (begin + at, "A07", 0, "pilot", "", body)))
+
+    def flight(at: float) -> tuple[float | None, float | None, bool]:
+        found = reader.flight("A07", begin + at)
+        since, end = (None if found[key] is None else round(found[key] - begin) for key in ("since", "until"))
+        return since, end, found["seen"]
+
+    for at in range(0, 3000, 10):
+        store.put(HistorySample("A07", "rate", begin + at, 4.0))
+    pilot(5, armed=False)
+    pilot(1000, armed=True)
+    pilot(2900, armed=True)
+    pilot(5000, armed=True)
+    pilot(5100, armed=False)
+    pilot(5200, armed=False)
+    assert store.flush(30)
+    until(lambda: flight(6000)[0], "the flight")
+    store.close()
+    assert flight(1) == flight(10) == (None, None, False)
+    assert flight(2950) == (1000, None, True)
+    assert flight(5050) == (5000, None, False)
+    assert flight(6000) == (5000, 5100, False)
+    assert reader.flight("A08")["since"] is None
 
 
 def test_events_are_found_by_text_grade_agent_and_page(tmp_path: Path) -> None:
@@ -208,7 +276,11 @@ def test_an_entry_that_cannot_be_kept_is_left_out(tmp_path: Path) -> None:
     until(lambda: store.waiting == 0 and "4 entries" in store.problem(), "the count", store.problem)
     store.close()
     assert (
-        len(HistoryReader(path).events(who="", event="", text="", grade="", before=None, until=None, limit=9)["events"])
+        len(
+            HistoryReader(path).events(who="", event="", text="", grade="", before=None, until=math.inf, limit=9)[
+                "events"
+            ]
+        )
         == 2
     )
     assert not list(tmp_path.glob("*.damaged-*"))
@@ -273,7 +345,9 @@ def test_the_file_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
     until(lambda: store.flush(0.1) and size() < 600_000, "the limit", size)
     store.close()
-    found = HistoryReader(path).events(who="", event="", text="", grade="", before=None, until=None, limit=1)["events"]
+    found = HistoryReader(path).events(who="", event="", text="", grade="", before=None, until=math.inf, limit=1)[
+        "events"
+    ]
     assert found[0]["id"] == 10_000
 
 

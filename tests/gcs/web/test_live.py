@@ -63,16 +63,6 @@ def test_a_critical_line_is_an_alarm_until_it_is_acknowledged(here: Ground) -> N
     until(lambda: live.agent("A14")["alarm"] is None, "nothing left")
 
 
-def test_the_armed_state_begins_the_time_since_take_off(here: Ground) -> None:
-    """By the heartbeat of the autopilot, and ends with it."""
-    vehicle, live = here.vehicle(15), here.live()
-    vehicle.beat()
-    vehicle.pilot(armed=True)
-    until(lambda: live.agent("A15").get("armed_at"), "the arming")
-    vehicle.pilot(armed=False)
-    until(lambda: live.agent("A15")["armed_at"] is None, "the end")
-
-
 def test_the_stream_and_the_snapshot_of_serve_are_there_as_well(here: Ground) -> None:
     """With the keys of gcs.md."""
     vehicle = here.vehicle(16)

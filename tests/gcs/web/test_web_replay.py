@@ -97,7 +97,6 @@ def test_a_jump_shows_the_state_of_that_moment(client: Client, live: Live) -> No
     """Forwards and backwards; heartbeats that changed nothing are filled in, so no agent is lost by the record's gaps."""
     seek(client, live, 20)
     assert how(live) == ["OK", "OK"]
-    assert live.agent("A07")["armed_at"] is None or live.agent("A07")["armed_at"] <= 20
     seek(client, live, 45)
     assert how(live) == ["ERROR", "OK"]
     assert live.agent("A07")["bad"][0]["text"] == "ros_app exited 1"
@@ -254,6 +253,18 @@ def test_a_record_of_too_many_heartbeats_is_refused(tmp_path: Path, monkeypatch:
     )
     with pytest.raises(RecordError, match="more than 5000 heartbeats"):
         load(path)
+
+
+def test_the_time_since_arming_is_that_of_the_record(client: Client, live: Live) -> None:
+    """A jump does not move it."""
+    begin = live.state["ground"]["replay"]["from_utc"]
+    query = "/api/history/series?agent=A07&kind=level&since=armed"
+    for seconds in (100, 45):
+        seek(client, live, seconds)
+        until(lambda: client.ask("GET", query)[0] == 200, "the arming")
+        points = until(lambda: client.get(query)["points"], "the levels")
+        assert points[0][0] == pytest.approx(begin, abs=2)
+        assert client.get("/api/history/flight?agent=A07")["since"] == pytest.approx(begin, abs=2)
 
 
 def test_levels_have_a_series(client: Client, live: Live) -> None:

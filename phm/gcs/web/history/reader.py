@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import math
 import sqlite3
@@ -34,6 +35,8 @@ KINDS = {
     "txbuf": ("%", "free transmit buffer"),
 }
 """Unit and label of each kind of series."""
+UNSEEN_S = 600.0
+"""After a longer time in which the ground received nothing, a flight counts as another one."""
 TOPIC = "topic "
 """Kinds of series that begin with this have the rate of the topic that follows."""
 
@@ -79,7 +82,7 @@ class HistoryReader:
         return {"agent": who, "kind": kind, "unit": _described(kind)[0], "points": found}
 
     def events(
-        self, *, who: str, event: str, text: str, grade: str, before: int | None, until: float | None, limit: int
+        self, *, who: str, event: str, text: str, grade: str, before: int | None, until: float, limit: int
     ) -> Json:
         """Events, newest first. text: in the words or keys. grade: the least. before: an id. until: UTC seconds."""
         limit = max(1, min(limit, MAX_EVENTS))
@@ -90,7 +93,7 @@ class HistoryReader:
             ("event = ?", event, bool(event)),
             ("grade >= ?", least, least > 0),
             ("id < ?", before, before is not None),
-            ("at <= ?", until, until is not None),
+            ("at <= ?", until, until != math.inf),
             ("(instr(lower(words), ?) OR instr(lower(who), ?))", text.lower(), bool(text)),
         ):
             if wanted:
@@ -117,6 +120,24 @@ class HistoryReader:
             ]
         return {"faults": found}
 
+    def flight(self, who: str, until: float = math.inf) -> Json:
+        """The last time from arming to disarming of an agent's autopilot, as it was known at `until`, in UTC seconds: `since`, None: none
+        is known; `until`, None: it is armed; `seen`: whether the arming was received, else it was armed before `since`."""
+        begin = end = None
+        seen = False
+        with self._open() as connection:
+            rows = connection.execute(
+                "SELECT at, body FROM event WHERE who = ? AND event = 'pilot' AND at <= ? ORDER BY id DESC",
+                (who.partition("/")[0], until),
+            )
+            for at, armed in ((at, body.get("armed")) for at, text in rows for body in _bodies(text)):
+                unseen_s = 0.0 if begin is None else _longest_gap(connection, who, at, begin)
+                if begin is not None and (not armed or unseen_s > UNSEEN_S):
+                    seen = not armed and unseen_s <= SILENT_S
+                    break
+                begin, end = (at, end) if armed else (None, at)
+        return {"agent": who, "since": begin, "until": None if begin is None else end, "seen": seen}
+
     def open_faults(self) -> list[FaultEntry]:
         """Those that were open when the ground stopped; empty if there is no history yet, or it cannot be read."""
         found: list[FaultEntry] = []
@@ -140,6 +161,17 @@ class HistoryReader:
                 yield connection
         except (sqlite3.Error, ValueError) as error:
             raise HistoryError(f"the history cannot be read: {error}") from None
+
+
+def _longest_gap(connection: sqlite3.Connection, who: str, since: float, until: float) -> float:
+    """The longest time without a sample of the series that are written while the ground receives anything."""
+    rows = connection.execute(
+        "SELECT at FROM sample WHERE series IN (SELECT id FROM series WHERE who = ? AND kind IN ('level', 'rate')) "
+        "AND at > ? AND at < ? ORDER BY at",
+        (who, since, until),
+    )
+    moments = [since, *(at for (at,) in rows), until]
+    return max(after - before for before, after in itertools.pairwise(moments))
 
 
 def _bodies(text: object) -> list[Json]:

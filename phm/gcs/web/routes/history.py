@@ -44,15 +44,18 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
         web.get("/api/history/kinds", handler(_kinds)),
         web.get("/api/history/events", handler(_events)),
         web.get("/api/history/faults", handler(_faults)),
+        web.get("/api/history/flight", handler(_flight)),
     ]
 
 
 def _series(site: Site, history: HistoryReader, request: web.Request) -> Any:
     who, utc = _text(request, "agent"), site.view.moment()[1]
-    until = _number(request, "until", utc)
-    # In a replay, the end of the record is the future.
-    until = min(until, utc) if site.replay is not None else until
-    since = _armed(site, who) if request.query.get("since") == "armed" else _number(request, "since", until - DEFAULT_S)
+    until = min(_number(request, "until", utc), _shown_until(site))
+    since = (
+        _armed(site, history, who)
+        if request.query.get("since") == "armed"
+        else _number(request, "since", until - DEFAULT_S)
+    )
     if since > until:
         raise HttpProblem(400, "since is after until")
     points = int(_number(request, "points", 600))
@@ -73,23 +76,31 @@ def _events(site: Site, history: HistoryReader, request: web.Request) -> Any:
         text=_text(request, "q"),
         grade=_text(request, "grade"),
         before=None if before is None else int(before),
-        until=site.view.moment()[1] if site.replay is not None else None,
+        until=_shown_until(site),
         limit=int(_number(request, "limit", 200)),
     )
 
 
 def _faults(site: Site, history: HistoryReader, request: web.Request) -> Any:
-    until = site.view.moment()[1] if site.replay is not None else math.inf
+    until = _shown_until(site)
     since = until if request.query.get("open") == "1" else _number(request, "since", 0.0)
     return history.faults(_text(request, "agent"), since=since, until=until)
 
 
-def _armed(site: Site, who: str) -> float:
-    row = site.view.row(who)
-    now, utc = site.view.moment()
-    if row is None or row.get("armed_at") is None:
-        raise HttpProblem(409, "the autopilot of this agent is not armed")
-    return float(utc - (now - row["armed_at"]))
+def _flight(site: Site, history: HistoryReader, request: web.Request) -> Any:
+    return history.flight(_text(request, "agent"), _shown_until(site))
+
+
+def _armed(site: Site, history: HistoryReader, who: str) -> float:
+    since = history.flight(who, _shown_until(site))["since"]
+    if since is None:
+        raise HttpProblem(409, "no arming of the autopilot of this agent is known")
+    return float(since)
+
+
+def _shown_until(site: Site) -> float:
+    """UTC seconds: in a replay, the end of the record is the future."""
+    return site.view.moment()[1] if site.replay is not None else math.inf
 
 
 def _text(request: web.Request, name: str) -> str:

@@ -83,15 +83,28 @@ def test_the_details_say_where_the_path_is_broken_and_why(page: Page) -> None:
 
 
 def test_the_history_is_plotted(page: Page) -> None:
-    """Heartbeat gaps have a curve and a newest value, also since the take-off."""
+    """Heartbeat gaps have a curve and a newest value, also since the arming, whose time is shown."""
     page.locator(".row[data-name=A07]").click()
     gap = page.locator("figure", has_text="heartbeat gap")
     expect(gap.locator("strong")).to_contain_text(" s")
     drawn = "node => node.getContext('2d').getImageData(0, 0, node.width, node.height).data.some((value) => value)"
     assert gap.locator("canvas").evaluate(drawn)
-    page.get_by_role("button", name="since take-off").click()
-    expect(page.get_by_role("button", name="since take-off")).to_have_attribute("aria-pressed", "true")
+    page.get_by_role("button", name="since arming").click()
+    expect(page.get_by_role("button", name="since arming")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#panel")).to_contain_text(re.compile(r"Armed since (before )?\d\d:\d\d:\d\d UTC\."))
     expect(gap.locator("strong")).to_contain_text(" s")
+
+
+def test_the_plots_of_a_flight_stay_after_it(page: Page, station: GroundProcess, agents: Fleet) -> None:
+    """Until the next one; without an arming, the page says so."""
+    page.locator(".row[data-name=A11]").click()
+    page.get_by_role("button", name="since arming").click()
+    agents.armed[11] = False
+    expect(page.locator("#panel")).to_contain_text(re.compile(r"Armed .*\d\d:\d\d:\d\d to \d\d:\d\d:\d\d UTC\."))
+    expect(page.locator("figure", has_text="heartbeat gap").locator("strong")).to_contain_text(" s")
+    page.goto(f"{station.url}#/agent/A03")
+    page.get_by_role("button", name="since arming").click()
+    expect(page.locator("#panel")).to_contain_text("No arming of this autopilot is known.")
 
 
 def test_open_faults_have_their_steps(page: Page) -> None:

@@ -164,7 +164,10 @@ async function loadFaults() {
   let found = [];
   let note = "";
   try {
-    found = (await getJson("api/history/faults", { agent: name, since: utcNow() - RECENT_S })).faults;
+    const since = utcNow() - RECENT_S;
+    const flight = await getJson("api/history/flight", { agent: name });
+    const flying = flight.since !== null && (flight.until === null || flight.until > since);
+    found = (await getJson("api/history/faults", { agent: name, since: flying ? Math.min(since, flight.since) : since })).faults;
   } catch (error) {
     note = error.status === 404 ? "There is no history: steps of faults are not kept." : `No faults: ${error.message}.`;
   }

@@ -1,12 +1,13 @@
-// Plots of one agent from the history of the server: minutes, or since the take-off.
+// Plots of one agent from the history of the server: minutes, or since the arming.
 
 import uPlot from "../vendor/uPlot.esm.js";
 import { getJson } from "./api.js";
 import { el, setText } from "./dom.js";
 import { store, utcNow } from "./store.js";
+import { clock } from "./words.js";
 
 const EVERY_MS = 5000;
-const RANGES = [["5", "5 min"], ["15", "15 min"], ["60", "1 h"], ["armed", "since take-off"]];
+const RANGES = [["5", "5 min"], ["15", "15 min"], ["60", "1 h"], ["armed", "since arming"]];
 const RADIO = ["rssi", "remrssi", "noise", "remnoise", "txbuf"];
 const HEIGHT = 130;
 let state = null;
@@ -47,17 +48,21 @@ async function draw(mine) {
   mine.busy = true;
   try {
     const wanted = await kinds(mine);
-    if (mine.range === "armed" && !store.agents.get(mine.name)?.armed_at) {
-      setText(mine.note, "The autopilot is not known to be armed.");
-    } else {
-      setText(mine.note, wanted.length ? "" : "No values yet.");
-      for (const kind of wanted) if (state === mine) await drawOne(mine, kind);
-    }
+    const flight = mine.range === "armed" ? await getJson("api/history/flight", { agent: mine.name }) : null;
+    mine.area.hidden = flight?.since === null;
+    setText(mine.note, [flight ? flightWords(flight) : "", wanted.length ? "" : "No values yet."].join(" ").trim());
+    if (!mine.area.hidden) for (const kind of wanted) if (state === mine) await drawOne(mine, kind, flight);
   } catch (error) {
     setText(mine.note, error.status === 404 ? "There is no history: nothing to plot." : `No plots: ${error.message}.`);
   } finally {
     mine.busy = false;
   }
+}
+
+function flightWords(flight) {
+  if (flight.since === null) return "No arming of this autopilot is known.";
+  const begin = `Armed ${flight.seen ? "" : "before "}${clock(flight.since)}`;
+  return flight.until === null ? `${begin.replace("Armed", "Armed since")} UTC.` : `${begin} to ${clock(flight.until)} UTC.`;
 }
 
 async function kinds(mine) {
@@ -72,11 +77,11 @@ async function kinds(mine) {
   }
 }
 
-async function drawOne(mine, kind) {
+async function drawOne(mine, kind, flight) {
   const utc = utcNow();
   if (utc === null) return;
-  const since = mine.range === "armed" ? "armed" : (utc - 60 * Number(mine.range)).toFixed(0);
-  const points = (await getJson("api/history/series", { agent: kind.agent, kind: kind.kind, since, points: 400 })).points;
+  const [since, until] = flight ? [flight.since, flight.until ?? Math.max(utc, flight.since)] : [Math.round(utc - 60 * Number(mine.range)), utc];
+  const points = (await getJson("api/history/series", { agent: kind.agent, kind: kind.kind, since, until, points: 400 })).points;
   if (state !== mine) return;
   const data = [[], [], []];
   for (const point of points) {
@@ -88,7 +93,7 @@ async function drawOne(mine, kind) {
   const id = `${kind.agent} ${kind.kind}`;
   let plot = mine.plots.get(id);
   if (!plot) mine.plots.set(id, (plot = make(mine, kind)));
-  plot.range = since === "armed" ? [data[0][0] ?? utc - 60, utc] : [Number(since), utc];
+  plot.range = [since, until];
   plot.chart.setData(data);
   const newest = data[1].findLast((value) => value !== null);
   setText(plot.value, newest === undefined ? "no values" : `${Number(newest.toPrecision(4))} ${kind.unit}`);
