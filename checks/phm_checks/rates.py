@@ -46,6 +46,9 @@ class _Memory:
     off_since: float | None = None
     reported: api.Result | None = None
     widening: LimitForecast | None = None
+    listed: tuple[api.EndpointFact, ...] = ()
+    """Its publishers, as discovery lists them without a change since `listed_from` (monotonic seconds)."""
+    listed_from: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +117,8 @@ class Rates(api.Check):
         for topic in self._topics:
             seen = fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact())
             memory = self._memory[topic.name]
+            if seen.publishers != memory.listed:
+                memory.listed, memory.listed_from = seen.publishers, world.clock.mono()
             measured = None if seen.rate is None or seen.rate.problem else seen.rate.hz
             memory.reported = replace(self._judge(topic, seen, fact, memory, world), rate_hz=measured)
             results[_unit(topic)] = memory.reported
@@ -137,12 +142,14 @@ class Rates(api.Check):
             return self._never(case, seen, fact, world)
         if hz == 0.0:
             memory.off_since = None
-            return self._silent(case, silent_s, seen, fact, world.clock.mono())
+            return self._silent(case, silent_s, seen, fact, memory, world.clock.mono())
         if hz is None:
             return api.stale(f"{name} is received; measuring its rate", values=values)
         return self._rate(case, hz, seen, fact, memory, world.clock.mono())
 
-    def _silent(self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact, now: float) -> api.Result:
+    def _silent(
+        self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, now: float
+    ) -> api.Result:
         assert seen.rate is not None
         limit_s = seen.rate.limit_s
         limit = "" if limit_s is None else f" and no gap over {span(limit_s)}"
@@ -162,7 +169,9 @@ class Rates(api.Check):
             case,
         )
         ran = turns and all(ran_s(node, fact, now) <= due_s - RAN_S for node in _nodes(seen))
-        result = result.with_evidence(api.Evidence(conclusive=ran and _inputs_flow(seen, fact)))
+        # A publisher that has just been discovered again may have sent what PHM's reader was not connected for.
+        connected = min(now - memory.listed_from, fact.up_s) >= due_s
+        result = result.with_evidence(api.Evidence(conclusive=ran and connected and _inputs_flow(seen, fact)))
         settle_s = GAP_PERIODS / case.rate - (limit_s or 0.0)
         return replace(result, settle_s=min(SETTLE_S, max(0.0, settle_s))) if turns else result
 

@@ -45,6 +45,12 @@ class Bench:
         assert not isinstance(results, api.Result)
         return results[UNIT]
 
+    def known_for(self, seconds: float) -> Bench:
+        """Its publisher has been listed for this long."""
+        self.evaluate(1.0)
+        self.clock.advance(seconds)
+        return self
+
     def twice(self, hz: float, apart_s: float = WINDOW_S + 0.1, **rate: Any) -> api.Result:
         """Two measurements; the second one decides."""
         self.evaluate(hz, **rate)
@@ -166,7 +172,7 @@ def test_silence_of_a_running_executor_is_not_explained_by_starvation(
     silent_s: float, ran_s: float, conclusive: bool
 ) -> None:
     """The node's executor ran twice, 2 s after a message was due: it had the CPU, and did not publish."""
-    bench = Bench()
+    bench = Bench().known_for(30.0)
     beacon = api.BeaconFact(0.1, 1.0, turns=20, ran_since=bench.clock.mono() - ran_s)
     result = bench.evaluate(0.0, silent_s, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
     assert (result.condition, result.evidence.conclusive) == ("silent", conclusive)
@@ -177,8 +183,7 @@ def test_an_executor_that_is_in_time_by_the_account_of_a_starved_process_may_not
     ran_since: float | None,
 ) -> None:
     """A process without CPU does not count this time as lateness of its executor; the number of turns shows that it did not run."""
-    bench = Bench()
-    bench.clock.advance(100.0)
+    bench = Bench().known_for(100.0)
     beacon = api.BeaconFact(0.1, 1.0, late_s=0.0, turns=20, ran_since=ran_since)
     result = bench.evaluate(0.0, 30.0, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
     assert result.condition == "silent" and not result.evidence.conclusive
@@ -189,7 +194,7 @@ def test_silence_behind_an_input_without_data_may_follow_from_starvation(
     input_hz: float | None, conclusive: bool
 ) -> None:
     """A node that publishes once per input is silent although its executor runs."""
-    bench, node = Bench(), "/agent_1/node_1"
+    bench, node = Bench().known_for(30.0), "/agent_1/node_1"
     silent = api.RateFact(0.0, 5.0, WINDOW_S, samples=5, limit_s=1.5, publishers=1, error_hz=0.0)
     source = api.TopicFact((), TALKER, api.RateFact(input_hz, 0.1, WINDOW_S, samples=5, publishers=1))
     topics = {NAME: api.TopicFact(TALKER, (), silent), "/agent_1/in": source}
@@ -198,6 +203,23 @@ def test_silence_behind_an_input_without_data_may_follow_from_starvation(
     results = bench.check.run(testing.world(clock=bench.clock, ros=bench.ros))
     assert not isinstance(results, api.Result)
     assert results[UNIT].evidence.conclusive is conclusive
+
+
+@pytest.mark.parametrize(
+    ("listed_s", "up_s", "conclusive"), [(4.1, 60.0, True), (3.9, 60.0, False), (30.0, 3.9, False)]
+)
+def test_silence_of_a_publisher_that_was_discovered_again_may_follow_from_starvation(
+    listed_s: float, up_s: float, conclusive: bool
+) -> None:
+    """PHM's reader had lost it when the message was due, or PHM's ROS child was restarted: the message may have been sent."""
+    bench, node = Bench().known_for(30.0), "/agent_1/node_1"
+    if listed_s < 30.0:
+        bench.see(api.TopicFact())
+        bench.evaluate(0.0, 1.0)
+        bench.clock.advance(listed_s)
+    beacon = api.BeaconFact(0.1, 1.0, turns=20, ran_since=bench.clock.mono() - 1.0)
+    result = bench.evaluate(0.0, 5.0, nodes={node: 1}, beacons={node: beacon}, up_s=up_s)
+    assert (result.condition, result.evidence.conclusive) == ("silent", conclusive)
 
 
 def test_silence_without_evidence_of_the_node_may_follow_from_starvation() -> None:
