@@ -176,7 +176,8 @@ def confirmed(context: RuleContext) -> Decision:
     A bad result is published once it was bad `failures` times in a row, has lasted `settle_s` (of the result, else of the unit),
     and every dependency (with `settle_s` also the unit) has a result of a run that began after that. Dependencies that are
     STALE may be the cause, so they are waited for, for UNKNOWN_NEED_S at most; pressure units, too, but one that is STALE explains
-    nothing. Results from before a dependency changed do not count.
+    nothing, and of one that may soon explain it the result must be of a run that began WARN_WAIT_S later. Results from before a
+    dependency changed do not count.
     """
     record, unit = context.record, context.record.spec.unit
     if record.published.level is context.result.level and not record.published.blocked_by and not record.new_condition:
@@ -194,10 +195,9 @@ def confirmed(context: RuleContext) -> Decision:
     if not pending.requested:
         pending, rerun = replace(pending, requested=True), rerun | unanswered
     unknown = context.now - pending.since < UNKNOWN_NEED_S and any(other.unknown for other in upstream)
-    rising = context.now < lasted + starvation.WARN_WAIT_S and starvation.may_become_explained(record, context.view)
     if any(other.published.since.mono > record.started for other in upstream):
         return Decision(pending=pending, rerun=rerun | {record.id})
-    if unanswered or unknown or rising or record.bad_in_a_row < record.spec.failures:
+    if unanswered or unknown or record.bad_in_a_row < record.spec.failures:
         return Decision(pending=pending, rerun=rerun)
     return Decision(context.result, rerun=rerun)
 
@@ -247,11 +247,11 @@ def _all_back(record: UnitRecord, view: TrackerView) -> bool:
 
 
 def _unasked(context: RuleContext, lasted: float) -> frozenset[str]:
-    """Pressure units that could explain the result and have no newer result."""
+    """Pressure units that could explain the result and have no result that is new enough."""
     if context.now >= lasted + UNKNOWN_NEED_S:
         return frozenset()
     return frozenset(
-        other.id for other in starvation.pressure_units(context.record, context.view) if other.started < lasted
+        other.id for other, needed in starvation.asked(context.record, context.view, lasted) if other.started < needed
     )
 
 

@@ -20,7 +20,8 @@ UNKNOWN_PRESSURE_S = 10.0
 BEFORE_PRESSURE_S = 5.0
 """A symptom may be published this long before the statistics show its starvation. Older faults stay open."""
 WARN_WAIT_S = 3.0
-"""While a pressure unit is WARN or rises, symptoms that it may soon explain wait this long. WARN itself explains nothing."""
+"""While a pressure unit is WARN or rises, symptoms that it may soon explain wait this long, and for a run that began later. WARN
+itself explains nothing."""
 RECOVERY_S = 5.0
 """After starvation symptoms have this long to disappear."""
 
@@ -144,19 +145,26 @@ def undecided(record: UnitRecord) -> bool:
     return waits and record.latest is not None and explanation(record.latest) is not None
 
 
-def may_become_explained(record: UnitRecord, view: TrackerView) -> bool:
-    """Whether a pressure unit may soon be ERROR with a condition that explains the symptom: it is WARN with that and not falling, or
-    its newest measurement is above the limit.
+def asked(record: UnitRecord, view: TrackerView, lasted: float) -> list[tuple[UnitRecord, float]]:
+    """The pressure units that could explain the unit's latest result, which has lasted long enough since `lasted`, and when the
+    run must have begun that decides: WARN_WAIT_S later while it may soon be ERROR with a condition that explains the symptom.
+    """
+    return [
+        (other, lasted + (WARN_WAIT_S if _may_explain(other, record) else 0.0))
+        for other in pressure_units(record, view)
+    ]
+
+
+def _may_explain(pressure_unit: UnitRecord, record: UnitRecord) -> bool:
+    """Whether the pressure unit is WARN with a condition that explains the symptom and not falling, or its newest measurement is
+    above the limit.
     """
     symptom = explanation(record.latest) if record.latest is not None else None
-    if symptom is None:
+    result = pressure_unit.latest
+    if symptom is None or result is None:
         return False
-    latest = [other.latest for other in pressure_units(record, view) if other.latest is not None]
-    return any(
-        (result.level is Level.WARN and result.condition in symptom.by and not result.evidence.falling)
-        or result.evidence.rising
-        for result in latest
-    )
+    warns = result.level is Level.WARN and result.condition in symptom.by and not result.evidence.falling
+    return warns or result.evidence.rising
 
 
 def predates(record: UnitRecord, pressure_unit: UnitRecord) -> bool:

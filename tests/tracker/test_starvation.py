@@ -124,9 +124,11 @@ def test_a_warning_of_pressure_explains_nothing_but_is_waited_for() -> None:
     made.later(0.1)
     made.see("rates/x", SLOW)
     answered(made, "container/app", "nodes/n", "host/cpu")
-    made.see("pressure/app", warn("app throttled 30 %", brief="throttled", condition="cpu_throttled"))
+    warned = warn("app throttled 30 %", brief="throttled", condition="cpu_throttled")
+    made.see("pressure/app", warned)
     assert made.opened == []
     made.later(WARN_WAIT_S)
+    made.see("pressure/app", warned)
     assert made.opened == ["rates/x"]
 
 
