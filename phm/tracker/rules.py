@@ -174,7 +174,7 @@ def confirmed(context: RuleContext) -> Decision:
     """9. Otherwise all dependencies run again, and the pressure units that could explain a symptom.
 
     A bad result is published once it was bad `failures` times in a row, has lasted `settle_s` (of the result, else of the unit),
-    and every dependency (with `settle_s` also the unit) has a result of a run that began after that. Dependencies that are
+    and every dependency that can explain it (with `settle_s` also the unit) has a result of a run that began after that. Dependencies that are
     STALE may be the cause, so they are waited for, for UNKNOWN_NEED_S at most; pressure units, too, but one that is STALE explains
     nothing, and of one that may soon explain it the result must be of a run that began WARN_WAIT_S later. Results from before a
     dependency changed do not count.
@@ -182,7 +182,7 @@ def confirmed(context: RuleContext) -> Decision:
     record, unit = context.record, context.record.spec.unit
     if record.published.level is context.result.level and not record.published.blocked_by and not record.new_condition:
         return Decision(context.result)
-    upstream, symptom = context.view.upstream(record.id), starvation.explanation(context.result)
+    upstream, symptom = _possible_causes(context), starvation.explanation(context.result)
     pending, rerun = record.pending, frozenset[str]()
     if pending is None:
         pending, rerun = Pending(context.now), frozenset(other.id for other in upstream)
@@ -265,15 +265,18 @@ def _cause(context: RuleContext, *, by_starvation: bool = False) -> str:
 
     If recovery works on that one, the unit whose fault is being recovered.
     """
-    evidence = context.result.evidence
-    ended = evidence.certain or (evidence.conclusive and context.result.condition == ENDED)
-    for other in context.view.upstream(context.record.id):
-        if ended and other.id.startswith(NETWORK):
-            continue
+    for other in _possible_causes(context):
         if (other.failing or _unverified(other, context)) and _merely_starved(other, context) is by_starvation:
             action = context.view.actions.get(other.target)
             return action.owner if action is not None and other.fault is None else other.id
     return ""
+
+
+def _possible_causes(context: RuleContext) -> list[UnitRecord]:
+    """The dependencies that can explain the result: a network does not explain that a process has ended or is stopped."""
+    evidence, upstream = context.result.evidence, context.view.upstream(context.record.id)
+    ended = evidence.certain or (evidence.conclusive and context.result.condition == ENDED)
+    return [other for other in upstream if not (ended and other.id.startswith(NETWORK))]
 
 
 def _merely_starved(other: UnitRecord, context: RuleContext) -> bool:

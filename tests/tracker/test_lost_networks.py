@@ -46,6 +46,21 @@ def test_a_lost_network_does_not_hide_a_stopped_process() -> None:
     assert bench.opened == ["network/app", "nodes/n"]
 
 
+def test_an_ended_process_is_published_without_a_result_of_its_network() -> None:
+    """A hung network would delay the alarm, and cannot explain it; a node that is only silent waits for the network."""
+    gone = error("process ended", brief="dead", condition="node_missing").with_evidence(Evidence(conclusive=True))
+    bench = Bench([unit("container/app"), unit("network/app", "container/app"), unit("nodes/n", "network/app")])
+    bench.all_healthy()
+    bench.now += 1
+    bench.see("nodes/n", BAD)
+    bench.see("container/app", OK)
+    assert bench.opened == []
+    bench.now += 1
+    bench.see("nodes/n", gone)
+    bench.see("container/app", OK)
+    assert bench.opened == ["nodes/n"]
+
+
 def test_a_lost_network_hides_what_a_running_node_reports() -> None:
     """It is conclusive that a node repeats old data or has no input, but its camera may be on that network: one cause, one alarm."""
     frozen = error("frozen", brief="frozen", condition="data_frozen").with_evidence(Evidence(conclusive=True))
