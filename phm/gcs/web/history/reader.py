@@ -170,7 +170,7 @@ def _longest_gap(connection: sqlite3.Connection, who: str, since: float, until: 
         "AND at > ? AND at < ? ORDER BY at",
         (who, since, until),
     )
-    moments = [since, *(at for (at,) in rows), until]
+    moments: list[float] = [since, *(at for (at,) in rows), until]
     return max(after - before for before, after in itertools.pairwise(moments))
 
 
