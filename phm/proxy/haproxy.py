@@ -51,6 +51,10 @@ frontend phm
     acl empty req.body_size eq 0
     acl whole req.body_size,sub(txn.length) eq 0
     acl chunked req.hdr_cnt(transfer-encoding) gt 0
+    # After an upgrade the engine reads a stream that the rules do not see; PHM never asks for one.
+    acl upgrade req.fhdr(upgrade) -m found
+    acl upgrade req.fhdr(connection) -m sub -i upgrade
+    http-request deny deny_status 403 content-type application/json string {refusal} if upgrade
 """
 _TAIL = """\
     http-request set-log-level notice
@@ -87,10 +91,10 @@ def rules(settings: Settings, engine: str) -> str:
     for kind, key in _starting(made):
         frontend += _start_exec(kind, key)
     learned = "".join(f"    {line}\n" for line in _learned(made))
-    head = _HEAD.format(
-        agent=settings.agent.name, silence=_SILENCE_S, socket=settings.docker.socket.removeprefix("unix://")
-    )
-    tail = _TAIL.format(refusal=quoted(_REFUSAL), learned=learned, engine=engine)
+    refusal = quoted(_REFUSAL)
+    socket = settings.docker.socket.removeprefix("unix://")
+    head = _HEAD.format(agent=settings.agent.name, silence=_SILENCE_S, socket=socket, refusal=refusal)
+    tail = _TAIL.format(refusal=refusal, learned=learned, engine=engine)
     return head + "".join(f"    {line}\n" for line in frontend) + tail
 
 

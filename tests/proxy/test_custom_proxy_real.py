@@ -17,7 +17,7 @@ API = "/v1.41"
 
 
 def test_a_proxy_allows_the_configured_program_the_log_and_the_process_list_alone(real: Any, proxies: Proxies) -> None:
-    """The program ends with its exit code through the proxy; another program, another log and another query get 403."""
+    """The program ends with its exit code through the proxy; another program, log or query, and a stream, get 403."""
     app, other = real.container(WAIT), real.container(WAIT)
     docker = proxies.docker()
     custom = [
@@ -47,5 +47,8 @@ def test_a_proxy_allows_the_configured_program_the_log_and_the_process_list_alon
     ):
         with pytest.raises(EngineRefused):
             refused()
+    start = f"{API}/exec/{client.exec_create(app.id, FUEL)}/start"
+    stream = {"Connection": "Upgrade", "Upgrade": "tcp"}
+    assert proxy.ask("POST", start, docker_bodies.START_ATTACHED.encode(), more=stream)[0] == 403
     body = docker_bodies.exec_attached(FUEL).encode()[:-1] + b', "Privileged": true}'
     assert proxy.ask("POST", f"{API}/containers/{app.name}/exec", body)[0] == 403

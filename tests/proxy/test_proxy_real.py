@@ -245,6 +245,27 @@ def test_requests_in_other_forms_do_not_pass(place: Place) -> None:
     assert not place.app.client.api.inspect_container(place.app.id)["ExecIDs"]
 
 
+UPGRADES: list[dict[str, str]] = [
+    {"Connection": "Upgrade", "Upgrade": "tcp"},
+    {"Connection": "close, upgrade", "Upgrade": "h2c"},
+    {"Upgrade": "websocket"},
+    {"Connection": "UPGRADE"},
+]
+
+
+@pytest.mark.parametrize("headers", UPGRADES, ids=str)
+def test_an_allowed_request_does_not_pass_with_an_upgrade(place: Place, headers: dict[str, str]) -> None:
+    """The engine would turn the connection into a stream, which the proxy does not read; PHM needs none."""
+    place.learn()
+    assert place.proxy.ask("GET", f"{API}/containers/{place.app.name}/json", more=headers)[0] == 403
+    made = place.proxy.ask("POST", f"{API}/containers/{place.app.id}/exec", docker_bodies.exec_(RUN).encode())[1]
+    start, body = f"{API}/exec/{json.loads(made)['Id']}/start", docker_bodies.START_EXEC.encode()
+    assert place.proxy.ask("POST", start, body, more=headers)[0] == 403
+    assert place.app.exec_run(["test", "-e", "/tmp/ran"])[0] == 1
+    assert "403 POST" in until(lambda: place.proxy.said.read_text("utf-8"), "the proxy's line")
+    assert place.proxy.ask("POST", start, body)[0] == 200
+
+
 def test_an_exec_of_another_client_is_not_started(place: Place) -> None:
     """Only one that was created through this proxy; and never with attached streams."""
     place.learn()
