@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Dialog, Page, expect
+from playwright.sync_api import Browser, Page, expect
 
 from phm.gcs.web.config_delivery import ConfigDelivery, DeliveryTarget
 from phm.gcs.web.config_editor import ConfigEditor
@@ -259,6 +259,24 @@ def test_the_pages_lead_to_each_other(page: Page) -> None:
     expect(page.locator("#state")).to_contain_text("not changed")
 
 
+def test_a_configuration_with_problems_is_saved_after_a_question(page: Page, file: Path) -> None:
+    """Cancel leaves the file unchanged."""
+    interval = section(page, "interval").locator("input")
+    interval.fill("never")
+    interval.press("Tab")
+    expect(page.locator("#state")).to_contain_text("1 problem")
+    dialog = page.get_by_role("dialog", name="Save it anyway?")
+    page.locator("#save").click()
+    expect(dialog).to_contain_text("an agent would refuse it")
+    dialog.get_by_role("button", name="Cancel").click()
+    expect(dialog).to_be_hidden()
+    assert file.read_text() == TEXT
+    page.locator("#save").click()
+    dialog.get_by_role("button", name="Yes, save").click()
+    expect(page.locator("#state")).to_contain_text("a7.yaml: saved")
+    assert "interval: never" in file.read_text()
+
+
 def test_an_upload_is_edited_and_downloaded(page: Page, file: Path, tmp_path: Path) -> None:
     """Without a file of the ground's disk: nothing can be saved there, the result is downloaded."""
     page.locator("#upload").set_input_files({"name": "b.yaml", "mimeType": "text/yaml", "buffer": TEXT.encode()})
@@ -309,12 +327,7 @@ class Refusing(Bench):
 
 def test_a_saved_file_is_delivered_and_the_agents_problems_are_at_the_fields(browser: Browser, file: Path) -> None:
     """After a question each for the delivery and for replacing what someone else has changed."""
-    agent, asked = Refusing(), list[str]()
-
-    def accept(dialog: Dialog) -> None:
-        asked.append(dialog.message)
-        dialog.accept()
-
+    agent = Refusing()
     extra = {
         EXTRA: ConfigEditor(plan_of, [str(file)]),
         DELIVERY: ConfigDelivery({str(file): DeliveryTarget(*agent.where, KEY)}),
@@ -323,15 +336,26 @@ def test_a_saved_file_is_delivered_and_the_agents_problems_are_at_the_fields(bro
         ground(ListenOptions(port=0), extra=extra) as here,
         tab(browser, f"{here.page.url}checks", viewport={"width": 1400, "height": 1000}) as page,
     ):
-        page.on("dialog", accept)
         expect(page.locator("#state")).to_contain_text("not changed, valid")
         page.locator("#box-deliver summary").click()
+        dialog = page.get_by_role("dialog", name=f"Deliver {file} to")
         page.locator("#deliver").click()
+        expect(dialog).to_contain_text("replaces its own")
+        assert axe(page) == []
+        page.keyboard.press("Enter")
+        expect(dialog).to_be_hidden()
+        assert agent.executed == []
+        page.locator("#deliver").click()
+        dialog.get_by_role("button", name="Yes, deliver").click()
+        dialog = page.get_by_role("dialog", name="Replace whatever the agent has?")
+        expect(dialog).to_contain_text("the agent has another configuration <b>here</b>")
+        expect(dialog.get_by_role("button", name="Cancel")).to_be_focused()
+        page.keyboard.press("Tab")
+        page.keyboard.press("Enter")
         expect(page.locator("#delivered")).to_have_text("A07: the configuration is invalid on the agent: 1 problem")
         page.locator("#problems button").click()
         expect(section(page, "containers[0].name").locator(".problem")).to_contain_text("is not known here")
         assert [text for text, _, _ in agent.executed] == [TEXT, "", TEXT]
-        assert len(asked) == 2 and "Deliver" in asked[0] and "<b>here</b>. Replace" in asked[1]
         interval = section(page, "interval").locator("input")
         interval.fill("30s")
         interval.press("Tab")
@@ -347,15 +371,16 @@ def test_a_file_that_is_opened_meanwhile_is_not_delivered(browser: Browser, file
     files, target = [str(file), str(other)], DeliveryTarget(*agent.where, KEY)
     extra = {EXTRA: ConfigEditor(plan_of, files), DELIVERY: ConfigDelivery(dict.fromkeys(files, target))}
     with ground(ListenOptions(port=0), extra=extra) as here, tab(browser, f"{here.page.url}checks") as page:
-        page.on("dialog", lambda dialog: dialog.accept())
         expect(page.locator("#state")).to_contain_text("a7.yaml: not changed, valid")
         page.locator("#box-deliver summary").click()
         agent.go.clear()
         page.locator("#deliver").click()
+        page.get_by_role("button", name="Yes, deliver").click()
         expect(page.locator("#delivered")).to_have_text("delivering...")
         page.locator("#file").select_option(str(other))
         expect(page.locator("#state")).to_contain_text("a8.yaml: not changed, valid")
         agent.go.set()
+        page.get_by_role("button", name="Yes, replace").click()
         expect(page.locator("#delivered")).to_have_text("A07: the configuration is invalid on the agent: 1 problem")
         assert [text for text, _, _ in agent.executed] == [TEXT, "", TEXT]
         expect(page.locator("#state")).to_contain_text("a8.yaml: not changed, valid")
@@ -367,11 +392,11 @@ def test_a_delivery_without_an_answer_may_have_been_applied(browser: Browser, fi
     target = DeliveryTarget("127.0.0.1", 9, KEY)
     extra = {EXTRA: ConfigEditor(plan_of, [str(file)]), DELIVERY: ConfigDelivery({str(file): target})}
     with ground(ListenOptions(port=0), extra=extra) as here, tab(browser, f"{here.page.url}checks") as page:
-        page.on("dialog", lambda dialog: dialog.accept())
         page.route("**/api/config/deliver", lambda route: route.abort())
         expect(page.locator("#state")).to_contain_text("not changed, valid")
         page.locator("#box-deliver summary").click()
         page.locator("#deliver").click()
+        page.get_by_role("button", name="Yes, deliver").click()
         expect(page.locator("#delivered")).to_contain_text("it is not known whether the configuration was applied")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -32,6 +33,15 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GroundProcess]
         yield made
 
 
+@pytest.fixture
+def locked(tmp_path: Path) -> Iterator[GroundProcess]:
+    """Asks for a token."""
+    (tmp_path / "tokens").write_text(f"view: {'v' * 32}\noperate: {'o' * 32}\n")
+    (tmp_path / "tokens").chmod(0o600)
+    with ground(tmp_path, "--token-file", str(tmp_path / "tokens"), "--edit", "config/phm.yaml") as made:
+        yield made
+
+
 def violations(page: Page) -> list[str]:
     """Rule and place of each."""
     found = Axe().run(page, options=RULES).response["violations"]
@@ -46,6 +56,28 @@ def test_contrast_names_and_roles(browser: Browser, station: GroundProcess, them
         expect(page.locator(SHOWN[place]).first).to_be_visible()
         assert violations(page) == []
         page.set_viewport_size({"width": 820, "height": 1180})
+        assert violations(page) == []
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_an_open_question(browser: Browser, station: GroundProcess, theme: Theme) -> None:
+    """Also the dialog that asks before a request is sent."""
+    with tab(browser, f"{station.url}#/agent/A07", color_scheme=theme, reduced_motion="reduce") as page:
+        page.get_by_role("button", name="approve restart ros_app (#17)").click()
+        expect(page.get_by_role("dialog", name="A07: approve")).to_be_visible()
+        assert violations(page) == []
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("place", ["", "checks"])
+def test_the_log_in(browser: Browser, locked: GroundProcess, theme: Theme, place: str) -> None:
+    """Also with the refusal of a wrong token; of both pages."""
+    with tab(browser, locked.url + place, color_scheme=theme, reduced_motion="reduce") as page:
+        expect(page.locator("#token")).to_be_visible()
+        assert violations(page) == []
+        page.locator("#token").fill("x" * 32)
+        page.get_by_role("button", name="Log in").click()
+        expect(page.get_by_role("alert").filter(has_text="token")).to_be_visible()
         assert violations(page) == []
 
 

@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from phm.core.model import Slot
+from phm.transport.dialect import mavlink
 from tests.gcs.web.browser.scene import ERROR, Fleet, GroundProcess, a_bad_day, fleet, ground, tab
 
 pytestmark = pytest.mark.browser
@@ -93,6 +94,15 @@ def test_the_history_is_plotted(page: Page) -> None:
     expect(page.get_by_role("button", name="since arming")).to_have_attribute("aria-pressed", "true")
     expect(page.locator("#panel")).to_contain_text(re.compile(r"Armed since (before )?\d\d:\d\d:\d\d UTC\."))
     expect(gap.locator("strong")).to_contain_text(" s")
+
+
+def test_what_is_plotted_on_request_alone_is_named(page: Page, agents: Fleet) -> None:
+    """Load and rates of topics, each until it has values."""
+    page.locator(".row[data-name=A01]").click()
+    note = page.locator("#panel .quiet", has_text="once requested")
+    expect(note).to_have_text("Plotted once requested (see Requests): load, topic rates.")
+    agents.vehicles[1].send(mavlink.MAVLink_named_value_float_message(1000, b"scan", 9.5))
+    expect(note).to_have_text("Plotted once requested (see Requests): load.")
 
 
 def test_the_plots_of_a_flight_stay_after_it(page: Page, station: GroundProcess, agents: Fleet) -> None:

@@ -8,6 +8,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from phm.core.model import Slot
+from phm.wire.tunnel import PeerState, PeerView
 from tests.gcs.web.browser.scene import ERROR, fleet, ground, tab
 
 pytestmark = pytest.mark.browser
@@ -37,3 +38,12 @@ def test_a_hundred_agents(browser: Browser, tmp_path: Path) -> None:
         touched = page.evaluate("[...window.changed].filter((one) => one.includes('slot'))")
         assert {one.split()[0] for one in touched} == {"A57"}
         assert page.evaluate(ELEMENTS) <= nodes + 40
+
+
+def test_a_matrix_that_would_not_fit_is_named(browser: Browser, tmp_path: Path) -> None:
+    """With more agents than it has room for, the two views say so instead of leaving it out."""
+    with ground(tmp_path) as station, fleet(station.mavlink, range(1, 26)) as agents:
+        agents.views[1] = PeerView(1, True, True, True, {2: PeerState.ALIVE})
+        with tab(browser, f"{station.url}#/views") as page:
+            expect(page.locator("#v-table tbody tr")).to_have_count(25)
+            expect(page.locator("#v-matrix")).to_contain_text("Not shown: there are 25 agents, and room for 24.")

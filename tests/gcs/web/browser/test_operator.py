@@ -68,7 +68,7 @@ def test_a_restart_is_confirmed_and_the_refusal_says_why(page: Page, station: Gr
 
 
 def test_an_approval_is_confirmed_and_the_answer_is_shown(page: Page, station: GroundProcess, agents: Fleet) -> None:
-    """The dialog names the action and how long the approval is valid; only then is the command sent."""
+    """The dialog names the action and how long the approval is valid; only then is the command sent, here by the keyboard alone."""
     vehicle = agents.vehicles[3]
 
     def approvals() -> list[Any]:
@@ -85,7 +85,9 @@ def test_an_approval_is_confirmed_and_the_answer_is_shown(page: Page, station: G
         dialog = page.get_by_role("dialog")
         expect(dialog).to_contain_text("does what it advises for fault #17: restart ros_app. The approval is valid for")
         assert not approvals()
-        dialog.get_by_role("button", name="Yes, approve").click()
+        page.keyboard.press("Tab")
+        expect(dialog.get_by_role("button", name="Yes, approve")).to_be_focused()
+        page.keyboard.press("Enter")
         (asked, *_) = until(approvals, "the command")
         assert (asked.param1, asked.param2) == (2, 17)
         to = asked.get_srcSystem(), asked.get_srcComponent()

@@ -1,7 +1,8 @@
 // What an operator may request of an agent: with a confirmation that says what will happen, and the answer in words.
 
 import { getJson, mayOperate, postJson } from "./api.js";
-import { button, byId, el, render, said } from "./dom.js";
+import { confirmed } from "./confirm.js";
+import { button, el, render, said } from "./dom.js";
 import { checkSession } from "./live.js";
 import { on, store, utcNow } from "./store.js";
 import { toast } from "./toasts.js";
@@ -52,31 +53,24 @@ function choiceButton(name, choice) {
   return button(choice.text, () => start(name, choice), { class: strong ? "act strong" : "act" });
 }
 
-function start(name, choice) {
+async function start(name, choice) {
   const body = { agent: name, do: choice.do };
   for (const key of ["fault", "container", "for_s"]) if (choice[key] !== undefined) body[key] = choice[key];
   if (!choice.confirm) return send(body);
   const minutes = choice.do === "hold" ? holdTime() : null;
-  confirmed(name, choice, minutes, () => send(minutes ? { ...body, for_s: 60 * Number(minutes.value) } : body));
+  const content = [
+    el("p", {}, said(choice.will || "The agent is asked to do this.")),
+    ...(minutes ? [el("p", {}, el("label", { for: "hold-time", text: "For " }), minutes)] : []),
+    el("p", { class: "quiet", text: "Its answer is shown here." }),
+  ];
+  if (!await confirmed([`${name}: `, said(choice.text)], content, `Yes, ${choice.do}`)) return;
+  return send(minutes ? { ...body, for_s: 60 * Number(minutes.value) } : body);
 }
 
 function holdTime() {
   const select = el("select", { id: "hold-time" }, ...HOLD_MINUTES.map((count) => el("option", { value: count, text: `${count} minutes` })));
   select.value = "10";
   return select;
-}
-
-function confirmed(name, choice, minutes, send) {
-  const dialog = byId("dialog");
-  const cancel = button("Cancel", () => dialog.close(), { autofocus: true });
-  dialog.replaceChildren(
-    el("h2", { id: "dialog-title" }, `${name}: `, said(choice.text)),
-    el("p", {}, said(choice.will || "The agent is asked to do this.")),
-    ...(minutes ? [el("p", {}, el("label", { for: "hold-time", text: "For " }), minutes)] : []),
-    el("p", { class: "quiet", text: "Its answer is shown here." }),
-    el("div", { class: "controls" }, cancel, button(`Yes, ${choice.do}`, () => { dialog.close(); send(); }, { class: "act strong" })));
-  dialog.showModal();
-  cancel.focus();
 }
 
 async function send(body) {

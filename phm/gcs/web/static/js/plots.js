@@ -9,6 +9,7 @@ import { clock } from "./words.js";
 const EVERY_MS = 5000;
 const RANGES = [["5", "5 min"], ["15", "15 min"], ["60", "1 h"], ["armed", "since arming"]];
 const RADIO = ["rssi", "remrssi", "noise", "remnoise", "txbuf"];
+const LOAD = ["cpu", "memory", "temperature"];
 const HEIGHT = 130;
 let state = null;
 
@@ -50,13 +51,21 @@ async function draw(mine) {
     const wanted = await kinds(mine);
     const flight = mine.range === "armed" ? await getJson("api/history/flight", { agent: mine.name }) : null;
     mine.area.hidden = flight?.since === null;
-    setText(mine.note, [flight ? flightWords(flight) : "", wanted.length ? "" : "No values yet."].join(" ").trim());
+    setText(mine.note, [flight ? flightWords(flight) : "", wanted.length ? "" : "No values yet.", missing(wanted)].filter(Boolean).join(" "));
     if (!mine.area.hidden) for (const kind of wanted) if (state === mine) await drawOne(mine, kind, flight);
   } catch (error) {
     setText(mine.note, error.status === 404 ? "There is no history: nothing to plot." : `No plots: ${error.message}.`);
   } finally {
     mine.busy = false;
   }
+}
+
+/** What has no values until an operator requests it, in words. A replay has no requests. */
+function missing(wanted) {
+  if (store.ground.page === "replay") return "";
+  const names = [["load", (kind) => LOAD.includes(kind)], ["topic rates", (kind) => kind.startsWith("topic ")]]
+    .filter(([, fits]) => !wanted.some(({ kind }) => fits(kind))).map(([name]) => name);
+  return names.length ? `Plotted once requested (see Requests): ${names.join(", ")}.` : "";
 }
 
 function flightWords(flight) {

@@ -83,10 +83,12 @@ const MARKS = { alive: ["ok", "OK"], late: ["warn", "late"], lost: ["error", "lo
 
 function matrix(agents) {
   const seeing = agents.filter((agent) => agent.view?.peers).sort((left, right) => left.agent - right.agent);
-  if (!seeing.length || agents.length > MATRIX_MOST) return [];
+  if (!seeing.length) return [];
+  const title = el("h3", { text: "Which agents receive each other" });
+  if (agents.length > MATRIX_MOST) return [title, el("p", { text: `Not shown: there are ${agents.length} agents, and room for ${MATRIX_MOST}.` })];
   const numbers = [...new Set(agents.map((agent) => agent.agent))].sort((left, right) => left - right);
   const name = (number) => `A${String(number).padStart(2, "0")}`;
-  return [el("h3", { text: "Which agents receive each other" }), el("table", { class: "matrix" }, el("caption", { text: "Rows: the agent that reports. Columns: the agent it reports about." }),
+  return [title, el("table", { class: "matrix" }, el("caption", { text: "Rows: the agent that reports. Columns: the agent it reports about." }),
     el("thead", {}, el("tr", {}, el("th", { scope: "col", text: "Agent" }), ...numbers.map((number) => el("th", { scope: "col", text: name(number) })))),
     el("tbody", {}, ...seeing.map((agent) => el("tr", {}, el("th", { scope: "row", text: agent.name }), ...numbers.map((number) => {
       const [mark, text] = MARKS[agent.view.peers[number]] ?? ["none", number === agent.agent ? "self" : "–"];

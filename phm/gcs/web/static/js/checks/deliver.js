@@ -1,6 +1,8 @@
 // Sends the saved file to its agent over IP, after a question, and shows the agent's answer.
 
 import { Refused, postJson } from "../api.js";
+import { confirmed } from "../confirm.js";
+import { el, said } from "../dom.js";
 
 const LIMIT_MS = 180000; // longer than `phm/gcs/delivery_client.py` waits
 const DOES = "The agent validates it, replaces its own, and reloads: all units are STALE until their next check.";
@@ -9,10 +11,12 @@ const DOES = "The agent validates it, replaces its own, and reloads: all units a
 export async function deliver(state, status) {
   const { name, version, agentBase } = state; // another file may be opened meanwhile
   const agent = state.agents[name];
-  if (!window.confirm(`Deliver ${name} to ${agent}? ${DOES}`)) return { ok: false, problems: [] };
+  if (!await confirmed([said(`Deliver ${name} to ${agent}?`)], [el("p", { text: DOES })], "Yes, deliver")) return { ok: false, problems: [] };
   let got = await send(name, version, agentBase, status);
   if (!got.ok && got.present && got.present !== agentBase && got.present !== version && got.problems.length === 0) {
-    if (window.confirm(`${got.text}. Replace whatever the agent has?`)) got = await send(name, version, null, status);
+    if (await confirmed(["Replace whatever the agent has?"], [el("p", {}, said(`${got.text}.`))], "Yes, replace")) {
+      got = await send(name, version, null, status);
+    }
   }
   return got;
 }

@@ -1,6 +1,7 @@
 // The Checks page: opens a configuration, has the server apply and check each change, and saves or downloads the result.
 
 import { Refused, getJson, login, mayOperate, openSession, postJson, session } from "../api.js";
+import { confirmed } from "../confirm.js";
 import { byId, el } from "../dom.js";
 import { deliver } from "./deliver.js";
 import { Form } from "./form.js";
@@ -90,7 +91,8 @@ async function save() {
   await settled();
   const body = { name: state.name, text: state.text, version: state.version, variables: variables() };
   if (state.problems.length) {
-    body.anyway = window.confirm(`The configuration has ${state.problems.length} problem(s); an agent would refuse it. Save it anyway?`);
+    const words = `The configuration has ${state.problems.length} problem(s); an agent would refuse it.`;
+    body.anyway = await confirmed(["Save it anyway?"], [el("p", { text: words })], "Yes, save");
     if (!body.anyway) return;
   }
   const got = await postJson("api/config/save", body);
