@@ -141,7 +141,8 @@ def _with_nodes(machine: Machine, answers: Answers, engine: DockerEngine) -> Ans
     watched = decided.containers(machine, answers.containers) if answers.containers else ()
     found = source(machine, watched)
     try:
-        names = ros_nodes.nodes(variables(found) if found is not None else {})
+        # By address: the names of containers are not resolved here.
+        names = ros_nodes.nodes(variables(found, watched, "host") if found is not None else {})
     except ros_nodes.NoGraph as error:
         click.echo(f"ROS nodes are not listed: {error}")
         return answers

@@ -80,10 +80,10 @@ def _compared(one: RosEnvironment, own: Sequence[RosEnvironment], *, configured_
     found = min((differences(one, phm, configured_domain=configured_domain) for phm in own), key=len)
     if not found:
         return ok(name, f"{installed}; its ROS environment fits PHM's")
-    what, _, remedy = found[0].text.rpartition(": ")
+    what, _, remedy = found[0].text.partition(": ")
     certain = "PHM does not receive its nodes" if found[0].certain else "PHM may not receive its nodes"
     more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-    return limited(name, f"{installed}; {certain}: {what or found[0].text}{more}", remedy)
+    return limited(name, f"{installed}; {certain}: {what}{more}", remedy)
 
 
 def _shared_memory() -> Row:

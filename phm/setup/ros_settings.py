@@ -8,13 +8,16 @@ from dataclasses import dataclass
 
 from phm.facts import RosEnvironment
 from phm.facts.ros_environment import MAX_VALUE
-from phm.probes.ros.environment_differences import DEFAULT_RMW, rmw, sidecar_variables
+from phm.probes.ros.environment_differences import DEFAULT_RMW, LOCALHOST, discovery_range, rmw, sidecar_variables
 from phm.probes.ros.sandbox import PROFILE_VARIABLES
+from phm.setup.answers import Network
 from phm.setup.machine import Application, Machine
 
 FOLDER = "/etc/phm"
 """Where PHM's container sees the written folder."""
 APPLICATION_PROFILE = "application-fastdds.xml"
+DEFAULT_BRIDGE = "bridge"
+"""Docker resolves no names of containers there."""
 _PLAIN = re.compile(r"[A-Za-z0-9_./:;,@=+-]*")
 
 
@@ -30,17 +33,26 @@ class DetectedRosSettings:
     profile: str = ""
 
 
-def ros_settings(machine: Machine, watched: Sequence[Application], shipped_profile: str) -> DetectedRosSettings:
+def ros_settings(
+    machine: Machine, watched: Sequence[Application], shipped_profile: str, network: Network
+) -> DetectedRosSettings:
     """shipped_profile: PHM's own for applications, which only shortens leases, so that PHM itself does not need it."""
     found = source(machine, watched)
     if found is None:
         return DetectedRosSettings("# ROS 2: the values of your application.\nROS_DOMAIN_ID=0")
-    used = variables(found)
+    used = variables(found, watched, network)
     where = "container" if any(one.ros is found for one in watched) else "process"
     lines = [f"# ROS 2: as in {where} {found.name}; PHM must use the same.", *_lines({"ROS_DOMAIN_ID": "0", **used})]
     if rmw(found) != DEFAULT_RMW:
         lines.append(f"# PHM's image must have {rmw(found)}: build it from a ROS base image that does (BASE_IMAGE).")
-    others = [one.name for one in watched if one.ros.variables and variables(one.ros) != used]
+    if local := _local(watched, network):
+        lines.append(
+            f"# {', '.join(local)}: the discovery range is LOCALHOST there, so PHM looks there by ROS_STATIC_PEERS."
+        )
+    if set(local.values()) - {one.name for one in watched}:
+        lines.append("# Docker may give a container that is created again another address: then change it here.")
+    wanted = _needed(found, network)
+    others = [one.name for one in watched if one.ros.variables and _needed(one.ros, network) != wanted]
     if others:
         lines.append(f"# Other values are set in {', '.join(others)}: PHM does not see the nodes there.")
     profile = next((one.profile for one in watched if one.ros is found), "")
@@ -59,10 +71,29 @@ def source(machine: Machine, watched: Sequence[Application]) -> RosEnvironment |
     return max(found, key=lambda ros: len(ros.variables), default=None)
 
 
-def variables(ros: RosEnvironment) -> dict[str, str]:
-    """What PHM's environment needs to discover that application."""
-    peers = ros.variables.get("ROS_STATIC_PEERS", "")
-    return {**sidecar_variables(ros), **({"ROS_STATIC_PEERS": peers} if peers else {})}
+def variables(ros: RosEnvironment, watched: Sequence[Application], network: Network) -> dict[str, str]:
+    """What PHM's environment needs on this network to discover the application with `ros`, and watched ones that announce
+    themselves only in their own network namespace."""
+    peers = [peer for peer in ros.variables.get("ROS_STATIC_PEERS", "").split(";") if peer]
+    peers = list(dict.fromkeys((*peers, *_local(watched, network).values())))
+    return {**_needed(ros, network), **({"ROS_STATIC_PEERS": ";".join(peers)} if peers else {})}
+
+
+def _needed(ros: RosEnvironment, network: Network) -> dict[str, str]:
+    return sidecar_variables(ros, same_network=network == "host" == ros.network_namespace)
+
+
+def _local(watched: Sequence[Application], network: Network) -> dict[str, str]:
+    """Watched containers with the range LOCALHOST in another network namespace than PHM's, each with its name or address for PHM."""
+    found = {}
+    for one in watched:
+        if discovery_range(one.ros) == LOCALHOST and not network == "host" == one.ros.network_namespace:
+            owner = next((other for other in watched if other.name == one.owner), one)
+            named = network == "bridge" and set(owner.networks) - {DEFAULT_BRIDGE}
+            addresses = (attachment.address for attachment in owner.fact.networks if attachment.address)
+            if peer := owner.name if named else next(addresses, ""):
+                found[one.name] = peer
+    return found
 
 
 def _lines(used: Mapping[str, str]) -> list[str]:

@@ -25,7 +25,7 @@ def render(machine: Machine, answers: Answers) -> dict[str, str]:
     """The text of each file, by name. The containers of `answers` must be among those of `machine`."""
     watched = decided.containers(machine, answers.containers) if answers.containers else ()
     keys = decided.keys(watched)
-    ros = ros_settings(machine, watched, _template(PROFILE))
+    ros = ros_settings(machine, watched, _template(PROFILE), answers.network)
     made = {
         CONFIGURATION: Template(_template(CONFIGURATION)).substitute(
             agent=answers.name,

@@ -55,6 +55,16 @@ def test_an_application_with_other_variables_is_limited(tmp_path: Path, monkeypa
     assert "ROS_DOMAIN_ID" in row(found, "other").text
 
 
+def test_the_remedy_is_a_complete_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where it names a line of a YAML file, which has a colon."""
+    installed(monkeypatch, JAZZY)
+    with FakeEngine(tmp_path / "engine.sock") as fake:
+        fake.containers["app"] = described("app", env={"ROS_DOMAIN_ID": "8"})
+        there = doctor_context(tmp_path, docker={"socket": fake.url}, ros={"domain": 7})
+        found = row(list(rows(there)), "app")
+    assert found.remedy == "set ros.domain: 8 in phm.yaml" and found.text.endswith("and 7 in PHM")
+
+
 def test_on_the_host_the_sidecar_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not the shell in which `phm doctor` runs."""
     installed(monkeypatch, JAZZY)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from phm.facts import RosFact
-from tests.fakes.ros_bench import Bench, seen
+from tests.fakes.ros_bench import Bench, seen, until
 
 TOPIC = "/agent_1/topic_1"
 TOPICS = [{"name": TOPIC, "rate": 10}]
@@ -40,3 +40,12 @@ def test_the_clients_of_a_discovery_server_are_seen(bench: Bench) -> None:
     bench.node("node_1", *PUBLISH, before=OWN_MEMORY)
     bench.node("node_2", "--no-beacon", before=OWN_MEMORY)
     assert seen(bench.probe(TOPICS), all_seen, "the clients of the discovery server")
+
+
+def test_a_peer_that_cannot_be_resolved_yet_hides_no_other_node(bench: Bench) -> None:
+    """The container of that name may not run; rmw_fastrtps itself creates no participant then."""
+    bench.node("node_1", *PUBLISH)
+    bench.node("node_2", "--no-beacon")
+    bench.environ.update(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", ROS_STATIC_PEERS="127.0.0.1;no.such.host.invalid")
+    assert seen(bench.probe(TOPICS), all_seen, "nodes and data, without the second peer")
+    until(lambda: [note for note in bench.notes if "no.such.host.invalid" in note], "the log line")

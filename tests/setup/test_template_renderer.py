@@ -108,11 +108,36 @@ def test_nodes_name_their_container_where_there_are_several() -> None:
 
 def test_ros_variables_are_those_of_the_application() -> None:
     """Of the application that has some; quoted where necessary."""
-    env = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.1;x y"}
-    found = variables(made(application("web"), application("app", env={**env, "ROS_DISTRO": "jazzy"})))
+    env = {"ROS_DOMAIN_ID": "7", "ROS_STATIC_PEERS": "10.0.0.1;x y", "ROS_DISTRO": "jazzy"}
+    found = variables(made(application("web"), application("app", env=env)))
     assert found["PHM_AGENT_ID"] == "7" and found["ROS_DOMAIN_ID"] == "7" and "ROS_DISTRO" not in found
-    assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert found["ROS_STATIC_PEERS"] == "'10.0.0.1;x y'"
+
+
+LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def test_an_application_with_the_range_localhost_is_looked_for_by_name_from_another_network_namespace() -> None:
+    """PHM keeps the default range. LOCALHOST on both sides was measured as impossible there."""
+    found = variables(made(application("app", env=LOCAL), application("two", env={"ROS_LOCALHOST_ONLY": "1"})))
+    assert found["ROS_STATIC_PEERS"] == "app;two"
+    assert "ROS_AUTOMATIC_DISCOVERY_RANGE" not in found
+    shared = application("inner", mode="container:app", owner="app", env=LOCAL)
+    assert variables(made(application("app"), shared))["ROS_STATIC_PEERS"] == "app"
+
+
+@pytest.mark.parametrize(("mode", "network"), [("bridge", "bridge"), ("swarm", "host")])
+def test_where_names_are_not_resolved_the_address_is_written(mode: str, network: str) -> None:
+    """On Docker's default bridge, and from the host; the file says that the address may change."""
+    texts = made(application("app", mode=mode, env=LOCAL), network=network)
+    assert variables(texts)["ROS_STATIC_PEERS"] == "10.9.0.2"
+    assert "another address" in texts["agent.env"]
+
+
+def test_on_the_network_of_the_host_phm_takes_the_range_of_the_application() -> None:
+    """There LOCALHOST works on both sides."""
+    found = variables(made(application("app", mode="host", env=LOCAL), network="host"))
+    assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST" and "ROS_STATIC_PEERS" not in found
 
 
 def test_an_application_of_another_domain_is_named() -> None:

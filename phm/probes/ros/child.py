@@ -31,12 +31,14 @@ from phm.probes.ros.protocol import (
     encode,
 )
 from phm.probes.ros.second_look import SecondLook
+from phm.probes.ros.static_peers import StaticPeers
 
 if TYPE_CHECKING:
     from phm.probes.ros.observer import Observer
 
 MISSED = "the ROS child discovers again with a new participant: the previous one missed {}"
 STALE = "the ROS child discovers again with a new participant: the previous one still listed {}, which has ended"
+UNRESOLVED = "ROS_STATIC_PEERS: the ROS child discovers without {}, which cannot be resolved yet"
 MAX_NAMES = 300
 OOM_MORE, OOM_MOST = 500, 1000
 """Value for /proc/PID/oom_score_adj, higher than the daemon's. Raising it needs no privilege."""
@@ -67,6 +69,9 @@ def main() -> int:
 def _look(wanted: Wanted, out: int) -> int:
     """Report until standard input is closed. Returns the exit code."""
     _send(out, _restrict())
+    peers = StaticPeers()
+    if peers.missing:
+        _send(out, LogText(UNRESOLVED.format(", ".join(peers.missing)[:MAX_NAMES])))
     try:
         from phm.probes.ros.observer import Observer
 
@@ -76,7 +81,7 @@ def _look(wanted: Wanted, out: int) -> int:
         return EXIT_MISSING
     memory.give_back()
     try:
-        watch = _report(watch, out, wanted.tick_s)
+        watch = _report(watch, peers, out, wanted.tick_s)
     except BrokenPipeError:
         return 0
     watch.close()
@@ -91,16 +96,20 @@ def _restrict() -> Sandbox:
     return Sandbox(sandbox.enter(os.environ.get(INSTALLS, "").split(os.pathsep)))
 
 
-def _report(watch: Observer, out: int, tick_s: float) -> Observer:
+def _report(watch: Observer, peers: StaticPeers, out: int, tick_s: float) -> Observer:
     """Observe until the pipe is closed. Returns the last observer, which may differ from the first."""
     leak = _Leak(os.environ.get("PHM_DEBUG_ROS_LEAK_MB", ""))
     next_s = time.monotonic()
     second = SecondLook(watch.second, next_s)
     orders = LineSplitter()
     notified, late_s = False, 0.0
+    peers.start()
     while True:
         _send(out, *watch.look(notified=notified, late_s=late_s))
-        if differences := second.look(time.monotonic(), watch.known, lacking=watch.lacking):
+        if peers.more():
+            watch = watch.renewed()
+            second.renewed(time.monotonic())
+        elif differences := second.look(time.monotonic(), watch.known, lacking=watch.lacking):
             for text, names in zip((MISSED, STALE), differences, strict=True):
                 if names:
                     _send(out, LogText(text.format(", ".join(names)[:MAX_NAMES])))

@@ -118,12 +118,15 @@ def _range(application: RosEnvironment, phm: RosEnvironment) -> Iterator[Environ
             name, f"{name} is OFF in {who}, so its nodes discover no other process: set it to LOCALHOST or SUBNET there"
         )
     elif theirs == LOCALHOST and same_network(application, phm) is False:
-        if not phm.variables.get("ROS_STATIC_PEERS"):
+        peers = _static_peers(phm)
+        lines = [] if peers else [f"set ROS_STATIC_PEERS to the name or address of {who}"]
+        lines += [] if ours == SUBNET else [f"remove {_range_variable(phm)}"]
+        if lines:
             yield EnvironmentDifference(
                 _range_variable(application),
                 f"{_range_setting(application)} in {who}, so its nodes announce themselves only in its own network namespace, "
-                f"and PHM is in another: set ROS_STATIC_PEERS to the address of {who} in the sidecar's environment, "
-                f"or run both with network_mode: host",
+                f"and PHM is in another: {' and '.join(lines)} in the sidecar's environment, or run both on the host's network",
+                certain=not peers,
             )
     elif theirs == LOCALHOST and ours not in (LOCALHOST, OFF):
         yield EnvironmentDifference(
@@ -139,6 +142,12 @@ def _range(application: RosEnvironment, phm: RosEnvironment) -> Iterator[Environ
             "the sidecar's environment",
             certain=application.exact or name in application.variables,
         )
+
+
+def _static_peers(environment: RosEnvironment) -> str:
+    """ROS_LOCALHOST_ONLY=1 switches them off, as in rcl."""
+    only = environment.variables.get("ROS_LOCALHOST_ONLY") == "1"
+    return "" if only else environment.variables.get("ROS_STATIC_PEERS", "")
 
 
 def _discovery_server(application: RosEnvironment, phm: RosEnvironment) -> Iterator[EnvironmentDifference]:
@@ -242,11 +251,12 @@ def _range_setting(environment: RosEnvironment) -> str:
     return f"{name} is {environment.variables.get(name) or f'not set ({SUBNET})'}"
 
 
-def sidecar_variables(application: RosEnvironment) -> dict[str, str]:
-    """The variables that PHM's sidecar needs to discover this application from the same network or network namespace."""
+def sidecar_variables(application: RosEnvironment, *, same_network: bool) -> dict[str, str]:
+    """The variables that PHM's sidecar needs to discover this application. same_network: from the same network namespace; from
+    another one, an application with the range LOCALHOST needs a static peer, and PHM the default range."""
     needed = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_DISCOVERY_SERVER", "ROS2_EASY_MODE", "ROS_SECURITY_ENABLE")
     found = {name: application.variables[name] for name in needed if application.variables.get(name)}
-    if discovery_range(application) == LOCALHOST:
+    if same_network and discovery_range(application) == LOCALHOST:
         found["ROS_AUTOMATIC_DISCOVERY_RANGE"] = LOCALHOST
     middleware_file = _OF_MIDDLEWARE.get(rmw(application), "")
     if application.variables.get(middleware_file):

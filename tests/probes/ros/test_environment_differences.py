@@ -10,6 +10,7 @@ from phm.facts import RosEnvironment
 from phm.probes.ros.environment_differences import differences, discovery_range, sidecar_variables
 
 HOST = {"network_namespace": "host", "ipc_namespace": "host"}
+LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 PHM = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 
 
@@ -73,10 +74,21 @@ def test_localhost_is_the_same_by_either_variable(variables: dict[str, str]) -> 
 
 def test_localhost_in_another_network_namespace_needs_a_static_peer() -> None:
     """The application announces itself on its own loopback interface only."""
-    local = app({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, **bridged("a"))
-    text = one(local, phm({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, **bridged("b")))
-    assert "set ROS_STATIC_PEERS to the address of ros_app" in text
+    local = app(LOCAL, **bridged("a"))
+    text = one(local, phm(**bridged("b")))
+    assert "set ROS_STATIC_PEERS to the name or address of ros_app in the sidecar's environment, or run" in text
     assert not differences(local, phm({"ROS_STATIC_PEERS": "172.18.0.2"}, **bridged("b")))
+
+
+@pytest.mark.parametrize("variables", [LOCAL, {"ROS_LOCALHOST_ONLY": "1"}])
+def test_localhost_on_both_sides_of_a_bridge_needs_two_lines(variables: dict[str, str]) -> None:
+    """Measured: it works with a static peer and the default range in PHM."""
+    (name,) = variables
+    local = app(LOCAL, **bridged("a"))
+    text = one(local, phm(variables, **bridged("b")))
+    assert f"set ROS_STATIC_PEERS to the name or address of ros_app and remove {name} in the sidecar's" in text
+    (found,) = differences(local, phm({**LOCAL, "ROS_STATIC_PEERS": "172.18.0.2"}, **bridged("b")))
+    assert "is in another: remove ROS_AUTOMATIC" in found.text.replace("PHM ", "") and not found.certain
 
 
 def test_a_range_of_phm_that_excludes_the_application_is_named() -> None:
@@ -146,7 +158,8 @@ def test_the_sidecar_gets_the_variables_that_decide_discovery() -> None:
         "ROS_DISTRO": "jazzy",
         "CYCLONEDDS_URI": "file:///c.xml",
     }
-    expected = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    assert sidecar_variables(app(variables)) == expected
+    domain = {"ROS_DOMAIN_ID": "7"}
+    assert sidecar_variables(app(variables), same_network=True) == {**domain, **LOCAL}
+    assert sidecar_variables(app(variables), same_network=False) == domain
     cyclone = {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", "CYCLONEDDS_URI": "file:///c.xml"}
-    assert sidecar_variables(app(cyclone)) == cyclone
+    assert sidecar_variables(app(cyclone), same_network=True) == cyclone
