@@ -33,6 +33,7 @@ def differences(
         *_domain(application, phm, configured=configured_domain),
         *_network(application, phm),
         *_range(application, phm),
+        *_peers(application, phm),
         *_discovery_server(application, phm),
         *_security(application, phm),
         *_transports(application, phm),
@@ -141,6 +142,20 @@ def _range(application: RosEnvironment, phm: RosEnvironment) -> Iterator[Environ
             f"{_range_setting(phm)} in PHM and the discovery range is {theirs} in {who}: remove {_range_variable(phm)} from "
             "the sidecar's environment",
             certain=application.exact or name in application.variables,
+        )
+
+
+def _peers(application: RosEnvironment, phm: RosEnvironment) -> Iterator[EnvironmentDifference]:
+    """PHM reaches one that it looks for, or that looks for PHM; which address is whose is not known here."""
+    if "rmw_zenoh_cpp" in (rmw(application), rmw(phm)):
+        return
+    theirs = _static_peers(application)
+    if theirs and not _static_peers(phm):
+        yield EnvironmentDifference(
+            "ROS_STATIC_PEERS",
+            f"ROS_STATIC_PEERS is {theirs} in {application.name} and not set in PHM: if multicast does not reach from one to the "
+            f"other, set ROS_STATIC_PEERS to the name or address of {application.name} in the sidecar's environment",
+            certain=False,
         )
 
 

@@ -91,6 +91,16 @@ def test_localhost_on_both_sides_of_a_bridge_needs_two_lines(variables: dict[str
     assert "is in another: remove ROS_AUTOMATIC" in found.text.replace("PHM ", "") and not found.certain
 
 
+def test_static_peers_that_only_the_application_has_are_a_possible_cause() -> None:
+    """They are set where multicast does not pass; one side that looks for the other is enough."""
+    peers = {"ROS_STATIC_PEERS": "10.0.0.5"}
+    (found,) = differences(app(peers, **bridged("a")), phm(**bridged("b")))
+    assert "ROS_STATIC_PEERS is 10.0.0.5 in ros_app and not set in PHM" in found.text and not found.certain
+    assert not differences(app(), phm(peers)) and not differences(app(peers), phm({"ROS_STATIC_PEERS": "10.0.0.6"}))
+    switched_off = app({**peers, "ROS_LOCALHOST_ONLY": "1"})
+    assert [one.variable for one in differences(switched_off, phm())] == ["ROS_LOCALHOST_ONLY"]
+
+
 def test_a_range_of_phm_that_excludes_the_application_is_named() -> None:
     """OFF discovers nothing; LOCALHOST nothing outside of the own network namespace."""
     assert "remove ROS_AUTOMATIC_DISCOVERY_RANGE" in one(app(), phm({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}))
