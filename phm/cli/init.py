@@ -71,7 +71,9 @@ def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, 
         _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename or directory} cannot be written: {error.strerror or error}")
-    _finish(directory, sorted(texts), answers)
+    click.echo(f"wrote {', '.join(sorted(texts))} to {directory}")
+    _show_differences(machine, answers, texts)
+    _finish(directory, answers)
 
 
 def _remedy(socket: str) -> str:
@@ -178,8 +180,20 @@ def _show(machine: Machine) -> None:
         click.echo(one_line(f"  PHM is already running as {', '.join(one.name for one in machine.sidecars)}"))
 
 
-def _finish(directory: Path, names: list[str], answers: Answers) -> None:
-    click.echo(f"wrote {', '.join(names)} to {directory}")
+def _show_differences(machine: Machine, answers: Answers, texts: dict[str, str]) -> None:
+    """One PHM has one ROS environment, which may not fit each container."""
+    from phm.setup import answers as decided
+    from phm.setup.ros_settings import remaining_differences
+    from phm.setup.template_renderer import ENVIRONMENT
+    from phm.wire.text import one_line
+
+    watched = decided.containers(machine, answers.containers) if answers.containers else ()
+    for name, found in remaining_differences(texts[ENVIRONMENT], watched, answers.network):
+        receives = "PHM does not receive" if found.certain else "PHM may not receive"
+        click.echo(one_line(f"{receives} the ROS nodes of {name}: {found.text}"))
+
+
+def _finish(directory: Path, answers: Answers) -> None:
     click.echo("Next:")
     click.echo(f"  cd {directory} && docker compose up -d")
     click.echo("  docker compose exec phm phm status")

@@ -6,9 +6,16 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from phm.facts import RosEnvironment
+from phm.facts import EnvironmentDifference, RosEnvironment, ros_variables
 from phm.facts.ros_environment import MAX_VALUE
-from phm.probes.ros.environment_differences import DEFAULT_RMW, LOCALHOST, discovery_range, rmw, sidecar_variables
+from phm.probes.ros.environment_differences import (
+    DEFAULT_RMW,
+    LOCALHOST,
+    differences,
+    discovery_range,
+    rmw,
+    sidecar_variables,
+)
 from phm.probes.ros.sandbox import PROFILE_VARIABLES
 from phm.setup.answers import Network
 from phm.setup.machine import Application, Machine
@@ -77,6 +84,26 @@ def variables(ros: RosEnvironment, watched: Sequence[Application], network: Netw
     peers = [peer for peer in ros.variables.get("ROS_STATIC_PEERS", "").split(";") if peer]
     peers = list(dict.fromkeys((*peers, *_local(watched, network).values())))
     return {**_needed(ros, network), **({"ROS_STATIC_PEERS": ";".join(peers)} if peers else {})}
+
+
+def remaining_differences(
+    environment_file: str, watched: Sequence[Application], network: Network
+) -> tuple[tuple[str, EnvironmentDifference], ...]:
+    """What may still keep PHM, with this agent.env, from receiving nodes: names of watched containers, each with one difference.
+
+    Containers without ROS variables are left out: most of them do not run ROS.
+    """
+    pairs = (line.partition("=") for line in environment_file.splitlines() if not line.startswith("#"))
+    written = ros_variables({name: value.strip("'") for name, equals, value in pairs if equals})
+    phm = RosEnvironment(
+        "PHM",
+        {"RMW_IMPLEMENTATION": DEFAULT_RMW, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", **written},
+        network_namespace="host" if network == "host" else "PHM",
+        networks=frozenset(name for one in watched for name in one.networks),  # it connects itself to them
+        ipc_namespace="PHM",
+    )
+    compared = (one for one in watched if one.ros.variables)
+    return tuple((one.name, difference) for one in compared for difference in differences(one.ros, phm))
 
 
 def _needed(ros: RosEnvironment, network: Network) -> dict[str, str]:

@@ -51,6 +51,20 @@ def test_options_answer_the_questions(fake: FakeEngine, tmp_path: Path) -> None:
     assert "PHM_IMAGE:-phm:2" in (tmp_path / "compose.yaml").read_text()
 
 
+def test_each_container_is_compared_with_what_was_written(fake: FakeEngine, tmp_path: Path) -> None:
+    """A container with other ROS variables is named with the line to change; one that fits, or runs no ROS, is not."""
+    localhost = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DISTRO": "jazzy"}
+    fake.containers["local"] = described("local", env=localhost)
+    fake.containers["camera"] = described("camera", env={"ROS_DOMAIN_ID": "8"})
+    fake.containers["database"] = described("database")
+    done = init(fake, tmp_path, "--yes", "--mavlink", "none")
+    assert done.exit_code == 0, done.output
+    (line,) = [line for line in done.output.splitlines() if "receive" in line]
+    assert line.startswith(
+        "PHM does not receive the ROS nodes of camera: ROS_DOMAIN_ID is 8 in camera and 7 in PHM: set "
+    )
+
+
 def test_without_a_terminal_the_missing_options_are_named(fake: FakeEngine, tmp_path: Path) -> None:
     """Nothing is written, and nothing waits for input."""
     done = init(fake, tmp_path / "phm", "--id", "3")
