@@ -19,13 +19,40 @@ if TYPE_CHECKING:
 @click.argument("file", required=False, type=click.Path())
 @config_option
 @json_option
+@click.option(
+    "--schema", is_flag=True, help="Print the JSON schema of the configuration, for editors, and validate nothing."
+)
+@click.option(
+    "--examples", is_flag=True, help="Print the folder with the documented phm.yaml and examples, and validate nothing."
+)
 @click.pass_context
-def command(ctx: click.Context, file: str | None, config: str | None, as_json: bool) -> None:
+def command(
+    ctx: click.Context, file: str | None, config: str | None, as_json: bool, schema: bool, examples: bool
+) -> None:
     """Validate a configuration file and list every problem.
 
     In a container it also warns about endpoints that do not leave it. Opens nothing but the file. Exit code 0: valid; 78: invalid.
     """
-    ctx.exit(validate(file or config, as_json))
+    if schema:
+        from phm.config.schema import text
+
+        click.echo(text(), nl=False)
+    elif examples:
+        ctx.exit(_examples())
+    else:
+        ctx.exit(validate(file or config, as_json))
+
+
+def _examples() -> int:
+    """Print the folder. Returns 0, or 1 if there is none."""
+    from phm.config.shipped import folder
+
+    found = folder()
+    if found is None:
+        click.echo("phm validate: the examples are part of the wheel and of the repository, not of an image", err=True)
+        return 1
+    click.echo(found)
+    return 0
 
 
 def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None = None) -> int:

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,9 +24,33 @@ def free_base() -> int:
     return min(port, 64900)
 
 
+def options(base: int, seconds: int) -> list[str]:
+    given = {"--for": seconds, "--first-port": base, "--ground-port": base + 25}
+    return [str(word) for option in given.items() for word in option]
+
+
 def words(base: int, seconds: int) -> list[str]:
-    options = {"--for": seconds, "--first-port": base, "--ground-port": base + 25, "--web": 0}
-    return [sys.executable, "-m", "phm.cli", "demo", *(str(word) for option in options.items() for word in option)]
+    return [sys.executable, "-m", "phm.cli", "demo", *options(base, seconds), "--web", "0"]
+
+
+def end_after_discovery(command: list[str], **more: Any) -> int:
+    """Runs the demo until its ground has received all agents, then sends SIGINT. Returns the exit code."""
+    demo = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **more)
+    assert demo.stdout is not None
+    waiting, lines = {f"A0{agent} discovered" for agent in (1, 2, 3)}, []
+    try:
+        for line in demo.stdout:  # its state is not the subject: it is CRITICAL where the machine's CPU is in use
+            lines.append(line)
+            waiting -= {text for text in waiting if text in line}
+            if not waiting:
+                break
+        demo.send_signal(signal.SIGINT)
+        demo.wait(LIMIT_S)
+    finally:
+        demo.kill()
+        demo.stdout.close()
+    assert not waiting, "".join(lines)
+    return demo.returncode
 
 
 def assert_nothing_left(base: int, folder: Path) -> None:
@@ -40,23 +65,8 @@ def test_three_agents_report_to_the_ground_until_ctrl_c(tmp_path: Path, monkeypa
     base = free_base()
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with (tmp_path.parent / "demo.err").open("w+") as errors:
-        demo = subprocess.Popen(words(base, LIMIT_S), stdout=subprocess.PIPE, stderr=errors, text=True)
-        assert demo.stdout is not None
-        waiting, lines = {f"A0{agent} discovered" for agent in (1, 2, 3)}, []
-        try:
-            for line in demo.stdout:  # its state is not the subject: it is CRITICAL where the machine's CPU is in use
-                lines.append(line)
-                waiting -= {text for text in waiting if text in line}
-                if not waiting:
-                    break
-            demo.send_signal(signal.SIGINT)
-            demo.wait(LIMIT_S)
-        finally:
-            demo.kill()
-            demo.stdout.close()
+        assert end_after_discovery(words(base, LIMIT_S), stderr=errors) == 0
         errors.seek(0)
-        assert not waiting, "".join(lines)
-        assert demo.returncode == 0
         assert "page at http://127.0.0.1:" in errors.read()
     assert_nothing_left(base, tmp_path)
 

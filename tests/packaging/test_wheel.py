@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli import test_demo
 from tests.fakes.engine import FakeEngine, container
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,13 +23,16 @@ LIMIT_S = 300.0
 pytestmark = pytest.mark.packaging
 
 
+def own_environment() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+
+
 def run(*words: str | Path, cwd: Path) -> str:
     """The standard output of a command that must succeed, without the Python settings of this process."""
-    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
         [str(word) for word in words],
         cwd=cwd,
-        env=environment,
+        env=own_environment(),
         capture_output=True,
         text=True,
         timeout=LIMIT_S,
@@ -104,6 +108,26 @@ def test_a_folder_is_made_from_the_wheel_alone(clean: Path, tmp_path: Path) -> N
         run(clean / "phm", "init", "agent", "--yes", "--socket", fake.url, cwd=tmp_path)
     assert "1 containers" in run(clean / "phm", "validate", "agent/phm.yaml", cwd=tmp_path)
     assert (tmp_path / "agent" / "compose.yaml").exists()
+
+
+def test_schema_and_examples_are_in_the_wheel(clean: Path, tmp_path: Path) -> None:
+    """The files of config/ that documents name, each with the same content; every example is valid."""
+    folder = Path(run(clean / "phm", "validate", "--examples", cwd=tmp_path).strip())
+    assert folder.is_relative_to(clean.parent)
+    found = {str(path.relative_to(folder)): path.read_text("utf-8") for path in folder.rglob("*") if path.is_file()}
+    fixed = {"phm.schema.json", "phm.yaml", "fastdds.xml", "systemd/phm.service"}
+    examples = {f"examples/{path.name}" for path in (ROOT / "config" / "examples").glob("*.yaml")}
+    assert found == {name: (ROOT / "config" / name).read_text("utf-8") for name in fixed | examples}
+    assert run(clean / "phm", "validate", "--schema", cwd=tmp_path) == found["phm.schema.json"]
+    for name in ("phm.yaml", *examples):
+        assert ": valid, agent " in run(clean / "phm", "validate", folder / name, cwd=tmp_path)
+
+
+@pytest.mark.long
+def test_the_demo_runs_from_the_wheel_alone(clean: Path, tmp_path: Path) -> None:
+    """`phm demo --for` shows its three agents in a clean environment."""
+    demo = [str(clean / "phm"), "demo", *test_demo.options(test_demo.free_base(), test_demo.LIMIT_S)]
+    assert test_demo.end_after_discovery(demo, cwd=tmp_path, env=own_environment()) == 0
 
 
 def test_the_page_is_in_the_wheel(clean: Path) -> None:
