@@ -97,8 +97,20 @@ def test_the_bake_file_builds_stages_and_arguments_of_the_dockerfile() -> None:
         assert target["inherits"] == ["_published"]
         assert target["target"] in stages
         assert {*common["args"], *target.get("args", {})} <= arguments
-    used = set(re.findall(r"\$\{(\w+)\}", json.dumps(bake["target"])))
+    assert bake["target"]["sidecar"]["args"] == {"EXTRAS": "${EXTRAS}"}
+    used = set(re.findall(r"\$\{!?(\w+)\}", json.dumps(bake["target"])))
     assert used == set(bake["variable"])
+
+
+@pytest.mark.parametrize(("variable", "attestation"), [("PROVENANCE", "provenance"), ("SBOM", "sbom")])
+def test_the_bake_file_has_a_switch_for_each_attestation(variable: str, attestation: str) -> None:
+    """On by default. The default is a boolean, so that bake takes the variable of the environment as one."""
+    bake = json.loads((ROOT / "docker" / "docker-bake.json").read_text("utf-8"))
+    assert bake["variable"][variable] == {"default": True}
+    (entry,) = [one for one in bake["target"]["_published"]["attest"] if f"type={attestation}" in one]
+    assert entry.endswith(f",disabled=${{!{variable}}}")
+    page = (ROOT / "docs" / "development" / "release.md").read_text("utf-8")
+    assert all(f"| `{name}` |" in page for name in bake["variable"])
 
 
 def test_the_version_is_the_same_everywhere() -> None:
