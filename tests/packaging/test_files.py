@@ -119,3 +119,22 @@ def test_the_version_is_the_same_everywhere() -> None:
     sections = re.findall(r"^## \[?([^\]\s]+)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
     assert citation["version"] == __version__
     assert next(name for name in sections if name != "Unreleased") == __version__
+
+
+def test_the_date_of_the_version_is_the_same_in_both_files() -> None:
+    """CITATION.cff and the CHANGELOG."""
+    changelog = (ROOT / "CHANGELOG.md").read_text("utf-8")
+    (date,) = re.findall(rf"^## {re.escape(__version__)} - (\S+)$", changelog, re.MULTILINE)
+    assert str(yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))["date-released"]) == date
+
+
+@pytest.mark.parametrize(("tag", "good"), [(f"v{__version__}", True), ("v99.0.0", False), (__version__, False)])
+def test_only_the_tag_of_the_version_is_published(tag: str, good: bool) -> None:
+    """The workflow compares both before anything else."""
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "publish.yaml").read_text("utf-8"))
+    step = workflow["jobs"]["test"]["steps"][1]
+    assert step["env"] == {"TAG": "${{ github.ref_name }}"}
+    done = subprocess.run(
+        ["bash", "-ec", step["run"]], cwd=ROOT, env={**os.environ, "TAG": tag}, timeout=60, check=False
+    )
+    assert (done.returncode == 0) is good
