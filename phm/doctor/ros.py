@@ -49,7 +49,9 @@ def _installation(*, needed: bool) -> Row:
             check=False,
         )
         found = json.loads(done.stdout)
-        text = f"{found['distribution'] or 'unknown distribution'}, rclpy {found['rclpy'] or 'of unknown version'}, {found['middleware']}"
+        unknown = "of unknown version"
+        middleware = f"{found['middleware']} {found['middleware_version'] or unknown}"
+        text = f"{found['distribution'] or 'unknown distribution'}, rclpy {found['rclpy'] or unknown}, {middleware}"
     except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
         text = "rclpy cannot be used here, so nodes and topics are not monitored"
         remedy = "use PHM's image; or pip install 'phm-sidecar[ros]' on x86-64, or the Python of a ROS installation"

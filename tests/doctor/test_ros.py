@@ -14,7 +14,7 @@ from tests.doctor.places import doctor_context, row, states
 from tests.fakes.engine import FakeEngine
 from tests.setup.machines import described
 
-JAZZY = {"distribution": "jazzy", "rclpy": "7.1.4", "middleware": "rmw_fastrtps_cpp"}
+JAZZY = {"distribution": "jazzy", "rclpy": "7.1.4", "middleware": "rmw_fastrtps_cpp", "middleware_version": "8.4.2"}
 
 
 def installed(monkeypatch: pytest.MonkeyPatch, found: dict[str, str] | None) -> None:
@@ -28,10 +28,10 @@ def installed(monkeypatch: pytest.MonkeyPatch, found: dict[str, str] | None) -> 
 
 
 def test_the_installation_of_phm_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rows have distribution, rclpy, middleware and domain."""
+    """The rows have distribution, rclpy, middleware with their versions, and domain."""
     installed(monkeypatch, JAZZY)
     found = list(rows(doctor_context(tmp_path, ros={"domain": 7})))
-    assert row(found, "PHM").text == "jazzy, rclpy 7.1.4, rmw_fastrtps_cpp"
+    assert row(found, "PHM").text == "jazzy, rclpy 7.1.4, rmw_fastrtps_cpp 8.4.2"
     assert "ROS_DOMAIN_ID 7" in row(found, "domain").text
 
 
