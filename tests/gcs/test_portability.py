@@ -1,4 +1,4 @@
-"""`phm gcs`, `phm validate` and `phm faults` import and run without what Windows or macOS lack."""
+"""`phm gcs`, `phm validate`, `phm faults` and `phm report` import and run without what Windows or macOS lack."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ WITHOUT = '''
 """Takes from this Linux what another platform lacks. Libraries of others are imported before: they have their own branches."""
 import asyncio, importlib.abc, os, queue, select, selectors, signal, socket, sys, types
 import click, docker, psutil, pydantic, pymavlink.dialects.v20.ardupilotmega, rich.live, rich.table, serial, urllib3.connection, yaml
-import importlib.metadata, multiprocessing, pathlib, subprocess, sysconfig, tempfile, zoneinfo
+import jinja2, msgspec
+import concurrent.futures.process, importlib.metadata, multiprocessing.connection, pathlib, subprocess, sysconfig, tempfile, zoneinfo
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_validator
 sysconfig.get_config_vars()
 import landlock, pyseccomp
@@ -134,6 +135,9 @@ found["validate"] = run("validate", "-c", sys.argv[3])[0]
 with open(os.path.join(folder, "phm.jsonl"), "w") as stream:
     stream.write("{}\\n")
 found["faults"] = run("faults", "--log-dir", folder, "--run-dir", folder, "--json")[0]
+page = os.path.join(folder, "flight.html")
+code, output = run("report", record, "--html", page, "--json")
+found["report"] = [code, sorted(one["agent"] for one in json.loads(output)["agents"]) if code == 0 else output, os.path.exists(page)]
 if PLATFORM == "win32":
     from phm.core.clock import SystemClock
     from phm.gcs.keyboard import Keyboard
@@ -151,7 +155,7 @@ print(json.dumps(found))
 
 @pytest.mark.parametrize("platform", ["win32", "darwin"])
 def test_the_ground_part_runs_without_what_the_platform_lacks(platform: str, tmp_path: Path) -> None:
-    """Agents by UDP and TCP, a request, a record, keys; a configuration is validated and a log is read."""
+    """Agents by UDP and TCP, a request, a record, keys; a configuration is validated, a log is read, and the record is reported."""
     config = str(ROOT / "config" / "phm.yaml")
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT + GROUND, platform, str(tmp_path), config],
@@ -169,5 +173,6 @@ def test_the_ground_part_runs_without_what_the_platform_lacks(platform: str, tmp
         "check": [0, "A07 run all checks: accepted\n"],
         "validate": 0,
         "faults": 0,
+        "report": [0, ["A07", "A08"], True],
         "recorded": "snapshot",
     }
