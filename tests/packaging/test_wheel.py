@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import configparser
 import json
 import os
 import shutil
@@ -92,6 +93,17 @@ def test_the_wheel_has_only_the_two_packages(wheel: Path) -> None:
     assert {"phm/py.typed", "phm_checks/py.typed", f"{metadata}/licenses/LICENSE"} <= set(names)
     sources = {str(path.relative_to(ROOT)) for path in (ROOT / "phm").rglob("*.py")}
     assert sources == {name for name in names if name.startswith("phm/") and name.endswith(".py")}
+
+
+def test_the_wheel_brings_one_command(wheel: Path) -> None:
+    """`phm`; pymavlink and pyserial bring others, which docs/guides/get-started.md says."""
+    archive = zipfile.ZipFile(wheel)
+    assert not [name for name in archive.namelist() if ".data/" in name]
+    (name,) = [name for name in archive.namelist() if name.endswith(".dist-info/entry_points.txt")]
+    points = configparser.ConfigParser()
+    points.read_string(archive.read(name).decode())
+    assert dict(points["console_scripts"]) == {"phm": "phm.cli:main"}
+    assert "gui_scripts" not in points
 
 
 def test_the_command_runs_from_the_wheel_alone(clean: Path) -> None:
