@@ -49,6 +49,7 @@ FOREIGN = frozenset(
         "mv",
         "nc",
         "pip",
+        "pipx",
         "printf",
         "pytest",
         "python3",
