@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -24,3 +25,23 @@ def test_without_examples_it_says_where_they_are(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("phm.config.shipped._PACKAGE", tmp_path / "phm")
     done = CliRunner().invoke(group, ["validate", "--examples"])
     assert done.exit_code == 1 and "part of the wheel and of the repository" in done.stderr
+
+
+@pytest.mark.parametrize(("private", "count"), [(True, 1), (False, 0)])
+def test_an_endpoint_that_does_not_leave_the_container_is_a_warning(
+    private: bool, count: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The file is valid. One that does leave it, and a process with the host's network, have no warning."""
+    monkeypatch.setattr("phm.transport.own_network.is_private", lambda: private)
+    urls = ["udpout:127.0.0.1:14550", "udpout:host.docker.internal:14550", "udpin:0.0.0.0:14551"]
+    endpoints = [{"name": f"link_{number}", "url": url} for number, url in enumerate(urls)]
+    file = tmp_path / "phm.yaml"
+    file.write_text(json.dumps({"agent": {"id": 1}, "mavlink": {"endpoints": endpoints}}))
+    done = CliRunner().invoke(group, ["validate", str(file), "--json"])
+    warnings = json.loads(done.stdout)["warnings"]
+    assert done.exit_code == 0 and len(warnings) == count
+    for text in warnings:
+        assert "mavlink.endpoints: udpout:127.0.0.1:14550 does not leave PHM's container" in text
+        assert "use udpout:host.docker.internal:14550 with `extra_hosts" in text
+    shown = CliRunner().invoke(group, ["validate", str(file)])
+    assert shown.exit_code == 0 and shown.stderr.count("warning: ") == count
