@@ -198,6 +198,10 @@ class Action(ABC):
     """What needs the unit must have recovered this long after the action: for actions after which nothing has to start. None: its grace
     and two seconds, and `verify_after_s`."""
 
+    proven_by_unit: ClassVar[bool] = False
+    """Whether the unit alone verifies the action: for actions that only change what PHM sees. What needs the unit then gets its grace
+    and is a separate fault if it does not recover."""
+
     @classmethod
     def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
         """Whether the configuration has what this step needs; a step that does not apply is left out of the ladder."""

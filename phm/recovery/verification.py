@@ -67,9 +67,9 @@ class Verification:
 
     The unit itself has `verify_s` to recover: less if it is certainly still bad, more while its check reports that only time
     can show the result (a HEALTHCHECK that is `starting`). Dependents have their grace, unless one cannot come back by waiting
-    (`Evidence.certain`: its process has ended, for instance). Only check runs that began
-    `verify_after_s` after the action count; that time, `still_bad_after_s` and `dependents_within_s` are set by the action
-    (`phm.recovery.base.Action`).
+    (`Evidence.certain`: its process has ended, for instance), or the action is `proven_by_unit`. Only check runs that began
+    `verify_after_s` after the action count; that time, `still_bad_after_s`, `dependents_within_s` and `proven_by_unit` are set by
+    the action (`phm.recovery.base.Action`).
     """
 
     unit: str
@@ -79,6 +79,7 @@ class Verification:
     grace_s: Callable[[str], float]
     still_bad_after_s: float | None = None
     dependents_within_s: float | None = None
+    proven_by_unit: bool = False
     waiting: tuple[str, ...] = ()
     """Units that have not recovered."""
     starved: bool = False
@@ -92,6 +93,8 @@ class Verification:
         more_s = self.verify_s if self.starved else 0.0
         if not checks.ok_since(self.unit, self.done):
             return self._of_the_unit(checks, now, more_s)
+        if self.proven_by_unit and checks.ok_since(self.unit, self.done + self.verify_after_s):
+            return VerificationResult()
         return self._of_dependents(checks, now, more_s)
 
     def decides_s(self, checks: CheckResults) -> float:
@@ -186,6 +189,7 @@ class Verifier:
             self._grace_s,
             action.still_bad_after_s,
             action.dependents_within_s,
+            action.proven_by_unit,
         )
         expected = self._generations.current(target)
         rerun_at, undecided = float("-inf"), False

@@ -6,6 +6,9 @@ import pytest
 
 from phm.api import Result, error
 from phm.core.model import Evidence
+from phm.recovery.actions.join_network import JoinNetwork
+from phm.recovery.actions.reconnect import Reconnect
+from phm.recovery.base import Action
 from phm.recovery.verification import STARVED_S, STILL_BAD_S, Verification, VerificationResult
 
 GRACE_S = 3.0
@@ -71,6 +74,34 @@ def test_dependents_are_waited_for_as_long_as_the_action_states(
     proving = Verification("network/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S, dependents_within_s=dependents_within_s)
     assert proving.result(Alone(0.0), longest_s) is None
     assert proving.result(Alone(0.0), longest_s + 0.1) == VerificationResult(missing="nodes/one", partly=True)
+
+
+def of(action: type[Action]) -> Verification:
+    """The verification of an action on a container whose unit is OK again and whose nodes are not."""
+    made = action()
+    return Verification(
+        "network/app",
+        0.0,
+        made.verify_after_s,
+        30.0,
+        lambda unit: GRACE_S + 20.0,
+        made.still_bad_after_s,
+        made.dependents_within_s,
+        made.proven_by_unit,
+    )
+
+
+def test_phm_on_the_network_again_does_not_wait_for_the_nodes_to_be_discovered() -> None:
+    """The application was on its network all the time: only PHM's own unit shows whether PHM has joined."""
+    assert of(JoinNetwork).result(Alone(0.0), 0.1) == VerificationResult()
+    assert of(JoinNetwork).result(Silent(0.5), 0.6) is None
+
+
+@pytest.mark.parametrize("action", [Reconnect])
+def test_nodes_that_go_on_running_are_back_soon_or_not_at_all(action: type[Action]) -> None:
+    """Nothing has to start, so the next step does not wait for the grace of a start."""
+    assert of(action).result(Alone(0.0), 6.0) is None
+    assert of(action).result(Alone(0.0), 6.1) == VerificationResult(missing="nodes/one", partly=True)
 
 
 class Lost(Alone):

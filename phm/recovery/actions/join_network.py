@@ -18,6 +18,8 @@ class JoinNetwork(Action):
 
     # A network that PHM's container is on is there immediately.
     still_bad_after_s = 1.0
+    # The application was never off its network; that PHM has not discovered all of its nodes yet does not show the opposite.
+    proven_by_unit = True
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         networks = container_settings(target).networks
