@@ -8,6 +8,7 @@ from phm.api import Result, error
 from phm.core.model import Evidence
 from phm.recovery.actions.join_network import JoinNetwork
 from phm.recovery.actions.reconnect import Reconnect
+from phm.recovery.actions.unpause import Unpause
 from phm.recovery.base import Action
 from phm.recovery.verification import STARVED_S, STILL_BAD_S, Verification, VerificationResult
 
@@ -97,7 +98,7 @@ def test_phm_on_the_network_again_does_not_wait_for_the_nodes_to_be_discovered()
     assert of(JoinNetwork).result(Silent(0.5), 0.6) is None
 
 
-@pytest.mark.parametrize("action", [Reconnect])
+@pytest.mark.parametrize("action", [Reconnect, Unpause])
 def test_nodes_that_go_on_running_are_back_soon_or_not_at_all(action: type[Action]) -> None:
     """Nothing has to start, so the next step does not wait for the grace of a start."""
     assert of(action).result(Alone(0.0), 6.0) is None

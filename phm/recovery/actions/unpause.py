@@ -12,6 +12,8 @@ class Unpause(Action):
     name = "unpause"
     starts = False
     impact = Impact.NOTHING
+    # Its processes go on running; see `Reconnect.dependents_within_s`.
+    dependents_within_s = 6.0
 
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
