@@ -24,6 +24,9 @@ WARN_WAIT_S = 3.0
 itself explains nothing."""
 RECOVERY_S = 5.0
 """After starvation symptoms have this long to disappear."""
+FOUND_AGAIN_S = 12.0
+"""After starvation a node that left the graph meanwhile has this long to be found again: PHM needs up to 10 s, as without starvation
+(`phm_checks._liveness.LOST_S`), and that time counts from when the node left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +35,7 @@ class Explanation:
 
     evidence: the reason. by: conditions of pressure units that explain it. settle_s: minimum duration of the symptom if its cause
     shows later. most_s: a symptom that lasts longer is not explained; None: no limit. begins_again: something must be discovered or
-    started again before the symptom can disappear, which takes up to the `grace_s` of its unit.
+    started again before the symptom can disappear, which takes up to the `grace_s` of its unit, and `least_s` if that is longer.
     """
 
     evidence: str
@@ -40,10 +43,11 @@ class Explanation:
     settle_s: float = 0.0
     most_s: float | None = None
     begins_again: bool = False
+    least_s: float = RECOVERY_S
 
     def recovery_s(self, grace_s: float) -> float:
         """How long the symptom may last after the starvation. `grace_s`: of its unit."""
-        return max(RECOVERY_S, grace_s) if self.begins_again else RECOVERY_S
+        return max(self.least_s, grace_s) if self.begins_again else self.least_s
 
 
 UNREAD_S = 15.0
@@ -74,7 +78,9 @@ EXPLAINED: Mapping[str, Explanation] = {
     "publisher_lost": _LEASE,
     "subscriber_lost": _LEASE,
     "node_missing": Explanation(
-        f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone", begins_again=True
+        f"by the graph or the beacon alone: {_LEASE.evidence}; not where its process is gone",
+        begins_again=True,
+        least_s=FOUND_AGAIN_S,
     ),
     "node_unreachable": _LEASE,
     "node_hung": Explanation(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from phm.api import Level, Result, error, warn
 from phm.core.model import Evidence
-from phm.tracker.starvation import RECOVERY_S
+from phm.tracker.starvation import FOUND_AGAIN_S, RECOVERY_S
+from phm_checks._liveness import LOST_S
 from tests.fakes.tracker_bench import OK, Bench, unit
 
 FALLING = Evidence(falling=True)
@@ -12,12 +13,13 @@ OVERLOADED = error("CPU at 100 %", brief="CPU 100 %", condition="cpu_high")
 DAMPED = OVERLOADED.with_evidence(FALLING)
 SLOW = error("topic /x at 3 Hz, expected 10", brief="3 Hz", condition="rate_low")
 DROPPED = error("topic lost its subscriber", brief="lost", condition="subscriber_lost")
+GONE = error("node left the graph", brief="dead", condition="node_missing")
 GRACE_S = 30.0
 
 
-def bench() -> Bench:
-    """The host, and a topic that may take GRACE_S to start."""
-    made = Bench([unit("host/cpu"), unit("rates/x", starved_by=("host/cpu",), grace_s=GRACE_S)])
+def bench(grace_s: float = GRACE_S) -> Bench:
+    """The host, and a topic that may take `grace_s` to start."""
+    made = Bench([unit("host/cpu"), unit("rates/x", starved_by=("host/cpu",), grace_s=grace_s)])
     made.all_healthy()
     made.later(GRACE_S)
     made.all_healthy()
@@ -49,6 +51,21 @@ def test_what_must_be_discovered_again_gets_the_time_of_a_start() -> None:
     seconds(made, GRACE_S, OK, DROPPED)
     assert made.opened == ["host/cpu"]
     seconds(made, 2, OK, DROPPED)
+    assert made.opened == ["host/cpu", "rates/x"]
+
+
+def test_a_node_that_left_the_graph_has_as_long_to_be_found_as_without_starvation() -> None:
+    """Its time in the overload does not count, also where the grace of a start is shorter; a process that has ended needs none."""
+    assert FOUND_AGAIN_S >= LOST_S + 2.0
+    made = bench(grace_s=8.0)
+    seconds(made, 3, OVERLOADED, GONE)
+    seconds(made, FOUND_AGAIN_S, OK, GONE)
+    assert made.opened == ["host/cpu"]
+    seconds(made, 2, OK, GONE)
+    assert made.opened == ["host/cpu", "rates/x"]
+    made = bench(grace_s=8.0)
+    seconds(made, 3, OVERLOADED, OK)
+    seconds(made, 2, OK, GONE.with_evidence(Evidence(conclusive=True)))
     assert made.opened == ["host/cpu", "rates/x"]
 
 
