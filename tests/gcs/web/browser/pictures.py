@@ -95,15 +95,15 @@ def _open(browser: Browser, url: str, width: int, theme: Literal["dark", "light"
 
 
 def _shoot(page: Page, folder: Path, name: str, last: Locator) -> None:
-    """Take the page down to the lower end of `last`, once the page shows all texts of the picture."""
+    """Take the page down to the lower end of `last`, at most TALL_PX, once the page shows all texts of the picture."""
     until(
         lambda: _shows(name, page.locator("body").inner_text()),
         f"the texts of {name}",
         lambda: page.locator("body").inner_text(),
     )
     box = until(last.bounding_box, f"the end of {name}")  # none while the page puts a new line in its place
-    low = box["y"] + box["height"] + MARGIN_PX
-    assert low <= TALL_PX, f"{name}: {low:g} px high"
+    # Cut where agents were late on a busy machine, and the log has many more lines than on one that rests.
+    low = min(box["y"] + box["height"] + MARGIN_PX, TALL_PX)
     size = page.viewport_size
     assert size is not None
     page.screenshot(path=folder / name, clip=FloatRect(x=0, y=0, width=size["width"], height=low))
