@@ -196,7 +196,7 @@ def test_the_child_ends_with_its_parent(bench: Bench) -> None:
 
 SLEEPY = (
     "import phm.probes.ros.child as child; plain = child._report\n"
-    "child._report = lambda watch, out, tick_s: plain(watch, out, 3600.0); raise SystemExit(child.main())"
+    "child._report = lambda watch, peers, out, tick_s: plain(watch, peers, out, 3600.0); raise SystemExit(child.main())"
 )
 """A child that polls once an hour, and when the middleware reports a change."""
 
