@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from phm.transport.docker import DockerEngine
 
 SOCKET = "unix:///var/run/docker.sock"
+ENGINE_S = 30.0
+"""Longest wait for an answer. An engine that starts many containers may take longer than the 5 s that suit the daemon."""
 
 
 @click.command(epilog="Example: phm init /opt/phm --id 7 --container ros_app --recover --mavlink udpout:10.0.0.5:14550")
@@ -53,7 +55,7 @@ def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, 
     from phm.setup.questions import Interview
     from phm.transport.docker import DockerEngine
 
-    engine = DockerEngine(socket)
+    engine = DockerEngine(socket, ENGINE_S)
     try:
         machine = discovery.look(engine, Path(os.environ.get("PHM_DEV_ROOT", "/dev")))
     except CannotTell as error:
