@@ -34,7 +34,8 @@ def serve() -> Iterator[Serve]:
 
         def start(answer: Callable[[socket.socket], object]) -> int:
             def run() -> None:
-                with listener.accept()[0] as connection:
+                # The client may close first, with data unread: then its end of the connection is a reset.
+                with listener.accept()[0] as connection, contextlib.suppress(ConnectionError):
                     answer(connection)
 
             threading.Thread(target=run, daemon=True).start()
