@@ -103,7 +103,6 @@ def _report(watch: Observer, peers: StaticPeers, out: int, tick_s: float) -> Obs
     second = SecondLook(watch.second, next_s)
     orders = LineSplitter()
     notified, late_s = False, 0.0
-    peers.start()
     while True:
         _send(out, *watch.look(notified=notified, late_s=late_s))
         if peers.more():

@@ -15,32 +15,36 @@ from collections.abc import Callable, MutableMapping
 from phm.probes.ros import fastdds_profile
 
 VARIABLE = "ROS_STATIC_PEERS"
-RETRY_S = 2.0
+RETRY_S, WAIT_S = 2.0, 2.0
 
 
 class StaticPeers:
-    """Keeps the variable to what can be resolved. With the range LOCALHOST the profile has the addresses: nothing is changed."""
+    """Keeps the variable to what can be resolved. With the range LOCALHOST the profile has the addresses: nothing is changed.
+
+    A thread resolves, because a resolver without a network takes seconds for each name; `wait_s`: the longest wait for it here.
+    """
 
     def __init__(
         self,
         environ: MutableMapping[str, str] = os.environ,
         resolve: Callable[[str], str] = socket.gethostbyname,
         retry_s: float = RETRY_S,
+        wait_s: float = WAIT_S,
     ) -> None:
         self._environ, self._resolve, self._retry_s = environ, resolve, retry_s
         value = "" if fastdds_profile.localhost(environ) else environ.get(VARIABLE, "")
         self._names = [name for name in value.split(";") if name]
-        self._found = self._used = self._resolved()
+        self._found: list[str] = []
+        self._tried = threading.Event()
+        if self._names:
+            threading.Thread(target=self._resolve_all, name="phm-peers", daemon=True).start()
+            self._tried.wait(wait_s)
+        self._used = self._found
         self._set()
-
-    def start(self) -> None:
-        """Try again in the background, since a resolver may take seconds. To be called once."""
-        if self._found != self._names:
-            threading.Thread(target=self._retry, name="phm-peers", daemon=True).start()
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Names that could not be resolved at the last attempt."""
+        """Names that have not been resolved yet."""
         return tuple(name for name in self._names if name not in self._found)
 
     def more(self) -> bool:
@@ -56,13 +60,15 @@ class StaticPeers:
         if self._names:
             self._environ[VARIABLE] = ";".join(self._used)
 
-    def _retry(self) -> None:
-        while self._found != self._names:
+    def _resolve_all(self) -> None:
+        while True:
+            for name in self._names:
+                if name not in self._found and self._is_resolved(name):
+                    self._found = [one for one in self._names if one in self._found or one == name]
+            self._tried.set()
+            if self._found == self._names:
+                return
             time.sleep(self._retry_s)
-            self._found = self._resolved()
-
-    def _resolved(self) -> list[str]:
-        return [name for name in self._names if self._is_resolved(name)]
 
     def _is_resolved(self, name: str) -> bool:
         try:

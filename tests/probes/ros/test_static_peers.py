@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 
 from phm.probes.ros.static_peers import StaticPeers
 from tests.fakes.until import until
+
+LIMIT_S = 30.0
 
 
 def test_a_peer_that_cannot_be_resolved_is_left_out_until_it_can() -> None:
@@ -17,20 +21,37 @@ def test_a_peer_that_cannot_be_resolved_is_left_out_until_it_can() -> None:
             raise OSError
         return "10.0.0.1"
 
-    peers = StaticPeers(environ, resolve, retry_s=0.01)
+    peers = StaticPeers(environ, resolve, retry_s=0.01, wait_s=LIMIT_S)
     assert environ["ROS_STATIC_PEERS"] == "app" and peers.missing == ("late",)
-    peers.start()
     assert not peers.more()
     known.add("late")
     until(peers.more, "the second peer")
     assert environ["ROS_STATIC_PEERS"] == "app;late" and not peers.missing and not peers.more()
 
 
+def test_a_resolver_that_hangs_delays_no_other_peer_and_not_the_start() -> None:
+    """Without a network, a resolver takes seconds for each name; PHM observes meanwhile."""
+    answer, gave_up, environ = threading.Event(), list[str](), {"ROS_STATIC_PEERS": "app;slow"}
+
+    def resolve(name: str) -> str:
+        if name == "slow" and not answer.wait(LIMIT_S):
+            gave_up.append(name)
+        return "10.0.0.1"
+
+    peers = StaticPeers(environ, resolve, wait_s=0.01)
+    until(lambda: peers.more() or environ["ROS_STATIC_PEERS"] == "app", "the first peer")
+    assert peers.missing == ("slow",) and not gave_up
+    answer.set()
+    until(peers.more, "the second peer")
+    assert environ["ROS_STATIC_PEERS"] == "app;slow"
+
+
 @pytest.mark.parametrize("name", ["no.such.host.invalid", "a..b"])
 def test_a_name_that_is_none_is_left_out(name: str) -> None:
     """As the resolver of this machine says."""
     environ = {"ROS_STATIC_PEERS": f"127.0.0.1;{name}"}
-    assert StaticPeers(environ).missing == (name,)
+    peers = StaticPeers(environ, wait_s=LIMIT_S)
+    assert peers.missing == (name,)
     assert environ["ROS_STATIC_PEERS"] == "127.0.0.1"
 
 
