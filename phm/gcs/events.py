@@ -88,7 +88,7 @@ def _hop(body: Mapping[str, Any]) -> str:
     return f"{_name(body)} {'broken' if hop['certain'] else 'possibly broken'} at {hop['name']}: {hop['evidence']}"
 
 
-def _pilot(body: Mapping[str, Any]) -> str:
+def _autopilot(body: Mapping[str, Any]) -> str:
     how = "armed" if body["armed"] else "disarmed"
     return f"autopilot {body['system']} is {body['presence']}, {how}, mode {body['mode']}"
 
@@ -117,7 +117,7 @@ _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "slots": _slots,
     "presence": _presence,
     "hop": _hop,
-    "pilot": _pilot,
+    "autopilot": _autopilot,
     "link": _link,
     "digest": _digest,
     "agent": lambda body: f"{_name(body)} discovered, {body['system']}/{body['component']} on {body['link']}",

@@ -19,8 +19,8 @@ from phm.swarm.peers import LOST_PERIODS, VIEW_LATE_PERIODS
 from phm.transport.priority import default_periods
 from phm.wire.tunnel import PeerState, PeerView, SwarmDigest
 
-MAX_AGENTS, MAX_PILOTS, MAX_STATIONS, MAX_RADIOS = 512, 256, 16, 16
-PILOT_GUESS_S = 1.0
+MAX_AGENTS, MAX_AUTOPILOTS, MAX_STATIONS, MAX_RADIOS = 512, 256, 16, 16
+AUTOPILOT_GUESS_S = 1.0
 """Autopilots and ground stations send a heartbeat a second."""
 STATION_S = RADIO_S = 10.0
 FULL_S = 1.0
@@ -42,7 +42,7 @@ class Autopilot:
     shown: PresenceState = PresenceState.NEVER
 
     def phase(self, now: float) -> PresenceState:
-        return self.presence.state(now, PILOT_GUESS_S)
+        return self.presence.state(now, AUTOPILOT_GUESS_S)
 
     def lost(self, now: float) -> bool:
         return self.phase(now) is PresenceState.LOST
@@ -66,7 +66,7 @@ class Fleet:
     def __init__(self, expected: Iterable[int] = ()) -> None:
         self.expected = frozenset(expected)
         self.agents: dict[tuple[int, int], Agent] = {}
-        self.pilots: dict[int, Autopilot] = {}
+        self.autopilots: dict[int, Autopilot] = {}
         self.stations: OrderedDict[tuple[int, int], float] = OrderedDict()
         self.swarm = SwarmState()
         self.links: Mapping[str, tuple[bool, str]] = {}
@@ -100,12 +100,12 @@ class Fleet:
             self.agents[key] = Agent(system, component)
         return self.agents[key]
 
-    def pilot(self, system: int, now: float) -> Autopilot | None:
-        if system not in self.pilots:
-            if not _room(self.pilots, MAX_PILOTS, lambda one: one.phase(now).there):
+    def autopilot(self, system: int, now: float) -> Autopilot | None:
+        if system not in self.autopilots:
+            if not _room(self.autopilots, MAX_AUTOPILOTS, lambda one: one.phase(now).there):
                 return None
-            self.pilots[system] = Autopilot()
-        return self.pilots[system]
+            self.autopilots[system] = Autopilot()
+        return self.autopilots[system]
 
     def station(self, system: int, component: int, now: float, *, leaving: bool = False) -> None:
         """A heartbeat of another ground station was received; `leaving`: its last one."""
@@ -145,7 +145,7 @@ class FleetSnapshot:
         self._all_silent = (
             len(heard) > 1
             and all(state is PresenceState.LOST for state in heard)
-            and not any(pilot.phase(now).there for pilot in fleet.pilots.values())
+            and not any(autopilot.phase(now).there for autopilot in fleet.autopilots.values())
         )
 
     def state(self, agent: Agent) -> PresenceState:
@@ -162,16 +162,18 @@ class FleetSnapshot:
     def hop(self, agent: Agent) -> BrokenHop | None:
         """The first broken hop on the path to its autopilot."""
         state = self.state(agent)
-        pilot = self._fleet.pilots.get(agent.system)
+        autopilot = self._fleet.autopilots.get(agent.system)
         if state.there or state is PresenceState.LEFT:
-            lost_s = pilot.presence.silent_s(self._now) if pilot is not None and pilot.lost(self._now) else None
-            return first_broken(agent, state, None, HopEvidence(pilot_lost_s=lost_s))
+            lost_s = (
+                autopilot.presence.silent_s(self._now) if autopilot is not None and autopilot.lost(self._now) else None
+            )
+            return first_broken(agent, state, None, HopEvidence(autopilot_lost_s=lost_s))
         if state is PresenceState.NEVER and self._early:
             return None
         around = HopEvidence(
             self._closed,
             self._all_silent,
-            pilot is not None and pilot.phase(self._now).there,
+            autopilot is not None and autopilot.phase(self._now).there,
             self.heard_by(agent)[0],
             any(self._now - heard <= RADIO_S for heard, _ in self._fleet.radios.values()),
         )

@@ -82,11 +82,13 @@ class FleetState:
         found: list[GcsEvent] = []
         if self.fleet.began is None:
             self.fleet.began = at.mono
-        for system, pilot in self.fleet.pilots.items():
-            lost = pilot.phase(at.mono) is PresenceState.LOST
-            if lost and pilot.shown is not PresenceState.LOST:
-                pilot.shown = PresenceState.LOST
-                found.append(GcsEvent(at, "pilot", {"system": system, **snapshot.pilot(pilot, at.mono)}))
+        for system, autopilot in self.fleet.autopilots.items():
+            lost = autopilot.phase(at.mono) is PresenceState.LOST
+            if lost and autopilot.shown is not PresenceState.LOST:
+                autopilot.shown = PresenceState.LOST
+                found.append(
+                    GcsEvent(at, "autopilot", {"system": system, **snapshot.autopilot_fields(autopilot, at.mono)})
+                )
         for agent in self.fleet.agents.values():
             found += self._presence(agent, at)
         look = self.fleet.look(at.mono)
@@ -110,7 +112,7 @@ class FleetState:
             self.fleet.station(beat.system, beat.component, at.mono, leaving=beat.state == POWEROFF)
         elif beat.autopilot != NO_AUTOPILOT:
             if beat.component == AUTOPILOT:
-                yield from self._pilot(beat, at)
+                yield from self._autopilot(beat, at)
         elif self.is_agent(beat):
             agent = self.fleet.agent(beat.system, beat.component, at.mono)
             if agent is not None:
@@ -146,16 +148,16 @@ class FleetState:
             at, "presence", {**snapshot.who(agent), "presence": shown.value, "was": was.value, "silent_s": silent_s}
         )
 
-    def _pilot(self, beat: Heartbeat, at: Stamp) -> Iterator[GcsEvent]:
-        pilot = self.fleet.pilot(beat.system, at.mono)
-        if pilot is None:
+    def _autopilot(self, beat: Heartbeat, at: Stamp) -> Iterator[GcsEvent]:
+        autopilot = self.fleet.autopilot(beat.system, at.mono)
+        if autopilot is None:
             return
-        before = (pilot.armed, pilot.mode, pilot.shown)
-        pilot.presence.beat(at.mono)
-        pilot.armed, pilot.mode, pilot.state = bool(beat.base_mode & ARMED), beat.custom_mode, beat.state
-        pilot.shown = PresenceState.ALIVE
-        if before != (pilot.armed, pilot.mode, pilot.shown):
-            yield GcsEvent(at, "pilot", {"system": beat.system, **snapshot.pilot(pilot, at.mono)})
+        before = (autopilot.armed, autopilot.mode, autopilot.shown)
+        autopilot.presence.beat(at.mono)
+        autopilot.armed, autopilot.mode, autopilot.state = bool(beat.base_mode & ARMED), beat.custom_mode, beat.state
+        autopilot.shown = PresenceState.ALIVE
+        if before != (autopilot.armed, autopilot.mode, autopilot.shown):
+            yield GcsEvent(at, "autopilot", {"system": beat.system, **snapshot.autopilot_fields(autopilot, at.mono)})
 
     # ------------------------------------------------------------ text
 

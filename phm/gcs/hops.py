@@ -31,17 +31,17 @@ class BrokenHop:
 class HopEvidence:
     """What else the ground knows when it looks for the broken hop of one agent.
 
-    closed: why no link of the ground is open, else empty. all_silent: no sender is received any more. pilot: the vehicle's
-    autopilot is received. pilot_lost_s: for how long it is no longer received, None: it is, or never was. heard_by: other agents
+    closed: why no link of the ground is open, else empty. all_silent: no sender is received any more. autopilot: the vehicle's
+    autopilot is received. autopilot_lost_s: for how long it is no longer received, None: it is, or never was. heard_by: other agents
     that receive it. radio: a radio on the ground's own link answers.
     """
 
     closed: str = ""
     all_silent: bool = False
-    pilot: bool = False
+    autopilot: bool = False
     heard_by: Sequence[int] = ()
     radio: bool = False
-    pilot_lost_s: float | None = None
+    autopilot_lost_s: float | None = None
 
 
 def first_broken(agent: Agent, state: PresenceState, silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
@@ -53,7 +53,7 @@ def first_broken(agent: Agent, state: PresenceState, silent_s: float | None, aro
 
 def _autopilot(around: HopEvidence) -> BrokenHop | None:
     """The agent reports nothing, and the ground does not receive its autopilot any more."""
-    silent_s = around.pilot_lost_s
+    silent_s = around.autopilot_lost_s
     return None if silent_s is None else BrokenHop("autopilot", f"silent {silent_s:.0f} s here", certain=False)
 
 
@@ -61,7 +61,7 @@ def _silent(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
     since = "never received" if silent_s is None else f"silent {silent_s:.0f} s"
     if around.closed:
         return BrokenHop("ground link", around.closed)
-    if around.pilot:
+    if around.autopilot:
         return BrokenHop("companion", f"PHM {since}, autopilot received")
     if around.heard_by:
         return BrokenHop("radio", f"{since} here, received by {' '.join(map(agent_name, around.heard_by))}")
@@ -89,8 +89,8 @@ def _reported(agent: Agent) -> BrokenHop | None:
         application = _bad(agent, slot)
         if application is not None:
             return BrokenHop("application", application, certain=False)
-    pilot = _bad(agent, Slot.AUTOPILOT)
-    return None if pilot is None else BrokenHop(_place(pilot) or "autopilot", _rest(pilot))
+    autopilot = _bad(agent, Slot.AUTOPILOT)
+    return None if autopilot is None else BrokenHop(_place(autopilot) or "autopilot", _rest(autopilot))
 
 
 def _bad(agent: Agent, slot: Slot) -> str | None:

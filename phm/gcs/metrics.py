@@ -113,11 +113,11 @@ def _agent(page: MetricsPage, agent: Mapping[str, Any]) -> None:
         page.add(metrics.AGENT_LEVEL, Level[agent["how"]], name)
     for slot, level in agent["slots"].items():
         page.add(metrics.SLOT_LEVEL, Level[level], name, Slot(int(slot)).name.lower())
-    pilot = agent["pilot"]
-    if pilot is not None:
-        page.add(metrics.AUTOPILOT_AGE, pilot["age_s"], name)
-        if pilot["presence"] in _THERE:
-            page.add(metrics.ARMED, pilot["armed"], name)
+    autopilot = agent["autopilot"]
+    if autopilot is not None:
+        page.add(metrics.AUTOPILOT_AGE, autopilot["age_s"], name)
+        if autopilot["presence"] in _THERE:
+            page.add(metrics.ARMED, autopilot["armed"], name)
 
 
 def _radio(page: MetricsPage, radio: Mapping[str, Any]) -> None:

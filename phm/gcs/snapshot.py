@@ -56,7 +56,7 @@ def hop(found: BrokenHop | None) -> dict[str, Any] | None:
     return None if found is None else asdict(found)
 
 
-def pilot(found: Autopilot, now: float, times: Times | None = None) -> dict[str, Any]:
+def autopilot_fields(found: Autopilot, now: float, times: Times | None = None) -> dict[str, Any]:
     return {
         "presence": found.phase(now).value,
         "armed": found.armed,
@@ -115,7 +115,9 @@ def fleet_json(
     agents = sorted(fleet.agents.values(), key=lambda agent: (agent.system, agent.component))
     return {
         "agents": [_agent(fleet, look, agent, times) for agent in agents if only is None or agent.system in only],
-        "pilots": {str(system): pilot(found, at.mono, times) for system, found in sorted(fleet.pilots.items())},
+        "autopilots": {
+            str(system): autopilot_fields(found, at.mono, times) for system, found in sorted(fleet.autopilots.items())
+        },
         "stations": [{"system": system, "component": component} for system, component in look.stations()],
         "radios": [
             {"link": link, **times.of(heard), **{key: getattr(said, key) for key in _RADIO}}
@@ -136,7 +138,7 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, times: Times) -> dic
     heard_by, not_heard_by = look.heard_by(agent)
     said = fleet.swarm.digest
     level = said.levels.get(agent.system) if said is not None else None
-    autopilot = fleet.pilots.get(agent.system)
+    autopilot = fleet.autopilots.get(agent.system)
     learned = agent.presence.heard_s is not None
     return {
         **who(agent),
@@ -160,7 +162,7 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, times: Times) -> dic
         "not_heard_by": not_heard_by,
         "hears_ground": None if agent.no_ground is None else not agent.no_ground,
         "swarm_says": level.name if level not in (None, Level.STALE) else None,
-        "pilot": pilot(autopilot, now, times) if autopilot is not None else None,
+        "autopilot": autopilot_fields(autopilot, now, times) if autopilot is not None else None,
         "on_hold": agent.on_hold,
         "restarts": agent.restarts,
         "problem": agent.problem or None,

@@ -113,7 +113,7 @@ def _agents(agents: Sequence[Json], *, wide: bool, selected: str, alarms: Collec
             cells(agent, wide=wide),
             Text(how, _STYLES.get(how, "")),
             _age(agent),
-            _pilot(agent),
+            _autopilot(agent),
             _hop(agent),
             _line(agent),
         )
@@ -164,14 +164,14 @@ def _age(agent: Json) -> Text:
     return Text(age(agent["age_s"]), styles.get(agent["presence"], "bold red"))
 
 
-def _pilot(agent: Json) -> Text:
+def _autopilot(agent: Json) -> Text:
     """The state of the vehicle's autopilot."""
-    pilot = agent["pilot"]
-    if pilot is None:
+    autopilot = agent["autopilot"]
+    if autopilot is None:
         return Text("?", "dim")
-    if pilot["presence"] == "lost":
+    if autopilot["presence"] == "lost":
         return Text("lost", "bold red")
-    return Text("ARM", "bold cyan") if pilot["armed"] else Text("dis", "dim")
+    return Text("ARM", "bold cyan") if autopilot["armed"] else Text("dis", "dim")
 
 
 def _hop(agent: Json) -> Text:

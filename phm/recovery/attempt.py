@@ -32,7 +32,7 @@ from phm.transport.docker import DockerEngine, EngineNotConnected, EngineTimeout
 logger = logging.getLogger(__name__)
 
 MARGIN_S = 20.0
-"""The action hold lasts this much longer than the action's deadline and `verify`: what needs the target may recover last."""
+"""For the tracker an action lasts this much longer than the action's deadline and `verify`: what needs the target may recover last."""
 READS = frozenset(
     {
         "ping",
@@ -104,7 +104,7 @@ class AttemptOutcome:
 
 
 class Attempt:
-    """`begin`, then `run`, then `release`. It owns its locks and action holds (`phm.recovery.ownership`)."""
+    """`begin`, then `run`, then `release`. It owns its locks and its actions in the tracker (`phm.recovery.ownership`)."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class Attempt:
         self._engine = GuardedEngine(context.engine, guard, approved_at)
         # An action that does not disturb its target does not suppress the target's faults either.
         name = target.name
-        self._held = name if action_type.impact is not Impact.OTHERS else f"{action_type.name}:{name}"
+        self._action_key = name if action_type.impact is not Impact.OTHERS else f"{action_type.name}:{name}"
         self._began, self._credited = self._clock.mono(), True
         self._result: list[str | AttemptOutcome] = []
         self._go, self._finished, self._abandoned = threading.Event(), threading.Event(), False
@@ -146,7 +146,7 @@ class Attempt:
             return ""
 
     def begin(self) -> bool:
-        """Lock the target and hold its faults; False when nothing was begun, which does not count as an attempt.
+        """Lock the target, and begin the action in the tracker; False when nothing was begun, which does not count as an attempt.
 
         Reasons: another attempt acts on the target, the container is stopping after a signal (a restart would kill it before
         its stop timeout is over), or no thread can be started.
@@ -159,8 +159,8 @@ class Attempt:
             self._unlock()
             return False
         at_most_s = self._type.deadline_s + self._verify_s + MARGIN_S
-        proving = self._held == name
-        self._locks.start_hold(self._held, self, self._fault.unit, self._type.name, at_most_s, proving=proving)
+        key, proving = self._action_key, self._action_key == name
+        self._locks.begin_action(key, self, self._fault.unit, self._type.name, at_most_s, proving=proving)
         return True
 
     def run(
@@ -176,16 +176,16 @@ class Attempt:
         if isinstance(said, AttemptOutcome):
             return said
         report(Phase.DONE, said)
-        hooks = VerificationHooks(stopping, self._end_hold, wanted)
+        hooks = VerificationHooks(stopping, self._end_action, wanted)
         verified = self._verifier.verify(self._fault, target, self._action, hooks)
         return self._outcome(verified, not_needed=isinstance(said, NotNeeded))
 
     def release(self, *, worked: bool) -> None:
-        """End the hold, and unlock the target if that has not happened."""
+        """The action is over: unlock the target if that has not happened."""
         self._unlock()
         if worked and not self._credited:
             self._pipeline.clear_action_credit(self._fault.unit)
-        self._locks.end_hold(self._held, self, worked=worked)
+        self._locks.end_action(self._action_key, self, worked=worked)
         if not worked:
             self._pipeline.clear_action_credit(self._fault.unit)
 
@@ -211,8 +211,8 @@ class Attempt:
     def _other_cause(self) -> str:
         return other_cause(self._action, self._target, self._fault, self._context)
 
-    def _end_hold(self) -> None:
-        self._locks.end_hold(self._held, self, worked=True)
+    def _end_action(self) -> None:
+        self._locks.end_action(self._action_key, self, worked=True)
 
     # ------------------------------------------------------------ acting
 
@@ -244,7 +244,7 @@ class Attempt:
             self._finished.set()
 
     def _run_action(self) -> str | AttemptOutcome:
-        context = replace(self._context, engine=cast(DockerEngine, self._engine), lock_dependent=self._hold_dependent)
+        context = replace(self._context, engine=cast(DockerEngine, self._engine), lock_dependent=self._lock_dependent)
         try:
             with self._expect_start():
                 said = self._action.run(self._target, self._fault, context)
@@ -270,7 +270,7 @@ class Attempt:
         return self._generations.acting(name, name, self._engine.take_unanswered, lambda: self._engine.disturbs)
 
     @contextlib.contextmanager
-    def _hold_dependent(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
+    def _lock_dependent(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
         """Lock a dependent; meanwhile it raises no separate faults, and its new generation is attributed to PHM."""
         name = self._target.name
         with self._locks.locked_dependent(key, self, at_most_s):
@@ -278,12 +278,12 @@ class Attempt:
                 raise TargetBusy(f"{action} of {name} was abandoned meanwhile")
             if self._pipeline.is_stopping(key):
                 raise TargetBusy(f"{key} is being stopped")
-            self._locks.start_hold(key, self, fault.unit, action, at_most_s)
+            self._locks.begin_action(key, self, fault.unit, action, at_most_s)
             try:
                 with self._generations.acting(key, name, self._engine.take_unanswered, lambda: self._engine.disturbs):
                     yield
             finally:
-                self._locks.end_hold(key, self, worked=True)
+                self._locks.end_action(key, self, worked=True)
 
 
 class GuardedEngine:

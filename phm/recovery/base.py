@@ -11,14 +11,13 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 from phm.core.clock import Clock, SystemClock
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings, RecoverySettings, Settings
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
-from phm.recovery.actions.cpu_weights import CpuWeights
-from phm.recovery.actions.ladders import LADDERS
+from phm.recovery.ladders import LADDERS
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.transport.docker import DockerEngine
 
@@ -137,8 +136,28 @@ def _not_known_armed() -> ArmedStatus:
     return ArmedStatus(ArmedState.UNKNOWN, "no autopilot is watched")
 
 
-def _no_hold(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractContextManager[None]:
+def _no_lock(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractContextManager[None]:
     return nullcontext()
+
+
+@dataclass(frozen=True, slots=True)
+class LoweredWeight:
+    """One container whose CPU weight was `shares` before PHM lowered it because of unit `unit`. id: the engine's."""
+
+    key: str
+    id: str
+    shares: int
+    unit: str
+
+
+class CpuRelief(Protocol):
+    """Lowers CPU weights and restores them later; `phm.recovery.actions.cpu_weights.CpuWeights` is one."""
+
+    def lower(self, key: str, fact: ContainerFact, unit: str, engine: DockerEngine) -> bool: ...
+
+    def restore(self, lowered: Iterable[LoweredWeight]) -> None: ...
+
+    def kept(self) -> tuple[LoweredWeight, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -170,10 +189,10 @@ class ActionContext:
     autopilot: Callable[[], AutopilotFact | None] = _no_autopilot
     clock: Clock = field(default_factory=SystemClock)
     reopen: Callable[[str, float], bool] = _no_link
-    lock_dependent: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_hold
+    lock_dependent: Callable[[str, Fault, str, float], AbstractContextManager[None]] = _no_lock
     on_hold: Callable[[str], str] = lambda key: ""
     armed: Callable[[], ArmedStatus] = _not_known_armed
-    relief: CpuWeights | None = None
+    relief: CpuRelief | None = None
     restart_ros: Callable[[str], None] = lambda reason: None
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 from phm.core.clock import Clock
 from phm.core.model import ActionEvent, Event, Fault, Phase
-from phm.recovery.actions.ladders import DOWN
+from phm.recovery.ladders import DOWN
 from phm.recovery.operator.approval import Approval
 from phm.recovery.ownership import Generation, Shared
 
@@ -121,7 +121,7 @@ class FaultCase:
     on_hold: bool = False
     """Whether its container was on hold at the last decision."""
     interrupted: bool = False
-    """Restored, with an action under way: its action hold lasts until it recovers or the next action."""
+    """Restored, with an action under way: for the tracker that lasts until it recovers or the next action."""
 
     def __post_init__(self) -> None:
         self.generation = self.fault.generation
@@ -316,8 +316,8 @@ class ExternalChanges:
             case.generation = self._generation.name
 
     def _follow_generation(self, cases: Iterable[FaultCase]) -> None:
-        """The container was started without an attempt: its parts get their grace. If others started it, the action
-        hold of an interrupted action ends. If PHM did, the engine has completed the request of an attempt late."""
+        """The container was started without an attempt: its parts get their grace. If others started it, an
+        interrupted action is over. If PHM did, the engine has completed the request of an attempt late."""
         before, self._generation = self._generation, self._generations.current(self._target)
         if self._generation is None or before is None or self._generation.same(before):
             return
@@ -326,6 +326,6 @@ class ExternalChanges:
             self._expect_current(case)
             if case.interrupted and not mine:
                 case.interrupted = False
-                self._locks.end_hold(self._target, case, worked=False)
+                self._locks.end_action(self._target, case, worked=False)
             if case.recheck_from is None or mine:
                 case.recheck_after(now + self._grace_s(case.fault.unit))

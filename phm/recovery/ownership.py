@@ -3,8 +3,8 @@
 **Locks.** One action at a time on each container, however recoveries overlap: two containers may share a dependent, and a
 dependent has its own worker and faults. An attempt locks each container that it acts on, its own target first and the
 dependents that it restarts one by one, later. Two attempts that wait for each other's container would deadlock: the request
-that would close the circle is refused immediately, and every wait is limited. The action hold, by which the tracker knows
-which faults follow from an action, belongs to the attempt that acted last; only that attempt ends it.
+that would close the circle is refused immediately, and every wait is limited. The tracker's record of an
+action, by which it knows which faults follow from it, belongs to the attempt that acted last; only that attempt ends it.
 
 **Generations** of a container, one from each start to the next. A container that others have recreated or started again is
 not the one on which PHM's attempts failed: attempts are reset (`phm.recovery.policy`), and what was given up may be acted on
@@ -259,7 +259,7 @@ class TargetLocks:
         self._pipeline, self._clock = pipeline, clock
         self._owners: dict[str, object] = {}
         self._waiting_for: dict[object, str] = {}
-        self._hold_owners: dict[str, object] = {}
+        self._action_owners: dict[str, object] = {}
         self._dependent_restart_at: dict[str, float] = {}
         self._lock = threading.Lock()
 
@@ -317,22 +317,22 @@ class TargetLocks:
             wanted = self._waiting_for.get(holder)
         return False
 
-    # ------------------------------------------------------------ action holds in the tracker
+    # ------------------------------------------------------------ actions as the tracker knows them
 
-    def start_hold(
+    def begin_action(
         self, target: str, owner: object, unit: str, action: str, at_most_s: float, *, proving: bool = False
     ) -> None:
         """From now on, failures in the target follow from the recovery of `unit`: see `Tracker.begin_action`."""
         with self._lock:
-            self._hold_owners[target] = owner
+            self._action_owners[target] = owner
             self._pipeline.begin_action(target, unit, action, at_most_s, proving=proving)
 
-    def end_hold(self, target: str, owner: object, *, worked: bool) -> None:
-        """End the action hold, if it is still this owner's."""
+    def end_action(self, target: str, owner: object, *, worked: bool) -> None:
+        """The action is over, unless another owner has acted since: see `Tracker.end_action`."""
         with self._lock:
-            if self._hold_owners.get(target) is not owner:
+            if self._action_owners.get(target) is not owner:
                 return
-            del self._hold_owners[target]
+            del self._action_owners[target]
             self._pipeline.end_action(target, worked=worked)
 
 

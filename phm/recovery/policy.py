@@ -24,7 +24,10 @@ from dataclasses import dataclass
 from phm.core.backoff import pause_s
 from phm.core.model import Fault
 from phm.core.settings import RecoverySettings
-from phm.recovery.actions.ladders import (
+from phm.recovery.base import ActionCatalog, Target, ladder_of
+from phm.recovery.fault_cases import CLEAN_S, HOLD, AttemptRecord, History
+from phm.recovery.holds.hold_registry import ALL, BEING_STOPPED, NOTHING_REQUESTED, HoldRegistry, HoldStatus
+from phm.recovery.ladders import (
     ADVISED,
     AGAIN_WHILE_IT_LASTS,
     DOWN,
@@ -33,9 +36,6 @@ from phm.recovery.actions.ladders import (
     ONLY_IF_OK_BEFORE,
     PATIENT,
 )
-from phm.recovery.base import ActionCatalog, Target, ladder_of
-from phm.recovery.fault_cases import CLEAN_S, HOLD, AttemptRecord, History
-from phm.recovery.holds.hold_registry import ALL, BEING_STOPPED, NOTHING_REQUESTED, HoldRegistry, HoldStatus
 from phm.recovery.safety.armed_state import ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
 

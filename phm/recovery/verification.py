@@ -11,8 +11,8 @@ from typing import Protocol
 from phm.core import threads
 from phm.core.model import Fault, Level, Result
 from phm.facts import CannotTell
-from phm.recovery.actions.ladders import OUTSIDE
 from phm.recovery.base import Action, ActionContext, Target
+from phm.recovery.ladders import OUTSIDE
 from phm.recovery.ownership import Generation, Shared, StartedBy
 from phm.tracker.starvation import explanation
 

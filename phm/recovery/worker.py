@@ -86,7 +86,7 @@ class TargetWorker:
         """A fault of the target was closed."""
         case = self._cases.closed(fault.unit)
         if case is not None and case.interrupted:
-            self._locks.end_hold(self._name, case, worked=True)
+            self._locks.end_action(self._name, case, worked=True)
         self._wake.set()
 
     def dependency_recovered(self, units: Collection[str], down_from: float) -> None:
@@ -117,7 +117,7 @@ class TargetWorker:
             self._operator().approvals.expire(mine, case.approved, "PHM has been restarted")
         if interrupted is not None:
             at_most_s = grace_s + INTERRUPTED_S
-            self._locks.start_hold(self._name, mine, fault.unit, interrupted.attempt.action, at_most_s)
+            self._locks.begin_action(self._name, mine, fault.unit, interrupted.attempt.action, at_most_s)
         self._wake.set()
 
     def persisted(self) -> tuple[dict[str, PersistedCase], UnfinishedAction | None]:

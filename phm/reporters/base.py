@@ -63,7 +63,7 @@ class ReporterContext:
     newest: the newest result of a unit, published or not; None: there is none, or the unit does not exist.
     alive:  False when the check scheduler hangs; then a reporter must not report that all is OK.
     health: a snapshot of PHM's own condition for `phm status` (JSON-able).
-    swarm:  the other agents. armed: whether the autopilot is armed; None: unknown. pilot: whether this agent's autopilot is received.
+    swarm:  the other agents. armed: whether the autopilot is armed; None: unknown. autopilot: whether this agent's autopilot is received.
     holds: what is on hold, as in `phm status --json`.
     restored: faults that were open, and were reported, before PHM restarted.
     links: what is received on the MAVLink endpoints. queues: how many events wait for each subscriber of the bus, and were dropped.
@@ -81,7 +81,7 @@ class ReporterContext:
     restored: tuple[Fault, ...] = ()
     ros: DiagnosticsPublisher | None = None
     swarm: SwarmProbe | None = None
-    pilot: Callable[[], bool] | None = None
+    autopilot: Callable[[], bool] | None = None
     armed: Callable[[], bool | None] = lambda: None
     radio: Callable[[], bool] | None = None
     holds: Callable[[], list[dict[str, Any]]] = list

@@ -146,13 +146,13 @@ def _heartbeats(page: MetricsPage, context: ReporterContext) -> None:
     probe = context.links
     if probe is None:
         return
-    ground, pilot = probe.gcs(), probe.autopilot()
+    ground, autopilot = probe.gcs(), probe.autopilot()
     if ground is not None:
         page.add(metrics.HEARTBEAT_AGE, ground.age_s, "ground", ground.link)
-    if pilot is not None:
-        page.add(metrics.HEARTBEAT_AGE, pilot.age_s, "autopilot", pilot.link)
-        if context.pilot is None or context.pilot():
-            page.add(metrics.AUTOPILOT_ARMED, pilot.armed)
+    if autopilot is not None:
+        page.add(metrics.HEARTBEAT_AGE, autopilot.age_s, "autopilot", autopilot.link)
+        if context.autopilot is None or context.autopilot():
+            page.add(metrics.AUTOPILOT_ARMED, autopilot.armed)
     for link in probe.links():
         page.add(metrics.LINK_OPEN, link.open, link.name)
         page.add(metrics.LINK_AGE, link.rx_age_s, link.name)

@@ -96,9 +96,9 @@ class SwarmReporter(Reporter):
     # ------------------------------------------------------------ to the agents
 
     def _view(self, fact: SwarmFact, now: float) -> None:
-        pilot, radio = (ask is not None and ask() for ask in (self._context.pilot, self._context.radio))
+        autopilot, radio = (ask is not None and ask() for ask in (self._context.autopilot, self._context.radio))
         seen = {agent: _seen(peer.state, self._agent in peer.heard_by) for agent, peer in fact.peers.items()}
-        said = (fact.gcs, pilot, radio, tuple(sorted(seen.items())))
+        said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())))
         heartbeat_s = self._heartbeat_s()
         since_s = now - self._view_at
         if said == self._viewed:
@@ -111,7 +111,7 @@ class SwarmReporter(Reporter):
             self._again = True
         self._viewed, self._view_at = said, now
         self._sequence = (self._sequence + 1) % 256
-        payload = tunnel.encode(PeerView(self._sequence, fact.gcs, pilot, radio, seen))
+        payload = tunnel.encode(PeerView(self._sequence, fact.gcs, autopilot, radio, seen))
         for link in fact.links:
             self._port.send(_tunnel(payload), MessagePriority.SWARM, key="view", link=link)
 

@@ -61,7 +61,7 @@ class GroundRun:
             self._heard(event)
         elif len(self.texts) + len(self.levels) + len(self.presence) + len(self.armed) > MOST_EVENTS:
             self.left_out += 1
-        elif event.event == "pilot":
+        elif event.event == "autopilot":
             if event.armed is not None and event.system is not None:
                 self.armed.append((event.mono, event.system, event.armed))
         elif event.event == "snapshot":

@@ -202,8 +202,8 @@ class Components:
         links, pipeline, mavlink = self.probes.world.links, self.pipeline, settings.mavlink
 
         def autopilot_received() -> bool:
-            pilot = links.autopilot()
-            return pilot is not None and pilot.silent_s <= mavlink.autopilot_timeout
+            autopilot = links.autopilot()
+            return autopilot is not None and autopilot.silent_s <= mavlink.autopilot_timeout
 
         def radio_received() -> bool:  # by the same rule as the radio check: 2.5 of the radio's own periods
             return any(radio.silent_s <= max(mavlink.radio_timeout, 2.5 * radio.due_s) for radio in links.radios())
@@ -218,7 +218,7 @@ class Components:
             self.probes.mavlink,
             ros=self.probes.ros,
             swarm=self.probes.world.swarm,
-            pilot=autopilot_received,
+            autopilot=autopilot_received,
             armed=self._known_armed,
             radio=radio_received,
             open_faults=pipeline.open_faults,

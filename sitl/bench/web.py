@@ -71,9 +71,9 @@ class Sender(threading.Thread):
     def run(self) -> None:
         begin, turn = time.monotonic(), 0
         while not self._ending.is_set():
-            for place, (name, phm, pilot) in enumerate(self._senders):
+            for place, (name, phm, autopilot) in enumerate(self._senders):
                 self._ending.wait(max(0.0, begin + turn + place / len(self._senders) - time.monotonic()))
-                self._sock.sendto(_beat(pilot, 2, 3, 0), self._to)
+                self._sock.sendto(_beat(autopilot, 2, 3, 0), self._to)
                 self.sent[name] = time.monotonic()
                 self._sock.sendto(_beat(phm, 18, 8, HEALTHY), self._to)
             turn += 1

@@ -110,7 +110,7 @@ class Agent:
             dict,
             self.port,
             swarm=self.probe,
-            pilot=lambda: True,
+            autopilot=lambda: True,
             radio=lambda: self.radio,
         )
         reporter, leader = MavlinkReporter.build(context), SwarmReporter.build(context)

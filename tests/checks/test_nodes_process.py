@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from phm import api
-from phm.recovery.actions.ladders import LADDERS
+from phm.recovery.ladders import LADDERS
 from phm_checks._liveness import HANG_S, LOST_S
 from phm_checks._process_table import BLIND_S
 from phm_checks.nodes import BUSY_S

@@ -28,7 +28,7 @@ def phm_heartbeat(
     return Heartbeat(agent, component, 18, 8, 0, word, state)
 
 
-def pilot(agent: int, *, armed: bool = False, mode: int = 5) -> Heartbeat:
+def autopilot(agent: int, *, armed: bool = False, mode: int = 5) -> Heartbeat:
     """A heartbeat of an ArduPilot copter."""
     return Heartbeat(agent, 1, 2, 3, 128 if armed else 0, mode, ACTIVE)
 

@@ -7,7 +7,7 @@ import pytest
 from phm.core.model import Level, Slot
 from phm.gcs.frames import RadioStatus
 from phm.wire.tunnel import PeerView
-from tests.gcs.bench import Ground, events, phm_heartbeat, pilot, text_frame, tunnel_frame
+from tests.gcs.bench import Ground, autopilot, events, phm_heartbeat, text_frame, tunnel_frame
 
 
 @pytest.fixture
@@ -53,8 +53,8 @@ def test_the_hop_closest_to_the_ground_wins(ground: Ground) -> None:
 
 def test_a_silent_agent_is_explained_by_other_received_frames(ground: Ground) -> None:
     """Of its autopilot, of other agents, or none: the companion, the radio, or the ground's own link."""
-    ground.hear(phm_heartbeat(7), phm_heartbeat(8), pilot(7))
-    ground.wait(20, pilot(7), phm_heartbeat(8), every=1)
+    ground.hear(phm_heartbeat(7), phm_heartbeat(8), autopilot(7))
+    ground.wait(20, autopilot(7), phm_heartbeat(8), every=1)
     assert ground.agent(7)["hop"]["name"] == "companion"
     ground.wait(20, phm_heartbeat(8), every=1)
     assert ground.agent(7)["hop"] == {"name": "radio or vehicle", "evidence": "silent 40 s", "certain": False}

@@ -12,7 +12,7 @@ from phm.gcs.events import describe_with_time, encode
 from phm.gcs.frames import CommandAck
 from phm.wire import tunnel
 from phm.wire.tunnel import PeerState, PeerView, StatusWords, SwarmDigest
-from tests.gcs.bench import Ground, phm_heartbeat, pilot, text_frame, tunnel_frame
+from tests.gcs.bench import Ground, autopilot, phm_heartbeat, text_frame, tunnel_frame
 
 PAGE = (Path(phm.__file__).parents[1] / "docs" / "reference" / "gcs.md").read_text()
 
@@ -26,7 +26,7 @@ def flight() -> Ground:
     ground.hear(
         phm_heartbeat(7),
         phm_heartbeat(8),
-        pilot(7, armed=True),
+        autopilot(7, armed=True),
         text_frame(7, "A07 FAIL 6 node_1 dead"),
         text_frame(7, "hello", component=1),
     )
@@ -70,7 +70,7 @@ def test_every_event_and_key_is_documented() -> None:
         "words",
         "ack",
         "detail",
-        "pilot",
+        "autopilot",
     }
     assert events == expected
     found = keys(lines) | keys(ground.snapshot()) | events

@@ -321,7 +321,7 @@ def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
                 for _ in range(times):
                     phm_socket.sendall(sender.frame(heartbeat(0x40025D55)))
                     time.sleep(0.15)  # its period, which is learned
-                return bool(body()["pilots"])
+                return bool(body()["autopilots"])
 
             until(lambda: speak(1), "the autopilot itself")
             if not silent:
@@ -329,7 +329,7 @@ def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
             speak(8)
             vehicle.armed = False
             # Sent after all forwarded frames, on the same stream.
-            until(lambda: not body()["pilots"]["7"]["armed"], "its next heartbeat")
+            until(lambda: not body()["autopilots"]["7"]["armed"], "its next heartbeat")
             assert [one["name"] for one in body()["agents"]] == ([] if silent else ["A07"])
     finally:
         vehicle.stop()

@@ -11,7 +11,7 @@ from phm.gcs.events import encode
 from phm.gcs.frames import Heartbeat, TunnelPayload
 from phm.wire import tunnel
 from phm.wire.tunnel import PeerState, PeerView
-from tests.gcs.bench import EMERGENCY, HEALTHY, Ground, events, phm_heartbeat, pilot, text_frame, tunnel_frame
+from tests.gcs.bench import EMERGENCY, HEALTHY, Ground, autopilot, events, phm_heartbeat, text_frame, tunnel_frame
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_unreported_state_is_unknown() -> None:
     ground = Ground(expected=(3,))
     agent = ground.agent(3)
     assert (agent["how"], agent["presence"], agent["slots"], agent["age_s"]) == ("UNKNOWN", "never received", {}, None)
-    assert (agent["line"], agent["pilot"], agent["hears_ground"], agent["period_s"]) == (None, None, None, None)
+    assert (agent["line"], agent["autopilot"], agent["hears_ground"], agent["period_s"]) == (None, None, None, None)
     ground.hear(Heartbeat(3, 193, 18, 8, 0, 1 << 30, 4))
     assert (ground.agent(3)["how"], ground.agent(3)["slots"]) == ("UNKNOWN", {})
     ground.hear(phm_heartbeat(3, {Slot.FILES: Level.STALE}))
@@ -199,12 +199,12 @@ def test_wrong_clocks_change_nothing(ground: Ground) -> None:
 def test_arming_is_shown_with_the_agent(ground: Ground) -> None:
     """An event when it changes, and when the autopilot falls silent."""
     ground.hear(phm_heartbeat(7))
-    assert events(ground.hear(pilot(7)), "pilot")[0]["armed"] is False
-    assert ground.hear(pilot(7)) == []
-    assert events(ground.hear(pilot(7, armed=True)), "pilot")[0]["armed"] is True
-    assert ground.agent(7)["pilot"]["armed"] is True
-    assert [body["presence"] for body in events(ground.wait(20, phm_heartbeat(7)), "pilot")] == ["lost"]
-    assert ground.agent(7)["pilot"]["presence"] == "lost"
+    assert events(ground.hear(autopilot(7)), "autopilot")[0]["armed"] is False
+    assert ground.hear(autopilot(7)) == []
+    assert events(ground.hear(autopilot(7, armed=True)), "autopilot")[0]["armed"] is True
+    assert ground.agent(7)["autopilot"]["armed"] is True
+    assert [body["presence"] for body in events(ground.wait(20, phm_heartbeat(7)), "autopilot")] == ["lost"]
+    assert ground.agent(7)["autopilot"]["presence"] == "lost"
 
 
 def test_other_ground_stations_are_listed_while_they_are_received(ground: Ground) -> None:

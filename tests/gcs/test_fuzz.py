@@ -22,7 +22,7 @@ HARD = hypothesis_settings(max_examples=80, deadline=None, suppress_health_check
 NUMBERS = st.integers(0, 2**32 - 1)
 BYTE = st.integers(0, 255)
 HEARTBEATS = st.builds(
-    lambda kind, pilot, mode, word, state: mavlink.MAVLink_heartbeat_message(kind, pilot, mode, word, state, 3),
+    lambda kind, autopilot, mode, word, state: mavlink.MAVLink_heartbeat_message(kind, autopilot, mode, word, state, 3),
     st.sampled_from([18, 6, 2, 255]),
     st.sampled_from([8, 3, 255]),
     BYTE,

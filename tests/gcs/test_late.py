@@ -5,7 +5,7 @@ from __future__ import annotations
 from phm.core.scheduling_delay import WINDOW_S
 from phm.gcs.station import LATE_MOST_S, GroundStation
 from phm.testing import FakeClock, settings
-from tests.gcs.bench import phm_heartbeat, pilot
+from tests.gcs.bench import autopilot, phm_heartbeat
 
 PERIOD_S = 2.0
 
@@ -16,7 +16,7 @@ def receiving_station() -> tuple[GroundStation, FakeClock]:
     made = settings(mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14550"}], "component_id": 190})
     station = GroundStation(made.mavlink, 254, clock)
     for _ in range(10):
-        for frame in (phm_heartbeat(7), pilot(7)):
+        for frame in (phm_heartbeat(7), autopilot(7)):
             station._store.hear(frame, "gcs", clock.stamp())
         clock.advance(PERIOD_S)
         station._tick()
@@ -25,7 +25,7 @@ def receiving_station() -> tuple[GroundStation, FakeClock]:
 
 def presence(station: GroundStation) -> tuple[str, str]:
     body = station.snapshot()[1].body
-    return body["agents"][0]["presence"], next(iter(body["pilots"].values()))["presence"]
+    return body["agents"][0]["presence"], next(iter(body["autopilots"].values()))["presence"]
 
 
 def test_after_a_pause_of_the_ground_every_agent_has_its_full_time() -> None:

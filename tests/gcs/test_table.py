@@ -13,7 +13,7 @@ from phm.gcs import table
 from phm.gcs.frames import RadioStatus
 from phm.wire import status_word
 from phm.wire.tunnel import PeerState, PeerView, SwarmDigest
-from tests.gcs.bench import Ground, phm_heartbeat, pilot, text_frame, tunnel_frame
+from tests.gcs.bench import Ground, autopilot, phm_heartbeat, text_frame, tunnel_frame
 
 
 def drawn(ground: Ground, *, width: int = 80, height: int | None = None, events: Sequence[str] = ()) -> list[str]:
@@ -33,11 +33,11 @@ def row(lines: list[str], name: str) -> str:
 def ground() -> Ground:
     """Agent 1 is OK, 2 has a dead node, 3 is lost here and received by 1, 4 is only reported, 7 lost its companion, 100 is new."""
     made = Ground()
-    made.hear(*(phm_heartbeat(number) for number in (1, 3, 7)), pilot(1, armed=True), pilot(2), pilot(7))
+    made.hear(*(phm_heartbeat(number) for number in (1, 3, 7)), autopilot(1, armed=True), autopilot(2), autopilot(7))
     made.hear(text_frame(7, "A07 OK 11111111", 6))
     view = PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.ALIVE})
     bad = phm_heartbeat(2, {Slot.NODES: Level.ERROR, Slot.HOST: Level.WARN, Slot.FILES: Level.STALE})
-    made.wait(30, phm_heartbeat(1), bad, tunnel_frame(1, view), pilot(1, armed=True), pilot(2), pilot(7))
+    made.wait(30, phm_heartbeat(1), bad, tunnel_frame(1, view), autopilot(1, armed=True), autopilot(2), autopilot(7))
     made.hear(
         text_frame(2, "A02 FAIL 6 node_1 dead"), phm_heartbeat(100, {Slot.AUTOPILOT: Level.OK, Slot.USER_1: Level.OK})
     )
@@ -83,11 +83,11 @@ def test_a_lost_agent_does_not_show_its_last_line_as_current(ground: Ground) -> 
 def test_an_agent_whose_autopilot_is_lost_is_not_ok() -> None:
     """The ground has received the autopilot and no longer does, whatever the agent reports; one never received says nothing."""
     ground = Ground()
-    ground.hear(phm_heartbeat(1), pilot(1), phm_heartbeat(2))
+    ground.hear(phm_heartbeat(1), autopilot(1), phm_heartbeat(2))
     ground.wait(20, phm_heartbeat(1), phm_heartbeat(2))
     assert [(one["name"], one["how"]) for one in ground.snapshot()["agents"]] == [("A01", "ERROR"), ("A02", "OK")]
     assert ground.agent(1)["hop"] == {"name": "autopilot", "evidence": "silent 20 s here", "certain": False}
-    ground.hear(pilot(1))
+    ground.hear(autopilot(1))
     assert ground.agent(1)["how"] == "OK"
 
 

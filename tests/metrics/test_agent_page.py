@@ -168,7 +168,7 @@ def test_counters_of_events_that_never_happened_are_0() -> None:
 @pytest.mark.parametrize("received", [True, False])
 def test_a_silent_autopilot_is_neither_armed_nor_disarmed(received: bool) -> None:
     """Its last word may be hours old."""
-    about = replace(context(), pilot=lambda: received)
+    about = replace(context(), autopilot=lambda: received)
     text, _ = text_of(about).render(PLAIN)
     assert (b"phm_autopilot_armed 1.0" in text) is received
     assert b'phm_heartbeat_age_seconds{link="radio",source="autopilot"}' in text

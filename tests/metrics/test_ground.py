@@ -18,7 +18,7 @@ from phm.testing import FakeClock
 from phm.wire.metrics_page import MetricsPage
 from phm.wire.openmetrics import MetricsText
 from tests.fakes.until import until
-from tests.gcs.bench import HEALTHY, Ground as Fleet, phm_heartbeat, pilot, text_frame
+from tests.gcs.bench import HEALTHY, Ground as Fleet, autopilot, phm_heartbeat, text_frame
 from tests.gcs.web.swarm import Ground, ground
 from tests.metrics.prometheus import Prometheus, promtool
 
@@ -55,8 +55,8 @@ def page_text() -> bytes:
     fleet = Fleet(expected=(9,))
     station = Station(fleet)
     metrics = GroundMetrics(station, FakeClock())
-    fleet.hear(phm_heartbeat(5, {Slot.CONTAINER: Level.ERROR}), pilot(5, armed=True), text_frame(5, "A05 FAIL 2 x"))
-    fleet.wait(60.0, phm_heartbeat(6), pilot(6, armed=False))
+    fleet.hear(phm_heartbeat(5, {Slot.CONTAINER: Level.ERROR}), autopilot(5, armed=True), text_frame(5, "A05 FAIL 2 x"))
+    fleet.wait(60.0, phm_heartbeat(6), autopilot(6, armed=False))
     ack = GcsEvent(fleet.clock.stamp(), "ack", {"result": "DENIED"})
     station.publish(*fleet.news, ack)
     return MetricsText(metrics.page).render("application/openmetrics-text")[0]
@@ -89,7 +89,7 @@ def test_counters_of_events_that_never_happened_are_0() -> None:
     """`increase()` is blind for a series that begins at 1; and a silent autopilot is neither armed nor disarmed."""
     fleet = Fleet()
     metrics = GroundMetrics(Station(fleet), FakeClock())
-    fleet.hear(phm_heartbeat(5), pilot(5, armed=True))
+    fleet.hear(phm_heartbeat(5), autopilot(5, armed=True))
 
     def lines() -> list[str]:
         return MetricsText(metrics.page).render("text/plain")[0].decode().splitlines()

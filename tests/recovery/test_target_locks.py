@@ -124,13 +124,13 @@ def test_attempts_that_wait_for_each_other_do_not_deadlock(
     assert [repair.outcome for repair in waiting] == ["done"] * (links - 1)
 
 
-def test_an_action_hold_is_ended_by_its_last_owner(locks: TargetLocks, calls: TrackerCalls) -> None:
+def test_an_action_is_ended_by_its_last_owner(locks: TargetLocks, calls: TrackerCalls) -> None:
     """A recovery that is being verified while its container is restarted for another one does not end the other's hold."""
     own, other = object(), object()
-    locks.start_hold("side", own, "health/side", "restart", 60.0, proving=True)
-    locks.start_hold("side", other, "container/app", "restart", 60.0)
-    locks.end_hold("side", own, worked=True)
+    locks.begin_action("side", own, "health/side", "restart", 60.0, proving=True)
+    locks.begin_action("side", other, "container/app", "restart", 60.0)
+    locks.end_action("side", own, worked=True)
     assert calls.calls == [("begin_action", "side", "health/side"), ("begin_action", "side", "container/app")]
-    locks.end_hold("side", other, worked=True)
-    locks.end_hold("side", other, worked=True)
+    locks.end_action("side", other, worked=True)
+    locks.end_action("side", other, worked=True)
     assert calls.calls[2:] == [("end_action", "side")]

@@ -83,7 +83,7 @@ def row(document: Mapping[str, Any], problem: str) -> Json:
         "not_heard_by": [],
         "hears_ground": None,
         "swarm_says": None,
-        "pilot": None,
+        "autopilot": None,
         "on_hold": bool(document.get("holds")),
         "restarts": 0,
         "problem": text(problem) or None,

@@ -26,7 +26,7 @@ def choices(agent: Mapping[str, Any]) -> list[Json]:
         will = f"{name} does what it advises for fault #{one['fault']}: {what}.{valid} {_DECIDES}"
         found.append(_choice("approve", f"approve {what} (#{one['fault']})", will, fault=one["fault"]))
     for container in agent["containers"]:
-        armed = agent["pilot"] is not None and agent["pilot"]["armed"]
+        armed = agent["autopilot"] is not None and agent["autopilot"]["armed"]
         flying = " The vehicle is armed." if armed else ""
         will = f"{name} stops the container {container} and starts it again.{flying} {_DECIDES}"
         found.append(_choice("restart", f"restart {container}", will, container=container))

@@ -34,7 +34,7 @@ def who(event: GcsEvent) -> str:
     body = event.body
     if "name" in body:
         return str(body["name"])
-    if event.event == "pilot":
+    if event.event == "autopilot":
         return agent_name(int(body["system"]))
     if event.event != "text":
         return ""
@@ -58,7 +58,7 @@ def grade(event: GcsEvent) -> str:
             return max((_LEVELS.get(str(level), "info") for level in levels), key=GRADES.index, default="info")
         case "hop":
             return "ok" if body["hop"] is None else "error"
-        case "pilot":
+        case "autopilot":
             return "error" if body["presence"] == "lost" else "info"
         case "link":
             return "ok" if body["open"] else "error"

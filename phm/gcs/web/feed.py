@@ -171,7 +171,7 @@ class StationFeed:
         _number, event = self._station.snapshot(moments=True, only=only)
         body = dict(event.body)
         now = event.at.mono
-        del body["pilots"]  # they are in the rows
+        del body["autopilots"]  # they are in the rows
         return body, {agent["name"]: self._row(agent, now) for agent in body.pop("agents")}
 
     def _row(self, agent: Mapping[str, Any], now: float) -> Json:

@@ -51,8 +51,8 @@ def path(agent: Mapping[str, Any]) -> list[Json]:
                 later.update(state="unknown", text="")
             for earlier in found[:place]:
                 earlier.update(state="ok", text="")
-    pilot = agent["pilot"]
-    if pilot is not None and pilot["presence"] in ("alive", "late") and found[-1]["state"] == "unknown":
+    autopilot = agent["autopilot"]
+    if autopilot is not None and autopilot["presence"] in ("alive", "late") and found[-1]["state"] == "unknown":
         found[-1].update(state="ok", text="received by the ground")
     return found
 

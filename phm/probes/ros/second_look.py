@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
+from phm.core.backoff import Backoff
+
 CALM_S = 5.0
 """Time from a start, or a loss, to the look: data that are only late have arrived by then."""
 CONFIRM_S = 2.0
@@ -73,7 +75,7 @@ class SecondLook:
         self._due_s: float | None = now_s + CALM_S
         self._rested_s = now_s
         self._ended_s = now_s
-        self._rest_s = REST_S
+        self._backoff = Backoff(REST_S, REST_MOST_S)
         self._lacking = self._left = self._looks_for_left = self._found = False
 
     def look(self, now_s: float, known: Known, *, lacking: bool) -> Differences | None:
@@ -102,7 +104,7 @@ class SecondLook:
         different = found != NO_DIFFERENCES
         if different or now_s - self._opened_s >= OPEN_S:
             if different and not self._found:
-                self._rest_s = REST_S
+                self._backoff.reset()
             self._found = different
             self._end(now_s, again=lacking or different or self._looks_for_left)
         return found if different else None
@@ -118,8 +120,8 @@ class SecondLook:
             participant.close()
 
     def _begin(self, now_s: float) -> None:
-        if now_s - self._rested_s >= self._rest_s:
-            self._rest_s = REST_S
+        if now_s - self._rested_s >= self._backoff.pause_s:
+            self._backoff.reset()
         self._due_s, self._opened_s, self._missed, self._stale = None, now_s, {}, {}
         self._looks_for_left, self._left = self._left, False
         try:
@@ -129,14 +131,17 @@ class SecondLook:
 
     def _hurry(self) -> None:
         """Limit the interval to that after the first look."""
-        self._rest_s = REST_S
+        self._backoff.reset()
         self._rested_s = min(self._rested_s, self._ended_s + REST_S)
 
     def _end(self, now_s: float, *, again: bool) -> None:
         self.close()
         self._ended_s = now_s
-        self._rest_s = min(2 * self._rest_s, REST_MOST_S) if again else REST_S
-        self._rested_s = now_s + self._rest_s
+        if again:
+            self._backoff.next_s()
+        else:
+            self._backoff.reset()
+        self._rested_s = now_s + self._backoff.pause_s
 
 
 def _lasting(since: Since, until_s: float) -> tuple[str, ...]:

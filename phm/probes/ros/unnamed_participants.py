@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
+from phm.core.backoff import Backoff
 from phm.facts.ros import TopicFact
 
 UNNAMED_S = 5.0
@@ -29,7 +30,7 @@ class UnnamedParticipants:
         """Topics whose endpoints all had names at the last look, or before they lost them."""
         self._since: dict[str, float] = {}
         self._looked_at: float | None = None
-        self._rest_s = REST_S
+        self._backoff = Backoff(REST_S, REST_MOST_S)
 
     def look(self, topics: Mapping[str, TopicFact], now: float, unlisted: Collection[str] = ()) -> tuple[str, ...]:
         """Names of topics and nodes. topics: of the newest graph. now: monotonic seconds. unlisted: nodes that send
@@ -47,10 +48,13 @@ class UnnamedParticipants:
             else:
                 self._since.setdefault(name, now)
         due = tuple(sorted(name for name, at in self._since.items() if now - at >= self._unnamed_s))
-        if not due or (self._looked_at is not None and now - self._looked_at < self._rest_s):
+        rest_s = self._backoff.pause_s
+        if not due or (self._looked_at is not None and now - self._looked_at < rest_s):
             return ()
-        again = self._looked_at is not None and now - self._looked_at < 2 * self._rest_s
-        self._rest_s = min(2 * self._rest_s, REST_MOST_S) if again else REST_S
+        if self._looked_at is not None and now - self._looked_at < 2 * rest_s:
+            self._backoff.next_s()
+        else:
+            self._backoff.reset()
         self._looked_at = now
         self._since.clear()
         return due

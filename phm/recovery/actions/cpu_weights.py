@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Protocol
 
 from phm.core.clock import Clock
 from phm.core.model import Event, FaultClosed, Level, UnitState
 from phm.facts import CannotTell, ContainerFact
+from phm.recovery.base import LoweredWeight
 from phm.transport.docker import DockerEngine
 
 LOW_SHARES = 64
@@ -19,16 +19,6 @@ CALM_S = 30.0
 """The weight is restored when the unit has been OK for this long. If it must be lowered again soon, the time doubles:
 otherwise PHM would lower and restore it in turn."""
 MOST_CALM_S = 600.0
-
-
-@dataclass(frozen=True, slots=True)
-class LoweredWeight:
-    """One container whose CPU weight was `shares` before PHM lowered it because of unit `unit`. id: the engine's."""
-
-    key: str
-    id: str
-    shares: int
-    unit: str
 
 
 class PublishedStates(Protocol):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from phm.core.model import Fault
-from phm.recovery.actions.cpu_weights import LoweredWeight
+from phm.recovery.base import LoweredWeight
 from phm.recovery.fault_cases import AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.holds.hold_registry import PersistedHold
 from phm.recovery.ownership import Generation

@@ -11,7 +11,7 @@ from typing import Any
 
 from phm.core.clock import MAX_STEPS
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.actions.cpu_weights import LoweredWeight
+from phm.recovery.base import LoweredWeight
 from phm.recovery.fault_cases import CLEAN_S, KEPT, MAX_REPORTED, AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.holds.hold_registry import MAX_DONE, MAX_HOLDS, Hold, PersistedHold, carried
 from phm.recovery.ownership import Generation, StartedBy

@@ -32,7 +32,7 @@ class Vehicle:
     def __init__(self, number: int, port: int, component: int = 193) -> None:
         self.number = number
         self._sender = Sender(number, component)
-        self._pilot = Sender(number, 1)
+        self._autopilot = Sender(number, 1)
         self._sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sock.settimeout(0.05)
         self._to = ("127.0.0.1", port)
@@ -49,8 +49,8 @@ class Vehicle:
     def say(self, words: str, severity: int = 2) -> None:
         self.send(text(words, severity))
 
-    def pilot(self, *, armed: bool) -> None:
-        frame = self._pilot.frame(heartbeat(5, kind=2, autopilot=3, base_mode=128 if armed else 0))
+    def autopilot(self, *, armed: bool) -> None:
+        frame = self._autopilot.frame(heartbeat(5, kind=2, autopilot=3, base_mode=128 if armed else 0))
         self._sock.sendto(frame, self._to)
 
     def hear(self) -> list[Any]:

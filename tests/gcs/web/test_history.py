@@ -99,25 +99,25 @@ def test_the_time_since_arming_survives_a_restart_and_the_landing(tmp_path: Path
     with ground(history=path) as first:
         vehicle, client = first.vehicle(), first.client()
         vehicle.beat()
-        vehicle.pilot(armed=False)
-        until(lambda: events(client, "agent=A07&event=pilot"), "the autopilot")
+        vehicle.autopilot(armed=False)
+        until(lambda: events(client, "agent=A07&event=autopilot"), "the autopilot")
         assert first_since_arming(client) is None
-        vehicle.pilot(armed=True)
+        vehicle.autopilot(armed=True)
         vehicle.beat(FAILED)
         begin = until(lambda: first_since_arming(client), "a sample after the arming")
     with ground(history=path) as second:
         vehicle, client = second.vehicle(), second.client()
         vehicle.beat()
-        vehicle.pilot(armed=True)
-        until(lambda: len(events(client, "agent=A07&event=pilot")) == 3, "the autopilot in flight")
+        vehicle.autopilot(armed=True)
+        until(lambda: len(events(client, "agent=A07&event=autopilot")) == 3, "the autopilot in flight")
         assert first_since_arming(client) == begin
         flight = client.get("/api/history/flight?agent=A07")
         assert round(flight["since"], 3) <= begin and flight["seen"] and flight["until"] is None
-        vehicle.pilot(armed=False)
+        vehicle.autopilot(armed=False)
         landed = until(lambda: client.get("/api/history/flight?agent=A07")["until"], "the landing")
         assert client.get("/api/history/flight?agent=A07") == {**flight, "until": landed}
         assert first_since_arming(client) == begin
-        vehicle.pilot(armed=True)
+        vehicle.autopilot(armed=True)
         until(lambda: client.get("/api/history/flight?agent=A07")["since"] >= landed, "the next flight")
 
 
@@ -127,9 +127,9 @@ def test_a_flight_does_not_continue_over_a_time_without_the_ground(tmp_path: Pat
     store, reader, begin = HistoryStore(path, clock), HistoryReader(path), clock.utc() - 10_000
     store.start()
 
-    def pilot(at: float, *, armed: bool) -> None:
+    def autopilot(at: float, *, armed: bool) -> None:
         body = json.dumps({"utc_s": begin + at, "armed": armed})
-        store.put(HistoryRow(EVENT, (begin + at, "A07", 0, "pilot", "", body)))
+        store.put(HistoryRow(EVENT, (begin + at, "A07", 0, "autopilot", "", body)))
 
     def flight(at: float) -> tuple[float | None, float | None, bool]:
         found = reader.flight("A07", begin + at)
@@ -138,12 +138,12 @@ def test_a_flight_does_not_continue_over_a_time_without_the_ground(tmp_path: Pat
 
     for at in range(0, 3000, 10):
         store.put(HistorySample("A07", "rate", begin + at, 4.0))
-    pilot(5, armed=False)
-    pilot(1000, armed=True)
-    pilot(2900, armed=True)
-    pilot(5000, armed=True)
-    pilot(5100, armed=False)
-    pilot(5200, armed=False)
+    autopilot(5, armed=False)
+    autopilot(1000, armed=True)
+    autopilot(2900, armed=True)
+    autopilot(5000, armed=True)
+    autopilot(5100, armed=False)
+    autopilot(5200, armed=False)
     assert store.flush(30)
     until(lambda: flight(6000)[0], "the flight")
     store.close()

@@ -19,7 +19,7 @@ from phm.gcs.web.replay import record as record_module
 from phm.gcs.web.replay.page import ReplayPage
 from phm.gcs.web.replay.record import RecordError, load
 from tests.fakes.until import until
-from tests.gcs.bench import Ground, phm_heartbeat, pilot, text_frame
+from tests.gcs.bench import Ground, autopilot, phm_heartbeat, text_frame
 from tests.gcs.web.swarm import Client, Live
 
 FAILED = {Slot.CONTAINER: Level.ERROR}
@@ -35,13 +35,13 @@ def flight(path: Path, *, runs: int = 1) -> None:
             GcsEvent(ground.clock.stamp(), "start", {"version": "x", "system": 254, "component": 190, "links": []})
         ]
         seven, eight = phm_heartbeat(7), phm_heartbeat(8)
-        found += ground.hear(seven, eight, pilot(7, armed=True))
-        found += ground.wait(30, seven, eight, pilot(7, armed=True))
+        found += ground.hear(seven, eight, autopilot(7, armed=True))
+        found += ground.wait(30, seven, eight, autopilot(7, armed=True))
         found += ground.hear(phm_heartbeat(7, FAILED), text_frame(7, "A07 FAIL 2 ros_app exited 1"))
-        found += ground.wait(30, phm_heartbeat(7, FAILED), eight, pilot(7, armed=True))
+        found += ground.wait(30, phm_heartbeat(7, FAILED), eight, autopilot(7, armed=True))
         found += ground.hear(seven, text_frame(7, "A07 OK 2 ros_app restarted", 5))
-        found += ground.wait(30, seven, eight, pilot(7, armed=True))
-        found += ground.wait(30, seven, pilot(7, armed=True))
+        found += ground.wait(30, seven, eight, autopilot(7, armed=True))
+        found += ground.wait(30, seven, autopilot(7, armed=True))
         found += [GcsEvent(ground.clock.stamp(), "end", {})]
         lines += [encode(event, f"run{run}", number) for number, event in enumerate(found, 1)]
     path.write_bytes(b"\n".join(lines) + b"\n")

@@ -176,7 +176,7 @@ def test_relieve_does_not_hold_the_starved_container(kind: type[Action], held: s
     locks = SimpleNamespace(
         acquire=lambda target, owner: True,
         release=lambda target, owner: None,
-        start_hold=lambda target, *more, **marks: holds.append(target),
+        begin_action=lambda target, *more, **marks: holds.append(target),
     )
     pipeline = SimpleNamespace(is_stopping=lambda target: False)
     named = settings(containers=[{"name": "app", "flight_critical": True}], recovery={"relieve": []})

@@ -13,7 +13,7 @@ import pytest
 
 from phm import testing
 from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.actions.cpu_weights import LoweredWeight
+from phm.recovery.base import LoweredWeight
 from phm.recovery.fault_cases import AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.ownership import Generation, StartedBy
 from phm.recovery.persistence.state import PersistedState, RecoveryState

@@ -10,7 +10,7 @@ from unittest import mock
 import pytest
 
 from phm.config import load
-from phm.recovery.actions.ladders import LADDERS
+from phm.recovery.ladders import LADDERS
 from sitl import faults
 from sitl.acceptance import main, plan
 from sitl.demo.main import STORY

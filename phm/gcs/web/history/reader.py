@@ -127,7 +127,7 @@ class HistoryReader:
         seen = False
         with self._open() as connection:
             rows = connection.execute(
-                "SELECT at, body FROM event WHERE who = ? AND event = 'pilot' AND at <= ? ORDER BY id DESC",
+                "SELECT at, body FROM event WHERE who = ? AND event = 'autopilot' AND at <= ? ORDER BY id DESC",
                 (who.partition("/")[0], until),
             )
             for at, armed in ((at, body.get("armed")) for at, text in rows for body in _bodies(text)):

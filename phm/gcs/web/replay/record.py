@@ -156,8 +156,8 @@ def _fill(entry: Entry, line: Json) -> None:
         case "text":
             said = StatusText(int(line["system"]), int(line["component"]), int(line["severity"]), str(line["text"]))
             entry.frames.append((said, link))
-        case "pilot" if line["presence"] == "alive":
-            entry.frames.append((_pilot(int(line["system"]), line), link))
+        case "autopilot" if line["presence"] == "alive":
+            entry.frames.append((_autopilot(int(line["system"]), line), link))
         case "view":
             peers = {int(key): PeerState[str(seen).upper()] for key, seen in line["peers"].items()}
             view = PeerView(0, bool(line["gcs"]), bool(line["autopilot"]), bool(line["radio"]), peers)
@@ -185,7 +185,7 @@ def _beat(name: object, word: int, state: str) -> Heartbeat:
     return Heartbeat(*_ids(name), 18, 8, 0, int(word), number)
 
 
-def _pilot(system: int, line: Json) -> Heartbeat:
+def _autopilot(system: int, line: Json) -> Heartbeat:
     state = str(line["state"])
     number = STATES.index(state) if state in STATES else 4
     return Heartbeat(system, 1, 2, 3, 128 if line["armed"] else 0, int(line["mode"]), number)
@@ -274,7 +274,7 @@ def _fill_in(entries: Iterable[Entry], path: str | Path) -> list[Entry]:
 
 def _periods(line: Json) -> Iterator[tuple[Ids, float]]:
     """Of agents, as a snapshot has them; an autopilot sends one a second."""
-    if line.get("event") == "pilot" and isinstance(line.get("system"), int):
+    if line.get("event") == "autopilot" and isinstance(line.get("system"), int):
         yield (line["system"], 1), 1.0
     if line.get("event") == "snapshot":
         for agent in line.get("agents", ()):
@@ -294,5 +294,5 @@ def _lost(line: Json) -> Iterator[Ids]:
         return
     if line["event"] == "presence" and _NAME.fullmatch(str(line.get("name"))):
         yield _ids(line["name"])
-    elif line["event"] == "pilot" and isinstance(line.get("system"), int):
+    elif line["event"] == "autopilot" and isinstance(line.get("system"), int):
         yield line["system"], 1

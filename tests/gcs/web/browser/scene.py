@@ -123,7 +123,7 @@ class Fleet:
                     levels = self.levels.get(number, {})
                     vehicle.beat(levels, 6 if ERROR in levels.values() else 4)
                     if number in self.armed:
-                        vehicle.pilot(armed=self.armed[number])
+                        vehicle.autopilot(armed=self.armed[number])
                     if number in self.views:
                         self.send_tunnel(number, self.views[number])
                     if number == 1 and self.digest is not None:

@@ -8,7 +8,7 @@ import { eventLine } from "./events.js";
 import { path } from "./path.js";
 import { startPlots, stopPlots } from "./plots.js";
 import { ageOf, now, on, store, utcNow } from "./store.js";
-import { LAYERS, PRESENCE, age, ago, cell, clock, pilotWords, received, slotLong, stateClass } from "./words.js";
+import { LAYERS, PRESENCE, age, ago, autopilotWords, cell, clock, received, slotLong, stateClass } from "./words.js";
 
 const FAULTS_EVERY_MS = 5000;
 const AGAIN_MS = 3000;
@@ -85,9 +85,9 @@ function show() {
   if (!agent) return;
   setText(parts.state, agent.how);
   setClass(parts.state, `state ${stateClass(agent.how)}`);
-  const [, pilot] = pilotWords(agent.pilot);
-  render(parts.facts, [agent.presence, pilot, agent.link, agent.restarts, agent.on_hold, agent.period_s, agent.pilot?.mode], () =>
-    [PRESENCE[agent.presence] ?? agent.presence, `autopilot ${pilot}`, agent.link ? `link ${agent.link}` : "",
+  const [, autopilot] = autopilotWords(agent.autopilot);
+  render(parts.facts, [agent.presence, autopilot, agent.link, agent.restarts, agent.on_hold, agent.period_s, agent.autopilot?.mode], () =>
+    [PRESENCE[agent.presence] ?? agent.presence, `autopilot ${autopilot}`, agent.link ? `link ${agent.link}` : "",
       agent.period_s ? `a heartbeat each ${agent.period_s} s` : "", agent.restarts ? `PHM restarted ${agent.restarts} times` : "",
       agent.on_hold ? "on hold" : ""].filter(Boolean).map((text) => el("span", { class: "fact" }, said(text))));
   showAlarm(agent);

@@ -2,7 +2,7 @@
 
 import { byId, el, setAttribute, setClass, setText } from "./dom.js";
 import { ageOf, on, store } from "./store.js";
-import { SLOTS, age, cell, hopWords, order, pilotWords, slotLong, slotShort, stateClass } from "./words.js";
+import { SLOTS, age, autopilotWords, cell, hopWords, order, slotLong, slotShort, stateClass } from "./words.js";
 
 const STILL_MS = 1500;
 const rows = new Map();
@@ -15,7 +15,7 @@ let later = 0;
 /** Build the empty grid. open: called with the name of the agent that is chosen. */
 export function startGrid(open) {
   const head = el("div", { role: "row", class: "row head" });
-  head.append(heading("Agent", "name"), heading("State", "how"), heading("Age", "age"), heading("Autopilot", "pilot"));
+  head.append(heading("Agent", "name"), heading("State", "how"), heading("Age", "age"), heading("Autopilot", "autopilot"));
   for (const slot of SLOTS) {
     head.append(el("div", { role: "columnheader", class: `s-${slot}`, title: `${slot} ${slotLong(slot)}`, "aria-label": slotLong(slot) },
       el("span", { text: slot }), el("span", { text: slotShort(slot) })));
@@ -87,12 +87,12 @@ function makeRow(name) {
   parts.alarm = el("span", { class: "bell", "aria-hidden": "true" });
   parts.how = el("span", {});
   parts.age = el("div", { role: "cell", class: "age" });
-  parts.pilot = el("div", { role: "cell", class: "pilot" });
+  parts.autopilot = el("div", { role: "cell", class: "autopilot" });
   parts.hop = el("bdi", { class: "hop" });
   parts.line = el("bdi", { class: "line" });
   parts.node = el("div", { role: "row", class: "row", "data-name": name },
     el("div", { role: "cell", class: "name" }, parts.button, parts.alarm), el("div", { role: "cell", class: "how" }, parts.how),
-    parts.age, parts.pilot);
+    parts.age, parts.autopilot);
   for (const slot of SLOTS) {
     parts.cells[slot] = el("div", { role: "cell", title: slotLong(slot) });
     parts.node.append(parts.cells[slot]);
@@ -110,9 +110,9 @@ function show(row, agent) {
   setText(row.alarm, rings ? `! ${agent.alarm.count}` : "");
   setText(row.how, agent.how);
   setClass(row.how, `state ${stateClass(agent.how)}`);
-  const [pilotClass, pilotText] = pilotWords(agent.pilot);
-  setText(row.pilot, pilotText);
-  setClass(row.pilot, `pilot p-${pilotClass}`);
+  const [autopilotClass, autopilotText] = autopilotWords(agent.autopilot);
+  setText(row.autopilot, autopilotText);
+  setClass(row.autopilot, `autopilot p-${autopilotClass}`);
   for (const slot of SLOTS) {
     const [name, text] = cell(agent, slot);
     setText(row.cells[slot], text);

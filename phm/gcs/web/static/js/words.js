@@ -77,10 +77,10 @@ export function hopWords(hop) {
 }
 
 /** Class and words for the autopilot of an agent. */
-export function pilotWords(pilot) {
-  if (!pilot) return ["none", "?"];
-  if (pilot.presence === "lost") return ["error", "LOST"];
-  return pilot.armed ? ["armed", "ARMED"] : ["none", "disarmed"];
+export function autopilotWords(autopilot) {
+  if (!autopilot) return ["none", "?"];
+  if (autopilot.presence === "lost") return ["error", "LOST"];
+  return autopilot.armed ? ["armed", "ARMED"] : ["none", "disarmed"];
 }
 
 /** The order of the rows: the worst first. */
