@@ -28,7 +28,6 @@ NO_PACKAGE = {
 
 ELSEWHERE = {
     "phm/facts": "records without behaviour; tested with the probes that make them",
-    "phm/logs": "tested through the command `phm logs`: tests/cli/test_logs*.py",
 }
 """Packages without a folder of tests, each with where they are tested."""
 

@@ -14,10 +14,10 @@ from phm.cli import group
 from phm.core.settings import Settings
 from phm.reporters.log import LogReporter
 from phm.wire import json_log
-from tests.cli.test_logs import note
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.records import context
 from tests.fakes.until import until
+from tests.logs.test_logs import note
 
 PLACE = "/var/log/phm"
 SMALL: dict[str, Any] = {"max_size": 10_000, "files": 2}

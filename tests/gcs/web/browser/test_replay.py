@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, expect
 
 from tests.fakes.until import until
 from tests.gcs.web.browser.scene import fleet, ground, tab
-from tests.gcs.web.test_web_replay import flight
+from tests.gcs.web.replay.test_web_replay import flight
 
 pytestmark = pytest.mark.browser
 

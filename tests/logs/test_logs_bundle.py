@@ -16,7 +16,7 @@ from hypothesis import given, strategies as st
 from phm.cli import group
 from phm.logs import bundle as bundles
 from phm.logs.secrets import MOST_LINE, Secrets, is_secret
-from tests.cli.test_logs import note, record
+from tests.logs.test_logs import note, record
 
 KEY = "00112233445566778899aabbccddeeff00112233445566778899aabbccddeeff"
 HOOK = "json://robot:Pa55phrase@example.org/T0PSECRETPATH?x=Qu3ryT0ken"

@@ -15,8 +15,8 @@ from phm.cli import group
 from phm.doctor import examination
 from phm.doctor.row import Row
 from phm.logs.deadline import Deadline, Late
-from tests.cli.test_logs import note, record
-from tests.cli.test_logs_bundle import members
+from tests.logs.test_logs import note, record
+from tests.logs.test_logs_bundle import members
 
 CONFIG = """\
 agent: {{name: agent_1, id: 1}}

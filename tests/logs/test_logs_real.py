@@ -8,8 +8,8 @@ from typing import Any
 from click.testing import CliRunner
 
 from phm.cli import group
-from tests.cli.test_logs_bundle import members
 from tests.fakes.until import until
+from tests.logs.test_logs_bundle import members
 from tests.probes.docker.conftest import SOCKET, real as real
 
 SECRET = "c0ntainer-s3cret"
