@@ -63,11 +63,11 @@ class Agent:
         if message is not None and message.get_type() == "STATUSTEXT":
             self.lines.append((message.severity, message.text))
         elif message is not None and message.get_type() == "COMMAND_ACK":
-            self.answer = message.result
+            self.answer: int | None = message.result
 
     def ask(self, operation: int, number: int) -> int:
         """The result of the acknowledgement."""
-        self.answer: int | None = None
+        self.answer = None
         self.ground.mav.command_long_send(7, 193, 31010, 0, operation, number, 0, 0, 0, 0, 0)
         self.until(lambda: self.answer is not None, "the acknowledgement")
         assert self.answer is not None

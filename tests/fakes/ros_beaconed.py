@@ -17,6 +17,7 @@ from typing import Any
 
 import rclpy
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
@@ -68,7 +69,7 @@ class Nodes:
 
 
 def _steady() -> Any:
-    return beacon.Clock(clock_type=beacon.ClockType.STEADY_TIME)
+    return Clock(clock_type=ClockType.STEADY_TIME)
 
 
 def main() -> int:

@@ -153,7 +153,7 @@ def test_a_full_disk_does_not_stop_the_log(tmp_path: Path, monkeypatch: pytest.M
             raise OSError(28, "No space left on device")
         real(fd)
 
-    monkeypatch.setattr(rotated_files.os, "fsync", fsync)
+    monkeypatch.setattr(os, "fsync", fsync)
     log = make(tmp_path / "phm.jsonl", max_size=1000)
     for number in range(12):
         log.write(line(number))

@@ -35,7 +35,7 @@ import os, signal, sys, threading
 wait = threading.Event.wait
 def unlucky(event, timeout=None):
     if timeout is not None and threading.current_thread() is threading.main_thread():
-        with event._cond:
+        with event._cond:  # type: ignore[attr-defined]
             os.kill(os.getpid(), signal.SIGTERM)
             for _ in range(1000): pass
     return wait(event, timeout)
@@ -186,7 +186,7 @@ def test_a_signal_that_arrives_while_an_event_is_locked_is_read_later(tmp_path: 
     before = signal.getsignal(signal.SIGUSR1)
     with Signals(signal.SIGUSR1, signal.SIGUSR2) as signals:
         assert signals.wait(0.0) == ()
-        with event._cond:
+        with event._cond:  # type: ignore[attr-defined]
             signal.raise_signal(signal.SIGUSR1)
             signal.raise_signal(signal.SIGUSR2)
         assert signals.wait(LIMIT_S) == (signal.SIGUSR1, signal.SIGUSR2)

@@ -117,7 +117,8 @@ def test_a_reached_limit_of_processes_is_reported(real: Any, engine: DockerEngin
     agent.is_ok()
     # docker-py's own `update` does not support a limit of processes.
     body = {"PidsLimit": 5}
-    engine.call(lambda client: client._post_json(client._url("/containers/{0}/update", made.id), data=body))
+    path = "/containers/{0}/update"
+    engine.call(lambda client: client._post_json(client._url(path, made.id), data=body))  # type: ignore[attr-defined]
     assert "at its limit of 5" in agent.is_error("pids_limit").summary
     made.kill(signal="SIGKILL")
     agent.docker.invalidate()

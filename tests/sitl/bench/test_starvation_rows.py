@@ -10,6 +10,7 @@ import pytest
 from sitl.acceptance.plan import STARVING
 from sitl.bench import starvation
 from sitl.bench.starvation_rows import BEGIN, END, Row, as_json, cells, count, from_json, levels, markdown, not_ok
+from sitl.faults._overload import LASTS_S
 from sitl.harness.compose_stack import ROOT
 
 CAUSE = "pressure/ros_app"
@@ -126,5 +127,5 @@ def test_the_page_has_the_marks_of_the_table() -> None:
 
 def test_each_fault_is_starved_for_longer_than_an_overload_lasts() -> None:
     """An overload ends by itself before it is scored, and every fault of the plan is injected by default."""
-    assert starvation.OVERLOADED_S > starvation.LASTS_S
+    assert starvation.OVERLOADED_S > LASTS_S
     assert set(STARVING) < set(starvation.ROWS)
