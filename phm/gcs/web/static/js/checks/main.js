@@ -9,6 +9,7 @@ import { commands, showContainers, showDiff, showProblems, showUnits } from "./p
 
 const MAX_BYTES = 262144;
 const MAX_UNDO = 100;
+const LIMIT_MS = 60000; // a large file is validated with each change, on a computer that may be busy
 const state = { name: "agent.yaml", version: null, base: "", text: "", problems: [], undo: [], yamlChanged: false, agents: {}, agentBase: null, delivering: false };
 let form = null;
 let queue = Promise.resolve();
@@ -28,7 +29,7 @@ function change(edits, rebuild) {
 async function apply(text, edits, rebuild, keep = true) {
   let got;
   try {
-    got = await postJson("api/config/check", { name: state.name, text, base: state.base, edits, variables: variables() });
+    got = await postJson("api/config/check", { name: state.name, text, base: state.base, edits, variables: variables() }, LIMIT_MS);
   } catch (error) {
     if (error instanceof Refused && error.status === 401) await begin();
     say(error instanceof Refused ? error.message : "the page failed");
@@ -81,7 +82,7 @@ function load(name, text, version) {
 }
 
 async function openFile(name) {
-  const got = await postJson("api/config/open", { name });
+  const got = await postJson("api/config/open", { name }, LIMIT_MS);
   state.agentBase = got.version;
   byId("delivered").textContent = "";
   await load(got.name, got.text, got.version);
@@ -95,7 +96,7 @@ async function save() {
     body.anyway = await confirmed(["Save it anyway?"], [el("p", { text: words })], "Yes, save");
     if (!body.anyway) return;
   }
-  const got = await postJson("api/config/save", body);
+  const got = await postJson("api/config/save", body, LIMIT_MS);
   Object.assign(state, { version: got.version, base: state.text });
   await apply(state.text, [], false, false);
   byId("state").textContent = `${state.name}: saved`;
