@@ -1,4 +1,4 @@
-"""Consensus of the nodes about each other: which nodes receive each other, the majority's verdict, dissents and splits. Pure.
+"""Consensus of the nodes about each other: which nodes receive each other, the majority's verdict, disagreements and splits. Pure.
 
 An observer is a process whose beacon PHM receives, or PHM itself. The nodes of one process receive the same data, so they count once.
 """
@@ -59,7 +59,7 @@ class Agreement:
         return tuple(item.node for item in self.opinions if item.verdict in (Verdict.ALIVE, Verdict.HUNG))
 
     @property
-    def dissents(self) -> tuple[Opinion, ...]:
+    def disagreements(self) -> tuple[Opinion, ...]:
         """Nodes on which the observers disagree, except those that the split explains."""
         return tuple(
             item for item in self.opinions if item.heard_by and item.not_heard_by and not self._explained(item)
@@ -131,7 +131,7 @@ def _receives(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> boo
 
 
 def _sides(nodes_of: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tuple[tuple[str, ...], ...]:
-    """Groups of nodes that receive each other, directly or through others. One direction is enough: a failure of the other is a dissent."""
+    """Groups of nodes that receive each other, directly or through others. One direction is enough: a failure of the other is a disagreement."""
     not_received = {(observer, opinion.node) for opinion in opinions for observer in opinion.not_heard_by}
 
     def apart(one: str, other: str) -> bool:

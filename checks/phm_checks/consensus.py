@@ -34,7 +34,7 @@ REMEDY = (
 
 
 class Consensus(api.Check):
-    """One unit for all configured nodes. It depends on their units: a dead node is one fault, not also a dissent."""
+    """One unit for all configured nodes. It depends on their units: a dead node is one fault, not also a disagreement."""
 
     name, slot, layer = "consensus", Slot.NODES, Layer.ROS
     period_s = 1.0
@@ -165,13 +165,13 @@ class Consensus(api.Check):
             return self._quorum_dead(agreement, dead, values)
         if agreement.split:
             count = "|".join(str(len(side)) for side in _sides(agreement))
-            words = [f"{_split(agreement)}: {REMEDY}", *_dissents(agreement)]
+            words = [f"{_split(agreement)}: {REMEDY}", *_disagreements(agreement)]
             return api.Result(Level.WARN, joined(words), brief("nodes split", count), "nodes_split", "", values)
-        dissents = _dissents(agreement)
-        if dissents:
-            first = agreement.dissents[0]
+        disagreements = _disagreements(agreement)
+        if disagreements:
+            first = agreement.disagreements[0]
             short = brief(last(first.node), f"not seen by {last(first.not_heard_by[0])}"[:30])
-            return api.Result(Level.WARN, joined([*dissents, REMEDY]), short, "dissent", "", values)
+            return api.Result(Level.WARN, joined([*disagreements, REMEDY]), short, "partly_received", "", values)
         stuck = f"; the executor of {_names(hung)} is blocked" if hung else ""
         return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", values=values)
 
@@ -263,11 +263,11 @@ def _votes(agreement: Agreement) -> tuple[api.NodeVotes, ...]:
     )
 
 
-def _dissents(agreement: Agreement) -> list[str]:
+def _disagreements(agreement: Agreement) -> list[str]:
     return [
         f"{_names([item.node])} is not received by {_names(item.not_heard_by)}, but is received by {_names(item.heard_by)}"
         f"{'; most do not receive it' if item.verdict is Verdict.DEAD else ''}"
-        for item in agreement.dissents
+        for item in agreement.disagreements
     ]
 
 

@@ -101,11 +101,11 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
     }
     # Another agent has lost it too, so a delay on this agent is not the cause.
     known = api.Evidence(conclusive=bool(set(peer.not_heard_by) - {fact.own}))
-    dissent = f", but still received by {_names(peer.heard_by)}" if peer.heard_by else ""
+    disagreement = f", but still received by {_names(peer.heard_by)}" if peer.heard_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
     if peer.state == "lost":
         words = (
-            f"agent {name} is lost: no heartbeat received by {_names(peer.not_heard_by)}{silent}{dissent}: check the "
+            f"agent {name} is lost: no heartbeat received by {_names(peer.not_heard_by)}{silent}{disagreement}: check the "
             "vehicle, its power and its radio"
         )
         return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values, evidence=known)

@@ -163,7 +163,7 @@ class Rates(api.Check):
         )
         result = self._bad(
             Level.ERROR,
-            "silent",
+            "topic_silent",
             "silent",
             f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}; check that node's log",
             case,

@@ -16,7 +16,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "node_missing": ("relaunch", "restart"),
     "node_hung": ("restart",),
     "quorum_dead": ("restart",),
-    "silent": ("relaunch", "restart"),
+    "topic_silent": ("relaunch", "restart"),
     "rate_low": ("relaunch", "restart"),
     "publisher_lost": ("restart",),
     "subscriber_lost": ("restart",),
@@ -43,7 +43,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,
 `not_received` because a restart does not open a transport that was never open."""
 _DATA = frozenset({"data_frozen", "data_stamp", "data_gaps", "data_range"})
-_TOPIC = frozenset({"silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"}) | _DATA
+_TOPIC = frozenset({"topic_silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"}) | _DATA
 PATIENT = _TOPIC | {"node_duplicate", "not_ready"}
 """Conditions that must have lasted `recovery.patience`: a source that pauses does not yet hang, and a node may
 create its endpoints again by itself, be activated again, or be replaced by a copy that starts before it ends."""

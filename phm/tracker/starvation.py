@@ -65,7 +65,7 @@ _VIEWS = Explanation("the neighbours' beacons are late, or read late")
 EXPLAINED: Mapping[str, Explanation] = {
     "rate_low": _SLOW,
     "jitter_rising": _SLOW,
-    "silent": Explanation(f"{_SLOW.evidence}; not where its executor ran twice 2 s after a message was due"),
+    "topic_silent": Explanation(f"{_SLOW.evidence}; not where its executor ran twice 2 s after a message was due"),
     "data_stamp": Explanation("messages wait before they are published; not where stamps differ by more than 10 s"),
     "data_gaps": Explanation("its publisher does not read its input in time"),
     "not_received": Explanation("a publisher that is starved from its start has not sent yet", begins_again=True),
@@ -93,7 +93,7 @@ EXPLAINED: Mapping[str, Explanation] = {
     "not_ready": Explanation(
         "it answers late, or is dropped from the graph; not where its lifecycle state was observed", begins_again=True
     ),
-    "dissent": _VIEWS,
+    "partly_received": _VIEWS,
     "nodes_split": _VIEWS,
     "quorum_dead": _VIEWS,
     "diagnostic_stale": Explanation("its publisher is not scheduled in time", begins_again=True),

@@ -10,7 +10,7 @@ class Injection(Fault):
     """Has node_1 stop publishing; it stays in the graph."""
 
     name, title, unit = "topic_silent", "topic silent, its node alive", "rates/{agent}/topic_1"
-    condition = "silent"
+    condition = "topic_silent"
     layer = "ros"
     cause = "a node's source has stopped, the node itself is OK"
     evidence, evidence_s = "the next message is missing, at 5 Hz", 0.2

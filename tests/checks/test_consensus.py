@@ -1,4 +1,4 @@
-"""Slot 6: rules of the consensus: quorum, dissent, split, and what the nodes check reports instead."""
+"""Slot 6: rules of the consensus: quorum, disagreement, split, and what the nodes check reports instead."""
 
 from __future__ import annotations
 
@@ -53,31 +53,31 @@ def test_nodes_that_all_receive_each_other_are_alive() -> None:
     agreement = agree(matrix(A, B, C), {})
     assert opinions(agreement) == dict.fromkeys((A, B, C), Verdict.ALIVE)
     assert agreement.observers == (A, B, C, PHM)
-    assert not agreement.split and not agreement.dissents
+    assert not agreement.split and not agreement.disagreements
 
 
-def test_a_node_that_no_observer_receives_is_dead_without_dissent() -> None:
+def test_a_node_that_no_observer_receives_is_dead_without_disagreement() -> None:
     """It does not count as an observer either: its last reports are ignored."""
     beacons = matrix(A, B, C, not_received=((A, C), (B, C)))
     beacons[C] = beacon({A: False, B: False}, age_s=5.0, witness=C)
     agreement = agree(beacons, {})
     assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.ALIVE, C: Verdict.DEAD}
     assert agreement.observers == (A, B, PHM)
-    assert not agreement.split and not agreement.dissents
+    assert not agreement.split and not agreement.disagreements
 
 
 def test_the_majority_overrules_phm() -> None:
-    """Only PHM does not receive the node: the node is alive, and PHM is the dissenter."""
+    """Only PHM does not receive the node: the node is alive, and PHM is the one that disagrees."""
     beacons = matrix(A, B, C)
     beacons[C] = beacon({}, age_s=5.0, witness=C)
-    (dissent,) = agree(beacons, {}).dissents
-    assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (C, Verdict.ALIVE, (A, B), (PHM,))
+    (found,) = agree(beacons, {}).disagreements
+    assert (found.node, found.verdict, found.heard_by, found.not_heard_by) == (C, Verdict.ALIVE, (A, B), (PHM,))
 
 
 def test_the_majority_confirms_phm() -> None:
     """One of three does not receive it."""
-    (dissent,) = agree(matrix(A, B, C, not_received=((A, B),)), {}).dissents
-    assert (dissent.node, dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (B, Verdict.ALIVE, (C, PHM), (A,))
+    (found,) = agree(matrix(A, B, C, not_received=((A, B),)), {}).disagreements
+    assert (found.node, found.verdict, found.heard_by, found.not_heard_by) == (B, Verdict.ALIVE, (C, PHM), (A,))
 
 
 def test_a_tie_decides_nothing() -> None:
@@ -93,16 +93,16 @@ def test_nodes_of_one_process_are_one_observer() -> None:
     beacons = {name: beacon({A: False, B: True}, witness="one") for name in names}
     beacons[A] = beacon({**dict.fromkeys(names, True), B: True}, witness="a")
     beacons[B] = beacon({**dict.fromkeys(names, True), A: True}, witness="b")
-    (dissent,) = agree(beacons, {}).dissents
-    assert (dissent.verdict, dissent.heard_by, dissent.not_heard_by) == (Verdict.ALIVE, (B, PHM), (names[0],))
+    (found,) = agree(beacons, {}).disagreements
+    assert (found.verdict, found.heard_by, found.not_heard_by) == (Verdict.ALIVE, (B, PHM), (names[0],))
 
 
 def test_an_observer_without_time_for_discovery_has_no_opinion() -> None:
     """A node that started a second ago does not yet count as not received; after ten seconds it does."""
     beacons = {A: beacon({}, witness=A), B: beacon({A: True}, witness=B, heartbeats=5)}
-    assert not agree(beacons, {}).dissents
+    assert not agree(beacons, {}).disagreements
     beacons[B] = beacon({A: True}, witness=B, heartbeats=50)
-    assert [item.node for item in agree(beacons, {}).dissents] == [B]
+    assert [item.node for item in agree(beacons, {}).disagreements] == [B]
 
 
 def test_no_node_is_silent_while_phm_itself_is_late() -> None:
@@ -134,17 +134,17 @@ def test_a_node_with_a_blocked_executor_is_hung_and_still_an_observer() -> None:
 def test_sides_are_groups_that_do_not_receive_each_other(
     not_received: tuple[tuple[str, str], ...], sides: tuple[tuple[str, ...], ...]
 ) -> None:
-    """In neither direction, not even through others; a split is not reported as dissent too."""
+    """In neither direction, not even through others; a split is not reported as disagreement too."""
     agreement = agree(matrix(*ALL, not_received=not_received), {})
     assert agreement.sides == sides
-    assert bool(agreement.dissents) is not agreement.split
+    assert bool(agreement.disagreements) is not agreement.split
 
 
 def test_a_node_without_a_beacon_is_observed_by_phm_only() -> None:
     """Received, it is alive; not received, it is undecided because no other node can observe it."""
     agreement = agree(matrix(A, B), {C: True, D: False})
     assert opinions(agreement) == {A: Verdict.ALIVE, B: Verdict.ALIVE, C: Verdict.ALIVE, D: Verdict.UNDECIDED}
-    assert not agreement.dissents
+    assert not agreement.disagreements
 
 
 # ---------------------------------------------------------------- the check
@@ -192,10 +192,10 @@ def test_without_beacons_the_result_is_a_bypass() -> None:
     assert evaluate({A: beacon(age_s=61.0)}).bypass, "one that was closed long ago"
 
 
-def test_dissent_is_a_warning_with_all_names() -> None:
+def test_a_disagreement_is_a_warning_with_all_names() -> None:
     """The node that is not received, the observers that miss it and those that receive it."""
     result = evaluate(matrix(A, B, C, not_received=((A, B),)))
-    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "dissent", "b not seen by a")
+    assert (result.level, result.condition, result.brief) == (api.Level.WARN, "partly_received", "b not seen by a")
     assert result.summary.startswith("agent_1/b is not received by agent_1/a, but is received by agent_1/c, PHM. ")
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
 
@@ -354,7 +354,7 @@ def test_a_node_that_most_nodes_do_not_receive_is_an_error() -> None:
     """PHM receives it, its neighbours do not: after 10 s it is dead by majority, and recovery may act on its container."""
     quorum, beacons = Quorum(), matrix(A, B, C, not_received=UNSEEN)
     early = quorum.after(9, beacons)
-    assert (early.level, early.condition) == (api.Level.WARN, "dissent")
+    assert (early.level, early.condition) == (api.Level.WARN, "partly_received")
     result = quorum.after(2, beacons)
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "quorum_dead", "ros_app")
     assert (result.brief, result.settle_s) == ("c dead by majority", 0.0)
@@ -460,13 +460,13 @@ def test_an_unknown_consensus_ends_the_verdict() -> None:
     quorum, beacons = Quorum(), matrix(A, B, C, not_received=UNSEEN)
     quorum.after(9, beacons)
     assert quorum.after(0, beacons, age_s=6.0).level is api.Level.STALE
-    assert quorum.after(9, beacons, age_s=0.1).condition == "dissent"
+    assert quorum.after(9, beacons, age_s=0.1).condition == "partly_received"
 
 
 def test_the_error_can_be_switched_off() -> None:
     """ros.consensus.open_faults: false leaves a warning."""
     result = Quorum(consensus={"open_faults": False}).after(60, matrix(A, B, C, not_received=UNSEEN))
-    assert (result.level, result.condition) == (api.Level.WARN, "dissent")
+    assert (result.level, result.condition) == (api.Level.WARN, "partly_received")
 
 
 def test_the_result_contains_the_votes() -> None:

@@ -210,7 +210,7 @@ class TwoTopics:
     def silent(self, silent_s: float, beacon: api.BeaconFact | None, limit_s: float = 1.0) -> float | None:
         rate = api.RateFact(0.0, silent_s, limit_s=limit_s)
         found = self.evaluate(rate, beacons={} if beacon is None else {ONE: beacon})
-        assert found.condition == "silent"
+        assert found.condition == "topic_silent"
         return found.settle_s
 
 

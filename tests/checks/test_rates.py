@@ -163,7 +163,7 @@ def test_a_jittering_rate_keeps_its_brief() -> None:
 def test_the_sampler_decides_what_is_silent() -> None:
     """A rate of 0.0; the text has the duration and the limit."""
     result = Bench().evaluate(hz=0.0, silent_s=1.8)
-    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "silent", "topic_1 silent")
+    assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "topic_silent", "topic_1 silent")
     assert "Silent for 1.8 s, expected 1 Hz and no gap over 1.5 s" in result.summary
 
 
@@ -175,7 +175,7 @@ def test_silence_of_a_running_executor_is_not_explained_by_starvation(
     bench = Bench().known_for(30.0)
     beacon = api.BeaconFact(0.1, 1.0, turns=20, ran_since=bench.clock.mono() - ran_s)
     result = bench.evaluate(0.0, silent_s, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
-    assert (result.condition, result.evidence.conclusive) == ("silent", conclusive)
+    assert (result.condition, result.evidence.conclusive) == ("topic_silent", conclusive)
 
 
 @pytest.mark.parametrize("ran_since", [None, 10.0])
@@ -186,7 +186,7 @@ def test_an_executor_that_is_in_time_by_the_account_of_a_starved_process_may_not
     bench = Bench().known_for(100.0)
     beacon = api.BeaconFact(0.1, 1.0, late_s=0.0, turns=20, ran_since=ran_since)
     result = bench.evaluate(0.0, 30.0, nodes={"/agent_1/node_1": 1}, beacons={"/agent_1/node_1": beacon})
-    assert result.condition == "silent" and not result.evidence.conclusive
+    assert result.condition == "topic_silent" and not result.evidence.conclusive
 
 
 @pytest.mark.parametrize(("input_hz", "conclusive"), [(10.0, True), (0.0, False), (None, False)])
@@ -219,7 +219,7 @@ def test_silence_of_a_publisher_that_was_discovered_again_may_follow_from_starva
         bench.clock.advance(listed_s)
     beacon = api.BeaconFact(0.1, 1.0, turns=20, ran_since=bench.clock.mono() - 1.0)
     result = bench.evaluate(0.0, 5.0, nodes={node: 1}, beacons={node: beacon}, up_s=up_s)
-    assert (result.condition, result.evidence.conclusive) == ("silent", conclusive)
+    assert (result.condition, result.evidence.conclusive) == ("topic_silent", conclusive)
 
 
 def test_silence_without_evidence_of_the_node_may_follow_from_starvation() -> None:

@@ -353,7 +353,7 @@ def test_the_status_of_a_killed_daemon_is_never_healthy(tmp_path: Path) -> None:
         assert process.stdout.readline() == "written\n"
         assert phm_process("status", "--healthy", "--run-dir", str(tmp_path)).returncode == 0
         process.send_signal(signal.SIGKILL)
-        process.wait(10)
+        process.wait(60)
         assert (tmp_path / "status.json").exists()
         done = phm_process("status", "--healthy", "--run-dir", str(tmp_path))
         assert done.returncode == 1

@@ -58,7 +58,7 @@ CAUSES = {
     "disk": ("host/disk", "disk_full"),
     "engine": ("engine", "unreachable"),
     **{f"node_{n}": (NODES[n], "node_missing") for n in NODES},
-    **{f"silent_{n}": (RATES[n], "silent") for n in RATES},
+    **{f"silent_{n}": (RATES[n], "topic_silent") for n in RATES},
     "quorum": ("consensus", "quorum_dead"),
     "starved": ("pressure/ros_app", "cpu_throttled"),
     "overload": ("host/cpu", "cpu_high"),
@@ -165,12 +165,12 @@ class World:
                 yield Bad(TOPICS[n], begin, "publisher_missing", topic_back)
                 if n in nodes:
                     silent = max(at, min(gone.values())) + rnd.uniform(SILENCE_S, SILENCE_S + 1.0)
-                    yield Bad(RATES[n], silent, "silent", topic_back + rnd.uniform(0.0, 3.0))
+                    yield Bad(RATES[n], silent, "topic_silent", topic_back + rnd.uniform(0.0, 3.0))
 
     def _symptoms(self, at: float, kind: str) -> Iterable[Bad]:
         """Some of the symptoms that starvation explains, each at its own moment."""
         rnd = self.random
-        may = [(unit, rnd.choice(("silent", "rate_low"))) for unit in RATES.values()]
+        may = [(unit, rnd.choice(("topic_silent", "rate_low"))) for unit in RATES.values()]
         may += [(unit, rnd.choice(("node_hung", "node_missing", "node_unanswering"))) for unit in NODES.values()]
         may += [(unit, rnd.choice(("publisher_lost", "topic_missing"))) for unit in TOPICS.values()]
         may += [("health/ros_app", "unhealthy")]

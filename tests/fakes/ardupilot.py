@@ -47,7 +47,7 @@ class ArduPilot:
 
     def stop(self) -> None:
         self._stopping.set()
-        self._thread.join(5.0)
+        self._thread.join(60)
         for port in self._ports():
             port.close()
 

@@ -44,7 +44,7 @@ class Mesh:
 
     def close(self) -> None:
         self._stopping.set()
-        self._thread.join(5.0)
+        self._thread.join(60)
         for sock in self._sockets.values():
             sock.close()
 

@@ -97,7 +97,7 @@ class Router:
 
     def close(self) -> None:
         self._stop.set()
-        self._thread.join(5.0)
+        self._thread.join(60)
         self._sock.close()
 
     def _loop(self) -> None:
@@ -333,7 +333,7 @@ def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
             assert [one["name"] for one in body()["agents"]] == ([] if silent else ["A07"])
     finally:
         vehicle.stop()
-        thread.join(5.0)
+        thread.join(60)
     until(lambda: body()["links"] and not body()["links"][0]["open"], "the loss of the link")
     if not silent:
         until(lambda: (hop := body()["agents"][0]["hop"]) and hop["name"] == "ground link", "the hop")

@@ -94,5 +94,5 @@ class Vehicle:
     def close(self) -> None:
         self.daemon.stop()
         self.pilot.stop()
-        self._thread.join(5.0)
+        self._thread.join(60)
         self.engine.__exit__(None, None, None)

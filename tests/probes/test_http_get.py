@@ -71,21 +71,21 @@ def sockets() -> Iterator[Sockets]:
 
 def test_a_page_has_a_status_and_a_body(sockets: Sockets, server: str) -> None:
     """The query is sent, and the pattern is searched in the body."""
-    fact = sockets.get(f"http://{server}/page?x=1", timeout_s=10, pattern='"state": "fl.*g"')
+    fact = sockets.get(f"http://{server}/page?x=1", timeout_s=60, pattern='"state": "fl.*g"')
     assert (fact.problem, fact.status, fact.found) == ("", 200, True)
     assert fact.body == f'{{"state": "flying", "host": "{server}"}}'
-    assert not sockets.get(f"http://{server}/page?x=1", timeout_s=10, pattern="landed").found
+    assert not sockets.get(f"http://{server}/page?x=1", timeout_s=60, pattern="landed").found
 
 
 def test_a_redirect_is_not_followed(sockets: Sockets, server: str) -> None:
     """A server cannot send PHM to other hosts."""
-    fact = sockets.get(f"http://{server}/moved", timeout_s=10)
+    fact = sockets.get(f"http://{server}/moved", timeout_s=60)
     assert (fact.problem, fact.status, fact.location) == ("", 302, "http://elsewhere.invalid/")
 
 
 def test_an_error_page_is_an_answer(sockets: Sockets, server: str) -> None:
     """What it means is the check's matter."""
-    assert sockets.get(f"http://{server}/gone", timeout_s=10).status == 503
+    assert sockets.get(f"http://{server}/gone", timeout_s=60).status == 503
 
 
 def test_an_answer_that_trickles_ends_at_the_deadline(sockets: Sockets, server: str) -> None:
@@ -95,18 +95,18 @@ def test_an_answer_that_trickles_ends_at_the_deadline(sockets: Sockets, server: 
 
 def test_an_endless_body_is_cut(sockets: Sockets, server: str) -> None:
     """Memory is bounded whatever the server sends."""
-    fact = sockets.get(f"http://{server}/endless", timeout_s=10)
+    fact = sockets.get(f"http://{server}/endless", timeout_s=60)
     assert (fact.status, len(fact.body)) == (200, BODY_BYTES)
 
 
 def test_an_answer_in_another_protocol_is_a_problem(sockets: Sockets, server: str) -> None:
     """It is text for the log, not an exception."""
-    assert sockets.get(f"http://{server}/garbage", timeout_s=10).problem.startswith("no valid answer")
+    assert sockets.get(f"http://{server}/garbage", timeout_s=60).problem.startswith("no valid answer")
 
 
 def test_a_port_without_listener(sockets: Sockets, server: str) -> None:
     """The connection is refused: port 1 of loopback."""
-    assert sockets.get("http://127.0.0.1:1/", timeout_s=10).problem == "the connection was refused"
+    assert sockets.get("http://127.0.0.1:1/", timeout_s=60).problem == "the connection was refused"
 
 
 def test_a_certificate_is_verified_unless_the_user_says_otherwise(sockets: Sockets, tmp_path: Path) -> None:
@@ -118,6 +118,6 @@ def test_a_certificate_is_verified_unless_the_user_says_otherwise(sockets: Socke
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key)
     for address in serving(context):
-        refused = sockets.get(f"https://{address}/", timeout_s=10)
+        refused = sockets.get(f"https://{address}/", timeout_s=60)
         assert refused.problem.startswith("its certificate is not valid"), refused
-        assert sockets.get(f"https://{address}/", timeout_s=10, verify_tls=False).status == 200
+        assert sockets.get(f"https://{address}/", timeout_s=60, verify_tls=False).status == 200

@@ -47,7 +47,7 @@ def serve() -> Iterator[Serve]:
 def test_a_listening_port_is_connected(sockets: Sockets, serve: Serve) -> None:
     """By address and by name; `localhost` may have an IPv6 address first, without a listener."""
     port = serve(lambda connection: connection.recv(1))
-    fact = sockets.connect("localhost", port, timeout_s=5)
+    fact = sockets.connect("localhost", port, timeout_s=60)
     assert (fact.problem, fact.received) == ("", "")
 
 
@@ -55,7 +55,7 @@ def test_a_closed_port_is_refused(sockets: Sockets) -> None:
     """A server that has ended."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-    assert sockets.connect("127.0.0.1", port, timeout_s=5).problem == "the connection was refused"
+    assert sockets.connect("127.0.0.1", port, timeout_s=60).problem == "the connection was refused"
 
 
 def test_a_greeting_of_the_server_is_read(sockets: Sockets, serve: Serve) -> None:
@@ -66,7 +66,7 @@ def test_a_greeting_of_the_server_is_read(sockets: Sockets, serve: Serve) -> Non
             connection.sendall(part)
         connection.recv(1)
 
-    fact = sockets.connect("127.0.0.1", serve(answer), timeout_s=5, expect="SSH-2.0")
+    fact = sockets.connect("127.0.0.1", serve(answer), timeout_s=60, expect="SSH-2.0")
     assert fact.received.startswith("SSH-2.0")
 
 
@@ -86,7 +86,7 @@ def test_a_server_that_never_stops_sending_is_cut(sockets: Sockets, serve: Serve
             while True:
                 connection.sendall(b"x" * 65536)
 
-    fact = sockets.connect("127.0.0.1", serve(answer), timeout_s=5, expect="SSH")
+    fact = sockets.connect("127.0.0.1", serve(answer), timeout_s=60, expect="SSH")
     assert 0 < len(fact.received) <= BANNER_BYTES
 
 
@@ -115,10 +115,10 @@ def test_a_lack_of_file_descriptors_is_not_a_failure_of_the_server(sockets: Sock
     listener = socket.create_server(("127.0.0.1", 0))
     port = listener.getsockname()[1]
     calls: tuple[Callable[[], object], ...] = (
-        lambda: sockets.connect("127.0.0.1", port, timeout_s=5),
-        lambda: sockets.get(f"http://127.0.0.1:{port}/", timeout_s=5),
+        lambda: sockets.connect("127.0.0.1", port, timeout_s=60),
+        lambda: sockets.get(f"http://127.0.0.1:{port}/", timeout_s=60),
     )
-    assert sockets.connect("127.0.0.1", 1, timeout_s=5).problem, "its threads run now"
+    assert sockets.connect("127.0.0.1", 1, timeout_s=60).problem, "its threads run now"
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     lowest = os.dup(0)
     os.close(lowest)

@@ -61,7 +61,7 @@ def test_steps_that_do_not_apply_are_left_out_of_the_ladder() -> None:
     assert isinstance(say(fault=fault("file_missing"), usable=frozenset()), Skip)
 
 
-@pytest.mark.parametrize("condition", ["silent", "rate_low"])
+@pytest.mark.parametrize("condition", ["topic_silent", "rate_low"])
 def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
     """Nothing is done or advised before the fault has lasted `recovery.patience`."""
     for mode in ("act", "advise"):
@@ -79,7 +79,7 @@ def test_a_topic_that_pauses_is_given_time(condition: str) -> None:
 def test_patience_follows_the_pauses_that_a_topic_has_had(ok_s: float, pause_s: float, expected: float) -> None:
     """Short only after the topic was OK for `verify` in this run of the container; at least twice its longest pause."""
     rules = replace_rules(patience=10.0, patience_min=2.0, verify=30.0)
-    known = replace(fault("silent"), ok_since_start_s=ok_s, pause_s=pause_s)
+    known = replace(fault("topic_silent"), ok_since_start_s=ok_s, pause_s=pause_s)
     assert patience_s(known, rules) == expected
     assert isinstance(say(fault=known, now=1000.0 + expected - 0.1, settings=rules), Wait)
     assert say(fault=known, now=1000.0 + expected, settings=rules) == Act("relaunch", 1)

@@ -65,7 +65,7 @@ def test_the_application_runs_and_stops_as_a_container_would(bench: Bench, tmp_p
         until(lambda: not (pids / "node_1.pid").exists(), "the pid file's end")
         assert app.poll() is None
         app.terminate()
-        assert app.wait(10) == 0
+        assert app.wait(60) == 0
         assert gone(first) and gone(second)
         assert not list(pids.iterdir())
     finally:
@@ -120,7 +120,7 @@ def test_a_node_is_left_out_once(bench: Bench, tmp_path: Path) -> None:
             assert sorted(file.name for file in pids.iterdir()) == expected
             assert not left_out.exists()
             app.terminate()
-            assert app.wait(10) == 0
+            assert app.wait(60) == 0
         finally:
             app.kill()
             app.wait()

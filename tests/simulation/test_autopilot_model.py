@@ -123,7 +123,7 @@ def pilot() -> Iterator[SimulatedAutopilot]:
     thread.start()
     yield made
     made.stop()
-    thread.join(5.0)
+    thread.join(60)
 
 
 def test_a_reboot_closes_tcp_connections(pilot: SimulatedAutopilot) -> None:

@@ -91,7 +91,7 @@ def test_one_agent_without_reception_does_not_make_a_peer_lost() -> None:
         assert status.heard_by == tuple({2, 4, 5})
 
 
-def test_a_peer_that_most_agents_lost_is_lost_and_dissent_is_shown() -> None:
+def test_a_peer_that_most_agents_lost_is_lost_and_disagreement_is_shown() -> None:
     """`heard_by` names those that still receive it."""
     swarm = Swarm(range(1, 7))
     swarm.run(20)

@@ -39,7 +39,7 @@ class Air:
 
     def close(self) -> None:
         self._stopping.set()
-        self._thread.join(5.0)
+        self._thread.join(60)
         for port in self._ports:
             port.close()
 

@@ -81,7 +81,7 @@ class Stale:
 
     def close(self) -> None:
         self._stopping.set()
-        self._thread.join(5.0)
+        self._thread.join(60)
         for sock in (*self._all, self._listener):
             sock.close()
 

@@ -116,7 +116,7 @@ class ConsensusSettings(Section):
     publish: bool = True
     """True: PHM publishes it on /phm/consensus, once a node has a beacon."""
     open_faults: bool = True
-    """True: a node that most nodes do not receive is ERROR `quorum_dead`, also while PHM itself receives it. False: WARN `dissent`."""
+    """True: a node that most nodes do not receive is ERROR `quorum_dead`, also while PHM itself receives it. False: WARN `partly_received`."""
 
 
 class RosSettings(Section):

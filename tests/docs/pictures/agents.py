@@ -51,7 +51,7 @@ class PictureAgents(DemoAgents):
 
     def kill_planner(self, agent: int) -> None:
         self._planners[agent].kill()
-        self._planners[agent].wait(10)
+        self._planners[agent].wait(60)
 
     def status(self, agent: int) -> dict[str, Any]:
         """What the agent's daemon says about itself; empty before it says anything."""
@@ -66,7 +66,7 @@ class PictureAgents(DemoAgents):
     def close(self) -> None:
         for planner in self._planners.values():
             planner.kill()
-            planner.wait(10)
+            planner.wait(60)
         super().close()
         self.relay.close()
 

@@ -30,7 +30,7 @@ class Relay:
     def close(self) -> None:
         self._closing.set()
         for thread in list(self._threads):
-            thread.join(10)
+            thread.join(60)
         self._listener.close()
 
     def _accept(self) -> None:
@@ -50,7 +50,7 @@ class Relay:
             )
             back.start()
             self._forward(near, far, stalled)
-            back.join(10)
+            back.join(60)
 
     def _forward(self, source: socket.socket, target: socket.socket, stalled: threading.Event) -> None:
         source.settimeout(LOOK_S)

@@ -283,10 +283,10 @@ def test_a_folder_that_hangs_does_not_block_other_folders(mounted: Mounted, monk
     monkeypatch.setattr(file_tree, "BUSY_S", 0.01, raising=False)
     threading.Thread(target=mounted.files.listing, args=("app", "/data/stuck", ()), name="stuck", daemon=True).start()
     try:
-        assert hangs.wait(10)
+        assert hangs.wait(60)
         with ThreadPoolExecutor(1) as pool:
             try:
-                healthy = pool.submit(mounted.files.listing, "app", "/data/healthy", ()).result(10)
+                healthy = pool.submit(mounted.files.listing, "app", "/data/healthy", ()).result(60)
                 assert healthy is not None and set(healthy.sums) == {"healthy"}
                 with pytest.raises(CannotTell, match="still reading"):
                     pool.submit(mounted.files.listing, "app", "/data/stuck", ()).result(10)
@@ -307,13 +307,13 @@ def test_a_change_in_a_volume_triggers_the_check(tmp_path: Path, fake: FakeEngin
         (here / "models").mkdir()
         (here / "current").symlink_to("models")
         assert files.look("app", "/data/current/model.bin", digest=False) is None
-        assert triggered.acquire(timeout=5), "the watch has started, and the file is checked once more"
+        assert triggered.acquire(timeout=60), "the watch has started, and the file is checked once more"
         (here / "models/model.bin").write_bytes(b"weights")
-        assert triggered.acquire(timeout=5)
+        assert triggered.acquire(timeout=60)
         assert files.look("app", "/data/current/model.bin", digest=False) is not None
         while triggered.acquire(timeout=0.2):
             pass
         (here / "models/model.bin").chmod(0o755)
-        assert triggered.acquire(timeout=5)
+        assert triggered.acquire(timeout=60)
     finally:
         watcher.close()

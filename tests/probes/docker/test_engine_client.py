@@ -230,7 +230,7 @@ def test_closing_an_event_stream_ends_it_immediately(fake: FakeEngine, ask: Dock
     reader.start()
     assert fake.wait(lambda engine: engine.streams == 1)
     stream.close()
-    reader.join(10)
+    reader.join(60)
     assert not reader.is_alive()
     assert seen == []
 
@@ -270,7 +270,7 @@ def test_close_aborts_open_requests_and_rejects_new_ones(fake: FakeEngine) -> No
     thread.start()
     assert fake.wait(lambda server: bool(server.calls))
     engine.close()
-    thread.join(10)
+    thread.join(60)
     assert len(caught) == 1
     with pytest.raises(EngineNotConnected, match="closing"):
         engine.ping()

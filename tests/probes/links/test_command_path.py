@@ -69,7 +69,7 @@ class Flight:
 
     def unplug(self) -> None:
         self.radio.stop()
-        self._radio_thread.join(5.0)
+        self._radio_thread.join(60)
 
     def plug_in(self) -> None:
         self.radio, self._radio_thread = self._switch_on()
@@ -79,7 +79,7 @@ class Flight:
         self.ground.stop()
         self.pilot.stop()
         self.unplug()
-        self._pilot_thread.join(5.0)
+        self._pilot_thread.join(60)
 
     # ------------------------------------------------------------ what was published
 

@@ -241,7 +241,7 @@ class Vehicle:
     def close(self) -> None:
         self.daemon.stop()
         self.pilot.stop()
-        self._thread.join(5.0)
+        self._thread.join(60)
 
 
 @pytest.fixture

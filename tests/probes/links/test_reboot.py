@@ -47,7 +47,7 @@ class Vehicle:
         self.daemon.stop()
         self.ground.stop()
         self.pilot.stop()
-        self._thread.join(5.0)
+        self._thread.join(60)
 
     def level(self) -> Level:
         return next(state.level for state in self.daemon.pipeline.states() if state.unit == "autopilot")

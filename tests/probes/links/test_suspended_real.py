@@ -52,7 +52,7 @@ class Senders:
 
     def close(self) -> None:
         self._ends.set()
-        self._thread.join(5.0)
+        self._thread.join(60)
         self._sock.close()
 
 

@@ -243,7 +243,7 @@ def test_a_dead_node_that_is_still_listed_has_not_returned(fake: FakeEngine, ask
     assert made.run(Relaunch, "app", dead) == "/a/one is listed again"
 
 
-@pytest.mark.parametrize("condition", ["silent", "rate_low"])
+@pytest.mark.parametrize("condition", ["topic_silent", "rate_low"])
 def test_a_hung_node_is_not_relaunched(fake: FakeEngine, ask: DockerEngine, condition: str) -> None:
     """Two nodes of one name disturb each other: the next step restarts the container."""
     made = ros(fake, ask)
@@ -260,7 +260,7 @@ def test_relaunch_applies_to_nodes_with_a_command_in_this_container(fake: FakeEn
     made = ros(fake, ask)
     app = made.target("app")
     assert Relaunch.applies(app, fault("nodes/a/one", "node_missing"), made.settings)
-    assert Relaunch.applies(app, fault("rates/a/topic", "silent"), made.settings)
+    assert Relaunch.applies(app, fault("rates/a/topic", "topic_silent"), made.settings)
     assert not Relaunch.applies(app, fault("nodes/a/two", "node_missing"), made.settings)
     other = ros(fake, ask, relaunch=[])
     assert not Relaunch.applies(app, fault("nodes/a/one", "node_missing"), other.settings)

@@ -52,7 +52,7 @@ class Heartbeats:
 
     def close(self) -> None:
         self._stop.set()
-        self._thread.join(5.0)
+        self._thread.join(60)
 
 
 class Vehicle:

@@ -39,7 +39,7 @@ def emulator() -> Iterator[LinkEmulatorClient]:
     thread.start()
     yield LinkEmulatorClient(("127.0.0.1", process.control_port))
     process.stop()
-    thread.join(5.0)
+    thread.join(60)
 
 
 def links(emulator: LinkEmulatorClient) -> dict[int, dict[str, Any]]:

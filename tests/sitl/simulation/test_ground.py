@@ -43,14 +43,14 @@ class Flight:
 
     def restart_pilot(self) -> None:
         self.pilot.stop()
-        self._thread.join(5.0)
+        self._thread.join(60)
         self.pilot = self._pilot()
 
     def close(self) -> None:
         self.ground.stop()
         self.hub.close()
         self.pilot.stop()
-        self._thread.join(5.0)
+        self._thread.join(60)
 
 
 @pytest.fixture

@@ -339,7 +339,7 @@ def process() -> Iterator[LinkEmulator]:
     thread.start()
     yield air
     air.stop()
-    thread.join(5.0)
+    thread.join(60)
     assert not thread.is_alive()
 
 

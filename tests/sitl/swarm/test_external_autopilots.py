@@ -51,7 +51,7 @@ def air(vehicle: ArduPilot) -> Iterator[LinkEmulator]:
     thread.start()
     yield made
     made.stop()
-    thread.join(5.0)
+    thread.join(60)
 
 
 # ---------------------------------------------------------------- the session

@@ -107,7 +107,7 @@ class Fleet:
 
     def close(self) -> None:
         self._stop.set()
-        self._thread.join(10)
+        self._thread.join(60)
         for vehicle in self.vehicles.values():
             vehicle.close()
 
