@@ -1,4 +1,5 @@
-"""Records every event on disk, rotated and capped, with a snapshot every minute, and the heartbeats by which `phm report` compares clocks.
+"""Records every event on disk, rotated and capped, with a snapshot every minute, the heartbeats by which `phm report` compares clocks,
+and samples for the plots of a replay.
 
 Stamps are of the ground's clocks alone. A line torn by a power cut stays on a separate line, and readers skip it
 (`phm.wire.json_log.read`).
@@ -10,9 +11,11 @@ import json
 import threading
 
 from phm.core import threads
+from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.gcs.events import VERSION
-from phm.gcs.station import GroundStation
+from phm.gcs.samples import Samples
+from phm.gcs.station import GroundStation, Received
 from phm.gcs.subscriber_queue import SubscriberQueue
 from phm.reporters.rotating_file import RotatingFile
 
@@ -20,6 +23,8 @@ MAX_SIZE, FILES = 20_000_000, 5
 """Bytes of a file, and number of rotated files: 120 MB in all."""
 SNAPSHOT_S = 60.0
 LOOK_S = 0.5
+MAX_WAITING = 20_000
+"""Frames that wait for the recorder: of 300 agents those of several seconds."""
 CLOSE_LIMIT_S = 3.0
 
 
@@ -34,7 +39,10 @@ class Recorder:
         self._stop = threading.Event()
         self._snapshot_at = clock.mono() + SNAPSHOT_S
         self._thread = threading.Thread(target=self._loop, name="phm-gcs-record", daemon=True)
+        self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_WAITING)
+        self._samples = Samples()
         station.subscribe(self._queue)
+        station.watch(self._frames)
 
     def start(self) -> None:
         threads.start(self._thread)
@@ -59,11 +67,18 @@ class Recorder:
                 self._lines.write(item.line)
             if (heard := self._station.heard()) is not None:
                 self._lines.write(self._station.line(*heard))
+            self._record_samples(last=last)
             self._lines.retry()
             if self._clock.mono() >= self._snapshot_at or last:
                 self._snapshot_at = self._clock.mono() + SNAPSHOT_S
                 self._lines.write(self._station.line(*self._station.snapshot()))
         self._lines.close()
+
+    def _record_samples(self, *, last: bool) -> None:
+        for received in self._frames.take(0.0):
+            self._samples.add(received)
+        if found := self._samples.take(self._clock.mono(), last=last):
+            self._lines.write(self._station.line(*self._station.record_only("samples", {"samples": found})))
 
 
 def _lost(count: int, reason: str, last: bytes) -> bytes:

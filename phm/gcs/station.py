@@ -11,7 +11,7 @@ import logging
 import secrets
 import threading
 import uuid
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -178,8 +178,12 @@ class GroundStation:
         """The heartbeats that were received and sent since the last call, in the numbering of the agents' logs, at most every 10 s;
         and the number of the last event before. None: there is nothing yet."""
         found = self._heard.take()
+        return self.record_only("heard", {"frames": found}) if found else None
+
+    def record_only(self, event: str, body: Mapping[str, Any]) -> tuple[int, GcsEvent]:
+        """An event for the record alone, and the number of the last event before."""
         with self._lock:
-            return (self._number, GcsEvent(self._clock.stamp(), "heard", {"frames": found})) if found else None
+            return self._number, GcsEvent(self._clock.stamp(), event, body)
 
     def line(self, number: int, event: GcsEvent) -> bytes:
         """The event as one line of JSON, without the line end."""

@@ -52,7 +52,7 @@ class GroundRun:
     def take(self, event: Event) -> None:
         self.lines += 1
         self.cover.add(event.mono)
-        if event.event not in ("snapshot", "alive", "heard"):
+        if event.event not in ("snapshot", "alive", "heard", "samples"):
             self.numbers.add(float(event.seq))
         difference = event.utc_s - event.mono
         if (not self.clock or abs(difference - self.clock[-1][1]) > 0.2) and len(self.clock) < 1000:

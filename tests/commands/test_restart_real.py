@@ -9,6 +9,7 @@ from typing import Any
 from pymavlink import mavutil
 
 from phm.core.model import ActionEvent, Event, FaultOpened, Level
+from phm.core.settings import Settings
 from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.dialect import mavlink
@@ -21,25 +22,27 @@ RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 mavutil.set_dialect("common")
 
 
+def watching(folder: Path, names: dict[str, str], url: str, mode: str = "act") -> Settings:
+    """PHM as agent 7 with a link to `url`. The container `app` has opted in to recovery, others have not. names: on the engine, by key."""
+    return settings(
+        agent={"id": 7},
+        interval=2,
+        state_dir=str(folder / "state"),
+        run_dir=str(folder / "run"),
+        log={"directory": str(folder / "log")},
+        checks={"host": {"enabled": False}, "peers": {"enabled": False}},
+        containers=[{"name": name, "alias": key, "recover": key == "app"} for key, name in names.items()],
+        recovery={"mode": mode, "verify": "3s", "stop_timeout": "2s", "ladders": {"exited": ["start"]}},
+        mavlink={"endpoints": [{"url": url, "budget": 0}], "commands": ["restart", "approve"]},
+    )
+
+
 class Agent:
     """PHM as agent 7 on the real engine, with the container `app` that has opted in and `other` that has not."""
 
     def __init__(self, folder: Path, names: dict[str, str], mode: str = "act") -> None:
         port = free_port()
-        made = settings(
-            agent={"id": 7},
-            interval=2,
-            state_dir=str(folder / "state"),
-            run_dir=str(folder / "run"),
-            log={"directory": str(folder / "log")},
-            checks={"host": {"enabled": False}, "peers": {"enabled": False}},
-            containers=[{"name": name, "alias": key, "recover": key == "app"} for key, name in names.items()],
-            recovery={"mode": mode, "verify": "3s", "stop_timeout": "2s", "ladders": {"exited": ["start"]}},
-            mavlink={
-                "endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0}],
-                "commands": ["restart", "approve"],
-            },
-        )
+        made = watching(folder, names, f"udpin:127.0.0.1:{port}", mode)
         self.events: list[Event] = []
         self.lines: list[tuple[int, str]] = []
         self.daemon = build_daemon(made)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import socket
 from typing import Any
 
+from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
 from phm.gcs.events import GcsEvent, encode
 from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Frame, Heartbeat, StatusText, TunnelPayload
+from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.testing import FakeClock
 from phm.transport.dialect import mavlink
@@ -94,6 +96,9 @@ class Source:
 
     def snapshot(self) -> tuple[int, GcsEvent]:
         return self._number, GcsEvent(self._clock.stamp(), "snapshot", {"agents": []})
+
+    def watch(self, queue: BoundedQueue[Received]) -> None:
+        """It receives no frames."""
 
     def heard(self) -> None:
         """Nothing."""

@@ -14,10 +14,13 @@ import pytest
 from phm.core.model import Evidence, Outcome
 from phm.facts import NotPermitted
 from phm.probes.docker import Docker
+from phm.probes.ros.unnamed_participants import UNNAMED_S
+from phm.recovery.actions.reconnect import Reconnect
 from phm.recovery.actions.relaunch import Relaunch
 from phm.recovery.actions.restart import Restart
 from phm.recovery.actions.restore_file import RestoreFile
 from phm.recovery.actions.start import Start
+from phm.recovery.actions.unpause import Unpause
 from phm.recovery.base import ActionFailed, NotNeeded
 from phm.testing import FakeClock
 from phm.transport.docker import DockerEngine, EngineBroken, EngineTimeout
@@ -172,6 +175,12 @@ def test_the_armed_state_is_checked_once_the_dependent_is_locked(fake: FakeEngin
     words = made.run(Restart, "app", EXITED)
     assert acted_on(fake, "restart") == ["app", "late"]
     assert "side depends on it: restart of side was not done: flight-critical" in words
+
+
+def test_an_unpaused_container_is_not_restarted_before_its_nodes_can_be_known() -> None:
+    """After a long pause their names need a new participant of PHM, and that one the time in which nodes find each other."""
+    assert Reconnect.dependents_within_s is not None
+    assert Unpause.dependents_within_s >= UNNAMED_S + Reconnect.dependents_within_s
 
 
 def test_an_external_start_is_not_credited_to_the_action(

@@ -7,26 +7,22 @@ from collections.abc import Mapping
 from typing import Any
 
 from phm.core.model import Level
-from phm.gcs.agent import PHM_COMPONENT
 from phm.gcs.frames import ComputerStatus, Heartbeat, NamedValue, RadioStatus
 from phm.gcs.presence import COPY_S
+from phm.gcs.samples import GAP, MAX_SENDERS, RADIO, TOPIC, link_name, sender_name
 from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent
 from phm.gcs.web.events import GRADES
 from phm.gcs.web.history.faults import FaultList
-from phm.gcs.web.history.reader import TOPIC
 from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from phm.gcs.web.view import dumps
 from phm.wire import status_word
-from phm.wire.status_line import agent_name
 
 RATE_S, LEVEL_S = 10.0, 10.0
-MAX_SENDERS = 1024
 MAX_TOPICS = 64
 """Rates that are kept of one agent: twice what one answer of PHM has."""
 LEVELS = {Level.OK: 1, Level.WARN: 2, Level.ERROR: 3}
 """The levels as numbers of the series `level`; 0: unknown or lost."""
-RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
 
 
 class Collector:
@@ -71,7 +67,7 @@ class Collector:
     def radio(self, frame: RadioStatus, link: str, utc: float) -> None:
         """Store what the ground's own radio reports about a link."""
         for kind in RADIO:
-            self._store.put(HistorySample(f"link:{link}"[:100], kind, utc, getattr(frame, kind)))
+            self._store.put(HistorySample(link_name(link), kind, utc, getattr(frame, kind)))
 
     def presence(self, line: Mapping[str, Any]) -> None:
         """Interrupt the series `level` of an agent that is lost."""
@@ -89,7 +85,7 @@ class Collector:
         self._agents.setdefault(beat.system, set()).add(name)
         gap_s = mono - self._heard.get(name, mono)
         if gap_s > COPY_S:
-            self._store.put(HistorySample(name, "gap", utc, round(gap_s, 3)))
+            self._store.put(HistorySample(name, GAP, utc, round(gap_s, 3)))
         self._heard[name] = mono
         self.level(name, beat.custom_mode, mono, utc)
 
@@ -127,11 +123,6 @@ class Collector:
             for name in self._agents.get(number, ()):
                 self._store.put(HistorySample(name, "rate", utc, round(count / took, 2)))
         self._frames, self._rate_from = dict.fromkeys(self._frames, 0), (mono, utc)
-
-
-def sender_name(system: int, component: int) -> str:
-    """The name of an agent on the ground, such as A07."""
-    return agent_name(system) if component == PHM_COMPONENT else f"{agent_name(system)}/{component}"
 
 
 def _repeats(line: Mapping[str, Any]) -> bool:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from phm.gcs.samples import TOPIC
 from phm.gcs.web.events import GRADES
 from phm.gcs.web.history.faults import FaultEntry, as_of, from_json
 from phm.gcs.web.history.store import APPLICATION
@@ -37,7 +38,6 @@ KINDS = {
 """Unit and label of each kind of series."""
 UNSEEN_S = 600.0
 """After a longer time in which the ground received nothing, a flight counts as another one."""
-TOPIC = "topic "
 """Kinds of series that begin with this have the rate of the topic that follows."""
 
 

@@ -6,14 +6,15 @@ from typing import Any
 
 from phm.core.clock import Clock
 from phm.gcs.frames import NO_AUTOPILOT, POWEROFF, Heartbeat, RadioStatus
+from phm.gcs.samples import sender_name
 from phm.gcs.web import events
 from phm.gcs.web.alarms import AlarmList
 from phm.gcs.web.events import GRADES
 from phm.gcs.web.feed import StationFeed
-from phm.gcs.web.history.collector import Collector, sender_name
+from phm.gcs.web.history.collector import Collector
 from phm.gcs.web.history.faults import FaultList
 from phm.gcs.web.history.reader import HistoryReader
-from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistoryStore
+from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from phm.gcs.web.options import ListenOptions
 from phm.gcs.web.replay.player import Player
 from phm.gcs.web.replay.record import Entry, GroundRecord
@@ -79,8 +80,8 @@ class ReplayPage:
         self._store.close()
 
     def _remember(self) -> None:
-        """The history of the whole record; queries end at the time that is shown. Of the series only those that a record has:
-        levels, and the ground's own radios."""
+        """The history of the whole record; queries end at the time that is shown. Levels are from its heartbeats, radios of the ground
+        also from its snapshots, all other series from its samples."""
         book = FaultList()
         series = Collector(self._store, book)
         for entry in self._record.entries:
@@ -109,8 +110,10 @@ class ReplayPage:
                 series.radio(frame, link, utc)
             elif isinstance(frame, Heartbeat) and frame.state != POWEROFF and frame.autopilot == NO_AUTOPILOT:
                 series.level(sender_name(frame.system, frame.component), frame.custom_mode, entry.at, utc)
+        for name, kind, value in entry.samples:
+            self._put(HistorySample(name, kind, utc, value))
 
-    def _put(self, row: HistoryRow) -> None:
+    def _put(self, row: HistoryRow | HistorySample) -> None:
         self._make_room()
         self._store.put(row)
 

@@ -1,7 +1,8 @@
 """Reads a record into a timeline: its lines, and the frames that they follow from. Pure, but for reading the file.
 
 A record has the events, and not the heartbeats that changed nothing. These are filled in with the agent's usual period, from each of
-its events until it was lost, so that presence and ages are right; series of heartbeat gaps would be made up, and are left out.
+its events until it was lost, so that presence and ages are right. Series, such as the gaps between heartbeats, are from its samples
+alone: those that are filled in would be made up.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import struct
+import sys
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -27,11 +29,13 @@ Ids = tuple[int, int]
 """MAVLink system id and component id."""
 MAX_LINES = 2_000_000
 """Also of the heartbeats that are filled in: 2 million need about 0.5 GB."""
+MAX_SAMPLES = 2_000_000
 MAX_FILLED = 200_000
 """Maximum number of heartbeats of one sender that are filled in without a break."""
 LATEST_S = 1e10
 """No moment of a record is later: UTC seconds of the year 2286."""
 MAX_SEQ, MAX_RADIOS = 2**53, 64
+MAX_NAME, LARGEST = 100, 1e12
 PERIOD_S, SHORTEST_S = 2.0, 0.5
 BETWEEN_RUNS_S = 1.0
 _NAME = re.compile(r"A0*([1-9][0-9]{0,2})(?:/([0-9]{1,3}))?")
@@ -47,13 +51,14 @@ class RecordError(Exception):
 
 @dataclass(slots=True)
 class Entry:
-    """at: seconds on the timeline. line: the recorded line; None for a filled-in heartbeat. frames: with their links. links: the
-    ground's own links: name, whether open, error."""
+    """at: seconds on the timeline. line: the recorded line; None for a filled-in heartbeat, and for samples. frames: with their links.
+    links: the ground's own links: name, whether open, error. samples: name of the sender, series, value."""
 
     at: float
     line: Json | None = None
     frames: list[tuple[Frame, str]] = field(default_factory=list)
     links: tuple[str, bool, str] | None = None
+    samples: tuple[tuple[str, str, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +98,7 @@ def load(path: str | Path) -> GroundRecord:
     if not Path(path).is_file():
         raise RecordError(f"{path}: there is no such file")
     entries, runs, ids = list[Entry](), list[RecordedRun](), (254, 190)
-    run, zero = "", 0.0
+    run, zero, samples = "", 0.0, 0
     for line in json_log.read(path):
         if not _sound(line) or line["event"] == "heard":
             continue  # of the report alone: it has no number of its own
@@ -110,8 +115,10 @@ def load(path: str | Path) -> GroundRecord:
         except _DAMAGED:
             continue
         entries.append(entry)
-        if len(entries) > MAX_LINES:
-            raise RecordError(f"{path}: more than {MAX_LINES} lines; split it")
+        samples += len(entry.samples)
+        for count, most, what in ((len(entries), MAX_LINES, "lines"), (samples, MAX_SAMPLES, "samples")):
+            if count > most:
+                raise RecordError(f"{path}: more than {most} {what}; split it")
     if not entries:
         raise RecordError(f"{path}: it contains no line of `phm gcs --record`")
     entries += _fill_in(entries, path)
@@ -171,6 +178,15 @@ def _fill(entry: Entry, line: Json) -> None:
         case "snapshot":
             radios = list(line["radios"])[:MAX_RADIOS]
             entry.frames += [(_radio(radio), str(radio["link"])) for radio in radios if radio["age_s"] < 60]
+        case "samples":
+            entry.line, entry.samples = None, tuple(_samples(line["samples"]))
+
+
+def _samples(found: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, str, float]]:
+    for name, values in found.items():
+        for kind, value in values.items():
+            if len(name) <= MAX_NAME and len(kind) <= MAX_NAME and abs(value) <= LARGEST:
+                yield sys.intern(name), sys.intern(kind), float(value)
 
 
 def _ids(name: object) -> Ids:
@@ -265,8 +281,9 @@ def _fill_in(entries: Iterable[Entry], path: str | Path) -> list[Entry]:
     """The entries with the heartbeats filled in. Raises RecordError."""
     filler, last = _Filler(path), 0.0
     for entry in entries:
-        with suppress(*_DAMAGED):
-            filler.take(entry)
+        if entry.line is not None:
+            with suppress(*_DAMAGED):
+                filler.take(entry)
         last = entry.at
     filler.end(last)
     return filler.found
