@@ -302,12 +302,13 @@ class Runner:
         self._wait(lambda: time.monotonic() >= until, WINDOW_S)
 
     def _recover(self, victims: Sequence[int]) -> bool:
-        """Whether all recovered once the faults were cleared; otherwise restore them by force."""
+        """Whether all recovered once the faults were cleared; otherwise restore by force. Also agents without a fault of their own: in an
+        overload of the machine, nodes of any of them may lose each other for good."""
         try:
             self._healthy(HEALTHY_LIMIT_S)
         except NotOk as error:
             self.progress(f"restoring by force: {error}")
-            for agent in victims:
+            for agent in sorted({*victims, *self.watch.not_ok()}):
                 restore(self.swarm, self.agents[agent])
             return False
         return True

@@ -33,7 +33,7 @@ def watching(folder: Path, names: dict[str, str], url: str, mode: str = "act") -
         checks={"host": {"enabled": False}, "peers": {"enabled": False}},
         containers=[{"name": name, "alias": key, "recover": key == "app"} for key, name in names.items()],
         recovery={"mode": mode, "verify": "3s", "stop_timeout": "2s", "ladders": {"exited": ["start"]}},
-        mavlink={"endpoints": [{"url": url, "budget": 0}], "commands": ["restart", "approve"]},
+        mavlink={"endpoints": [{"url": url, "budget": 0}], "commands": ["restart", "approve", "details"]},
     )
 
 

@@ -23,7 +23,7 @@ def fly(
     edges: list[tuple[float, str | bool]] = [(armed[0], True), *units, (armed[1], False)]
     if ground:
         ground.event(
-            began, "pilot", system=agent.number, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0
+            began, "autopilot", system=agent.number, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0
         )
     for after, what in sorted(edges, key=lambda edge: edge[0]):
         agent.until(max(agent.now, began + after))
@@ -31,7 +31,7 @@ def fly(
             agent.arm(what)
             if ground:
                 keys = {"presence": "alive", "mode": 5, "state": "ACTIVE", "age_s": 0.0}
-                ground.event(agent.now + 0.3, "pilot", system=agent.number, armed=what, **keys)
+                ground.event(agent.now + 0.3, "autopilot", system=agent.number, armed=what, **keys)
             continue
         if ground:
             ground.text(agent.now + 0.3, agent.number, int(SLOTS[what.partition("/")[0]][0]), f"{what} gone")

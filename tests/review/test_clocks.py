@@ -15,17 +15,17 @@ from tests.review.records import T0, Flown, Ground, report
 def swarm(folder: Path, wrong_s: float) -> None:
     """An agent with a wrong clock, and the ground that receives two lines and both edges of a flight."""
     agent, ground = Flown(folder / "agent", wrong_s=wrong_s), Ground(folder / "ground.jsonl")
-    ground.event(0, "pilot", system=1, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0)
+    ground.event(0, "autopilot", system=1, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0)
     agent.until(100)
     agent.arm(True)
-    ground.event(100.6, "pilot", system=1, presence="alive", armed=True, mode=5, state="ACTIVE", age_s=0.0)
+    ground.event(100.6, "autopilot", system=1, presence="alive", armed=True, mode=5, state="ACTIVE", age_s=0.0)
     for moment, unit in ((150, "nodes/node_1"), (200, "container/ros_app")):
         agent.until(moment)
         ground.text(moment + 0.3, 1, 6 if unit.startswith("nodes") else 2, f"{unit} gone")
         agent.fail(unit)
     agent.until(300)
     agent.arm(False)
-    ground.event(300.1, "pilot", system=1, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0)
+    ground.event(300.1, "autopilot", system=1, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0)
     agent.until(320)
     agent.close()
     ground.close()

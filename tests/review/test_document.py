@@ -197,8 +197,8 @@ def test_an_agent_without_a_log_is_shown_as_the_ground_received_it(tmp_path: Pat
     """Its levels, its link gaps and its arming are those of the ground's record."""
     ground = Ground(tmp_path / "ground.jsonl")
     ground.event(0, "slots", agent=7, name="A07", word=1, state="ACTIVE", slots={"2": "OK", "6": None}, changed={})
-    ground.event(1, "pilot", system=7, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0)
-    ground.event(30, "pilot", system=7, presence="alive", armed=True, mode=5, state="ACTIVE", age_s=0.0)
+    ground.event(1, "autopilot", system=7, presence="alive", armed=False, mode=5, state="ACTIVE", age_s=0.0)
+    ground.event(30, "autopilot", system=7, presence="alive", armed=True, mode=5, state="ACTIVE", age_s=0.0)
     ground.event(40, "slots", agent=7, name="A07", word=1, state="ACTIVE", slots={"2": "ERROR"}, changed={})
     ground.event(60, "presence", agent=7, name="A07", presence="lost", was="alive", silent_s=6.0)
     ground.event(80, "presence", agent=7, name="A07", presence="alive", was="lost", silent_s=None)

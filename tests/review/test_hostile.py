@@ -54,7 +54,7 @@ EVENTS = st.sampled_from(
         "slots",
         "presence",
         "text",
-        "pilot",
+        "autopilot",
         "snapshot",
         "lost",
     ]

@@ -90,6 +90,19 @@ def test_a_trial_is_complete_before_the_swarm_is_made_ready(runner: Runner, monk
     assert [(each.number, each.healthy_after, bool(each.injections)) for each in found] == [(4, None, True)]
 
 
+def test_an_agent_that_only_suffered_from_a_fault_is_restored_too(
+    runner: Runner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An overload of the machine is injected on one agent; what it did to the others must not end the campaign."""
+    restored: list[object] = []
+    runner.agents = {number: Mock(number=number) for number in (1, 2, 3)}
+    monkeypatch.setattr(runner, "_healthy", Mock(side_effect=NotOk("not OK")))
+    monkeypatch.setattr(runner.watch, "not_ok", lambda: {3: ["consensus is WARN"]})
+    monkeypatch.setattr(campaign_runner, "restore", lambda swarm, agent: restored.append(agent.number))
+    assert not runner._recover([1])
+    assert restored == [1, 3]
+
+
 def test_an_aborted_run_has_what_was_observed(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its kind, the error, its injections; one that was not begun has none of them."""
     runner.setting = {"seed": 7}
