@@ -302,8 +302,8 @@ class Runner:
         self._wait(lambda: time.monotonic() >= until, WINDOW_S)
 
     def _recover(self, victims: Sequence[int]) -> bool:
-        """Whether all recovered once the faults were cleared; otherwise restore by force. Also agents without a fault of their own: in an
-        overload of the machine, nodes of any of them may lose each other for good."""
+        """Whether all recovered once the faults were cleared; otherwise restore by force. Also agents into which nothing was
+        injected: in an overload of the machine, nodes of any of them may lose each other for good."""
         try:
             self._healthy(HEALTHY_LIMIT_S)
         except NotOk as error:
