@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from sitl.campaign.event_collector import SHARED
 from sitl.campaign.main import main
 from sitl.campaign.scoring import judge
 from sitl.campaign.terminal_report import DONE, SHORT
@@ -52,7 +53,8 @@ def test_a_campaign_detects_and_recovers_one_fault_of_each_layer(name: str, tmp_
     assert len(record.read_bytes().splitlines()) == len(trials), "a trial was made twice"
     assert sorted(fault.fault for trial in trials[2:] for fault in trial.injections) == sorted(FAULTS)
     short = json.loads(data.read_text("utf-8"))["problems"]
-    assert judge(trials[0]).false == [], short
+    # Of the machine, on which other tests run, nothing is expected.
+    assert [each for each in judge(trials[0]).false if not each.unit.startswith(SHARED)] == [], short
     assert trials[1].changed == [], short
     for trial in trials[2:]:
         assert trial.healthy_after is not None, short
