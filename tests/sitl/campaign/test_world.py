@@ -144,6 +144,7 @@ def test_a_cause_that_was_not_injected_explains_nothing() -> None:
     faults = {"silent": Silent(None), "killed": Killed(None), "cut": Cut(None)}
     agents = {3: Agent("p", "agent_3", docker=Mock(), number=3)}
     injector = Injector(faults, agents, ALL["shipped"], lambda agent, unit: False)
+    injector._world = WorldObserver(faults, agents, Mock)  # no engine
     for others, cause in (((), ""), (("cut",), "cut")):
         made = injector.planned([Draw("silent", 3), *(Draw(name, 3) for name in others), Draw("killed", 3)])
         assert made[0].explained_by == "killed"
