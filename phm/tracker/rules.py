@@ -105,14 +105,17 @@ def blocked(context: RuleContext) -> Decision | None:
     """4. A result that is not OK while a dependency is bad is a consequence: STALE `blocked_by` the first cause.
 
     An open fault of the unit is closed as reattributed. If the cause is not published yet, because it is in grace or may follow
-    from starvation, only once that is decided. Dependencies that are bad by starvation alone are handled by rule 5. A network
-    does not explain that a process has ended or is stopped: that is a separate fault, also behind a lost network.
+    from starvation, or if the dependency is down because recovery acts on it for another unit, only once that is decided.
+    Dependencies that are bad by starvation alone are handled by rule 5. A network does not explain that a process has ended or is
+    stopped: that is a separate fault, also behind a lost network.
     """
     cause = _cause(context)
     if not cause:
         return None
     causing = context.view.units[cause]
-    undecided = context.record.fault is not None and (starvation.undecided(causing) or in_grace(causing, context.now))
+    undecided = context.record.fault is not None and (
+        starvation.undecided(causing) or in_grace(causing, context.now) or _acted_on(context)
+    )
     return NO_CHANGE if undecided or cause == context.record.id else _blocked(context, cause)
 
 
@@ -265,11 +268,24 @@ def _cause(context: RuleContext, *, by_starvation: bool = False) -> str:
 
     If recovery works on that one, the unit whose fault is being recovered.
     """
+    other = _dependency(context, by_starvation=by_starvation)
+    if other is None:
+        return ""
+    action = context.view.actions.get(other.target)
+    return action.owner if action is not None and other.fault is None else other.id
+
+
+def _dependency(context: RuleContext, *, by_starvation: bool = False) -> UnitRecord | None:
     for other in _possible_causes(context):
         if (other.failing or _unverified(other, context)) and _merely_starved(other, context) is by_starvation:
-            action = context.view.actions.get(other.target)
-            return action.owner if action is not None and other.fault is None else other.id
-    return ""
+            return other
+    return None
+
+
+def _acted_on(context: RuleContext) -> bool:
+    """Whether the dependency is failing because recovery acts on its target for the fault of another unit."""
+    other = _dependency(context)
+    return other is not None and other.fault is None and other.target in context.view.actions
 
 
 def _possible_causes(context: RuleContext) -> list[UnitRecord]:

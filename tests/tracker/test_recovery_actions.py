@@ -37,6 +37,29 @@ def test_a_failure_caused_by_the_repair_is_not_a_fault() -> None:
     assert bench.blocked_by("topics") == "nodes"
 
 
+def test_an_open_fault_is_not_a_consequence_of_the_repair_of_another() -> None:
+    """A check without a target needs the container that is restarted for another fault: its fault stays open, and is not reported again."""
+    bench = Bench(
+        [unit("container", target="app"), unit("pump", "container", target="app"), unit("alone", "container")]
+    )
+    bench.later(10)
+    bench.all_healthy()
+    bench.see("alone", BAD)
+    bench.see("pump", BAD)
+    bench.take(bench.tracker.begin_action("app", "pump", "restart", bench.stamp(), 60.0))
+    bench.now += 1
+    bench.see("container", BAD)
+    bench.see("alone", BAD)
+    bench.later(2)
+    bench.see("container", OK)
+    bench.see("pump", OK)
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
+    bench.now += 10
+    bench.see("alone", BAD)
+    assert bench.opened == ["alone", "pump"]
+    assert [unit for unit, *_ in bench.closed] == ["pump"]
+
+
 def test_a_verified_repair_is_credited_to_the_action() -> None:
     """The fault that the action repaired is resolved by it, and nothing else is published."""
     bench = holding()
