@@ -18,6 +18,7 @@ from tests.fakes.ros_domain import claim_domain
 from tests.fakes.until import until
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
+LEAKS = 3
 SIGNALS = [name for name, fault in all_faults().items() if isinstance(fault, NodeSignal)]
 
 
@@ -66,9 +67,18 @@ def test_a_fault_breaks_the_application_and_clearing_ends_that(agent: Agent, nam
         fault.dismantle(agent)
 
 
-def test_a_leak_ends_its_node_and_not_the_container(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel ends the node that leaks, since it is the largest process. Until that one is gone, it now and then ends another, too."""
+def test_a_leak_ends_one_node_and_not_the_container(agent: Agent, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel ends the node that leaks, since it is the largest process. Until that one is gone, it now and then ends another,
+    too (seen once): then the leak is repeated."""
     monkeypatch.setattr(memory_leak, "LASTS_S", 2.0)
+    left = [_after_a_leak(agent)]
+    while left[-1] < 2 and len(left) < LEAKS:
+        left.append(_after_a_leak(agent))
+    assert left[-1] == 2, left
+
+
+def _after_a_leak(agent: Agent) -> int:
+    """How many nodes are left after it. The application works again afterwards."""
     fault, generation = memory_leak.Injection(), agent.generation
     leaking = agent.processes(agent.app, "--name node_1")
     try:
@@ -76,8 +86,8 @@ def test_a_leak_ends_its_node_and_not_the_container(agent: Agent, monkeypatch: p
         until(lambda: not fault.restored(agent), "its effect")
         nodes = agent.processes(agent.app, "sitl.application.node")
         assert (len(leaking), agent.generation) == (1, generation)
-        assert 1 <= len(nodes) <= 2
         assert leaking[0] not in nodes
+        return len(nodes)
     finally:
         fault.clear(agent)
         until(lambda: works(agent), "the application")
