@@ -132,7 +132,7 @@ class _NodeBeacon:
     def late_s(self, now_s: float) -> float:
         return round(min(max(0.0, now_s - self._turned_s - TURN_S), MAX_LATE_S), 3) if self._turns else 0.0
 
-    def beat(self, now_s: float) -> dict[str, Any]:
+    def heartbeat(self, now_s: float) -> dict[str, Any]:
         self._heartbeats += 1
         return {"birth": self._birth, "beats": self._heartbeats, "turns": self._turns, "late_s": self.late_s(now_s)}
 
@@ -149,7 +149,7 @@ class _Neighbours:
 
     def __init__(self, witness: str) -> None:
         self._witness = witness
-        self._heard: dict[str, tuple[str, float, float, float]] = {}
+        self._received: dict[str, tuple[str, float, float, float]] = {}
         """By full name: witness, when (monotonic), the period in which it greets, lateness of its executor."""
         self._own: set[str] = set()
 
@@ -159,9 +159,9 @@ class _Neighbours:
 
     @property
     def processes(self) -> int:
-        return len({witness for witness, *_ in self._heard.values()})
+        return len({witness for witness, *_ in self._received.values()})
 
-    def hear(self, format_name: str, text: str, at_s: float) -> None:
+    def receive(self, format_name: str, text: str, at_s: float) -> None:
         if format_name != HELLO_FORMAT or len(text) > MAX_TEXT:
             return
         try:
@@ -171,32 +171,32 @@ class _Neighbours:
                 return
             for name, late_s in nodes.items():
                 valid = len(name) <= MAX_NAME and NAME.fullmatch(name) and 0.0 <= late_s <= MAX_LATE_S
-                if valid and (name in self._heard or self._has_space(name)):
-                    self._heard[name] = (witness, at_s, period_s, float(late_s))
+                if valid and (name in self._received or self._has_space(name)):
+                    self._received[name] = (witness, at_s, period_s, float(late_s))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
             return
 
     def _has_space(self, name: str) -> bool:
         """Whether one more name fits; one of the own namespace takes the place of the longest silent other."""
-        if len(self._heard) < MAX_NEIGHBOURS:
+        if len(self._received) < MAX_NEIGHBOURS:
             return True
-        others = [other for other in self._heard if _first_namespace(other) not in self._own]
+        others = [other for other in self._received if _first_namespace(other) not in self._own]
         if not others or _first_namespace(name) not in self._own:
             return False
-        del self._heard[min(others, key=lambda other: self._heard[other][1])]
+        del self._received[min(others, key=lambda other: self._received[other][1])]
         return True
 
     def views(self, now_s: float) -> dict[str, dict[str, Any]]:
         """By full name; nodes that have been silent for long are removed."""
-        for name in [name for name, heard in self._heard.items() if now_s - heard[1] > FORGET_S]:
-            del self._heard[name]
+        for name in [name for name, received in self._received.items() if now_s - received[1] > FORGET_S]:
+            del self._received[name]
         return {
             name: {
                 "alive": now_s - at_s <= SILENT_HELLOS * period_s + VIEWS_S / 4,
                 "age_s": round(max(0.0, now_s - at_s), 3),
                 "late_s": late_s,
             }
-            for name, (_, at_s, period_s, late_s) in self._heard.items()
+            for name, (_, at_s, period_s, late_s) in self._received.items()
         }
 
 
@@ -239,7 +239,7 @@ class _Hub:
         )
         self._beacon = _Voice(self._node, BEACON, BEACON_FORMAT)
         self._hello = _Voice(self._node, HELLO, HELLO_FORMAT)
-        self._ear = self._node.create_subscription(Log, HELLO, _never_called, _qos(QUEUE))
+        self._subscription = self._node.create_subscription(Log, HELLO, _never_called, _qos(QUEUE))
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="phm-beacon", daemon=True)
 
@@ -290,7 +290,7 @@ class _Hub:
         views = {"views": self._neighbours.views(now_s)} if self._has_news else {}
         self._has_news = False
         for some in _portions(beacons):
-            nodes = {beacon.name: beacon.beat(now_s) for beacon in some}
+            nodes = {beacon.name: beacon.heartbeat(now_s) for beacon in some}
             said = {"witness": self._witness, "period_s": self._period_s, "nodes": nodes, **views}
             self._beacon.say(said)
         if now_s >= self._next_hello_s:
@@ -311,15 +311,15 @@ class _Hub:
         longest_s, self._listened_s = now_s - self._listened_s, now_s
         self._has_news = True
         wall_ns = time.time_ns()
-        ear = self._ear.handle
-        with ear:
+        subscription = self._subscription.handle
+        with subscription:
             for _ in range(QUEUE):
-                taken = ear.take_message(Log, False)
+                taken = subscription.take_message(Log, False)
                 if taken is None:
                     return
                 # The middleware's stamp is of a clock that may be set: it counts within what is possible.
                 age_s = (wall_ns - int(taken[1]["received_timestamp"])) / 1e9
-                self._neighbours.hear(taken[0].name, taken[0].msg, now_s - min(max(age_s, 0.0), longest_s))
+                self._neighbours.receive(taken[0].name, taken[0].msg, now_s - min(max(age_s, 0.0), longest_s))
 
 
 _lock = threading.Lock()

@@ -15,6 +15,8 @@ NEEDS = {"system": ("engine", "ros"), "ros": ("ros",), "interop": ("interop",)}
 """What all tests of a folder need; a test elsewhere carries its own mark. `scripts/test` runs those without any of these
 marks on every Python of the machine, with no ROS and no engine there."""
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"
+SKIPPED_CODE = 8
+"""Exit code of such a run, which none of pytest's own are: `scripts/test` makes no second attempt then."""
 
 # The duration of one example depends on the machine, not on PHM. Equal code has equal examples in each run, so that
 # a failure is caused by a change. --hypothesis-profile=explore and scripts/fuzz search for new ones.
@@ -62,4 +64,4 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is not None and reporter.stats.get("skipped"):
         reporter.write_line(SKIPPED_IS_FAILED, red=True)
-        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        session.exitstatus = SKIPPED_CODE

@@ -53,7 +53,7 @@ class DataPath:
         """Duration of the last silence of all nodes that ended by itself, and when it ended."""
         self._blocked_generation = ""
         """The container generation in which the path was last blocked; cleared when data is received in another generation."""
-        self.never_heard = False
+        self.never_received = False
         """For the last non-empty result of `why`: whether nothing was ever received in this container generation."""
 
     def why(self, world: api.World, generation: str) -> str:
@@ -68,11 +68,11 @@ class DataPath:
         if self._blocked_generation in ("", generation):
             return False
         now = world.clock.mono()
-        if now - self._met_at > 2 * self._grace_s or self._heard(world, now):
+        if now - self._met_at > 2 * self._grace_s or self._received(world, now):
             self._blocked_generation = ""
         return bool(self._blocked_generation)
 
-    def _heard(self, world: api.World, now: float) -> bool:
+    def _received(self, world: api.World, now: float) -> bool:
         """Whether any node has given a sign of life in this generation."""
         try:
             fact = world.ros.look()
@@ -101,13 +101,13 @@ class DataPath:
             long = _together(silent, SILENT_S, TOGETHER_S) or now - min(silent) <= self._cut_at
             silent_s = min(silent) if long and self._run(world) else self._soon(world, fact, silent)
             if silent_s:
-                self.never_heard, self._cut_at = False, world.clock.mono() - silent_s + NOISE_S
+                self.never_received, self._cut_at = False, world.clock.mono() - silent_s + NOISE_S
                 return (
                     f"nothing received from any of its {len(silent)} nodes for {span(silent_s)}, though discovery lists them and "
                     "their processes are running"
                 )
         if not silent and now - self._met_at > self._grace_s and self._nameless(fact) and self._run(world):
-            self.never_heard = True
+            self.never_received = True
             return (
                 f"publishers are discovered, but neither their node names nor a sample has been received for {span(fact.up_s)}, though "
                 f"the processes of {listed([node.short for node in self._wanted], 3)} are running"
@@ -117,8 +117,8 @@ class DataPath:
     def _soon(self, world: api.World, fact: api.RosFact, silent: Sequence[float]) -> float:
         """How long all of them have been silent, if that is certain before SILENT_S; otherwise 0."""
         periods = [fact.beacons[node.name].period_s for node in self._wanted if node.name in fact.beacons]
-        all_heard_of = len(silent) == len(self._wanted)
-        if not all_heard_of or len(periods) < WITNESSES or fact.age_s > FRESH_S:
+        all_silent = len(silent) == len(self._wanted)
+        if not all_silent or len(periods) < WITNESSES or fact.age_s > FRESH_S:
             return 0.0
         now = world.clock.mono()
         pause_s = self._pause_s if now - self._paused_at < REMEMBER_S else 0.0
@@ -148,11 +148,11 @@ class DataPath:
             fact = world.ros.look()
         except api.CannotTell:
             return ""
-        heard = [age_s for node in self._wanted for age_s in self._signs(node, fact)]
+        received = [age_s for node in self._wanted for age_s in self._signs(node, fact)]
         listed_ones = [node.name for node in self._wanted if fact.nodes.get(node.name)]
-        if fact.age_s > OLD_SNAPSHOT_S or fact.up_s < self._grace_s or listed_ones or not heard:
+        if fact.age_s > OLD_SNAPSHOT_S or fact.up_s < self._grace_s or listed_ones or not received:
             return ""
-        silent_s = min(heard) - fact.age_s
+        silent_s = min(received) - fact.age_s
         if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) != ASLEEP:
             return ""
         return (
@@ -182,8 +182,8 @@ class DataPath:
             return False
         topics = [fact.topics.get(topic, api.TopicFact()) for ends in self._ends.values() for topic, _ in ends.rates]
         found = [end.node for topic in topics for end in topic.publishers]
-        heard = any(topic.rate is not None and topic.rate.silent_s is not None for topic in topics)
-        return len(found) >= WITNESSES and not any(found) and not heard
+        received = any(topic.rate is not None and topic.rate.silent_s is not None for topic in topics)
+        return len(found) >= WITNESSES and not any(found) and not received
 
     def _run(self, world: api.World) -> str:
         """AWAKE or ASLEEP if each node has its own process and none is stopped; otherwise empty. Called only if there is a reason."""

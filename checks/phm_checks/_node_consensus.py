@@ -36,8 +36,8 @@ class Opinion:
 
     node: str
     verdict: Verdict
-    heard_by: tuple[str, ...] = ()
-    not_heard_by: tuple[str, ...] = ()
+    received_by: tuple[str, ...] = ()
+    not_received_by: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +62,14 @@ class Agreement:
     def disagreements(self) -> tuple[Opinion, ...]:
         """Nodes on which the observers disagree, except those that the split explains."""
         return tuple(
-            item for item in self.opinions if item.heard_by and item.not_heard_by and not self._explained(item)
+            item for item in self.opinions if item.received_by and item.not_received_by and not self._explained(item)
         )
 
     def _explained(self, opinion: Opinion) -> bool:
-        if not self.split or PHM in opinion.not_heard_by:
+        if not self.split or PHM in opinion.not_received_by:
             return False
         own = next((side for side in self.sides if opinion.node in side), ())
-        return not any(observer in own for observer in opinion.not_heard_by)
+        return not any(observer in own for observer in opinion.not_received_by)
 
 
 def agree(beacons: Mapping[str, api.BeaconFact], others: Mapping[str, bool], late_s: float = 0.0) -> Agreement:
@@ -79,14 +79,14 @@ def agree(beacons: Mapping[str, api.BeaconFact], others: Mapping[str, bool], lat
     PHM can observe them. late_s: age of the snapshot; while PHM itself is late, it receives nothing from any node, and that does not
     count as silence.
     """
-    heard = {node: not silent(fact, late_s) for node, fact in beacons.items()}
+    received = {node: not silent(fact, late_s) for node, fact in beacons.items()}
     processes: dict[str, list[str]] = {}
     for node, fact in sorted(beacons.items()):
-        if heard[node]:
+        if received[node]:
             processes.setdefault(fact.witness or node, []).append(node)
     nodes_of = {nodes[0]: nodes for nodes in processes.values()}
-    opinions = [_opinion(node, beacons, heard, nodes_of) for node in sorted(beacons)]
-    opinions += [_alone(node, hears) for node, hears in sorted(others.items())]
+    opinions = [_opinion(node, beacons, received, nodes_of) for node in sorted(beacons)]
+    opinions += [_alone(node, receives) for node, receives in sorted(others.items())]
     return Agreement(tuple(opinions), (*nodes_of, PHM), _sides(nodes_of, opinions))
 
 
@@ -96,14 +96,14 @@ def silent(fact: api.BeaconFact, late_s: float = 0.0) -> bool:
 
 
 def _opinion(
-    node: str, beacons: Mapping[str, api.BeaconFact], heard: Mapping[str, bool], nodes_of: Mapping[str, list[str]]
+    node: str, beacons: Mapping[str, api.BeaconFact], received: Mapping[str, bool], nodes_of: Mapping[str, list[str]]
 ) -> Opinion:
     votes = {
         observer: _receives(beacons[observer], beacons[node], node)
         for observer in nodes_of
         if node not in nodes_of[observer]
     }
-    votes[PHM] = heard[node]
+    votes[PHM] = received[node]
     yes = tuple(observer for observer, vote in votes.items() if vote is True)
     no = tuple(observer for observer, vote in votes.items() if vote is False)
     if len(yes) > len(no):
@@ -113,9 +113,9 @@ def _opinion(
     return Opinion(node, verdict, yes, no)
 
 
-def _alone(node: str, hears: bool) -> Opinion:
+def _alone(node: str, receives: bool) -> Opinion:
     """The opinion on a node that only PHM observes: if PHM alone does not receive it, that proves nothing."""
-    return Opinion(node, Verdict.ALIVE, (PHM,)) if hears else Opinion(node, Verdict.UNDECIDED, (), (PHM,))
+    return Opinion(node, Verdict.ALIVE, (PHM,)) if receives else Opinion(node, Verdict.UNDECIDED, (), (PHM,))
 
 
 def _receives(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> bool | None:
@@ -132,7 +132,7 @@ def _receives(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> boo
 
 def _sides(nodes_of: Mapping[str, list[str]], opinions: Iterable[Opinion]) -> tuple[tuple[str, ...], ...]:
     """Groups of nodes that receive each other, directly or through others. One direction is enough: a failure of the other is a disagreement."""
-    not_received = {(observer, opinion.node) for opinion in opinions for observer in opinion.not_heard_by}
+    not_received = {(observer, opinion.node) for opinion in opinions for observer in opinion.not_received_by}
 
     def apart(one: str, other: str) -> bool:
         return all(

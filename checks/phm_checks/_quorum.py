@@ -61,9 +61,9 @@ class DeadNodes:
     def look(self, agreement: Agreement, beacons: Mapping[str, api.BeaconFact], now: float) -> Sequence[Opinion]:
         """Take a consensus; return the opinions on the nodes that are dead now."""
         dead = {
-            _Death(item.node, beacons[item.node].birth, PHM in item.heard_by): item
+            _Death(item.node, beacons[item.node].birth, PHM in item.received_by): item
             for item in agreement.opinions
-            if item.verdict is Verdict.DEAD and any(observer != PHM for observer in item.not_heard_by)
+            if item.verdict is Verdict.DEAD and any(observer != PHM for observer in item.not_received_by)
         }
         self._since = {death: self._since.get(death, now) for death in dead}
         found = [
@@ -95,7 +95,9 @@ class ReceivedNodes:
                 self._runs[container] = generation, now
         for item in agreement.opinions:
             generation, since = self._runs.get(self._containers.get(item.node, ""), ("", now))
-            alive = item.verdict in (Verdict.ALIVE, Verdict.HUNG) and any(observer != PHM for observer in item.heard_by)
+            alive = item.verdict in (Verdict.ALIVE, Verdict.HUNG) and any(
+                observer != PHM for observer in item.received_by
+            )
             if alive and generation and now - since >= MET_S:
                 self._received[item.node] = generation
 

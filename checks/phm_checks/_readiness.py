@@ -138,7 +138,7 @@ class Requirements:
             return Finding(f"topic {name} cannot be received: {clean(rate.problem)}", unknown=True)
         if rate is None or rate.silent_s is None:
             what = "was never received" if seen.publishers else "has no publisher"
-            young = self._young or self._fact.heard_for_s < limit_s
+            young = self._young or self._fact.listened_for_s < limit_s
             return Finding(f"topic {name} {what}", f"no {last(name)}", unknown=young)
         kept = {(end.durability, end.reliability) == ("transient_local", "reliable") for end in seen.publishers}
         if kept == {True}:

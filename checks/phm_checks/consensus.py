@@ -170,7 +170,7 @@ class Consensus(api.Check):
         disagreements = _disagreements(agreement)
         if disagreements:
             first = agreement.disagreements[0]
-            short = brief(last(first.node), f"not seen by {last(first.not_heard_by[0])}"[:30])
+            short = brief(last(first.node), f"not seen by {last(first.not_received_by[0])}"[:30])
             return api.Result(Level.WARN, joined([*disagreements, REMEDY]), short, "partly_received", "", values)
         stuck = f"; the executor of {_names(hung)} is blocked" if hung else ""
         return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", values=values)
@@ -180,11 +180,11 @@ class Consensus(api.Check):
     ) -> api.Result:
         """ERROR for nodes that the majority has not received for long. Without a target if PHM does not receive the node
         either: then `nodes` knows a reason why it may be alive, such as a process that uses the CPU."""
-        received = [item.node for item in dead if PHM in item.heard_by]
+        received = [item.node for item in dead if PHM in item.received_by]
         received.sort(key=lambda node: self._received.never(node) is True)
         words = [
-            f"{_names([item.node])} is dead by majority: it is not received by {_names(item.not_heard_by)}"
-            + (f", but is received by {_names(item.heard_by)}" if item.heard_by else "")
+            f"{_names([item.node])} is dead by majority: it is not received by {_names(item.not_received_by)}"
+            + (f", but is received by {_names(item.received_by)}" if item.received_by else "")
             for item in dead
         ]
         words.append(_split(agreement) if agreement.split else "")
@@ -236,8 +236,8 @@ def _agreed(agreement: Agreement) -> str:
 
 def _alone(agreement: Agreement, beacons: Mapping[str, api.BeaconFact]) -> str:
     """The part of the summary about nodes without a beacon, which PHM alone can observe."""
-    observed = [item.node for item in agreement.opinions if item.node not in beacons and item.heard_by]
-    unobserved = [item.node for item in agreement.opinions if item.node not in beacons and not item.heard_by]
+    observed = [item.node for item in agreement.opinions if item.node not in beacons and item.received_by]
+    unobserved = [item.node for item in agreement.opinions if item.node not in beacons and not item.received_by]
     words = f"; {_names(observed)} without a beacon, observed by PHM only" if observed else ""
     return words + (f"; no observer for {_names(unobserved)}" if unobserved else "")
 
@@ -256,8 +256,8 @@ def _votes(agreement: Agreement) -> tuple[api.NodeVotes, ...]:
         api.NodeVotes(
             api.topic_id(item.node),
             item.verdict.value,
-            tuple(map(api.topic_id, item.heard_by)),
-            tuple(map(api.topic_id, item.not_heard_by)),
+            tuple(map(api.topic_id, item.received_by)),
+            tuple(map(api.topic_id, item.not_received_by)),
         )
         for item in agreement.opinions
     )
@@ -265,7 +265,7 @@ def _votes(agreement: Agreement) -> tuple[api.NodeVotes, ...]:
 
 def _disagreements(agreement: Agreement) -> list[str]:
     return [
-        f"{_names([item.node])} is not received by {_names(item.not_heard_by)}, but is received by {_names(item.heard_by)}"
+        f"{_names([item.node])} is not received by {_names(item.not_received_by)}, but is received by {_names(item.received_by)}"
         f"{'; most do not receive it' if item.verdict is Verdict.DEAD else ''}"
         for item in agreement.disagreements
     ]

@@ -122,13 +122,13 @@ class Diagnostics(api.Check):
             return self._not_received(item, fact, world.clock.mono() - began_s)
         worst = min(evaluated, key=lambda one: _RANK[one.level])
         if worst.level is Level.OK:
-            return api.ok(_ok_summary(evaluated), values={"heard": len(evaluated)})
+            return api.ok(_ok_summary(evaluated), values={"received": len(evaluated)})
         return _bad(worst, evaluated, item.container)
 
     def _not_received(self, item: Watched, fact: api.RosFact, ran_s: float) -> api.Result:
         """The result without any matching status. `ran_s`: how long its container has run, if known."""
         entry = item.entry
-        listened_s = min(fact.heard_for_s, ran_s)
+        listened_s = min(fact.listened_for_s, ran_s)
         if min(fact.up_s, ran_s) < self._grace_s or listened_s < entry.timeout:
             return api.stale(
                 f"no status {clean(entry.name, 80)} received yet; PHM has listened for only {span(listened_s)}"
@@ -141,7 +141,7 @@ class Diagnostics(api.Check):
         )
         level = _STALE_IS[entry.when_stale]
         short = brief(entry.name, "not received")
-        return api.Result(level, words, short, "diagnostic_stale", item.container, {"heard": 0})
+        return api.Result(level, words, short, "diagnostic_stale", item.container, {"received": 0})
 
     def _container_began(self, world: api.World, container: str, healthy: bool) -> float:
         """When a restart of the container was last seen, on the monotonic clock; -inf for no restart."""
@@ -207,7 +207,7 @@ def _bad(worst: EvaluatedStatus, evaluated: Sequence[EvaluatedStatus], container
         "status": clean(worst.name, 120),
         "hardware_id": clean(worst.fact.hardware_id, 120),
         "age_s": round(worst.fact.age_s, 1),
-        "heard": len(evaluated),
+        "received": len(evaluated),
         "not_ok": len(others) + 1,
     }
     return api.Result(

@@ -81,10 +81,10 @@ class Gcs(api.Check):
         With a radio that reports the state of the remote radio, that report decides: radio loss comes in bursts, and a
         ground station program may hang briefly. On other links an unusually long pause decides.
         """
-        heard_at = world.clock.mono() - fact.age_s
-        if self._lost_at is not None and heard_at - self._lost_at < SAME_S:
+        received_at = world.clock.mono() - fact.age_s
+        if self._lost_at is not None and received_at - self._lost_at < SAME_S:
             return True  # until its next heartbeat, regardless of later radio reports
-        self._lost_at = heard_at if self._surely(world, fact) else None
+        self._lost_at = received_at if self._surely(world, fact) else None
         return self._lost_at is not None
 
     def _surely(self, world: api.World, fact: api.GcsFact) -> bool:
@@ -108,8 +108,8 @@ class Gcs(api.Check):
                 "the onboard radio responds but receives nothing from the ground radio, so check that one, the antennas and "
                 "the distance"
             )
-        heard = (radio for radio in world.links.radios() if radio.link == fact.link and radio.age_s < fact.age_s)
-        radio = next(heard, None)
+        responding = (radio for radio in world.links.radios() if radio.link == fact.link and radio.age_s < fact.age_s)
+        radio = next(responding, None)
         if radio is None:
             return "check the radio, its power and the ground station"
         return (

@@ -65,7 +65,7 @@ class Network(PerContainer):
 
     def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
         """The result when the networks are correct, but no data from the nodes arrive; None when they do."""
-        why, never = self._data_path.why(world, fact.generation), self._data_path.never_heard
+        why, never = self._data_path.why(world, fact.generation), self._data_path.never_received
         if not why and (absent := self._data_path.absent(world)):
             step = advice(world, self.key, "check ROS_DOMAIN_ID, firewalls and discovery between PHM and it")
             return self._bad(

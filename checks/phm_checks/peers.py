@@ -96,16 +96,16 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
     values: dict[str, api.Value] = {
         "state": peer.state,
         "age_s": None if peer.age_s is None else round(peer.age_s, 1),
-        "heard_by": len(peer.heard_by),
-        "not_heard_by": len(peer.not_heard_by),
+        "received_by": len(peer.received_by),
+        "not_received_by": len(peer.not_received_by),
     }
     # Another agent has lost it too, so a delay on this agent is not the cause.
-    known = api.Evidence(conclusive=bool(set(peer.not_heard_by) - {fact.own}))
-    disagreement = f", but still received by {_names(peer.heard_by)}" if peer.heard_by else ""
+    known = api.Evidence(conclusive=bool(set(peer.not_received_by) - {fact.own}))
+    disagreement = f", but still received by {_names(peer.received_by)}" if peer.received_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
     if peer.state == "lost":
         words = (
-            f"agent {name} is lost: no heartbeat received by {_names(peer.not_heard_by)}{silent}{disagreement}: check the "
+            f"agent {name} is lost: no heartbeat received by {_names(peer.not_received_by)}{silent}{disagreement}: check the "
             "vehicle, its power and its radio"
         )
         return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values, evidence=known)
@@ -116,10 +116,10 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         )
     if peer.state == "partly reachable":
         words = (
-            f"agent {name} is alive, received by {_names(peer.heard_by)} but not by {_names(peer.not_heard_by)}: the network "
+            f"agent {name} is alive, received by {_names(peer.received_by)} but not by {_names(peer.not_received_by)}: the network "
             "between these is broken or at the edge of its range"
         )
-        short = brief(name, f"not seen by {_names(peer.not_heard_by, 3)}")
+        short = brief(name, f"not seen by {_names(peer.not_received_by, 3)}")
         return api.Result(Level.WARN, words, short, "peer_partly", values=values, evidence=known)
     if peer.state == "left":
         return api.bypass(f"agent {name} was shut down intentionally", values=values)
@@ -140,7 +140,7 @@ def _duplicate_ids(fact: api.SwarmFact) -> list[api.Result]:
 
 def _all_peers_lost(fact: api.SwarmFact) -> list[api.Result]:
     """One fault when all others are lost together: the likely cause is this agent's own radio."""
-    lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost" and fact.own not in peer.heard_by]
+    lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost" and fact.own not in peer.received_by]
     here = [agent for agent, peer in fact.peers.items() if peer.state != "left"]
     if len(lost) < 2 or len(lost) < len(here):
         return []

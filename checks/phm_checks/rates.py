@@ -209,7 +209,8 @@ class Rates(api.Check):
         """A topic that is listed but was never received. Slow topics get three periods."""
         if not self._due(case.topic, fact):
             return api.stale(
-                f"no sample of {case.name} yet; PHM has listened for only {span(fact.heard_for_s)}", values=case.values
+                f"no sample of {case.name} yet; PHM has listened for only {span(fact.listened_for_s)}",
+                values=case.values,
             )
         if evidence := self._blocked(case.target, seen, fact):
             return self._bad(
@@ -231,7 +232,7 @@ class Rates(api.Check):
 
     def _due(self, topic: api.TopicSettings, fact: api.RosFact) -> bool:
         """Whether PHM has listened long enough to have received a sample."""
-        return bool(topic.rate) and fact.up_s >= self._grace_s and fact.heard_for_s >= 3 / (topic.rate or 1.0)
+        return bool(topic.rate) and fact.up_s >= self._grace_s and fact.listened_for_s >= 3 / (topic.rate or 1.0)
 
     def _blocked(self, target: str, seen: api.TopicFact, fact: api.RosFact) -> str:
         """Evidence that publishers are discovered but their data do not arrive; empty when the cause may be different."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from phm.simulation.demo import Demo
 
 STEP_S = 0.2
-END_S = 3.0
+END_S = 15.0
 START_S = 30.0
 """The times of the faults count from when all daemons run, or from here: a small computer takes seconds to start them."""
 

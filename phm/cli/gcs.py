@@ -158,7 +158,7 @@ def command(
     shows a live table (arrow keys and Enter: request something of an agent), otherwise one line per event.
 
     Exit code 0; 1: a port is in use, or the record is incomplete; with --once also when an agent is in ERROR, lost or never
-    heard, or no agent was found.
+    received, or no agent was found.
     """
     from phm.cli import terminal
     from phm.core.clock import SystemClock

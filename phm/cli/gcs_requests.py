@@ -197,7 +197,7 @@ class _Client:
         for item in self._queue.take(LOOK_S):
             body = item.event.body
             if exchange is not None:
-                exchange.hear(item.event, self._clock.mono())
+                exchange.receive(item.event, self._clock.mono())
             if item.event.event == "text" and body.get("agent") == self._agent and body.get("kind") == "change":
                 self.lines.append(body["text"])
 

@@ -93,7 +93,7 @@ class MavlinkCommands:
 
     def listen(self) -> None:
         """Queue the messages that arrive from now on."""
-        self._port.listen(self.hear, (COMMAND_LONG, COMMAND_INT))
+        self._port.listen(self.receive, (COMMAND_LONG, COMMAND_INT))
 
     def close(self) -> None:
         """End the thread; waits at most CLOSING_S."""
@@ -103,7 +103,7 @@ class MavlinkCommands:
 
     # ------------------------------------------------------------ the endpoints' threads
 
-    def hear(self, message: Any, link: str) -> None:
+    def receive(self, message: Any, link: str) -> None:
         """A COMMAND_LONG or COMMAND_INT. Queues and never waits."""
         ours = (self._port.system_id, self._port.component_id)
         sender = (message.get_srcSystem(), message.get_srcComponent())

@@ -61,10 +61,10 @@ else:
         """`ring` ends the `wait` of a thread that waits for `fd`."""
 
         def __init__(self) -> None:
-            self._heard, self._rope = socket.socketpair()
-            self._heard.setblocking(False)
+            self._receiver, self._rope = socket.socketpair()
+            self._receiver.setblocking(False)
             self._rope.setblocking(False)
-            self.fd = self._heard.fileno()
+            self.fd = self._receiver.fileno()
 
         def ring(self) -> None:
             with contextlib.suppress(OSError):  # full: it rings already
@@ -73,4 +73,4 @@ else:
         def silence(self) -> None:
             """Clear the wake-ups that arrived so far."""
             with contextlib.suppress(BlockingIOError):
-                self._heard.recv(4096)
+                self._receiver.recv(4096)

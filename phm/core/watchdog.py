@@ -65,7 +65,7 @@ class DaemonWatchdog:
             self.problem = ""
             self.start()
 
-    def beat(self) -> bool:
+    def heartbeat(self) -> bool:
         """Send a heartbeat, at most twice per LOOK_S. Never blocks. True if the watchdog has resumed PHM since the last call."""
         process, now = self._process, time.monotonic()
         if process is None:

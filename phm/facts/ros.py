@@ -277,7 +277,7 @@ class RosFact:
     calls: Mapping[str, AnswerFact] = field(default_factory=dict)
 
     @property
-    def heard_for_s(self) -> float:
+    def listened_for_s(self) -> float:
         """How long PHM has listened for messages that are sent rarely: an interruption only loses its own duration."""
         return max(self.up_s, self.listened_s)
 

@@ -13,8 +13,8 @@ class PeerFact:
 
     state:               alive, late, partly reachable, lost, never seen, or left (stopped intentionally).
     age_s:               since this agent last received from it; None if it never did.
-    heard_by,
-    not_heard_by:        ids of the agents that do, or do not, receive it and whose views counted, this one included.
+    received_by,
+    not_received_by:     ids of the agents that do, or do not, receive it and whose views counted, this one included.
     gcs:                 whether it reports that it receives a ground station; None if it has not reported this recently.
     word:                its newest status word.
     since_s:             how long it has been in this state.
@@ -22,8 +22,8 @@ class PeerFact:
 
     state: str
     age_s: float | None
-    heard_by: tuple[int, ...] = ()
-    not_heard_by: tuple[int, ...] = ()
+    received_by: tuple[int, ...] = ()
+    not_received_by: tuple[int, ...] = ()
     gcs: bool | None = None
     word: int = 0
     since_s: float = float("inf")

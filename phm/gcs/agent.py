@@ -119,7 +119,7 @@ class Agent:
         known = max(self.current.values(), key=_RANK.__getitem__, default=None)
         return Level.STALE if known is Level.OK and self.partial else known
 
-    def beat(self, beat: Heartbeat) -> dict[Slot, tuple[Level, Level]]:
+    def heartbeat(self, beat: Heartbeat) -> dict[Slot, tuple[Level, Level]]:
         """Take over its status word; the changed slots with their old and new level."""
         if beat.state == BOOT and self.state not in (BOOT, None):
             self.restarts += 1

@@ -141,17 +141,17 @@ class FleetSnapshot:
         self._early = now - began <= LOST_PERIODS * fleet.guess_s
         """An agent that was never received may not have sent a heartbeat yet."""
         self._closed = ", ".join(shut) if fleet.links and len(shut) == len(fleet.links) else ""
-        heard = [self._states[key] for key, agent in fleet.agents.items() if agent.first is not None]
+        received = [self._states[key] for key, agent in fleet.agents.items() if agent.first is not None]
         self._all_silent = (
-            len(heard) > 1
-            and all(state is PresenceState.LOST for state in heard)
+            len(received) > 1
+            and all(state is PresenceState.LOST for state in received)
             and not any(autopilot.phase(now).there for autopilot in fleet.autopilots.values())
         )
 
     def state(self, agent: Agent) -> PresenceState:
         return self._states[agent.system, agent.component]
 
-    def heard_by(self, agent: Agent) -> tuple[list[int], list[int]]:
+    def received_by(self, agent: Agent) -> tuple[list[int], list[int]]:
         """Which other agents receive it and which do not, by their newest views."""
         sides: tuple[set[int], set[int]] = (set(), set())
         for other, view in self._views:
@@ -174,14 +174,14 @@ class FleetSnapshot:
             self._closed,
             self._all_silent,
             autopilot is not None and autopilot.phase(self._now).there,
-            self.heard_by(agent)[0],
-            any(self._now - heard <= RADIO_S for heard, _ in self._fleet.radios.values()),
+            self.received_by(agent)[0],
+            any(self._now - received <= RADIO_S for received, _ in self._fleet.radios.values()),
         )
         return first_broken(agent, state, agent.presence.silent_s(self._now), around)
 
     def stations(self) -> list[tuple[int, int]]:
         """MAVLink ids of the other active ground stations."""
-        return sorted(ids for ids, heard in self._fleet.stations.items() if self._now - heard <= STATION_S)
+        return sorted(ids for ids, received in self._fleet.stations.items() if self._now - received <= STATION_S)
 
     def _counts(self, key: tuple[int, int], agent: Agent) -> PeerView | None:
         """Its view, if it is alive and the view is new enough."""

@@ -47,7 +47,7 @@ class FleetState:
         unsigned frames are not PHM's."""
         self.fleet, self._own, self._signed = Fleet(expected), own, signed
 
-    def hear(self, frame: Frame, link: str, at: Stamp) -> list[GcsEvent]:
+    def receive(self, frame: Frame, link: str, at: Stamp) -> list[GcsEvent]:
         """Take one received frame; the events that follow."""
         if (frame.system, frame.component) == self._own:
             return []
@@ -119,14 +119,14 @@ class FleetState:
                 yield from self._agent(agent, beat, link, at)
 
     def _agent(self, agent: Agent, beat: Heartbeat, link: str, at: Stamp) -> Iterator[GcsEvent]:
-        agent.presence.beat(at.mono, leaving=beat.state == POWEROFF)
+        agent.presence.heartbeat(at.mono, leaving=beat.state == POWEROFF)
         agent.link, agent.last = link, at
         if agent.first is None:
             agent.first, agent.shown = at, PresenceState.ALIVE
             ids = {"system": agent.system, "component": agent.component, "link": link}
             yield GcsEvent(at, "agent", {**snapshot.who(agent), **ids})
         state, restarts, problem = agent.state, agent.restarts, agent.problem
-        changed = agent.beat(beat)
+        changed = agent.heartbeat(beat)
         yield from self._presence(agent, at)
         if agent.restarts != restarts:
             yield GcsEvent(at, "restart", {**snapshot.who(agent), "restarts": agent.restarts})
@@ -153,7 +153,7 @@ class FleetState:
         if autopilot is None:
             return
         before = (autopilot.armed, autopilot.mode, autopilot.shown)
-        autopilot.presence.beat(at.mono)
+        autopilot.presence.heartbeat(at.mono)
         autopilot.armed, autopilot.mode, autopilot.state = bool(beat.base_mode & ARMED), beat.custom_mode, beat.state
         autopilot.shown = PresenceState.ALIVE
         if before != (autopilot.armed, autopilot.mode, autopilot.shown):

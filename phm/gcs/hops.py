@@ -32,14 +32,14 @@ class HopEvidence:
     """What else the ground knows when it looks for the broken hop of one agent.
 
     closed: why no link of the ground is open, else empty. all_silent: no sender is received any more. autopilot: the vehicle's
-    autopilot is received. autopilot_lost_s: for how long it is no longer received, None: it is, or never was. heard_by: other agents
+    autopilot is received. autopilot_lost_s: for how long it is no longer received, None: it is, or never was. received_by: other agents
     that receive it. radio: a radio on the ground's own link answers.
     """
 
     closed: str = ""
     all_silent: bool = False
     autopilot: bool = False
-    heard_by: Sequence[int] = ()
+    received_by: Sequence[int] = ()
     radio: bool = False
     autopilot_lost_s: float | None = None
 
@@ -63,8 +63,8 @@ def _silent(silent_s: float | None, around: HopEvidence) -> BrokenHop | None:
         return BrokenHop("ground link", around.closed)
     if around.autopilot:
         return BrokenHop("companion", f"PHM {since}, autopilot received")
-    if around.heard_by:
-        return BrokenHop("radio", f"{since} here, received by {' '.join(map(agent_name, around.heard_by))}")
+    if around.received_by:
+        return BrokenHop("radio", f"{since} here, received by {' '.join(map(agent_name, around.received_by))}")
     if around.all_silent and around.radio:
         return BrokenHop("radio", "all agents are silent, the ground's radio answers", certain=False)
     if around.all_silent:

@@ -68,7 +68,7 @@ class LiveView:
         for item in self._queue.take(0.0):
             rings |= self._alarms.take(item.event, _agent_of(item.event))
             for exchange in self._exchanges:
-                exchange.hear(item.event, now)
+                exchange.receive(item.event, now)
             if text := describe(item.event):
                 self._lines.append((item.event.at.mono, text))
         for exchange in [one for one in self._exchanges if one.done(now)]:

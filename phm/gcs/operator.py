@@ -136,7 +136,7 @@ class Exchange:
     def accepted(self) -> bool:
         return self.result == "ACCEPTED"
 
-    def hear(self, event: GcsEvent, now: float) -> None:
+    def receive(self, event: GcsEvent, now: float) -> None:
         """Take an event of the station."""
         body = event.body
         if body.get("name") != self.name:

@@ -35,17 +35,17 @@ class Presence:
     """The presence of one sender. Times are monotonic seconds of the ground."""
 
     def __init__(self) -> None:
-        self.heard_s: float | None = None
+        self.received_s: float | None = None
         self.leaving = False
         self._gaps: deque[float] = deque(maxlen=GAPS)
 
-    def beat(self, now: float, *, leaving: bool = False) -> None:
+    def heartbeat(self, now: float, *, leaving: bool = False) -> None:
         """A heartbeat was received; `leaving`: it is the last one."""
-        if self.heard_s is not None and not self.leaving:
-            gap_s = now - self.heard_s
+        if self.received_s is not None and not self.leaving:
+            gap_s = now - self.received_s
             if COPY_S < gap_s <= LONGEST_S:
                 self._gaps.append(gap_s)
-        self.heard_s, self.leaving = now, leaving
+        self.received_s, self.leaving = now, leaving
 
     def period_s(self, guess_s: float) -> float:
         """Its usual pause; before that is known, the longer of the guess and the observed gaps."""
@@ -54,7 +54,7 @@ class Presence:
         return sorted(self._gaps)[int(LONGER * len(self._gaps))]
 
     def silent_s(self, now: float) -> float | None:
-        return None if self.heard_s is None else max(0.0, now - self.heard_s)
+        return None if self.received_s is None else max(0.0, now - self.received_s)
 
     def state(self, now: float, guess_s: float) -> PresenceState:
         silent_s = self.silent_s(now)

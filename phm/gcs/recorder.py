@@ -65,8 +65,8 @@ class Recorder:
             last = self._stop.is_set()
             for item in self._queue.take(0.0 if last else LOOK_S):
                 self._lines.write(item.line)
-            if (heard := self._station.heard()) is not None:
-                self._lines.write(self._station.line(*heard))
+            if (received := self._station.received()) is not None:
+                self._lines.write(self._station.line(*received))
             self._record_samples(last=last)
             self._lines.retry()
             if self._clock.mono() >= self._snapshot_at or last:

@@ -62,7 +62,7 @@ def autopilot_fields(found: Autopilot, now: float, times: Times | None = None) -
         "armed": found.armed,
         "mode": found.mode,
         "state": state_name(found.state),
-        **(times or Times(now)).of(found.presence.heard_s),
+        **(times or Times(now)).of(found.presence.received_s),
     }
 
 
@@ -120,8 +120,8 @@ def fleet_json(
         },
         "stations": [{"system": system, "component": component} for system, component in look.stations()],
         "radios": [
-            {"link": link, **times.of(heard), **{key: getattr(said, key) for key in _RADIO}}
-            for link, (heard, said) in fleet.radios.items()
+            {"link": link, **times.of(received), **{key: getattr(said, key) for key in _RADIO}}
+            for link, (received, said) in fleet.radios.items()
         ],
         "swarm": _swarm(fleet.swarm, times),
         "links": [{"link": name, "open": is_open, "error": error} for name, (is_open, error) in fleet.links.items()],
@@ -135,18 +135,18 @@ def seconds(value: float | None) -> float | None:
 
 def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, times: Times) -> dict[str, Any]:
     now, state = times.now, look.state(agent)
-    heard_by, not_heard_by = look.heard_by(agent)
+    received_by, not_received_by = look.received_by(agent)
     said = fleet.swarm.digest
     level = said.levels.get(agent.system) if said is not None else None
     autopilot = fleet.autopilots.get(agent.system)
-    learned = agent.presence.heard_s is not None
+    learned = agent.presence.received_s is not None
     return {
         **who(agent),
         "component": agent.component,
         "link": agent.link or None,
         "how": agent_status(agent, state, autopilot_lost=autopilot is not None and autopilot.lost(now)),
         "presence": state.value,
-        **times.of(agent.presence.heard_s),
+        **times.of(agent.presence.received_s),
         "period_s": seconds(agent.presence.period_s(fleet.guess_s)) if learned else None,
         "word": agent.word,
         "state": state_name(agent.state) or None,
@@ -158,9 +158,9 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, times: Times) -> dic
         "advice": _advice(agent, times) if state.there else [],
         "containers": list(agent.containers),
         "view": _view(agent, times),
-        "heard_by": heard_by,
-        "not_heard_by": not_heard_by,
-        "hears_ground": None if agent.no_ground is None else not agent.no_ground,
+        "received_by": received_by,
+        "not_received_by": not_received_by,
+        "receives_ground": None if agent.no_ground is None else not agent.no_ground,
         "swarm_says": level.name if level not in (None, Level.STALE) else None,
         "autopilot": autopilot_fields(autopilot, now, times) if autopilot is not None else None,
         "on_hold": agent.on_hold,

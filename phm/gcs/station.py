@@ -29,7 +29,7 @@ from phm.gcs.frames import Frame
 from phm.gcs.ingress_filter import IngressFilter
 from phm.gcs.operator import OperatorCommand
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
-from phm.reporters.heard_heartbeats import HeardHeartbeats
+from phm.reporters.received_heartbeats import ReceivedHeartbeats
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.wire.gcs_marker import MONITOR
@@ -96,9 +96,9 @@ class GroundStation:
         self._lock, self._limits = threading.Lock(), threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-gcs", daemon=True)
-        self._heard = HeardHeartbeats(None, clock)
-        self._hub.listen(self._hear, frames.IDS)
-        self._hub.on_heartbeat_sent(lambda number: self._heard.hear(*self.ids, number))
+        self._received = ReceivedHeartbeats(None, clock)
+        self._hub.listen(self._receive, frames.IDS)
+        self._hub.on_heartbeat_sent(lambda number: self._received.receive(*self.ids, number))
 
     def start(self) -> None:
         body = {"version": __version__, "system": self.ids[0], "component": self.ids[1], "links": self._urls}
@@ -174,11 +174,11 @@ class GroundStation:
             }
             return self._number, GcsEvent(at, "snapshot", body)
 
-    def heard(self) -> tuple[int, GcsEvent] | None:
+    def received(self) -> tuple[int, GcsEvent] | None:
         """The heartbeats that were received and sent since the last call, in the numbering of the agents' logs, at most every 10 s;
         and the number of the last event before. None: there is nothing yet."""
-        found = self._heard.take()
-        return self.record_only("heard", {"frames": found}) if found else None
+        found = self._received.take()
+        return self.record_only("received", {"frames": found}) if found else None
 
     def record_only(self, event: str, body: Mapping[str, Any]) -> tuple[int, GcsEvent]:
         """An event for the record alone, and the number of the last event before."""
@@ -191,7 +191,7 @@ class GroundStation:
 
     # ------------------------------------------------------------ from the endpoints' threads
 
-    def _hear(self, message: Any, link: str) -> None:
+    def _receive(self, message: Any, link: str) -> None:
         sender = (message.get_srcSystem(), message.get_srcComponent())
         raw, at = bytes(message.get_msgbuf()), self._clock.stamp()
         if sender == self.ids:
@@ -208,7 +208,7 @@ class GroundStation:
             allowed = self._filter.allow(sender, at.mono)
         if allowed:
             if isinstance(frame, frames.Heartbeat):
-                self._heard.hear(*sender, message.get_seq())
+                self._received.receive(*sender, message.get_seq())
             self._frames.put(Received(frame, raw, link, at))
 
     # ------------------------------------------------------------ the station's thread
@@ -225,7 +225,7 @@ class GroundStation:
         for one in self._frames.take(0.0):
             if not self._filter.is_copy(one.raw, one.link, one.at.mono):
                 with self._lock:
-                    self._publish(self._store.hear(one.frame, one.link, one.at))
+                    self._publish(self._store.receive(one.frame, one.link, one.at))
                 beat = isinstance(one.frame, frames.Heartbeat) and self._store.is_agent(one.frame)
                 for queue in self._watchers:
                     queue.put(replace(one, of_agent=beat) if beat else one)

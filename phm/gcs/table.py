@@ -25,7 +25,7 @@ NAMES = " ".join(slot.short for slot in Slot)
 WIDE = 120
 LEGEND = "+ ok  W warn  E error  - unknown or unused  ? not received"
 _CELLS = {"OK": ("+", "green"), "WARN": ("W", "bold yellow"), "ERROR": ("E", "bold white on red")}
-_NOT_KNOWN, _NOT_HEARD = ("-", "dim"), ("?", "magenta")
+_NOT_KNOWN, _NOT_RECEIVED = ("-", "dim"), ("?", "magenta")
 _STYLES = {
     "OK": "green",
     "WARN": "yellow",
@@ -90,8 +90,8 @@ def _choose(agents: list[Json], room: int | None, selected: str = "") -> tuple[l
 
 def _head(snapshot: Json) -> Text:
     agents = snapshot["agents"]
-    heard = "no agent received yet" if not agents else f"{len(agents)} agents: {_counts(agents)}"
-    return _plain(f"phm gcs {snapshot['system']}/{snapshot['component']}  {heard}", "bold", crop=True)
+    received = "no agent received yet" if not agents else f"{len(agents)} agents: {_counts(agents)}"
+    return _plain(f"phm gcs {snapshot['system']}/{snapshot['component']}  {received}", "bold", crop=True)
 
 
 def _counts(agents: Sequence[Json]) -> str:
@@ -130,10 +130,10 @@ def _name(agent: Json, selected: str, alarms: Collection[str]) -> Text:
 def cells(agent: Json, *, wide: bool = False) -> Text:
     """A letter for each slot; wide: below the name of its column."""
     text = Text()
-    heard = agent["presence"] in ("alive", "late")
+    received = agent["presence"] in ("alive", "late")
     for slot in SLOTS:
         known = _CELLS.get(agent["slots"].get(slot, ""), _NOT_KNOWN)
-        letter, style = known if heard else _NOT_HEARD
+        letter, style = known if received else _NOT_RECEIVED
         if wide:
             text.append(f" {letter} ", style)
             text.append(" " if slot != SLOTS[-1] else "")

@@ -37,7 +37,7 @@ class AutopilotObserver:
         self._hub: MavlinkHub | None = None
         try:
             self._hub = MavlinkHub(settings, agent_id, clock)
-            self._hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
+            self._hub.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
         except InvalidKey as error:
             self._problem = f"MAVLink was not watched: {error}"
 
@@ -72,7 +72,7 @@ class AutopilotObserver:
         if self._hub is not None:
             self._hub.close()
 
-    def _hear(self, message: Any, link: str) -> None:
+    def _receive(self, message: Any, link: str) -> None:
         if (
             message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1
             or message.autopilot == mavlink.MAV_AUTOPILOT_INVALID

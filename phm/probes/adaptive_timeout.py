@@ -42,7 +42,7 @@ class AdaptiveTimeout:
         self._due_s: float | None = None
         self._lost = False
 
-    def beat(self, now: float, late_s: float = 0.0) -> None:
+    def heartbeat(self, now: float, late_s: float = 0.0) -> None:
         """Record a heartbeat. late_s: how much of the pause before it PHM did not run."""
         self._keep(now, self._held_s)
         pause_s = 0.0 if self._last is None else max(0.0, now - self._last - late_s)

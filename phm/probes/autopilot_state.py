@@ -94,7 +94,7 @@ class AutopilotState:
         self._booting = booting
         late_s = 0.0 if self._beat is None else self._late_s(self._beat[0], None)
         self._beat, self._spoke = (now, message, link), now
-        self._cadence.beat(now, late_s)
+        self._cadence.heartbeat(now, late_s)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         self._said[link] = (now, armed)
         self._reports.heartbeat(now, armed, link)
@@ -147,11 +147,11 @@ class AutopilotState:
         unread_s: how long its link should have been read, and was not."""
         if self._beat is None:
             return None
-        heard, message, link = self._beat
-        armed = any(said for at, said in self._said.values() if heard - at <= self._timeout_s)
+        received, message, link = self._beat
+        armed = any(said for at, said in self._said.values() if received - at <= self._timeout_s)
         ages = {said: now - at for said, at in self._said_armed.items()}
         return AutopilotFact(
-            now - heard,
+            now - received,
             armed,
             message.custom_mode,
             message.system_status,
@@ -168,7 +168,7 @@ class AutopilotState:
             None if self._stalled is None else now - self._stalled,
             None if self._boot is None else now - self._boot[0],
             None if self._disarmed_from is None else now - self._disarmed_from,
-            max(min(unread_s, self._timeout_s), self._late_s(heard, self._timeout_s)),
+            max(min(unread_s, self._timeout_s), self._late_s(received, self._timeout_s)),
             None if self._commanded is None else now - self._commanded,
             self._reports.contradicted(),
             None if self._reports.landed is None else now - self._reports.landed,

@@ -13,7 +13,7 @@ MAX_STATIONS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class StationBeat:
+class StationHeartbeat:
     """The last HEARTBEAT of a ground station: monotonic seconds, its MAVLink ids, the endpoint that received it, and
     whether it is signed."""
 
@@ -28,23 +28,23 @@ class GroundStations:
     """Not thread-safe. timeout_s: a station that is silent for longer is lost."""
 
     def __init__(self, timeout_s: float) -> None:
-        self._heard: OrderedDict[tuple[int, int], StationBeat] = OrderedDict()
+        self._received: OrderedDict[tuple[int, int], StationHeartbeat] = OrderedDict()
         # A ground station may freeze while its operator loads a map, and all agents would report it: half of the timeout.
         self.cadence = AdaptiveTimeout(timeout_s, max(UNEVEN_S, timeout_s / 2))
         self.left = False
         """Whether all ground stations have announced their end."""
-        self.last: StationBeat | None = None
+        self.last: StationHeartbeat | None = None
 
-    def beat(self, beat: StationBeat, late_s: float = 0.0) -> None:
+    def heartbeat(self, beat: StationHeartbeat, late_s: float = 0.0) -> None:
         """late_s: for how long since the last one PHM did not run."""
         key = (beat.system, beat.component)
-        before = self._heard.pop(key, None)
+        before = self._received.pop(key, None)
         if before is not None and before.signed:
             beat = replace(beat, signed=True)  # an unsigned one may be forged
-        self._heard[key] = self.last = beat
-        if len(self._heard) > MAX_STATIONS:
-            self._heard.popitem(last=False)
-        self.cadence.beat(beat.at, late_s)
+        self._received[key] = self.last = beat
+        if len(self._received) > MAX_STATIONS:
+            self._received.popitem(last=False)
+        self.cadence.heartbeat(beat.at, late_s)
         self.left = False
 
     def leave(self, system: int, component: int, now: float, *, signed: bool = False) -> None:
@@ -52,15 +52,15 @@ class GroundStations:
 
         signed: the farewell is. A station that has signed leaves only with a signature.
         """
-        heard = self._heard.get((system, component))
-        if heard is None or self.last is None or (heard.signed and not signed):
+        received = self._received.get((system, component))
+        if received is None or self.last is None or (received.signed and not signed):
             return
-        del self._heard[system, component]
+        del self._received[system, component]
         if (self.last.system, self.last.component) != (system, component):
             return
         self.cadence.broke(now)
-        self.last = next(reversed(self._heard.values()), self.last)
-        self.left = not self._heard
+        self.last = next(reversed(self._received.values()), self.last)
+        self.left = not self._received
 
 
 def counts_as_pilot(system: int, custom_mode: int, pilots: Collection[int]) -> bool:

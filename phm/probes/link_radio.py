@@ -33,7 +33,7 @@ class RadioState:
         self._partnered = False
         self._asked_s = 0.0
 
-    def hear(self, now: float, message: Any, asked_s: float) -> None:
+    def receive(self, now: float, message: Any, asked_s: float) -> None:
         """Process a RADIO_STATUS. asked_s: seconds between PHM's own heartbeats."""
         if asked_s != self._asked_s:
             self._times.clear()
@@ -53,7 +53,7 @@ class RadioState:
         self._newest = message
 
     @property
-    def heard_at(self) -> float:
+    def received_at(self) -> float:
         """When it reported last, in monotonic seconds; call only after the first report."""
         return self._times[-1]
 

@@ -31,7 +31,7 @@ class LinkStats:
         self._totals: deque[tuple[float, Traffic]] = deque(maxlen=int(RATE_S / SAMPLE_S) + 2)
         self._steps: deque[tuple[float, _Counts]] = deque(maxlen=int(LOSS_S / STEP_S) + 1)
         self._moved_at: float | None = None
-        self._heard_at: dict[tuple[int, int], float] = {}
+        self._received_at: dict[tuple[int, int], float] = {}
 
     def sample(self, now: float, traffic: Traffic) -> None:
         """Record the counters; calls more frequent than SAMPLE_S are ignored."""
@@ -41,8 +41,8 @@ class LinkStats:
         if traffic.bytes_in != before.bytes_in:
             self._moved_at = now
         moved = {key: now for key, counts in traffic.senders.items() if counts[0] != before.senders.get(key, (0, 0))[0]}
-        known = {key: at for key, at in self._heard_at.items() if key in traffic.senders}
-        self._heard_at = {**known, **moved}
+        known = {key: at for key, at in self._received_at.items() if key in traffic.senders}
+        self._received_at = {**known, **moved}
         self._totals.append((now, traffic))
         while now - self._totals[0][0] > RATE_S:
             self._totals.popleft()
@@ -79,7 +79,7 @@ class LinkStats:
         before = next((counts[key] for _, counts in self._steps if key in counts), (frames, lost))
         came, missing = frames - before[0], max(0, lost - before[1])
         loss = 100.0 * missing / (came + missing) if came >= MIN_FRAMES else None
-        return SenderFact(*key, self._silent_s(self._heard_at.get(key, now), now), max(0, came), loss)
+        return SenderFact(*key, self._silent_s(self._received_at.get(key, now), now), max(0, came), loss)
 
     def _silent_s(self, since: float, now: float) -> float:
         return max(0.0, now - since - self._late_s(since, SHORT_S))

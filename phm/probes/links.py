@@ -16,7 +16,7 @@ from phm.probes import boot_time
 from phm.probes.adaptive_timeout import UNEVEN_S
 from phm.probes.autopilot_state import AutopilotState
 from phm.probes.blocking_call import BlockingCallWorker
-from phm.probes.ground_stations import GroundStations, StationBeat, counts_as_pilot
+from phm.probes.ground_stations import GroundStations, StationHeartbeat, counts_as_pilot
 from phm.probes.link_radio import RadioState
 from phm.probes.link_stats import LinkStats
 from phm.probes.serial_port_users import users
@@ -68,10 +68,10 @@ class Links:
         self._worker = BlockingCallWorker("ports")
         self._shown: tuple[object, ...] = ()
         self._lock = threading.RLock()
-        hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
-        hub.listen(self._hear_radio, (STATUS,))
-        hub.listen(self._hear_time, boot_time.TIMES)
-        hub.listen(self._hear_reboot, boot_time.REBOOTS)
+        hub.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
+        hub.listen(self._receive_radio, (STATUS,))
+        hub.listen(self._receive_time, boot_time.TIMES)
+        hub.listen(self._receive_reboot, boot_time.REBOOTS)
         hub.watch(self._sample)
         self._shown = self._picture()
 
@@ -109,7 +109,7 @@ class Links:
         with self._lock:
             limit_s = self._settings.radio_timeout
             facts = [
-                radio.fact(self._clock.mono(), self._not_counted_s(radio.heard_at, link, limit_s))
+                radio.fact(self._clock.mono(), self._not_counted_s(radio.received_at, link, limit_s))
                 for link, radio in self._radios.items()
             ]
         return tuple(fact for fact in facts if fact is not None)
@@ -149,10 +149,10 @@ class Links:
             )
         return tuple(found)
 
-    def _not_counted_s(self, heard_at: float, link: str, limit_s: float) -> float:
+    def _not_counted_s(self, received_at: float, link: str, limit_s: float) -> float:
         """Time since then in which PHM did not run or had not read this link: frames may wait in it. At most `limit_s`
         for a link that PHM no longer reads."""
-        return max(min(self._unread_s(link), limit_s), self._clock.late_s(heard_at, limit_s))
+        return max(min(self._unread_s(link), limit_s), self._clock.late_s(received_at, limit_s))
 
     def _unread_s(self, link: str) -> float:
         """How long an open link should have been read, and was not."""
@@ -197,9 +197,9 @@ class Links:
             lost = (pilot.silent_s > limits.autopilot_timeout, pilot.overdue)
             flying = (lost, pilot.armed, pilot.reboots, pilot.rebooting_s is None)
         ground = None if gcs is None else (gcs.silent_s > limits.gcs_timeout, gcs.overdue, gcs.left)
-        heard = self.radios()
-        unreachable = self._gcs_unreachable(self._fact(self._any_gcs), heard)
-        radios = tuple((radio.silent_s <= limits.radio_timeout, *_report(radio)) for radio in heard)
+        received = self.radios()
+        unreachable = self._gcs_unreachable(self._fact(self._any_gcs), received)
+        radios = tuple((radio.silent_s <= limits.radio_timeout, *_report(radio)) for radio in received)
         links = tuple((link.name, link.open, _gone(link)) for link in self._hub.links())
         return ground, unreachable, flying, len(self.problems()), radios, links
 
@@ -213,7 +213,7 @@ class Links:
             self._unreached = True
         return self._unreached
 
-    def _hear(self, message: Any, link: str) -> None:
+    def _receive(self, message: Any, link: str) -> None:
         now = self._clock.mono()
         system, component = message.get_srcSystem(), message.get_srcComponent()
         read_at = self._hub.read_at(link)
@@ -223,13 +223,13 @@ class Links:
                 self._doubles.append(now)
         elif self._is_pilot(message):
             if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
-                self._hear_pilot(now, message, link, stalled=stalled)
+                self._receive_pilot(now, message, link, stalled=stalled)
         elif message.type == mavlink.MAV_TYPE_GCS and system != self._system:
             # With our own system id it is a program on board that acts as a ground station.
-            self._hear_ground(now, message, link, stalled=stalled)
+            self._receive_ground(now, message, link, stalled=stalled)
         self.look()
 
-    def _hear_ground(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
+    def _receive_ground(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
         system, component = message.get_srcSystem(), message.get_srcComponent()
         leaving = message.system_status == mavlink.MAV_STATE_POWEROFF
         signed = bool(message.get_signed())
@@ -243,9 +243,9 @@ class Links:
                     if stalled:
                         stations.cadence.broke(now)
                     late_s = 0.0 if stations.last is None else self._clock.late_s(stations.last.at)
-                    stations.beat(StationBeat(now, system, component, link, signed), late_s)
+                    stations.heartbeat(StationHeartbeat(now, system, component, link, signed), late_s)
 
-    def _hear_pilot(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
+    def _receive_pilot(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
         with self._lock:
             if link not in self._pilot_links:
                 self._strays.heartbeat(now, link)
@@ -254,13 +254,13 @@ class Links:
                 self._pilot.stalled(now)
             self._pilot.heartbeat(now, message, link)
 
-    def _hear_radio(self, message: Any, link: str) -> None:
+    def _receive_radio(self, message: Any, link: str) -> None:
         asked_s = self._settings.heartbeat or default_periods(self._hub.agents)[0]
         with self._lock:
-            self._radios.setdefault(link, RadioState(link)).hear(self._clock.mono(), message, asked_s)
+            self._radios.setdefault(link, RadioState(link)).receive(self._clock.mono(), message, asked_s)
         self.look()
 
-    def _hear_time(self, message: Any, link: str) -> None:
+    def _receive_time(self, message: Any, link: str) -> None:
         boot_ms = boot_time.boot_ms(message)
         if boot_ms is not None and self._is_pilot(message):
             with self._lock:
@@ -273,7 +273,7 @@ class Links:
             if rebooted:
                 self.look()
 
-    def _hear_reboot(self, message: Any, link: str) -> None:
+    def _receive_reboot(self, message: Any, link: str) -> None:
         if link not in self._pilot_links or not self._is_pilot(message):
             return
         with self._lock:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from calendar import timegm
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +24,8 @@ CLOCK_S = 2.0
 """PHM's clock may be so far behind that of the engine, which is the same unless the engine is on another computer."""
 RESUME_S = 30.0
 """A reader that has not followed for so long after a reload is of a check that is no longer configured."""
+HAND_OVER_S = 3.0
+"""A reload waits so long for readers that read or search: longer than one search, `pattern_matcher.LIMIT_S`."""
 MOST_PARTS = 40
 """This many parts of READ_BYTES are as much as TAIL lines of LINE_CHARS."""
 _STAMPED = re.compile(rb"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?Z ?(.*)", re.DOTALL)
@@ -30,13 +33,34 @@ _STAMPED = re.compile(rb"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}
 
 @dataclass
 class _Reader:
-    """Where one reader is. since: seconds and nanoseconds of the engine's clock; lines up to then are known."""
+    """Where one reader is. since: seconds and nanoseconds of the engine's clock; lines up to then are known.
+
+    unsearched: what was read and not searched yet. skipped: bytes that were left out. failed: its last search failed.
+    """
 
     worker: BlockingCallWorker
     file: LogFile
     container: str = ""
     since: tuple[int, int] | None = None
+    unsearched: bytes = b""
+    skipped: int = 0
+    failed: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def read_on(self) -> None:
+        """Read the file. What a read that was given up finds later is there for the next one."""
+        data, skipped = self.file.read()
+        self.unsearched += data
+        self.skipped += skipped
+
+    def searched(self) -> None:
+        self.unsearched, self.skipped, self.failed = b"", 0, False
+
+    def not_searched(self) -> None:
+        """Keep the lines for another attempt, and no more than one: a pattern may always be too slow for them."""
+        if self.failed:
+            self.unsearched, self.skipped = b"", self.skipped + len(self.unsearched)
+        self.failed = not self.failed
 
 
 class Logs:
@@ -58,12 +82,14 @@ class Logs:
         self._lock = threading.Lock()
 
     def hand_over(self) -> Logs:
-        """Give up the positions, for `resume` of the probe that replaces this one. A reader that hangs in a dead mount stays here."""
+        """Give up the positions, for `resume` of the probe that replaces this one. A reader that is busy for longer than
+        HAND_OVER_S, as in a dead mount, stays here."""
         given = Logs(self._engine, self._container, self._clock, self._matcher)
+        until = time.monotonic() + HAND_OVER_S  # of all readers together
         with self._lock:
             given._memories = self._memories
             for name, place in list(self._readers.items()):
-                if place.lock.acquire(timeout=0.1):
+                if place.lock.acquire(timeout=max(0.1, until - time.monotonic())):
                     given._readers[name] = self._readers.pop(name)
                     place.lock.release()
             self._forget_absent()
@@ -105,11 +131,17 @@ class Logs:
             place = self._readers.get(reader) or self._reader(reader, path, container)
         with place.lock:
             if container:
-                data, skipped = self._docker_log(place, container, timeout_s), 0
+                place.unsearched += self._docker_log(place, container, timeout_s)
             else:
-                data, skipped = place.worker.call(place.file.read, timeout_s)
-        lines = [line[:LINE_CHARS] for line in data.decode("utf-8", "replace").splitlines()]
-        found = self._matcher.search(patterns, lines)
+                place.worker.call(place.read_on, timeout_s)
+            lines = [line[:LINE_CHARS] for line in place.unsearched.decode("utf-8", "replace").splitlines()]
+            try:
+                found = self._matcher.search(patterns, lines)
+            except CannotTell:
+                place.not_searched()
+                raise
+            skipped = place.skipped
+            place.searched()
         last = tuple(lines[index] if index >= 0 else "" for _, index in found)
         return LogFact(len(lines), tuple(count for count, _ in found), last, skipped)
 
@@ -146,7 +178,7 @@ class Logs:
                 f"the newest line of its log is from {ahead_s:.0f} s after the present time: the clock was set back"
             )
         found, place.since = self._newer(fact.id, place.since, timeout_s)
-        return b"\n".join(found)
+        return b"".join(line + b"\n" for line in found)
 
     def _newer(self, container: str, known: tuple[int, int], timeout_s: float) -> tuple[list[bytes], tuple[int, int]]:
         """Lines that are newer, without their timestamps, and the time of the newest."""

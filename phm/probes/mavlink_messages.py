@@ -31,7 +31,7 @@ class _Key(NamedTuple):
     instance: int | None
 
 
-class _Heard(NamedTuple):
+class _Received(NamedTuple):
     at: float
     message: Any
     link: str
@@ -61,10 +61,10 @@ class MavlinkMessages:
         self._wanted = frozenset((entry.message, entry.component) for entry in checks)
         self._periods = _periods(entry for entry in checks if entry.message in self._classes)
         self._requested: dict[tuple[str, int], float] = {}
-        self._heard: dict[_Key, _Heard] = {}
+        self._received: dict[_Key, _Received] = {}
         self._lock = threading.Lock()
         if self._names:
-            hub.listen(self._hear, self._names)
+            hub.listen(self._receive, self._names)
         if self._periods:
             hub.watch(self._request)
 
@@ -73,23 +73,25 @@ class MavlinkMessages:
         if kind is None:
             return ()
         with self._lock:
-            heard = [
-                (key, one) for key, one in self._heard.items() if (key.message, key.component) == (message, component)
+            received = [
+                (key, one)
+                for key, one in self._received.items()
+                if (key.message, key.component) == (message, component)
             ]
-        found = [self._value(kind, field, key, one) for key, one in heard if instance in (None, key.instance)]
+        found = [self._value(kind, field, key, one) for key, one in received if instance in (None, key.instance)]
         return tuple(sorted(found, key=lambda value: value.instance or 0))
 
-    def _value(self, kind: Any, field: str, key: _Key, heard: _Heard) -> MessageValue:
+    def _value(self, kind: Any, field: str, key: _Key, received: _Received) -> MessageValue:
         name, bracket, index = field.partition("[")
-        raw = getattr(heard.message, name)
+        raw = getattr(received.message, name)
         raw = raw[int(index.rstrip("]"))] if bracket else raw
-        age_s = self._clock.mono() - heard.at
-        late_s = max(self._unread_s(heard.link), self._clock.late_s(heard.at))
+        age_s = self._clock.mono() - received.at
+        late_s = max(self._unread_s(received.link), self._clock.late_s(received.at))
         if isinstance(raw, str):
-            return MessageValue(age_s, None, raw[:MAX_TEXT], False, "", key.instance, heard.link, min(age_s, late_s))
+            return MessageValue(age_s, None, raw[:MAX_TEXT], False, "", key.instance, received.link, min(age_s, late_s))
         unknown, unit = not_known(key.message, name, raw), str(kind.fieldunits_by_name.get(name, ""))
         number, text = (None, f"{raw:g}") if unknown else (float(raw), "")
-        return MessageValue(age_s, number, text, unknown, unit, key.instance, heard.link, min(age_s, late_s))
+        return MessageValue(age_s, number, text, unknown, unit, key.instance, received.link, min(age_s, late_s))
 
     def _unread_s(self, link: str) -> float:
         """How long an open link should have been read, and was not."""
@@ -98,16 +100,16 @@ class MavlinkMessages:
 
     # ------------------------------------------------------------ from the endpoints' threads
 
-    def _hear(self, message: Any, link: str) -> None:
+    def _receive(self, message: Any, link: str) -> None:
         name, component = self._names[message.get_msgId()], message.get_srcComponent()
         if link not in self._links or message.get_srcSystem() != self._system or (name, component) not in self._wanted:
             return
         field = self._classes[name].instance_field
         key = _Key(name, component, None if field is None else int(getattr(message, field)))
         with self._lock:
-            several = sum((one.message, one.component) == (name, component) for one in self._heard)
-            if key in self._heard or several < MOST_INSTANCES:
-                self._heard[key] = _Heard(self._clock.mono(), message, link)
+            several = sum((one.message, one.component) == (name, component) for one in self._received)
+            if key in self._received or several < MOST_INSTANCES:
+                self._received[key] = _Received(self._clock.mono(), message, link)
 
     def _request(self) -> None:
         """Request what does not arrive by the link of the autopilot's newest HEARTBEAT."""
@@ -117,7 +119,7 @@ class MavlinkMessages:
         for (name, component), period_s in self._periods.items():
             with self._lock:
                 times = [
-                    one.at for key, one in self._heard.items() if (key.message, key.component) == (name, component)
+                    one.at for key, one in self._received.items() if (key.message, key.component) == (name, component)
                 ]
             limit_s = max(MISSING_S, MISSING_PERIODS * period_s)
             sent = self._requested.get((name, component), float("-inf"))

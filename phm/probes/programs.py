@@ -13,7 +13,7 @@ from pathlib import Path
 
 from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact, NotPermitted, ProcessFact, ProgramFact
-from phm.transport.docker import NEVER_STARTED, DockerEngine, EngineMissing
+from phm.transport.docker import NEVER_STARTED, DockerEngine, EngineMissing, EngineTimeout
 
 AT_ONCE = 4
 """This many programs run beside PHM at a time."""
@@ -22,6 +22,8 @@ OUTPUT_BYTES = 16 << 10
 MOST_PROCESSES = 4096
 ENVIRONMENT = {"PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LANG": "C.UTF-8", "HOME": "/"}
 """All that a program gets: PHM's own environment may hold keys."""
+_LATE_S = 60.0
+"""A busy engine may start a program so long after PHM has given it up."""
 _ENDED_S = 0.2
 """How often a program is looked for that closed its output, or ended while a child of it holds the output open."""
 
@@ -39,7 +41,8 @@ class Programs:
         self._engine, self._container, self._clock, self._proc = engine, container, clock, proc
         self._free = threading.BoundedSemaphore(AT_ONCE)
         self._locks: dict[str, threading.Lock] = {}
-        self._unfinished: dict[tuple[str, tuple[str, ...]], str] = {}
+        self._unfinished: dict[tuple[str, tuple[str, ...]], tuple[str, float]] = {}
+        """The id of a program that is not known to have ended, and until when the engine may still start it."""
         self._running: set[int] = set()
         self._closed = False
         self._lock = threading.Lock()
@@ -85,8 +88,12 @@ class Programs:
         key, began = (container, tuple(argv)), self._clock.mono()
         self._demand_ended(key, fact)
         made = self._engine.exec_create(fact.id, argv)
-        self._unfinished[key] = made
-        output, errors = self._engine.exec_read(made, OUTPUT_BYTES, deadline_s=max(0.1, until - self._clock.mono()))
+        self._unfinished[key] = (made, began)
+        try:
+            output, errors = self._engine.exec_read(made, OUTPUT_BYTES, deadline_s=max(0.1, until - self._clock.mono()))
+        except EngineTimeout:
+            self._unfinished[key] = (made, self._clock.mono() + _LATE_S)
+            raise
         code = self._engine.exec_exit_code(made)
         if code is None:
             raise CannotTell(f"{argv[0]} closed its output in {container} and still runs")
@@ -104,9 +111,13 @@ class Programs:
         earlier = self._unfinished.get(key)
         if earlier is None:
             return
+        program, late_s = earlier
         with contextlib.suppress(EngineMissing, NotPermitted):
-            if self._engine.exec_exit_code(earlier) is None:
+            code = self._engine.exec_exit_code(program)
+            if code is None:
                 raise CannotTell(f"{key[1][0]} of an earlier run has not ended in {key[0]}")
+            if code == NEVER_STARTED and self._clock.mono() < late_s:
+                raise CannotTell(f"the Docker Engine may still start {key[1][0]} of an earlier run in {key[0]}")
         del self._unfinished[key]
 
     # ------------------------------------------------------------ beside PHM

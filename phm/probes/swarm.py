@@ -65,7 +65,7 @@ class SwarmMonitor:
         """Each agent's state, and since when it has it."""
         self._lock = threading.Lock()
         hub.set_agent_count(self._agents)
-        hub.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
+        hub.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
         hub.watch(self.wake_if_changed)
 
     def look(self) -> SwarmFact:
@@ -79,14 +79,14 @@ class SwarmMonitor:
         return fact
 
     def _look(self) -> SwarmFact:
-        now, gcs = self._clock.mono(), self._hears_ground()
+        now, gcs = self._clock.mono(), self._receives_ground()
         closed = {link.name for link in self._hub.links() if not link.open}
         with self._lock:
             self._agents = self._agent_count.update(self._peers.agents_on_links(now), now)
             period_s = self._period_s(self._agents)
             self._fresh_s = min(FRESH_S, FRESH_PERIODS * period_s)
-            hears = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
-            self._peers.watch(now, period_s, hears=hears)
+            receives = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
+            self._peers.watch(now, period_s, receives=receives)
             agreed = compute_consensus(self._peers, now, gcs)
             leader = self._election.leader(agreed, gcs, now)
             duplicate_ids, unlisted = self._peers.duplicate_ids(now), self._peers.unlisted(now)
@@ -117,7 +117,7 @@ class SwarmMonitor:
 
     def _compare(self, fact: SwarmFact) -> None:
         picture = (
-            {agent: (peer.state, peer.heard_by, peer.gcs) for agent, peer in fact.peers.items()},
+            {agent: (peer.state, peer.received_by, peer.gcs) for agent, peer in fact.peers.items()},
             fact.split,
             fact.no_gcs,
             fact.duplicate_ids,
@@ -130,19 +130,19 @@ class SwarmMonitor:
 
     # ------------------------------------------------------------ from the endpoints' threads
 
-    def _hear(self, message: Any, link: str) -> None:
+    def _receive(self, message: Any, link: str) -> None:
         agent = message.get_srcSystem()
         if agent == self._own or message.get_srcComponent() != self._component:
             return
         if self._signed and not message.get_signed():
             return
         beat = message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
-        heard = self._heartbeat(agent, message, link) if beat else self._tunnel(agent, message)
-        if heard is None:
+        received = self._heartbeat(agent, message, link) if beat else self._tunnel(agent, message)
+        if received is None:
             return
         with self._lock:
             self._links[link] = self._clock.mono()
-        if heard:
+        if received:
             self._fresh = (0.0, None)
             self._on_wake()
 
@@ -173,7 +173,7 @@ class SwarmMonitor:
         with self._lock:
             return self._peers.add_view(agent, content, self._clock.mono())
 
-    def _hears_ground(self) -> bool:
+    def _receives_ground(self) -> bool:
         age_s = self._gcs_age_s()
         return age_s is not None and age_s <= self._gcs_timeout_s and not self._gcs_unreachable()
 
@@ -187,12 +187,12 @@ class SwarmMonitor:
 
     def _peer(self, agent: int, agreed: Consensus, now: float) -> PeerFact:
         status, peer = agreed.statuses[agent], self._peers.peer(agent)
-        age_s = None if peer is None or peer.heard_s is None else now - peer.heard_s
+        age_s = None if peer is None or peer.received_s is None else now - peer.received_s
         return PeerFact(
             status.state.value,
             age_s,
-            status.heard_by,
-            status.not_heard_by,
+            status.received_by,
+            status.not_received_by,
             status.gcs,
             status.word,
             now - self._since[agent][1],

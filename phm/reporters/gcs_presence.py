@@ -16,17 +16,17 @@ class GcsPresence:
 
     def __init__(self, own: int, timeout_s: float) -> None:
         self._own, self._timeout_s = own, timeout_s
-        self._heard: OrderedDict[tuple[int, int], float] = OrderedDict()
+        self._received: OrderedDict[tuple[int, int], float] = OrderedDict()
 
     def appears(self, message: Any, now: float) -> bool:
         """Whether this HEARTBEAT is from a ground station that is new or back."""
         if message.type != mavlink.MAV_TYPE_GCS or message.get_srcSystem() == self._own:
             return False
         sender = (message.get_srcSystem(), message.get_srcComponent())
-        heard = self._heard.pop(sender, None)
+        received = self._received.pop(sender, None)
         if message.system_status == mavlink.MAV_STATE_POWEROFF:
             return False  # it ends; when it is back, it is new
-        self._heard[sender] = now
-        while len(self._heard) > MAX_STATIONS:
-            self._heard.popitem(last=False)
-        return heard is None or now - heard > self._timeout_s
+        self._received[sender] = now
+        while len(self._received) > MAX_STATIONS:
+            self._received.popitem(last=False)
+        return received is None or now - received > self._timeout_s

@@ -29,8 +29,8 @@ from phm.core.model import (
 )
 from phm.reporters.base import Reporter, ReporterContext
 from phm.reporters.flights import FlightChange, FlightCounter
-from phm.reporters.heard_heartbeats import HeardHeartbeats
 from phm.reporters.own_cost import own_cost
+from phm.reporters.received_heartbeats import ReceivedHeartbeats
 from phm.reporters.rotating_file import RotatingFile
 from phm.reporters.text_log_format import MAX_BYTES, TextLogFormatter, closed_kind, encode, note_kind, unit_kind
 from phm.wire.json_log import VERSION
@@ -74,7 +74,7 @@ class LogReporter(Reporter):
             lost_line=_lost_json,
             compress=True,
         )
-        self._heard = HeardHeartbeats(context.mavlink, clock)
+        self._received = ReceivedHeartbeats(context.mavlink, clock)
         start = {"version": __version__, "pid": os.getpid(), "interval_s": settings.interval}
         start["machine_boot"] = context.machine_boot
         self._put(clock.stamp(), "start", "PHM", start)
@@ -96,8 +96,8 @@ class LogReporter(Reporter):
         change = self._flights.update(armed, self._context.clock.mono())
         if change is not None:
             self._mark(change)
-        if frames := self._heard.take():
-            self._put(self._context.clock.stamp(), "heard", "PHM", {"frames": frames})
+        if frames := self._received.take():
+            self._put(self._context.clock.stamp(), "received", "PHM", {"frames": frames})
         self._record.retry()
         self._plain.retry()
         if self._sync == "always" or (self._sync == "auto" and armed is not False):

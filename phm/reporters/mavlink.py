@@ -40,7 +40,7 @@ needs for a heartbeat and a refresh."""
 
 
 class MavlinkReporter(Reporter):
-    """See the module. All but `_hear` runs in the bus's thread for this reporter."""
+    """See the module. All but `_receive` runs in the bus's thread for this reporter."""
 
     name = "mavlink"
     period_s: ClassVar[float | None] = 0.2
@@ -59,7 +59,7 @@ class MavlinkReporter(Reporter):
         self._full_at: float | None = None
         self._last_full = float("-inf")
         self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
-        port.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
+        port.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
     @classmethod
     def build(cls, context: ReporterContext) -> MavlinkReporter | None:
@@ -111,7 +111,7 @@ class MavlinkReporter(Reporter):
         soon = self._context.clock.mono() + SPREAD_S * self._agent
         self._full_at = max(soon, self._last_full + FULL_EVERY_S)
 
-    def _hear(self, message: Any, link: str) -> None:
+    def _receive(self, message: Any, link: str) -> None:
         """A HEARTBEAT, in an endpoint's thread."""
         if self._stations.appears(message, self._context.clock.mono()):
             self.gcs_appeared()

@@ -33,7 +33,7 @@ RELAY = "relay "
 
 
 class SwarmReporter(Reporter):
-    """See the module. All but `_hear` runs in the bus's thread for this reporter."""
+    """See the module. All but `_receive` runs in the bus's thread for this reporter."""
 
     name = "swarm"
     period_s: ClassVar[float | None] = 0.4
@@ -52,7 +52,7 @@ class SwarmReporter(Reporter):
         self._spoke, self._damper = False, FlapDamper()
         self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
         self._appeared = threading.Event()
-        port.listen(self._hear, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
+        port.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
     @classmethod
     def build(cls, context: ReporterContext) -> SwarmReporter | None:
@@ -85,7 +85,7 @@ class SwarmReporter(Reporter):
             self._sent_line = ""
             self._relay(fact, now)
 
-    def _hear(self, message: Any, link: str) -> None:
+    def _receive(self, message: Any, link: str) -> None:
         """A HEARTBEAT, in an endpoint's thread."""
         if self._stations.appears(message, self._context.clock.mono()):
             self._appeared.set()
@@ -97,7 +97,7 @@ class SwarmReporter(Reporter):
 
     def _view(self, fact: SwarmFact, now: float) -> None:
         autopilot, radio = (ask is not None and ask() for ask in (self._context.autopilot, self._context.radio))
-        seen = {agent: _seen(peer.state, self._agent in peer.heard_by) for agent, peer in fact.peers.items()}
+        seen = {agent: _seen(peer.state, self._agent in peer.received_by) for agent, peer in fact.peers.items()}
         said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())))
         heartbeat_s = self._heartbeat_s()
         since_s = now - self._view_at
@@ -145,7 +145,7 @@ class SwarmReporter(Reporter):
             said = digest.worst_slot(peer.word, no_gcs=True)
             if agent not in self._relayed or self._relayed[agent][0] != said:
                 self._relayed[agent] = (said, now)
-                text, severity = digest.relay_line(agent, peer.heard_by, peer.word), digest.relay_severity(peer.word)
+                text, severity = digest.relay_line(agent, peer.received_by, peer.word), digest.relay_severity(peer.word)
                 lines.append(StatusTextLine(f"{RELAY}{agent}", severity, text))
         for agent in [agent for agent in self._relayed if agent not in fact.no_gcs]:
             del self._relayed[agent]
@@ -165,16 +165,16 @@ class SwarmReporter(Reporter):
         self._port.send(message, kind, key=key, urgency=int(severity))
 
 
-def _seen(state: str, heard: bool) -> PeerState:
+def _seen(state: str, received: bool) -> PeerState:
     """Its state as seen by this agent alone: the consensus must not count as evidence for itself."""
     if state == MemberState.NEVER.value:
         return PeerState.NEVER
-    return PeerState.ALIVE if heard else PeerState.LOST
+    return PeerState.ALIVE if received else PeerState.LOST
 
 
 def _consensus(fact: SwarmFact) -> Consensus:
     statuses = {
-        agent: MemberStatus(MemberState(peer.state), peer.heard_by, peer.not_heard_by, peer.gcs, peer.word)
+        agent: MemberStatus(MemberState(peer.state), peer.received_by, peer.not_received_by, peer.gcs, peer.word)
         for agent, peer in fact.peers.items()
     }
     return Consensus(fact.own, statuses, split=fact.split)

@@ -85,7 +85,7 @@ class Run:
     armed: list[tuple[float, bool]] = field(default_factory=list)
     """(mono, whether the autopilot was armed), when a line of its check says something new: for logs without flights."""
     cost: Cost = field(default_factory=Cost)
-    heard: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
+    received: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
     """When which frames were received, by system, component and frame number: monotonic seconds."""
     series: dict[str, Series] = field(default_factory=dict)
     unplotted: set[str] = field(default_factory=set)
@@ -140,8 +140,8 @@ class Run:
             had = self.boots.setdefault(number, seen)
             self.boots[number] = [had[0] + seen[0], min(had[1], seen[1]), max(had[2], seen[2])]
         self.cost.merge(other.cost)
-        for frame, times in other.heard.items():
-            self.heard[frame] = sorted({*self.heard.get(frame, []), *times})
+        for frame, times in other.received.items():
+            self.received[frame] = sorted({*self.received.get(frame, []), *times})
         for name, series in other.series.items():
             kept = self.series_of(name, series)
             if kept is not None and kept is not series:

@@ -41,12 +41,12 @@ Observed = dict[Key, list[float]]
 
 
 @dataclass
-class _Heard:
-    """What the grounds have of one agent, by their clocks. heard: when they received it; cover: when they recorded; armed: whether
+class _Received:
+    """What the grounds have of one agent, by their clocks. received: when they received it; cover: when they recorded; armed: whether
     they received its autopilot."""
 
     seen: Observed = field(default_factory=dict)
-    heard: list[Span] = field(default_factory=list)
+    received: list[Span] = field(default_factory=list)
     cover: list[Span] = field(default_factory=list)
     armed: bool = False
 
@@ -78,42 +78,44 @@ def align(runs: Sequence[tuple[Run, RunClock]], grounds: Sequence[tuple[GroundRu
     agents: dict[tuple[str, int], list[_Group]] = {}
     for members in together.values():
         agents.setdefault((members[0][0].agent, members[0][0].agent_id), []).append(_group(members))
-    known: dict[int, _Heard] = {}
+    known: dict[int, _Received] = {}
     for (_, number), groups in agents.items():
         if number not in known:
-            known[number] = _heard(grounds, number)
+            known[number] = _received(grounds, number)
         for group in groups:
             _find(group, known[number])
         _place(groups)
 
 
-def _find(group: _Group, heard: _Heard) -> None:
+def _find(group: _Group, received: _Received) -> None:
     """The offset for which there is enough evidence, into `group.found`."""
-    common = group.seen.keys() & heard.seen.keys()
-    agreed = candidate([theirs - own for key in common for theirs, own in compared(heard.seen[key], group.seen[key])])
+    common = group.seen.keys() & received.seen.keys()
+    agreed = candidate(
+        [theirs - own for key in common for theirs, own in compared(received.seen[key], group.seen[key])]
+    )
     if agreed is None:
         _say(group, SEVERAL if common else NOTHING)
         return
-    mine, theirs = _weights(group, heard, agreed[0])
-    if why := too_little(agreed[0], mine, theirs, overlapping=bool(both(heard.cover, group.cover))):
+    mine, theirs = _weights(group, received, agreed[0])
+    if why := too_little(agreed[0], mine, theirs, overlapping=bool(both(received.cover, group.cover))):
         _say(group, f"its own clock: of the lines and armings that the ground also received, {why}")
         return
     group.found, group.votes = agreed, min(len(mine.agreed), len(theirs.agreed))
 
 
-def _weights(group: _Group, heard: _Heard, offset_s: float) -> tuple[Weight, Weight]:
+def _weights(group: _Group, received: _Received, offset_s: float) -> tuple[Weight, Weight]:
     """For and against an offset: of what the log has, and of what the ground has."""
-    armed = group.armed and heard.armed
+    armed = group.armed and received.armed
 
-    def received(key: Key, at: float) -> bool:
-        return (armed or key[0] != ARMED) and within(heard.heard, at, WINDOW_S)
+    def was_received(key: Key, at: float) -> bool:
+        return (armed or key[0] != ARMED) and within(received.received, at, WINDOW_S)
 
     def logged(key: Key, at: float) -> bool:
         """What still fails is sent again to a later ground station: the log has no new line of that."""
         again = within(group.failing.get(key, ()), at)
         return (armed or key[0] != ARMED) and within(group.cover, at, WINDOW_S) and not again
 
-    return weigh(group.seen, heard.seen, offset_s, received), weigh(heard.seen, group.seen, -offset_s, logged)
+    return weigh(group.seen, received.seen, offset_s, was_received), weigh(received.seen, group.seen, -offset_s, logged)
 
 
 def _place(groups: Sequence[_Group]) -> None:
@@ -181,8 +183,8 @@ def _group(members: list[tuple[Run, RunClock]]) -> _Group:
     return made
 
 
-def _heard(grounds: Iterable[tuple[GroundRun, RunClock]], agent: int) -> _Heard:
-    found = _Heard()
+def _received(grounds: Iterable[tuple[GroundRun, RunClock]], agent: int) -> _Received:
+    found = _Received()
     for ground, clock in grounds:
         for mono, which, slot, word, brief in ground.texts:
             if which == agent and word in WORDS:
@@ -195,14 +197,14 @@ def _heard(grounds: Iterable[tuple[GroundRun, RunClock]], agent: int) -> _Heard:
                     found.seen.setdefault((ARMED, armed), []).append(clock.t(mono))
                 was = armed
         found.cover += [[clock.t(begin), clock.t(end)] for begin, end in ground.cover.spans]
-        found.heard += [[clock.t(begin), clock.t(end)] for begin, end in _received(ground, agent)]
-    found.cover, found.heard = joined(found.cover), joined(found.heard)
+        found.received += [[clock.t(begin), clock.t(end)] for begin, end in _spans(ground, agent)]
+    found.cover, found.received = joined(found.cover), joined(found.received)
     for times in found.seen.values():
         times.sort()
     return found
 
 
-def _received(ground: GroundRun, agent: int) -> list[Span]:
+def _spans(ground: GroundRun, agent: int) -> list[Span]:
     """When the ground received this agent: from its first line on, without the times for which it was lost."""
     edges = sorted(
         (mono, said == "alive", silent_s) for mono, which, said, silent_s in ground.presence if which == agent

@@ -40,25 +40,25 @@ class GroundRun:
     armed: list[tuple[float, int, bool]] = field(default_factory=list)
     bytes_of: dict[int, int] = field(default_factory=dict)
     """Bytes of the lines of text received from each agent."""
-    received: list[tuple[float, int, int]] = field(default_factory=list)
+    text_bytes: list[tuple[float, int, int]] = field(default_factory=list)
     """Entries (mono, agent, bytes) of these lines."""
     untimed: int = 0
     """Number of these lines without an entry."""
     names: dict[int, str] = field(default_factory=dict)
     series: dict[str, Series] = field(default_factory=dict)
-    heard: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
+    received: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
     """When which heartbeats were received or sent, by system, component and frame number."""
 
     def take(self, event: Event) -> None:
         self.lines += 1
         self.cover.add(event.mono)
-        if event.event not in ("snapshot", "alive", "heard", "samples"):
+        if event.event not in ("snapshot", "alive", "received", "samples"):
             self.numbers.add(float(event.seq))
         difference = event.utc_s - event.mono
         if (not self.clock or abs(difference - self.clock[-1][1]) > 0.2) and len(self.clock) < 1000:
             self.clock.append((event.mono, difference))
-        if event.event == "heard":
-            self._heard(event)
+        if event.event == "received":
+            self._received(event)
         elif len(self.texts) + len(self.levels) + len(self.presence) + len(self.armed) > MOST_EVENTS:
             self.left_out += 1
         elif event.event == "autopilot":
@@ -81,13 +81,13 @@ class GroundRun:
         self.levels = sorted({*self.levels, *other.levels})
         self.texts = sorted({*self.texts, *other.texts})
         self.armed = sorted({*self.armed, *other.armed})
-        room = max(0, MOST_EVENTS - len(self.received))
-        self.untimed += other.untimed + len(other.received[room:])
-        self.received += other.received[:room]
+        room = max(0, MOST_EVENTS - len(self.text_bytes))
+        self.untimed += other.untimed + len(other.text_bytes[room:])
+        self.text_bytes += other.text_bytes[:room]
         for agent, count in other.bytes_of.items():
             self.bytes_of[agent] = self.bytes_of.get(agent, 0) + count
-        for frame, times in other.heard.items():
-            self.heard[frame] = sorted({*self.heard.get(frame, []), *times})
+        for frame, times in other.received.items():
+            self.received[frame] = sorted({*self.received.get(frame, []), *times})
         self.names = {**other.names, **self.names}
         for name, series in other.series.items():
             if name in self.series:
@@ -105,17 +105,17 @@ class GroundRun:
         elif event.event == "text" and event.phm:
             if len(self.bytes_of) < 300:
                 self.bytes_of[agent] = self.bytes_of.get(agent, 0) + len(event.text) + 4
-            if len(self.received) < MOST_EVENTS:
-                self.received.append((event.mono, agent, len(event.text) + 4))
+            if len(self.text_bytes) < MOST_EVENTS:
+                self.text_bytes.append((event.mono, agent, len(event.text) + 4))
             else:
                 self.untimed += 1
             if event.kind == "change" and not event.repeat and event.slot is not None and event.brief:
                 self.texts.append((event.mono, agent, event.slot, str(event.word or ""), event.brief))
 
-    def _heard(self, event: Event) -> None:
+    def _received(self, event: Event) -> None:
         for system, component, number, mono in event.frames[:MOST_FRAMES]:
-            if len(self.heard) < MOST_EVENTS and 0.0 <= mono < LATEST_S:
-                times = self.heard.setdefault((system, component, number), [])
+            if len(self.received) < MOST_EVENTS and 0.0 <= mono < LATEST_S:
+                times = self.received.setdefault((system, component, number), [])
                 if len(times) < MOST_FRAMES:
                     times.append(mono)
 

@@ -82,6 +82,6 @@ def _text_bytes(record: Record, agent: int, begin: float, end: float, *, whole: 
     return sum(
         size
         for ground, clock in record.grounds
-        for mono, which, size in ground.received
+        for mono, which, size in ground.text_bytes
         if which == agent and begin <= clock.t(mono) <= end
     )

@@ -206,10 +206,10 @@ class Part:
         run.version, run.interval_s, run.started = event.version[:40], event.interval_s, event.mono
         run.machine_boot = event.machine_boot[:40]
 
-    def _heard(self, run: Run, event: Event) -> None:
+    def _received(self, run: Run, event: Event) -> None:
         for system, component, number, mono in event.frames[:MOST_FRAMES]:
-            if len(run.heard) < MOST_EVENTS and 0.0 <= mono < LATEST_S:
-                times = run.heard.setdefault((system, component, number), [])
+            if len(run.received) < MOST_EVENTS and 0.0 <= mono < LATEST_S:
+                times = run.received.setdefault((system, component, number), [])
                 if len(times) < MOST_FRAMES:
                     times.append(mono)
 
@@ -284,6 +284,6 @@ _HANDLERS: dict[str, Callable[[Part, Run, Event], None]] = {
     "hold": Part._mark,
     "note": Part._mark,
     "lost": Part._mark,
-    "heard": Part._heard,
+    "received": Part._received,
     "cost": Part._cost,
 }

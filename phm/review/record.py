@@ -104,7 +104,7 @@ def build(part: Part) -> Record:
             agent.name = f"{agent.name} (id {number})"
         _join(agent)
     for number in sorted(
-        {agent for ground, _ in grounds for agent in _heard(ground)} - {agent.id for agent in agents.values()}
+        {agent for ground, _ in grounds for agent in _received(ground)} - {agent.id for agent in agents.values()}
     ):
         agents["", number] = AgentRecord(
             next((g.names[number] for g, _ in grounds if number in g.names), f"A{number:02d}"), number
@@ -126,7 +126,7 @@ def build(part: Part) -> Record:
     return Record(every, grounds, part, others, external_clocks, names_of)
 
 
-def _heard(ground: GroundRun) -> set[int]:
+def _received(ground: GroundRun) -> set[int]:
     return {agent for _, agent, _ in ground.levels} | {agent for _, agent, _, _ in ground.presence}
 
 

@@ -87,7 +87,7 @@ class MainLoop:
             self._wake.clear()
 
     def _note_suspension(self, now: float, waited_s: float) -> None:
-        stopped = self._watchdog is not None and self._watchdog.beat()
+        stopped = self._watchdog is not None and self._watchdog.heartbeat()
         paused_s, self.last_iteration = now - self.last_iteration, now
         if stopped or paused_s - waited_s > SUSPENDED_S:
             self.suspension = Suspension(now, paused_s, stopped)

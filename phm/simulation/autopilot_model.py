@@ -21,7 +21,7 @@ TIMESYNC_S = 10.0
 PARAMETERS_S = 30.0
 BOOT_S = 6.0
 """Silence of a reboot. A real one: 6.2 s, then one more second until the first HEARTBEAT."""
-FIRST_BEAT_S, READY_S = 1.0, 2.4
+FIRST_HEARTBEAT_S, READY_S = 1.0, 2.4
 """From the end of that silence: the first HEARTBEAT, which says BOOT, and the end of its start."""
 DISARMED = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | 16
 COPTER_LOITER = 5
@@ -62,14 +62,14 @@ class AutopilotModel:
             mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._position,
         }
-        self._start(now, first_beat_s=0.0)
+        self._start(now, first_heartbeat_s=0.0)
 
-    def _start(self, now: float, *, first_beat_s: float) -> None:
+    def _start(self, now: float, *, first_heartbeat_s: float) -> None:
         self._started = now
         self._streams: dict[Hashable, dict[int, _Stream]] = {}
         self._texts = [(now + 0.2, "Calibrating barometer"), (now + READY_S, "ArduPilot Ready")]
         self._due = {
-            self._heartbeat: (now + first_beat_s, HEARTBEAT_S),
+            self._heartbeat: (now + first_heartbeat_s, HEARTBEAT_S),
             self._timesync: (now + TIMESYNC_S, TIMESYNC_S),
             self._parameter: (now + PARAMETERS_S, PARAMETERS_S),
         }
@@ -84,7 +84,7 @@ class AutopilotModel:
             return False
         self._boot_until, self.armed = None, False
         self._mav.seq = 0
-        self._start(now, first_beat_s=FIRST_BEAT_S)
+        self._start(now, first_heartbeat_s=FIRST_HEARTBEAT_S)
         return True
 
     @property

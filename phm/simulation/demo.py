@@ -19,7 +19,7 @@ FAULTS = (
 )
 """(Seconds after the start, what happens then)."""
 CONFIGURATION = Path(__file__).with_name("demo.yaml")
-_END_S = 5.0
+_END_S = 15.0
 
 
 @dataclass(frozen=True, slots=True)

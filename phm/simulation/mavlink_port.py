@@ -184,7 +184,7 @@ class Port:
         if not data:
             self._drop(sock)
             return []
-        return self._heard(sock, peer, data)
+        return self._received(sock, peer, data)
 
     def send(self, frame: bytes, *, spoken_only: bool = False, but: Hashable = None) -> None:
         """Send to every peer except `but`; `spoken_only` leaves out those that never sent a frame."""
@@ -209,10 +209,10 @@ class Port:
                 peer = self.peers[sender] = RemoteSystem(self._main, sender)
                 while len(self.peers) > 16:
                     self.peers.pop(next(iter(self.peers)))
-        return self._heard(sender, peer, data)
+        return self._received(sender, peer, data)
 
     @staticmethod
-    def _heard(key: Hashable, peer: RemoteSystem, data: bytes) -> list[tuple[Hashable, Any]]:
+    def _received(key: Hashable, peer: RemoteSystem, data: bytes) -> list[tuple[Hashable, Any]]:
         found = messages(peer.decoder, data)
         peer.spoken = peer.spoken or bool(found)
         return [(key, message) for message in found]

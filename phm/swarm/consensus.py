@@ -35,13 +35,13 @@ class MemberState(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class MemberStatus:
-    """Consensus about one agent. `heard_by`, `not_heard_by`: observers; where all agree, `heard_by` is all of them and may
+    """Consensus about one agent. `received_by`, `not_received_by`: observers; where all agree, `received_by` is all of them and may
     include the agent itself. `gcs`: whether it receives a ground station, None if unknown.
     """
 
     state: MemberState
-    heard_by: tuple[int, ...] = ()
-    not_heard_by: tuple[int, ...] = ()
+    received_by: tuple[int, ...] = ()
+    not_received_by: tuple[int, ...] = ()
     gcs: bool | None = None
     word: int = 0
 
@@ -118,32 +118,34 @@ def _unanimous(
 def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], peers: Peers, now: float) -> MemberStatus:
     peer = peers.peer(agent)
     assert peer is not None
-    heard, not_hearing = ([peers.own], []) if how in THERE else ([], [peers.own])
+    received, not_receiving = ([peers.own], []) if how in THERE else ([], [peers.own])
     for observer, view in views.items():
         if observer == agent:
             continue
-        (heard if agent in view.there else not_hearing).append(observer)
+        (received if agent in view.there else not_receiving).append(observer)
     own_word = views.get(agent)
-    words = (tuple(sorted(heard)), tuple(sorted(not_hearing)), own_word.gcs if own_word else None, peer.word)
+    words = (tuple(sorted(received)), tuple(sorted(not_receiving)), own_word.gcs if own_word else None, peer.word)
     if peer.leaving and how is PeerState.LOST:
         return MemberStatus(MemberState.LEFT, *words)
-    if not heard:
+    if not received:
         ever = how is not PeerState.NEVER or any(
             view.peers.get(agent, PeerState.NEVER) is not PeerState.NEVER for view in views.values()
         )
         return MemberStatus(MemberState.LOST if ever else MemberState.NEVER, *words)
-    if len(not_hearing) > len(heard) and how is not PeerState.ALIVE:
+    if len(not_receiving) > len(received) and how is not PeerState.ALIVE:
         return MemberStatus(MemberState.LOST, *words)
-    if not_hearing:
+    if not_receiving:
         return MemberStatus(MemberState.PARTLY, *words)
     return MemberStatus(MemberState.LATE if how is PeerState.LATE else MemberState.ALIVE, *words)
 
 
 def _together(lost: list[int], peers: Peers) -> tuple[int, ...]:
     """The largest group of two or more lost agents that became silent within SPLIT_S of each other; else empty."""
-    times = sorted((peer.heard_s, agent) for agent in lost if (peer := peers.peer(agent)) and peer.heard_s is not None)
+    times = sorted(
+        (peer.received_s, agent) for agent in lost if (peer := peers.peer(agent)) and peer.received_s is not None
+    )
     best: list[int] = []
     for start, (began, _) in enumerate(times):
-        group = [agent for heard, agent in times[start:] if heard - began <= SPLIT_S]
+        group = [agent for received, agent in times[start:] if received - began <= SPLIT_S]
         best = max(best, group, key=len)
     return tuple(sorted(best)) if len(best) > 1 else ()

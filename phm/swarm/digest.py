@@ -96,7 +96,7 @@ def digest_line(levels: Mapping[int, tuple[Level, str]]) -> str:
     return text
 
 
-def relay_line(agent: int, heard_by: Collection[int], word: int) -> str:
+def relay_line(agent: int, received_by: Collection[int], word: int) -> str:
     """The status of an agent that does not reach the ground, at most 50 characters, by its newest status word::
 
     A03 no GCS radio, received by A01 A02: 2 ERROR
@@ -104,7 +104,7 @@ def relay_line(agent: int, heard_by: Collection[int], word: int) -> str:
     """
     level, slot = worst_slot(word, no_gcs=True)
     how = "unknown" if level is Level.STALE else "OK" if level is Level.OK or slot is None else f"{slot:d} {level.name}"
-    names = [agent_name(other) for other in sorted(heard_by) if other != agent]
+    names = [agent_name(other) for other in sorted(received_by) if other != agent]
     for shown in range(min(len(names), 4), -1, -1):
         more = f" +{len(names) - shown}" if shown < len(names) else ""
         text = f"{agent_name(agent)} no GCS radio, received by {' '.join(names[:shown])}{more}: {how}"

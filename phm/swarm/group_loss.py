@@ -25,14 +25,14 @@ class SilentPeer:
     """One peer that is not lost yet. `missed`: how many of its heartbeats are overdue."""
 
     agent: int
-    heard_s: float
+    received_s: float
     stats: HeartbeatStats
     missed: int
 
     @property
     def due_s(self) -> float:
         """When the first missed heartbeat was due, in monotonic seconds."""
-        return self.heard_s + self.stats.period_s
+        return self.received_s + self.stats.period_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class SilentGroup:
     @property
     def since_s(self) -> float:
         """When the last heartbeat of any of them was received."""
-        return max(member.heard_s for member in self.members)
+        return max(member.received_s for member in self.members)
 
     @property
     def due_s(self) -> float:
@@ -59,19 +59,21 @@ class SilentGroup:
     @property
     def outlasts_a_fade(self) -> bool:
         """Heartbeats that were due more than one period apart were missed."""
-        last = max(member.heard_s + member.missed * member.stats.period_s for member in self.members)
+        last = max(member.received_s + member.missed * member.stats.period_s for member in self.members)
         return last - self.due_s >= max(
             (1.0 + member.stats.jitter / 2) * member.stats.period_s for member in self.members
         )
 
     def complete(self, peers: Iterable[SilentPeer]) -> bool:
         """Whether every other peer was received since, or was silent before: no other heartbeat is still to come."""
-        return all(other.heard_s > self.due_s or other.missed > 0 for other in peers if other.agent not in self.agents)
+        return all(
+            other.received_s > self.due_s or other.missed > 0 for other in peers if other.agent not in self.agents
+        )
 
 
 def silent_peers(peers: Iterable[tuple[int, float, HeartbeatStats]], now: float) -> list[SilentPeer]:
     """Agent, time of its last heartbeat, and its statistics, for each peer that is not lost."""
-    return [SilentPeer(agent, heard, stats, stats.missed(now - heard)) for agent, heard, stats in peers]
+    return [SilentPeer(agent, received, stats, stats.missed(now - received)) for agent, received, stats in peers]
 
 
 def most_significant_group(peers: Sequence[SilentPeer]) -> SilentGroup | None:
@@ -84,7 +86,7 @@ def most_significant_group(peers: Sequence[SilentPeer]) -> SilentGroup | None:
         members = tuple(
             entry
             for entry in overdue
-            if last.heard_s - entry.stats.period_s - entry.stats.slack_s < entry.heard_s <= last.heard_s
+            if last.received_s - entry.stats.period_s - entry.stats.slack_s < entry.received_s <= last.received_s
         )
         if len(members) >= FEWEST:
             evidence = sum(entry.stats.weight(entry.missed) for entry in members)

@@ -10,7 +10,7 @@ GAPS = 15
 """The period is the median of this many gaps: losses of up to a third of the frames hardly move it."""
 MEMORY = 150.0
 """Heartbeats over which the share that is lost is counted, the older ones less."""
-PRIOR_LOST, PRIOR_HEARD = 2.0, 8.0
+PRIOR_LOST, PRIOR_RECEIVED = 2.0, 8.0
 """Before anything is known, a fifth is assumed to be lost."""
 FLOOR, SAFETY = 0.04, 2.0
 """The assumed loss: twice the counted one, at least 4 %, because losses come in bursts."""
@@ -34,7 +34,7 @@ class HeartbeatStats:
     least_s: float = field(init=False)
     jitter: float = JITTER
     """The largest deviation of a heartbeat from its time lately, in periods."""
-    heard: float = 0.0
+    received: float = 0.0
     lost: float = 0.0
     pauses: float = 0.0
     """Counted over MEMORY: heartbeats that came, that did not, and gaps in which some did not."""
@@ -55,7 +55,7 @@ class HeartbeatStats:
         if missed >= OUTAGE:
             return
         keep = 1.0 - 1.0 / MEMORY
-        self.heard, self.lost = self.heard * keep + 1.0, self.lost * keep + missed
+        self.received, self.lost = self.received * keep + 1.0, self.lost * keep + missed
         self.pauses = self.pauses * keep + (missed > 0)
         off = abs(periods - missed - 1.0)
         self.jitter = min(JITTER_MAX, max(JITTER_MIN, self.jitter * FORGET, off))
@@ -63,7 +63,7 @@ class HeartbeatStats:
     @property
     def loss_probability(self) -> float:
         """Assumed probability that a heartbeat is lost by chance."""
-        counted = (self.lost + PRIOR_LOST) / (self.heard + self.lost + PRIOR_LOST + PRIOR_HEARD)
+        counted = (self.lost + PRIOR_LOST) / (self.received + self.lost + PRIOR_LOST + PRIOR_RECEIVED)
         return min(MOST, max(FLOOR, SAFETY * counted))
 
     @property

@@ -46,7 +46,7 @@ class Peer:
 
     agent: int
     period_s: float
-    heard_s: float | None = None
+    received_s: float | None = None
     word: int = 0
     leaving: bool = False
     """It sent POWEROFF: the silence that follows is planned."""
@@ -83,7 +83,7 @@ class Peer:
             self.frames[link] = frame
 
     def state(self, now: float) -> PeerState:
-        if self.heard_s is None:
+        if self.received_s is None:
             return PeerState.NEVER
         silent_s = self.silent_s(now)
         if self.leaving and silent_s > self.period_s:
@@ -94,11 +94,11 @@ class Peer:
 
     def silent_s(self, now: float) -> float:
         """Silence in seconds, without the time in which PHM did not run. Only for a peer that was received."""
-        assert self.heard_s is not None
-        age_s = now - self.heard_s
+        assert self.received_s is not None
+        age_s = now - self.received_s
         if age_s <= LATE_PERIODS * self.period_s / 2:
             return age_s  # most are, and there may be hundreds
-        return max(0.0, age_s - self.late_s(self.heard_s, LOST_PERIODS * self.period_s))
+        return max(0.0, age_s - self.late_s(self.received_s, LOST_PERIODS * self.period_s))
 
     def votes(self, now: float) -> PeerView | None:
         """Its view, if it is alive and the view is new enough to count."""
@@ -141,7 +141,7 @@ class Peers:
         if frame is not None:
             peer.count(frame, word, link, now)
         before = (peer.state(now), peer.word, peer.leaving)
-        gap_s = float("inf") if peer.heard_s is None else now - peer.heard_s
+        gap_s = float("inf") if peer.received_s is None else now - peer.received_s
         if before[0] in (PeerState.ALIVE, PeerState.LATE) or (
             gap_s <= LOST_PERIODS * peer.period_s and not peer.leaving
         ):
@@ -151,7 +151,7 @@ class Peers:
                 peer.period_s += LEARN * (gap_s - peer.period_s)
                 peer.stats.add_gap(gap_s)
         self._fade(peer, now)
-        peer.heard_s, peer.word, peer.leaving = now, word, leaving
+        peer.received_s, peer.word, peer.leaving = now, word, leaving
         peer.lost_together = peer.lost_alone = False
         return before != (peer.state(now), word, leaving)
 
@@ -169,10 +169,10 @@ class Peers:
             view.peers,
         )
 
-    def watch(self, now: float, period_s: float, *, hears: bool = True) -> None:
+    def watch(self, now: float, period_s: float, *, receives: bool = True) -> None:
         """Detect losses sooner than after LOST_PERIODS: of single peers and of groups. Call it a few times in each period.
 
-        period_s: of heartbeats in a swarm of this size. hears: the links on which they were received are open; a
+        period_s: of heartbeats in a swarm of this size. receives: the links on which they were received are open; a
         closed link is reported elsewhere.
         """
         last, self._watched = self._watched, now
@@ -180,8 +180,8 @@ class Peers:
             self._period_s = period_s
             for peer in self._peers.values():
                 peer.stats = HeartbeatStats(period_s)
-            hears = False
-        if last is None or now - last > STALL_PERIODS * period_s or not hears:
+            receives = False
+        if last is None or now - last > STALL_PERIODS * period_s or not receives:
             longest = max((peer.stats.period_s for peer in self._peers.values()), default=period_s)
             self._blind_until = now + 1.5 * longest
         if now < self._blind_until:
@@ -191,8 +191,8 @@ class Peers:
         listened = self._listened(now)
         for agent in lost_together(silent_peers(listened, now), now, least_s):
             self._peers[agent].lost_together = True
-        for agent, heard_s, stats in listened:
-            self._peers[agent].lost_alone = stats.is_lost(now - heard_s)
+        for agent, received_s, stats in listened:
+            self._peers[agent].lost_alone = stats.is_lost(now - received_s)
 
     def states(self, now: float) -> dict[int, PeerState]:
         """The state of each other member, by agent id."""
@@ -211,14 +211,14 @@ class Peers:
         return 1 + sum(
             not peer.leaving
             and len(peer.recent_heartbeats) >= STEADY
-            and peer.heard_s is not None
-            and now - peer.heard_s <= RECENT_S
+            and peer.received_s is not None
+            and now - peer.received_s <= RECENT_S
             for peer in self._peers.values()
         )
 
     def unlisted(self, now: float) -> tuple[int, ...]:
         """Agents received recently that are not listed, if a list is configured."""
-        return tuple(sorted(agent for agent, heard_s in self._unlisted.items() if now - heard_s <= RECENT_S))
+        return tuple(sorted(agent for agent, received_s in self._unlisted.items() if now - received_s <= RECENT_S))
 
     def duplicate_ids(self, now: float) -> tuple[int, ...]:
         """Ids that two agents use: the sequence of their frames goes back repeatedly."""
@@ -234,7 +234,7 @@ class Peers:
         return [
             (agent, now - peer.silent_s(now), peer.stats)
             for agent, peer in self._peers.items()
-            if peer.heard_s is not None
+            if peer.received_s is not None
             and not peer.leaving
             and peer.state(now) in (PeerState.ALIVE, PeerState.LATE)
             and agent not in mixed
@@ -242,7 +242,7 @@ class Peers:
 
     def _fade(self, peer: Peer, now: float) -> None:
         """Remember the length of a fade of several peers when the first of them is received again."""
-        if peer.heard_s is None or not peer.stats.missed(silent_s := now - peer.heard_s):
+        if peer.received_s is None or not peer.stats.missed(silent_s := now - peer.received_s):
             return
         if self._fades and now - self._fades[-1][0] <= 2.0 * peer.stats.period_s:
             return
@@ -264,7 +264,7 @@ class Peers:
         peer = self._peers.get(agent)
         if peer is None:
             if len(self._peers) >= MAX_PEERS:  # ids are 1 to 250, so only hostile frames get here
-                longest = min(self._peers.values(), key=lambda entry: entry.heard_s or 0.0)
+                longest = min(self._peers.values(), key=lambda entry: entry.received_s or 0.0)
                 del self._peers[longest.agent]
             peer = self._peers[agent] = Peer(agent, self._period_s, late_s=self._late_s)
         return peer

@@ -84,7 +84,7 @@ class FakeClock:
         with self._moved:
             return self._count()
 
-    def wait_for_sleepers(self, count: int | Callable[[], int], timeout_s: float = 5.0) -> None:
+    def wait_for_sleepers(self, count: int | Callable[[], int], timeout_s: float = 60.0) -> None:
         """Block, in real time, until at least `count` threads wait; TimeoutError when they do not come.
 
         A function is asked for the count each time, as the woken threads may change it.

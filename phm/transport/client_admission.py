@@ -29,7 +29,7 @@ PROVE_S = 5.0
 class _Peer:
     address: str
     since: float
-    heard: float
+    received: float
     signed: bool
 
 
@@ -64,17 +64,17 @@ class ClientAdmission:
         self._peers[key] = _Peer(address, now, now, signed)
         return going
 
-    def heard(self, key: Any, now: float, *, signed: bool) -> None:
+    def receive(self, key: Any, now: float, *, signed: bool) -> None:
         """A peer sent data. signed: with a valid signature."""
         peer = self._peers[key]
-        peer.heard, peer.signed = now, peer.signed or signed
+        peer.received, peer.signed = now, peer.signed or signed
 
     def forget(self, key: Any) -> None:
         self._peers.pop(key, None)
 
     def expire(self, now: float, silent_s: float) -> None:
         """Forget peers that were silent for `silent_s`."""
-        self._peers = {key: peer for key, peer in self._peers.items() if now - peer.heard <= silent_s}
+        self._peers = {key: peer for key, peer in self._peers.items() if now - peer.received <= silent_s}
 
     def unproven(self, now: float) -> list[Any]:
         """Peers that used a reserved place for too long without signing."""
@@ -111,8 +111,8 @@ class ClientAdmission:
 
     def _oldest(self, keys: Iterable[Any], now: float, silent_s: float) -> list[Any] | None:
         """The one of these that has been silent longest, if for at least the minimum time."""
-        key = min(keys, key=lambda each: self._peers[each].heard, default=None)
-        return None if key is None or now - self._peers[key].heard < silent_s else [key]
+        key = min(keys, key=lambda each: self._peers[each].received, default=None)
+        return None if key is None or now - self._peers[key].received < silent_s else [key]
 
 
 def _address(host: str) -> str:

@@ -149,7 +149,7 @@ class TcpServer(Channel):
             return []
         if events & polling.READ:
             signed = any(message.get_signed() for message in messages)
-            self._admission.heard(fd, self._clock.mono(), signed=signed)
+            self._admission.receive(fd, self._clock.mono(), signed=signed)
         return messages
 
     @property

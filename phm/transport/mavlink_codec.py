@@ -122,7 +122,7 @@ class Parser:
             if good:
                 self._counters.received += 1
                 number, system, component = self._head(at)
-                self._senders.heard(system, component, number)
+                self._senders.receive(system, component, number)
                 if message is not None:
                     messages.append(message)
             elif not garbage:

@@ -65,7 +65,7 @@ class Endpoint:
         self._line: SerialErrorCount | None = None
         self._again = threading.Event()
         self._opened = 0
-        self._heard = self._looked = 0.0
+        self._received = self._looked = 0.0
         self._read_at: float | None = None
         self._thread = threading.Thread(target=self._loop, name=f"phm-mavlink-{self.name}"[:60], daemon=True)
 
@@ -150,7 +150,7 @@ class Endpoint:
         try:
             if channel.proven or self._fact is None:
                 self._set_state(is_open=True)
-            self._heard = self._clock.mono()
+            self._received = self._clock.mono()
             self._queue.expire()
             self._again.clear()
             self._soon.clear()
@@ -161,8 +161,8 @@ class Endpoint:
                 self._turn(channel, IDLE_S)
                 if self._again.is_set():
                     return
-                if self._clock.mono() - self._heard > SILENT_S:
-                    self._heard = self._clock.mono()
+                if self._clock.mono() - self._received > SILENT_S:
+                    self._received = self._clock.mono()
                     if self._opener.moved():
                         return
             end = self._clock.mono() + FAREWELL_S
@@ -179,7 +179,7 @@ class Endpoint:
                 self._bell.silence()
                 continue
             for message in channel.serve(fd, events):
-                self._heard = self._clock.mono()
+                self._received = self._clock.mono()
                 self._set_state(is_open=True)
                 if message.get_msgId() == RADIO_STATUS:
                     if not self._radio:

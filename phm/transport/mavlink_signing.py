@@ -133,8 +133,8 @@ class Signing:
             return SignatureResult.FORGED
         time, stream = _time_of(frame), (frame[-13], frame[5], frame[6])
         with self._lock:
-            heard = self._streams.get(stream)
-            least = max(self._now(), self._time) - round(LATE_S * TICKS) if heard is None else heard + 1
+            received = self._streams.get(stream)
+            least = max(self._now(), self._time) - round(LATE_S * TICKS) if received is None else received + 1
             if not least <= time <= LAST:
                 return SignatureResult.OLD
             self._streams[stream] = time
@@ -196,8 +196,8 @@ class Signing:
             state: Any = json.loads(data) if len(data) <= MAX_FILE_BYTES else None
             time = _ticks(state["time"])
             streams = {
-                (_byte(link), _byte(system), _byte(component)): _ticks(heard)
-                for link, system, component, heard in state["streams"][:KEPT_STREAMS]
+                (_byte(link), _byte(system), _byte(component)): _ticks(received)
+                for link, system, component, received in state["streams"][:KEPT_STREAMS]
             }
         except FileNotFoundError:
             return

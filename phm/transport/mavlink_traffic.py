@@ -30,7 +30,7 @@ class SenderTable:
     def __init__(self) -> None:
         self._of: dict[tuple[int, int], SenderStats] = {}
 
-    def heard(self, system: int, component: int, sequence: int) -> None:
+    def receive(self, system: int, component: int, sequence: int) -> None:
         """Record a frame."""
         key = (system, component)
         sender = self._of.get(key)

@@ -137,7 +137,7 @@ class UdpIn(_Udp):
         messages = self._parser.datagram(data, verify=not known)
         signed = any(message.get_signed() for message in messages)
         if known:
-            self._admission.heard(sender, now, signed=signed)
+            self._admission.receive(sender, now, signed=signed)
         elif self._parser.verified > before:
             self._admission.expire(now, PEER_EXPIRES_S)
             self._admission.admit(sender, sender[0], now, signed=signed)

@@ -79,14 +79,14 @@ class FlowControl:
     """Slows down while a radio's transmit buffer fills: RADIO_STATUS.txbuf, percent of it that is free."""
 
     def __init__(self) -> None:
-        self._factor, self._heard = 1.0, float("-inf")
+        self._factor, self._received = 1.0, float("-inf")
 
     def txbuf(self, percent: int, now: float) -> None:
         """A RADIO_STATUS arrived. The steps are those of ArduPilot's own streams: a large one below 20, a small one
         below 50."""
-        if now - self._heard > TXBUF_STALE_S:
+        if now - self._received > TXBUF_STALE_S:
             self._factor = 1.0
-        self._heard = now
+        self._received = now
         if percent < 20:
             self._factor *= 2.0
         elif percent < 50:
@@ -99,7 +99,7 @@ class FlowControl:
 
     def factor(self, now: float) -> float:
         """1 to 10: the factor by which to slow down; 1 without a recent RADIO_STATUS."""
-        return self._factor if now - self._heard <= TXBUF_STALE_S else 1.0
+        return self._factor if now - self._received <= TXBUF_STALE_S else 1.0
 
 
 @dataclass(slots=True)

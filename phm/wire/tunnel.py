@@ -7,7 +7,7 @@ Layout of a payload, at most 128 bytes; numbers are unsigned and little-endian. 
 
     kind 1, VIEW: how one agent sees the others
     byte  1       sequence, counts up by one a view, modulo 256
-    byte  2       flags: bit 0 hears a ground station, bit 1 hears its autopilot, bit 2 its radio reports
+    byte  2       flags: bit 0 receives a ground station, bit 1 receives its autopilot, bit 2 its radio reports
     byte  3       first agent id
     byte  4...    2 bits an agent, lowest first: 0 never seen, 1 alive, 2 late, 3 lost
 
@@ -73,7 +73,7 @@ class PeerView:
     radio: bool
     peers: Mapping[int, PeerState] = field(default_factory=dict)
     there: frozenset[int] = field(init=False, compare=False, repr=False)
-    """Those that the sender hears: alive or late."""
+    """Those that the sender receives: alive or late."""
 
     def __post_init__(self) -> None:
         there = frozenset(agent for agent, seen in self.peers.items() if seen in (PeerState.ALIVE, PeerState.LATE))

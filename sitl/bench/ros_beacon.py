@@ -108,10 +108,10 @@ def measure(nodes: int, seconds: float) -> BeaconCost:
         slices = [_slice(groups) for _ in range(max(4, round(seconds / SLICE_S)))]
     plain = [without[0] / nodes for _, without in slices]
     beacons = [(speaking[0] - without[0]) / nodes for speaking, without in slices]
-    hearing = [speaking[1] - without[1] for speaking, without in slices]
+    receiving = [speaking[1] - without[1] for speaking, without in slices]
     first, median, third = statistics.quantiles(beacons, n=4)
     quarters = (round(first, 3), round(third, 3))
-    return BeaconCost(nodes, _median(plain), round(median, 3), quarters, _median(hearing))
+    return BeaconCost(nodes, _median(plain), round(median, 3), quarters, _median(receiving))
 
 
 def _slice(groups: Sequence[Group]) -> list[tuple[float, float]]:
@@ -132,7 +132,7 @@ def _median(values: Sequence[float]) -> float:
 
 def table(costs: Sequence[BeaconCost]) -> Table:
     made = Table(title=f"What a beacon costs ({machine()})", caption="percent of a core; aim for a beacon: 0.5 a node")
-    for name in ("nodes", "a node without", "its beacon", "half of the slices", "PHM hears all"):
+    for name in ("nodes", "a node without", "its beacon", "half of the slices", "PHM receives all"):
         made.add_column(name, justify="right")
     for cost in costs:
         low, high = cost.quarters

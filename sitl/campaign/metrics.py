@@ -77,7 +77,7 @@ class Figures:
     """Of these, faults whose world was never observed to be broken."""
     through_cause: int
     uptime: float | None
-    heard: float | None
+    received: float | None
     """As `uptime`, including the time in which the injector cut the agent from the ground."""
     alarms_per_fault: float | None
     lacking: int
@@ -161,7 +161,7 @@ def figures(trials: Sequence[Trial]) -> Figures:
         never_broken=sum(each.never_broken for each in verdicts),
         through_cause=sum(each.through_cause for each in verdicts),
         uptime=uptime.share(watched),
-        heard=uptime.share(watched, net=False),
+        received=uptime.share(watched, net=False),
         alarms_per_fault=_alarms(verdicts),
         lacking=sum(bool(verdict.lacking) for verdict in verdicts),
         before=sum(len(verdict.before) for verdict in verdicts),

@@ -85,7 +85,7 @@ class Runner:
         """Listen, and wait until all agents are OK and received by the ground. Leftovers of a killed campaign are
         undone.
         """
-        self.watch.ear.start()
+        self.watch.ground.start()
         self.watch.machine.start()
         self._keep_busy()
         left = [
@@ -95,9 +95,9 @@ class Runner:
         ]
         if left:
             self._configure(left, {})
-        if not self._wait(lambda: self.watch.ear.heard() >= self.agents.keys(), HEALTHY_LIMIT_S):
+        if not self._wait(lambda: self.watch.ground.received() >= self.agents.keys(), HEALTHY_LIMIT_S):
             self.progress(
-                f"the ground does not hear {sorted(self.agents.keys() - self.watch.ear.heard())}; undoing what is left"
+                f"the ground does not receive {sorted(self.agents.keys() - self.watch.ground.received())}; undoing what is left"
             )
         try:
             self._healthy(HEALTHY_LIMIT_S / 2)
@@ -113,7 +113,7 @@ class Runner:
 
     def stop(self) -> None:
         self.injector.stop()
-        self.watch.ear.stop()
+        self.watch.ground.stop()
         self.watch.machine.stop()
         if self.busy is not None:
             self.busy.stop()

@@ -48,7 +48,7 @@ class GroundListener:
             trial.received = dict(self._bytes)
         trial.lines = [Line(line.system, line.severity, line.text, line.mono) for line in list(self.ground.lines)]
 
-    def heard(self) -> set[int]:
+    def received(self) -> set[int]:
         """Agents whose PHM was received at all."""
         with self._lock:
             return set(self._heartbeats)
@@ -66,8 +66,8 @@ class GroundListener:
 class SwarmWatcher:
     """All agents' records and levels, and the ground listener. Call `update` often. busy: as `Levels`."""
 
-    def __init__(self, records: Mapping[int, Path], ear: GroundListener, *, busy: bool = False) -> None:
-        self.ear = ear
+    def __init__(self, records: Mapping[int, Path], ground: GroundListener, *, busy: bool = False) -> None:
+        self.ground = ground
         self._records = {agent: Record(path) for agent, path in records.items()}
         self.levels = {agent: Levels(busy=busy) for agent in records}
         self.usual: dict[int, dict[str, str]] = {agent: {} for agent in records}
@@ -77,7 +77,7 @@ class SwarmWatcher:
     def begin(self, trial: Trial) -> None:
         """From now on everything is recorded in this trial."""
         self.update()
-        self.ear.begin()
+        self.ground.begin()
         self.machine.begin()
         self._trial = trial
 
@@ -87,7 +87,7 @@ class SwarmWatcher:
         if self._trial is not None:
             self._trial.ended = time.monotonic()
             self._trial.machine = self.machine.samples()
-            self.ear.fill(self._trial)
+            self.ground.fill(self._trial)
         self._trial = None
 
     def update(self) -> None:

@@ -167,7 +167,7 @@ def beyond(groups: Sequence[Group]) -> Rows:
         ("Faults with fewer alarms than expected", lambda f: str(f.lacking)),
         ("Nothing injected", lambda f: f"{f.nominal_s:.0f} s, {f.nominal_alarms} alarms"),
         ("Starts of PHM during runs, injected or not", lambda f: str(f.restarts)),
-        ("PHM received at the ground, cut radios counted as silence", lambda f: _share(f.heard)),
+        ("PHM received at the ground, cut radios counted as silence", lambda f: _share(f.received)),
         ("Bytes per agent and second, nothing injected", lambda f: number(f.bytes_nominal, "{:.1f}")),
         ("Bytes per agent and second, all runs", lambda f: number(f.bytes_all, "{:.1f}")),
         ("Sidecar, CPU of one core, nothing injected", lambda f: number(f.cpu_nominal, "{:.2f} %")),

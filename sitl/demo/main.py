@@ -1,7 +1,7 @@
 """The demonstration: one agent for real, four faults, each detected, reported once at its cause, recovered and verified.
 
 ``python -m sitl.demo`` expects an engine and the images (`scripts/demo` makes both). Exit 0 only when every
-fault was opened exactly once, at the right check, was recovered by PHM and verified, and the ground heard it.
+fault was opened exactly once, at the right check, was recovered by PHM and verified, and the ground received it.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Demo:
     def play(self, fault: Fault) -> Outcome:
         """Inject one fault and watch until it is recovered and everything is OK again."""
         self.record.update()
-        mark, heard = len(self.record.events), len(self.ground.lines)
+        mark, received = len(self.record.events), len(self.ground.lines)
         unit = fault.unit.format(agent=self.stack.agent_name)
         self.console.print(f"\n[bold]inject[/]  {fault.title}")
         moment = fault.inject(self.stack.agent)
@@ -83,10 +83,10 @@ class Demo:
             quiet_from = time.monotonic()
             self.record.wait(lambda event: event["mono"] > quiet_from + AFTER_S, 2 * AFTER_S, since=mark)
         fault.clear(self.stack.agent)
-        return self._judge(fault, unit, moment, mark, heard)
+        return self._judge(fault, unit, moment, mark, received)
 
-    def _judge(self, fault: Fault, unit: str, moment: float, mark: int, heard: int) -> Outcome:
-        events, lines = self.record.events[mark:], list(self.ground.lines)[heard:]
+    def _judge(self, fault: Fault, unit: str, moment: float, mark: int, received: int) -> Outcome:
+        events, lines = self.record.events[mark:], list(self.ground.lines)[received:]
         for line in lines:
             self.console.print(f"[cyan]ground[/]  {line.text}")
         for event in events:

@@ -79,7 +79,10 @@ def _records(agent: Agent, proc: Path) -> dict[str, Mapping[str, Any]]:
         return found
     now = time.monotonic()
     for file in (folder / FOLDER.relative_to("/")).glob("*.json"):
-        record = json.loads(file.read_text("ascii"))
+        try:
+            record = json.loads(file.read_text("ascii"))
+        except OSError:  # the container has ended meanwhile
+            continue
         if now - record["at"] < FRESH_S:
             found[file.stem] = record["topics"]
     return found

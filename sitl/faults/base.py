@@ -36,7 +36,7 @@ class Air(Protocol):
         """Give all links of an agent back as they were in the beginning."""
 
     def split(self, groups: list[list[int]]) -> None:
-        """Agents of different groups no longer hear each other; no groups: all do."""
+        """Agents of different groups no longer receive each other; no groups: all do."""
 
     def autopilot(self, agent: int, what: str) -> None:
         """``hang``, ``resume`` or ``reboot``."""
@@ -66,7 +66,7 @@ class Agent:
     def container(self, service: str) -> Container:
         """The project's container of a compose service; LookupError when there is none."""
         labels = [f"com.docker.compose.project={self.project}", f"com.docker.compose.service={service}"]
-        found = self.docker.containers.list(all=True, filters={"label": labels})
+        found = self.docker.containers.list(all=True, filters={"label": labels}, ignore_removed=True)
         if not found:
             raise LookupError(f"the project {self.project} has no container of service {service}")
         return found[0]

@@ -1,4 +1,4 @@
-"""The radios to the ground no longer hear each other."""
+"""The radios to the ground no longer receive each other."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from sitl.faults.base import Agent, Fault
 
 
 class Injection(Fault):
-    """Half of the swarm, this agent among it, no longer hears the other half: one fault on either side."""
+    """Half of the swarm, this agent among it, no longer receives the other half: one fault on either side."""
 
     name, title, unit = "peer_split", "network between agents split", "peers/swarm"
     condition = "swarm_split"

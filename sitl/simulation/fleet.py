@@ -70,7 +70,7 @@ class Port:
             self.bytes_out += len(frames[-1])
         return frames
 
-    def hear(self, messages: Iterable[Any]) -> None:
+    def receive(self, messages: Iterable[Any]) -> None:
         for message in messages:
             for callback, ids in self._listeners:
                 if message.get_msgId() in ids:
@@ -86,7 +86,7 @@ class Agent:
         self.number, self.clock = number, clock
         self.port = Port(number, clock, budget)
         self.settings = settings(agent={"id": number}, swarm={"agents": fleet})
-        self.gcs_heard: float | None = None
+        self.gcs_received: float | None = None
         self.radio = False
         self.units = {state.unit: state for state in units} or {
             name: UnitState(name, name, slot, Layer.ROS, Level.OK, Result(Level.OK, ""), clock.stamp())
@@ -134,7 +134,7 @@ class Agent:
                 self.reporters[0].handle(Transition(self.clock.stamp(), old, state))
 
     def _gcs_age(self) -> float | None:
-        return None if self.gcs_heard is None else self.clock.mono() - self.gcs_heard
+        return None if self.gcs_received is None else self.clock.mono() - self.gcs_received
 
 
 class Fleet:
@@ -172,7 +172,7 @@ class Fleet:
             up = [agent for number, agent in self.agents.items() if number not in self.down]
             for agent in up:
                 if agent.number not in self.no_gcs:
-                    agent.gcs_heard = self.clock.mono()
+                    agent.gcs_received = self.clock.mono()
                 for reporter in agent.reporters:
                     reporter.tick()
                 agent.probe.wake_if_changed()
@@ -189,7 +189,7 @@ class Fleet:
         messages = self._parser.feed(b"".join(frames))
         for agent in up:
             if agent.number != sender and (sender, agent.number) not in self.cut:
-                agent.port.hear(message for message in messages if self._random.random() >= self._loss)
+                agent.port.receive(message for message in messages if self._random.random() >= self._loss)
         if sender not in self.no_gcs:
             self.ground += [
                 (sender, message.severity, message.text) for message in messages if message.get_type() == "STATUSTEXT"

@@ -66,7 +66,7 @@ class LinkEmulator:
         self._peers = {number: _udp(host, ports.peers_of(number)) for number in numbers}
         self.routers = {number: f"tcpin:{host}:{port.bound_port}" for number, port in self._phm.items()}
         """Where each router listens: there it listens again after it was killed."""
-        self._heard_at: dict[int, Any] = {}
+        self._received_at: dict[int, Any] = {}
         self._pilots: dict[int, Port] = {}
         self._retry = dict.fromkeys(self._urls, now)
         self._stopping = threading.Event()
@@ -98,9 +98,9 @@ class LinkEmulator:
             vehicle.turn(now)
             self._emit(vehicle)
         for agent, data in self.mesh.turn(now):
-            if agent in self._heard_at:
+            if agent in self._received_at:
                 with contextlib.suppress(OSError):
-                    self._peers[agent].sendto(data, self._heard_at[agent])
+                    self._peers[agent].sendto(data, self._received_at[agent])
 
     def _rest_s(self) -> float:
         moments = [vehicle.next_s() for vehicle in self.vehicles.values()]
@@ -138,7 +138,7 @@ class LinkEmulator:
     def _from_peer(self, number: int) -> Callable[[Any], None]:
         def receive(sock: Any) -> None:
             with contextlib.suppress(OSError):
-                data, self._heard_at[number] = sock.recvfrom(CONTROL_BYTES)
+                data, self._received_at[number] = sock.recvfrom(CONTROL_BYTES)
                 self.mesh.take(time.monotonic(), number, data)
 
         return receive

@@ -17,7 +17,7 @@ class _Radio:
     def __init__(self, chance: random.Random) -> None:
         self.air = Conditions(delay_s=DELAY_S)
         self.pipe: Pipe[bytes] = Pipe(self.air, chance, filled=True)
-        self.hears = Losses(chance)
+        self.receives = Losses(chance)
         self.counts: Counter[str] = Counter()
 
 
@@ -42,7 +42,7 @@ class Mesh:
         for sender, radio in self._radios.items():
             for data in radio.pipe.arrived(now):
                 found += [
-                    (agent, data) for agent in self._radios if agent != sender and self._hears(agent, sender, data)
+                    (agent, data) for agent in self._radios if agent != sender and self._receives(agent, sender, data)
                 ]
         return found
 
@@ -75,11 +75,11 @@ class Mesh:
         radio = self._radios[agent]
         return {**radio.counts, "peers_lost": radio.pipe.lost + radio.pipe.full + radio.counts["missed"]}
 
-    def _hears(self, agent: int, sender: int, data: bytes) -> bool:
+    def _receives(self, agent: int, sender: int, data: bytes) -> bool:
         radio = self._radios[agent]
         if radio.air.cut or radio.air.off or not self._together(agent, sender):
             return False
-        if radio.hears.next(radio.air.loss, radio.air.burst):
+        if radio.receives.next(radio.air.loss, radio.air.burst):
             radio.counts["missed"] += 1
             return False
         radio.counts["from_peers"] += len(data)

@@ -114,7 +114,7 @@ class Swarm:
 
     def status(self) -> list[dict[str, Any]]:
         """For each agent: agent, name, app, sidecar (states of the containers), healthy, array (PHM's status array), open
-        (units with an open fault), why (what is not OK), heard_s (age of PHM's last line; None: it has written none)."""
+        (units with an open fault), why (what is not OK), received_s (age of PHM's last line; None: it has written none)."""
         states = {
             (one.labels.get("com.docker.compose.project"), one.labels.get("com.docker.compose.service")): one.status
             for one in self.docker.containers.list(
@@ -169,5 +169,5 @@ class Swarm:
             "array": standing.array,
             "open": sorted(standing.open.values()),
             "why": standing.why,
-            "heard_s": None if standing.last_utc_s is None else round(time.time() - standing.last_utc_s, 1),
+            "received_s": None if standing.last_utc_s is None else round(time.time() - standing.last_utc_s, 1),
         }

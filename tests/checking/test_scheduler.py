@@ -11,6 +11,8 @@ from phm import api, testing
 from phm.checking.scheduler import CheckRun, CheckScheduler, ScheduledCheck
 from tests.fakes.until import until
 
+LIMIT_S = 60.0
+
 
 class Scripted(api.Check):
     """A check whose run is given by the test."""
@@ -65,9 +67,9 @@ def test_a_check_runs_at_start_and_then_every_period(rig: Rig) -> None:
     rig.start(Scripted(lambda: api.ok("fine")), period_s=20.0)
     until(lambda: len(rig.batches) == 1, "the first result")
     for count in (2, 3):
-        rig.clock.wait_for_sleepers(1)
+        rig.clock.wait_for_sleepers(1, LIMIT_S)
         rig.clock.advance(0.05)
-        rig.clock.wait_for_sleepers(1)
+        rig.clock.wait_for_sleepers(1, LIMIT_S)
         rig.clock.advance(20.0)
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
 
@@ -77,7 +79,7 @@ def test_checks_of_one_period_run_at_different_moments(rig: Rig) -> None:
     rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"), period_s=20.0)
     until(lambda: len(rig.batches) == 2, "the first results")
     for count, unit in enumerate(("b", "a", "b", "a"), 3):
-        rig.clock.wait_for_sleepers(2)
+        rig.clock.wait_for_sleepers(2, LIMIT_S)
         rig.clock.advance(10.0)
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
         assert unit in rig.batches[-1].units
@@ -87,9 +89,9 @@ def test_a_wake_runs_only_the_checks_of_its_subject(rig: Rig) -> None:
     """An event runs only the affected checks, not an entire pass."""
     engine = rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"))
     until(lambda: len(rig.batches) == 2, "the second result")
-    rig.clock.wait_for_sleepers(2)
+    rig.clock.wait_for_sleepers(2, LIMIT_S)
     rig.clock.advance(0.05)
-    rig.clock.wait_for_sleepers(2)
+    rig.clock.wait_for_sleepers(2, LIMIT_S)
     engine.wake_subject("subject:a")
     until(lambda: len(rig.summaries("a")) == 2, "the second result of a")
     assert len(rig.summaries("b")) == 1
@@ -100,10 +102,10 @@ def test_a_check_that_is_woken_all_the_time_leaves_a_gap(rig: Rig) -> None:
     engine = rig.start(Scripted(lambda: api.ok("fine")))
     for count in (1, 2, 3):
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
-        rig.clock.wait_for_sleepers(1)
+        rig.clock.wait_for_sleepers(1, LIMIT_S)
         engine.wake_units(["scripted"], "test")
         engine.wake_units(["scripted"], "test")
-        rig.clock.wait_for_sleepers(1)
+        rig.clock.wait_for_sleepers(1, LIMIT_S)
         assert len(rig.batches) == count
         rig.clock.advance(0.05)
 
@@ -121,7 +123,7 @@ def test_a_crash_makes_a_unit_stale_and_the_check_continues(rig: Rig) -> None:
     engine = rig.start(Scripted(run))
     for count in (1, 2, 3):
         until(lambda count=count: len(rig.batches) >= count, "the next result")  # type: ignore[misc]
-        rig.clock.wait_for_sleepers(1)
+        rig.clock.wait_for_sleepers(1, LIMIT_S)
         rig.clock.advance(0.05)
         engine.wake_units(["scripted"], "test")
     first, second, third = (batch.units["scripted"] for batch in rig.batches[:3])
@@ -151,14 +153,15 @@ def test_a_unit_without_a_result_is_stale(rig: Rig) -> None:
 
 def test_a_hung_check_makes_only_its_own_units_stale(rig: Rig) -> None:
     """The deadline is reported once, the other checks continue, and a late result is delivered."""
-    hung = threading.Event()
+    begun, hung = threading.Event(), threading.Event()
 
     def hang() -> api.Result:
+        begun.set()
         hung.wait()
         return api.ok("back")
 
     engine = rig.start(Scripted(hang, "hung"), Scripted(lambda: api.ok("b"), "other"))
-    until(lambda: len(rig.summaries("other")) == 1, "the first result of other")
+    until(lambda: begun.is_set() and len(rig.summaries("other")) == 1, "the first runs of both")
     rig.clock.advance(6.0)
     engine.report_overdue()
     engine.report_overdue()
@@ -184,7 +187,7 @@ def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:
     rig.engines.append(engine)
     engine.start()
     until(lambda: len(calls) == 1, "the first call")
-    rig.clock.wait_for_sleepers(1)
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
     rig.clock.advance(0.05)
     engine.wake_units(["scripted"], "test")
     until(lambda: len(calls) == 2, "the second call")

@@ -59,7 +59,7 @@ def test_a_hop_takes_level_and_text_from_its_check() -> None:
     assert hop("radio", broken) == Hop("radio", HopState.BROKEN, "no RADIO_STATUS 6 s")
     assert hop("radio", api.bypass("none")) == Hop("radio", HopState.UNUSED)
     assert hop("radio", api.stale("its link is closed")) == Hop("radio", HopState.UNKNOWN, "its link is closed")
-    assert hop("radio", api.ok("heard")) == Hop("radio", HopState.OK)
+    assert hop("radio", api.ok("received")) == Hop("radio", HopState.OK)
 
 
 # ---------------------------------------------------------------- each hop in turn, through the tracker

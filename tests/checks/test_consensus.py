@@ -71,13 +71,13 @@ def test_the_majority_overrules_phm() -> None:
     beacons = matrix(A, B, C)
     beacons[C] = beacon({}, age_s=5.0, witness=C)
     (found,) = agree(beacons, {}).disagreements
-    assert (found.node, found.verdict, found.heard_by, found.not_heard_by) == (C, Verdict.ALIVE, (A, B), (PHM,))
+    assert (found.node, found.verdict, found.received_by, found.not_received_by) == (C, Verdict.ALIVE, (A, B), (PHM,))
 
 
 def test_the_majority_confirms_phm() -> None:
     """One of three does not receive it."""
     (found,) = agree(matrix(A, B, C, not_received=((A, B),)), {}).disagreements
-    assert (found.node, found.verdict, found.heard_by, found.not_heard_by) == (B, Verdict.ALIVE, (C, PHM), (A,))
+    assert (found.node, found.verdict, found.received_by, found.not_received_by) == (B, Verdict.ALIVE, (C, PHM), (A,))
 
 
 def test_a_tie_decides_nothing() -> None:
@@ -94,7 +94,7 @@ def test_nodes_of_one_process_are_one_observer() -> None:
     beacons[A] = beacon({**dict.fromkeys(names, True), B: True}, witness="a")
     beacons[B] = beacon({**dict.fromkeys(names, True), A: True}, witness="b")
     (found,) = agree(beacons, {}).disagreements
-    assert (found.verdict, found.heard_by, found.not_heard_by) == (Verdict.ALIVE, (B, PHM), (names[0],))
+    assert (found.verdict, found.received_by, found.not_received_by) == (Verdict.ALIVE, (B, PHM), (names[0],))
 
 
 def test_an_observer_without_time_for_discovery_has_no_opinion() -> None:

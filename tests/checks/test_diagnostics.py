@@ -85,7 +85,7 @@ def test_the_worst_of_all_matching_statuses_counts() -> None:
     result = evaluate(check, one=status(1), two=status(2), three=status(), four=status(age_s=9.0))
     assert result.level is api.Level.ERROR
     assert result.summary.startswith("camera: Four has sent no status") and "camera: One, camera: Two" in result.summary
-    assert (result.values["heard"], result.values["not_ok"]) == (4, 3)
+    assert (result.values["received"], result.values["not_ok"]) == (4, 3)
 
 
 def test_an_error_has_priority_over_a_stale_status() -> None:

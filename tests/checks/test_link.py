@@ -89,7 +89,7 @@ def test_a_closed_endpoint_among_others_is_named() -> None:
     assert result.brief == "link ground: refused"
 
 
-def heard_by(gcs: str, pilot: str = "") -> testing.FakeLinks:
+def received_by(gcs: str, pilot: str = "") -> testing.FakeLinks:
     autopilot = api.AutopilotFact(0.5, False, link=pilot) if pilot else None
     links = testing.FakeLinks(gcs_age_s=1.0, autopilot=autopilot)
     links.gcs_link = gcs
@@ -108,22 +108,25 @@ def heard_by(gcs: str, pilot: str = "") -> testing.FakeLinks:
 )
 def test_a_lost_redundant_endpoint_is_a_warning(gcs: str, pilot: str, level: api.Level) -> None:
     """An endpoint counts as lost if another one does not receive all that it leads to."""
-    assert run(check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}), CLOSED, heard_by(gcs, pilot)).level is level
+    link_check = check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"})
+    assert run(link_check, CLOSED, received_by(gcs, pilot)).level is level
 
 
 def test_an_endpoint_to_one_side_is_lost_for_that_side_only() -> None:
     """`leads_to` selects the side."""
     link_check = check(TCP, leads_to="ground")
-    assert run(link_check, CLOSED, heard_by("spare", "ground")).level is api.Level.WARN
+    assert run(link_check, CLOSED, received_by("spare", "ground")).level is api.Level.WARN
     link_check = check(TCP, leads_to="autopilot")
-    assert run(link_check, CLOSED, heard_by("ground", "spare")).level is api.Level.WARN
-    assert run(link_check, CLOSED, heard_by("spare", "ground")).level is api.Level.ERROR
-    assert run(link_check, CLOSED, heard_by("spare")).level is api.Level.ERROR
+    assert run(link_check, CLOSED, received_by("ground", "spare")).level is api.Level.WARN
+    assert run(link_check, CLOSED, received_by("spare", "ground")).level is api.Level.ERROR
+    assert run(link_check, CLOSED, received_by("spare")).level is api.Level.ERROR
 
 
 def test_the_endpoint_to_the_other_agents_has_no_substitute() -> None:
     """Ground station and autopilot on other endpoints do not replace it, and the operator's line has its name."""
-    result = run(check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}, leads_to="peers"), CLOSED, heard_by("spare"))
+    result = run(
+        check(TCP, {"url": "tcp:10.0.0.1:5762", "name": "spare"}, leads_to="peers"), CLOSED, received_by("spare")
+    )
     assert result.level is api.Level.ERROR
     assert result.brief.startswith("link ground:")
 

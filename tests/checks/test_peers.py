@@ -87,7 +87,7 @@ def test_agents_that_return_one_by_one_are_not_reported_each_time() -> None:
     def brief(**states: PeerFact) -> str:
         peers = {2: ALIVE, **{int(name[1:]): peer for name, peer in states.items()}}
         lost = tuple(agent for agent, peer in peers.items() if peer.state == "lost")
-        split = tuple(agent for agent in lost if not peers[agent].heard_by)
+        split = tuple(agent for agent in lost if not peers[agent].received_by)
         split = split if len(split) > 1 else ()
         swarm = testing.FakeSwarm(peers=peers, members=5, living=5 - len(lost), split=split)
         return dict(check.run(testing.world(swarm=swarm)))[SWARM].brief
@@ -95,7 +95,7 @@ def test_agents_that_return_one_by_one_are_not_reported_each_time() -> None:
     back = PeerFact("alive", 0.1, (1, 2), (), since_s=0.1)
     partly = PeerFact("partly reachable", 0.1, (1,), (2,), since_s=0.1)
     assert brief(a3=LOST, a4=LOST, a5=LOST) == "split 2/5 lost A03 A04 A05"
-    assert brief(a3=LOST, a4=LOST, a5=replace(LOST, heard_by=(1,))) == "split 2/5 lost A03 A04 A05"
+    assert brief(a3=LOST, a4=LOST, a5=replace(LOST, received_by=(1,))) == "split 2/5 lost A03 A04 A05"
     assert brief(a3=LOST, a4=LOST, a5=partly) == "split 2/5 lost A03 A04 A05"
     assert brief(a3=LOST, a4=LOST, a5=back) == "split 2/5 lost A03 A04 A05"
     assert brief(a3=LOST, a4=LOST, a5=replace(back, since_s=SETTLE_S)) == "split 3/5 lost A03 A04"

@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 
+from phm.simulation import demo as demo_module
 from phm.simulation.demo import Demo, DemoPorts
 
-LIMIT_S = 120
+LIMIT_S = 300
 
 
 def free_base() -> int:
@@ -83,13 +84,14 @@ def test_the_demo_ends_after_its_time(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_faults_are_injected_once_and_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The autopilot of agent 2 and the PHM of agent 3 end, and nothing else."""
     started: list[str] = []
-    sleeper = [sys.executable, "-c", "import time; time.sleep(60)"]
+    sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]
 
     def spawn(self: Demo, name: str, words: list[str], environment: dict[str, str]) -> subprocess.Popen[bytes]:
         started.append(name)
         return subprocess.Popen(sleeper)
 
     monkeypatch.setattr(Demo, "_spawn", spawn)
+    monkeypatch.setattr(demo_module, "_END_S", 60.0)
     demo = Demo(tmp_path, DemoPorts())
     demo.start()
     try:

@@ -54,7 +54,7 @@ class Daemon:
         stream = socket.socket(socket.AF_UNIX)  # blocking: with a full backlog it waits for its turn
         with wire.address(str(self.run_dir)) as path:
             stream.connect(path)
-        stream.settimeout(10)
+        stream.settimeout(60)
         return stream
 
     def ping(self) -> str:

@@ -25,8 +25,8 @@ from tests.fakes.until import until
 # With its default dialect pymavlink starts with MAVLink 1, and loses its key when it first receives MAVLink 2.
 mavutil.set_dialect("common")
 
-AGAIN_S = 2.0
-"""A command without an answer is sent again after this time."""
+AGAIN_S = 20.0
+"""A command without an answer is sent again after this time. Late answers to both could be taken for those of the next command."""
 
 
 class Agent:
@@ -39,7 +39,7 @@ class Agent:
             mavlink={
                 "endpoints": [{"url": f"udpin:127.0.0.1:{port}", "budget": 0, "link_id": 4}],
                 "commands": ["status", "restart"],
-                "signing": {"key": str(key) if key else None},
+                "signing": {"key": str(key) if key else None, "command_age": 300},  # the machine may be busy
             },
         )
         assert isinstance(chosen.mavlink, MavlinkSettings)
@@ -63,6 +63,7 @@ class Agent:
         )
         self.hub.start()
         self.handler.start()
+        until(self.hub.links, "the port opening")
 
     def close(self) -> None:
         self.handler.close()

@@ -108,7 +108,7 @@ class Scene:
         received = (by or self.ground).received(message)
         received._signed = signed
         self.sent.clear()
-        self.handler.hear(received, link)
+        self.handler.receive(received, link)
         self.handler.turn()
         assert {on for _message, on in self.sent} <= {link}
         return [message for message, _link in self.sent]
@@ -379,7 +379,7 @@ def test_a_flood_is_bounded_and_reported_once() -> None:
     """Commands above the limit are dropped unread."""
     scene = Scene("status")
     for n in range(1000):
-        scene.handler.hear(scene.ground.received(long(512, 253, n)), "radio")
+        scene.handler.receive(scene.ground.received(long(512, 253, n)), "radio")
     assert len(scene.handler._waiting[False]) == SENDER_BURST <= MAX_WAITING
     scene.handler.turn()
     assert [note for note in scene.notes if "rate limit exceeded" in note] == [
@@ -422,10 +422,10 @@ def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
     scene = Scene("restart", signs=True)
     for n in range(MAX_WAITING + 10):
         scene.clock.advance(1.0)
-        scene.handler.hear(Sender(n + 1, 190).received(long(31010, 3, 1)), "radio")
+        scene.handler.receive(Sender(n + 1, 190).received(long(31010, 3, 1)), "radio")
     received = scene.ground.received(long(31010, 3, 1))
     received._signed = True
-    scene.handler.hear(received, "radio")
+    scene.handler.receive(received, "radio")
     scene.handler.turn()
     acks = [message.result for message, _link in scene.sent if message.get_type() == "COMMAND_ACK"]
     assert acks[0] == CommandResult.ACCEPTED
@@ -458,10 +458,10 @@ def test_the_ground_can_list_the_containers() -> None:
 
 
 def test_the_handler_answers_from_its_own_thread() -> None:
-    """`hear` only queues; `close` ends the thread."""
+    """`receive` only queues; `close` ends the thread."""
     scene = Scene("status")
     scene.handler.start()
-    scene.handler.hear(scene.ground.received(long(512, 253)), "radio")
+    scene.handler.receive(scene.ground.received(long(512, 253)), "radio")
     until(lambda: len(scene.sent) == 2, "the answer")
     scene.handler.close()
     assert not scene.handler._thread.is_alive()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -31,12 +32,16 @@ Ask = Callable[..., "Ground"]
 
 
 class SetClock(SystemClock):
-    """The machine's clocks, with a date set by the test."""
+    """The machine's clocks, with a date that only the test moves: while the machine is busy, no frame becomes older."""
 
     ahead_s = 0.0
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._began_utc = time.time()
+
     def utc(self) -> float:
-        return super().utc() + self.ahead_s
+        return self._began_utc + self.ahead_s
 
 
 class Agent:
@@ -59,8 +64,8 @@ class Agent:
         self.hub = MavlinkHub(
             chosen.mavlink, 7, clock, str(state) if state is not None else None, synchronized=lambda: synchronized
         )
-        self.heard: list[Any] = []
-        self.hub.listen(lambda message, link: self.heard.append(message), (0,))
+        self.received: list[Any] = []
+        self.hub.listen(lambda message, link: self.received.append(message), (0,))
         services = CommandServices(
             tuple,
             tuple,
@@ -118,7 +123,7 @@ class Ground:
         assert ack is not None
         return int(ack.result)
 
-    def beat(self) -> None:
+    def heartbeat(self) -> None:
         self.link.mav.send(heartbeat(kind=MAV.MAV_TYPE_GCS))
 
 
@@ -163,8 +168,8 @@ def test_a_delayed_command_of_a_known_sender_is_too_old(start: Start, ask: Ask, 
     clock = SetClock()
     agent = start(tmp_path, clock)
     ground = ask(agent, clock.utc())
-    ground.beat()
-    until(lambda: agent.heard, "the heartbeat")
+    ground.heartbeat()
+    until(lambda: agent.received, "the heartbeat")
     delayed = ground.record(*RESTART)
     clock.ahead_s = 6 * 3600.0
     assert ground.play(delayed) == MAV.MAV_RESULT_DENIED
@@ -207,7 +212,7 @@ def test_without_a_clock_a_recorded_command_changes_nothing(start: Start, ask: A
     clock.ahead_s = -true_utc  # 1970
     agent = start(tmp_path, clock)
     ground = ask(agent, true_utc - 365 * 86400.0)
-    ground.beat()
+    ground.heartbeat()
     first, second, read = ground.record(*RESTART), ground.record(*RESTART), ground.record(*STATUS)
     assert [ground.play(frame) for frame in (first, second)] == [MAV.MAV_RESULT_TEMPORARILY_REJECTED] * 2
     assert ground.play(read) == MAV.MAV_RESULT_ACCEPTED

@@ -32,7 +32,7 @@ def watching(folder: Path, names: dict[str, str], url: str, mode: str = "act") -
         log={"directory": str(folder / "log")},
         checks={"host": {"enabled": False}, "peers": {"enabled": False}},
         containers=[{"name": name, "alias": key, "recover": key == "app"} for key, name in names.items()],
-        recovery={"mode": mode, "verify": "3s", "stop_timeout": "2s", "ladders": {"exited": ["start"]}},
+        recovery={"mode": mode, "verify": "30s", "stop_timeout": "2s", "ladders": {"exited": ["start"]}},
         mavlink={"endpoints": [{"url": url, "budget": 0}], "commands": ["restart", "approve", "details"]},
     )
 
@@ -48,6 +48,9 @@ class Agent:
         self.daemon = build_daemon(made)
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
+        hub = self.daemon.components.probes.mavlink
+        assert hub is not None
+        until(hub.links, "the port opening")
         self.ground: Any = mavutil.mavlink_connection(
             f"udpout:127.0.0.1:{port}", source_system=255, source_component=190
         )

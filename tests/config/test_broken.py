@@ -292,9 +292,9 @@ BROKEN = [
            4, "mavlink.endpoints[1].link_id", ("3 is also used by the endpoint in line 3", "its own")),
     Broken("link id of a place", "mavlink:\n  endpoints:\n    - {url: tcp:h:1, link_id: 1}\n    - {url: tcp:h:2}\n",
            3, "mavlink.endpoints[0].link_id", ("1 is also used by the endpoint in line 4",)),
-    Broken("nothing to hear on", "mavlink:\n  autopilot: true\n", 2, "mavlink.autopilot", ("no endpoints",)),
+    Broken("nothing to receive on", "mavlink:\n  autopilot: true\n", 2, "mavlink.autopilot", ("no endpoints",)),
     Broken(
-        "heard on no endpoint", "mavlink:\n  endpoints: [{url: 'tcp:a:1', leads_to: ground}]\n  autopilot: true\n", 3,
+        "received on no endpoint", "mavlink:\n  endpoints: [{url: 'tcp:a:1', leads_to: ground}]\n  autopilot: true\n", 3,
         "mavlink.autopilot", ("no endpoint leads to it",),
     ),
     Broken(

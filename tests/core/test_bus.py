@@ -11,6 +11,7 @@ from phm.core.model import Event, Note, ReportStarted, Stamp
 from tests.fakes.until import until
 
 AT = Stamp(0.0, 0.0)
+LIMIT_S = 60.0
 
 
 def note(text: str) -> Note:
@@ -24,7 +25,7 @@ def test_events_arrive_in_order_and_only_of_requested_kinds() -> None:
     bus.publish(ReportStarted(AT, 1))
     for text in "abc":
         bus.publish(note(text))
-    bus.close()
+    bus.close(LIMIT_S)
     assert [event.text for event in seen if isinstance(event, Note)] == ["a", "b", "c"]
     assert len(seen) == 3
 
@@ -34,7 +35,7 @@ def test_a_slow_subscriber_delays_no_other_and_loses_the_oldest_events() -> None
     bus, gate, seen = Bus(SystemClock()), threading.Event(), []
 
     def slow(event: Event) -> None:
-        gate.wait(5)
+        gate.wait(LIMIT_S)
         seen.append(event)
 
     bus.subscribe("slow", slow, size=3)
@@ -44,7 +45,7 @@ def test_a_slow_subscriber_delays_no_other_and_loses_the_oldest_events() -> None
         bus.publish(note(str(number)))
     assert bus.dropped() == {"slow": 7}
     gate.set()
-    bus.close()
+    bus.close(LIMIT_S)
     assert [event.text for event in seen if isinstance(event, Note)] == ["first", "7", "8", "9"]
 
 
@@ -53,7 +54,7 @@ def test_with_a_key_the_newest_event_of_each_key_is_kept() -> None:
     bus, gate, seen = Bus(SystemClock()), threading.Event(), []
 
     def slow(event: Event) -> None:
-        gate.wait(5)
+        gate.wait(LIMIT_S)
         seen.append(event)
 
     bus.subscribe("recovery", slow, key=lambda event: event.text[0] if isinstance(event, Note) else "")
@@ -62,7 +63,7 @@ def test_with_a_key_the_newest_event_of_each_key_is_kept() -> None:
     for text in ("a1", "b1", "a2", "a3"):
         bus.publish(note(text))
     gate.set()
-    bus.close()
+    bus.close(LIMIT_S)
     assert [event.text for event in seen if isinstance(event, Note)] == ["x", "b1", "a3"]
 
 
@@ -77,7 +78,7 @@ def test_a_subscriber_that_raises_is_counted_and_continues() -> None:
     bus.subscribe("bad", handler)
     bus.publish(note("a"))
     bus.publish(note("b"))
-    bus.close()
+    bus.close(LIMIT_S)
     assert len(seen) == 2
     assert bus.problems() == ("bad: OSError: disk gone",)
 
@@ -89,6 +90,6 @@ def test_ticks_come_every_period_without_events() -> None:
     bus.subscribe("beat", lambda event: None, tick=lambda: ticks.append(clock.mono()), period_s=2.0)
     for count in (1, 2, 3):
         until(lambda count=count: len(ticks) == count, "the next event")  # type: ignore[misc]
-        clock.wait_for_sleepers(1)
+        clock.wait_for_sleepers(1, LIMIT_S)
         clock.advance(2.0)
     bus.close()

@@ -24,7 +24,7 @@ class EchoServer:
         self._ready = threading.Event()
         self.thread = threading.Thread(target=lambda: stream_server.run(self._serve(listener)), daemon=True)
         self.thread.start()
-        assert self._ready.wait(30)
+        assert self._ready.wait(60)
 
     async def _serve(self, listener: socket.socket) -> None:
         self.loop = asyncio.get_running_loop()
@@ -42,7 +42,7 @@ class EchoServer:
         assert self.loop is not None
         if self.thread.is_alive():
             self.loop.call_soon_threadsafe(self._ended.set)
-        self.thread.join(30)
+        self.thread.join(60)
         assert not self.thread.is_alive()
 
 
@@ -75,7 +75,7 @@ def server(listener: Listener) -> Iterator[EchoServer]:
 
 def connect(address: object) -> socket.socket:
     assert isinstance(address, tuple)
-    return socket.create_connection(address, 30)
+    return socket.create_connection(address, 60)
 
 
 def test_a_client_that_fails_is_disconnected_and_the_others_are_served(

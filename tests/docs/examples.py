@@ -125,12 +125,12 @@ def _once_json() -> str:
 def _ground() -> Mapping[str, Any]:
     """Agent 1 is OK, 2 has a dead node, the radio of 3 has failed, 7 is lost."""
     made = Ground()
-    made.hear(*(phm_heartbeat(number) for number in (1, 3, 7)), autopilot(1, armed=True), autopilot(2), autopilot(7))
-    made.hear(text_frame(7, "A07 OK 11111111", 6), text_frame(1, "A01 OK 11111111", 6))
+    made.receive(*(phm_heartbeat(number) for number in (1, 3, 7)), autopilot(1, armed=True), autopilot(2), autopilot(7))
+    made.receive(text_frame(7, "A07 OK 11111111", 6), text_frame(1, "A01 OK 11111111", 6))
     view = PeerView(1, gcs=True, autopilot=True, radio=True, peers={3: PeerState.ALIVE})
     bad = phm_heartbeat(2, {Slot.NODES: Level.ERROR, Slot.TOPICS: Level.STALE, Slot.RATES: Level.STALE})
     made.wait(30, phm_heartbeat(1), bad, tunnel_frame(1, view), autopilot(1, armed=True), autopilot(2))
-    made.hear(text_frame(2, "A02 FAIL 6 node_1 dead"))
+    made.receive(text_frame(2, "A02 FAIL 6 node_1 dead"))
     return {**made.snapshot(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
 
 

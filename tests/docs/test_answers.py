@@ -19,6 +19,7 @@ from phm.runtime.configuration import FIXED
 from phm.runtime.reloader import ReloadOutcome
 from phm.wire.delivery import DeliveryAnswer
 from tests.commands import test_control_server, test_delivery_server
+from tests.commands.long_limits import lengthen_limits
 from tests.docs.blocks import Block, blocks
 from tests.docs.test_commands import simple_commands
 from tests.docs.walk import Step, commands, walked
@@ -59,6 +60,11 @@ class Daemon(test_control_server.Daemon):
     def close(self) -> None:
         self.control.close()
         self.scene.stop()
+
+
+@pytest.fixture(autouse=True)
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    lengthen_limits(monkeypatch)
 
 
 @pytest.fixture

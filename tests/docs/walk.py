@@ -24,7 +24,7 @@ PAGE = ROOT / "docs" / "guides" / "write-a-check.md"
 BEGIN, END = "<!-- walk: begin", "<!-- walk: end -->"
 FOLDER = "/tmp/ten"
 """Of the reader, in the document; the walk has another."""
-COMMAND_LIMIT_S, SHOWN_LIMIT_S = 120.0, 60.0
+COMMAND_LIMIT_S, SHOWN_LIMIT_S = 300.0, 180.0
 REPEATED = ("phm status", "phm faults", "grep ", "ls ", "phm checks")
 """What may be done again and again, and changes nothing."""
 FILE = re.compile(r"`([\w./-]+\.(?:py|yaml))`")

@@ -25,7 +25,9 @@ def doctor_context(folder: Path, *, environ: dict[str, str] | None = None, **sec
             **sections,
         }
     )
-    return DoctorContext(settings, environ=environ or {}, proc=folder / "proc", container_mark=folder / "mark")
+    made = DoctorContext(settings, environ=environ or {}, proc=folder / "proc", container_mark=folder / "mark")
+    made.engine.timeout_s = 60.0  # the machine may be busy
+    return made
 
 
 def states(rows: list[Row]) -> dict[str, str]:

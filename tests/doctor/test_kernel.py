@@ -37,6 +37,7 @@ def test_features_that_an_old_kernel_lacks_are_limited_with_a_remedy(
 ) -> None:
     """cgroup v2, PSI, Landlock and enough inotify watches: PHM runs without them."""
     monkeypatch.setattr(kernel, "_SANDBOX", "print('files: no Landlock (not supported)')")
+    monkeypatch.setattr(kernel, "CHILD_LIMIT_S", 60.0)
     there = doctor_context(tmp_path)
     kernel_of(there.proc, watches=100, psi=False)
     (tmp_path / "cgroup" / "cpu").mkdir(parents=True)

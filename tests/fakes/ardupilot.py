@@ -34,13 +34,13 @@ def read(file: Path) -> list[tuple[int, bytes]]:
 
 
 class ArduPilot:
-    """`serial_0` is open from the start, `serial_1` after booting; `heard` has the received frames by serial port."""
+    """`serial_0` is open from the start, `serial_1` after booting; `received` has the received frames by serial port."""
 
     def __init__(self, session: Path) -> None:
         self._frames = [frame for _, frame in read(session)]
         self.serial_0 = Port("tcpin:127.0.0.1:0")
         self.serial_1: Port | None = None
-        self.heard: dict[int, list[Any]] = {0: [], 1: []}
+        self.received: dict[int, list[Any]] = {0: [], 1: []}
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="ardupilot", daemon=True)
         self._thread.start()
@@ -59,7 +59,7 @@ class ArduPilot:
         while not self._stopping.wait(STEP_S):
             for place, port in enumerate(self._ports()):
                 for sock in port.sockets():
-                    self.heard[place] += [message for _, message in port.receive(sock)]
+                    self.received[place] += [message for _, message in port.receive(sock)]
             if self.serial_1 is None and self.serial_0.peers:
                 self.serial_1 = Port("tcpin:127.0.0.1:0")
             if self.serial_1 is not None:

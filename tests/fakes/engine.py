@@ -185,7 +185,7 @@ class FakeEngine:
         code = {"exitCode": str(entry["State"]["ExitCode"])} if action == "die" else {}
         self.emit("container", action, entry["Id"], name=name, **entry["Config"]["Labels"], **code, **attributes)
 
-    def wait(self, condition: Callable[[FakeEngine], bool], timeout_s: float = 10.0) -> bool:
+    def wait(self, condition: Callable[[FakeEngine], bool], timeout_s: float = 60.0) -> bool:
         """Wait until an activity of the engine makes `condition` true."""
         with self.changed:
             return self.changed.wait_for(lambda: condition(self), timeout_s)

@@ -12,7 +12,7 @@ from phm.transport.priority import MessagePriority
 from phm.wire import tunnel
 from phm.wire.command import REPLY_TEXT
 
-LIMIT_S = 15.0
+LIMIT_S = 60.0
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
@@ -86,7 +86,7 @@ class FakePort:
     def listen(self, callback: Callable[[Any, str], None], ids: Iterable[int]) -> None:
         self._listeners.append((callback, frozenset(ids)))
 
-    def hear(self, message: Any) -> None:
+    def receive(self, message: Any) -> None:
         for callback, ids in self._listeners:
             if message.get_msgId() in ids:
                 callback(message, "test")

@@ -32,7 +32,7 @@ class Mesh:
         self.payloads: list[tuple[int, bytes]] = []
         """Sender and content of each TUNNEL that it read."""
         self._sockets = {name: _bound() for name in members}
-        self._heard_at: dict[str, Any] = {}
+        self._received_at: dict[str, Any] = {}
         self._decoder, self._gcs = mavlink.MAVLink(None), Sender(255, 190)
         self._decoder.robust_parsing = True
         self._stopping = threading.Event()
@@ -53,17 +53,17 @@ class Mesh:
         while not self._stopping.is_set():
             for sock in select.select(list(of), [], [], 0.05)[0]:
                 with contextlib.suppress(OSError):
-                    data, self._heard_at[of[sock]] = sock.recvfrom(65535)
+                    data, self._received_at[of[sock]] = sock.recvfrom(65535)
                     self._forward(of[sock], data)
             if self.ground and time.monotonic() >= due:
                 due = time.monotonic() + GROUND_S
                 self._send(self._gcs.frame(heartbeat(kind=mavlink.MAV_TYPE_GCS)), set(of.values()) - self.no_gcs)
 
     def _forward(self, sender: str, data: bytes) -> None:
-        hears = set(self._sockets) - {sender}
+        receives = set(self._sockets) - {sender}
         if self.apart:
-            hears &= next((group for group in self.apart if sender in group), frozenset())
-        self._send(data, hears)
+            receives &= next((group for group in self.apart if sender in group), frozenset())
+        self._send(data, receives)
         if self.ground and sender not in self.no_gcs:
             for message in self._decoder.parse_buffer(data) or []:
                 if message.get_type() == "STATUSTEXT":
@@ -73,9 +73,9 @@ class Mesh:
 
     def _send(self, data: bytes, members: Iterable[str]) -> None:
         for name in members:
-            if name in self._heard_at:
+            if name in self._received_at:
                 with contextlib.suppress(OSError):
-                    self._sockets[name].sendto(data, self._heard_at[name])
+                    self._sockets[name].sendto(data, self._received_at[name])
 
 
 def _bound() -> socket.socket:

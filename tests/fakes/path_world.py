@@ -50,7 +50,7 @@ class PathWorld:
         self.closed_with = (111, "Connection refused")
         self.armed = False
         self.rebooted_at: float | None = None
-        self._heard: dict[tuple[int, int], float] = {}
+        self._received: dict[tuple[int, int], float] = {}
         self._due: dict[api.Check, float] = {}
         self._next = {PILOT: 0.0, GCS: 0.5, RADIO: 0.25}
 
@@ -110,7 +110,7 @@ class PathWorld:
             if now >= self._next[who]:
                 self._next[who] += period_s
                 if self._passes(who):
-                    self._heard[who] = self.clock.mono()
+                    self._received[who] = self.clock.mono()
 
     def _passes(self, who: tuple[int, int]) -> bool:
         name = {PILOT: "pilot", GCS: "gcs", RADIO: "radio"}[who]
@@ -121,7 +121,7 @@ class PathWorld:
 
     def _update_facts(self) -> None:
         now = self.clock.mono()
-        ages = {who: now - at for who, at in self._heard.items()}
+        ages = {who: now - at for who, at in self._received.items()}
         self.links.gcs_age, self.links.gcs_link = ages.get(GCS), "ground"
         if PILOT in ages:
             ago = None if self.rebooted_at is None else now - self.rebooted_at

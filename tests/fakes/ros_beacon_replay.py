@@ -32,9 +32,9 @@ def crowd(turn: int) -> list[str]:
     return texts
 
 
-def copied(heard: Any, name: str) -> list[str]:
+def copied(received: Any, name: str) -> list[str]:
     """A copy of the beacon, very late."""
-    said = json.loads(heard.msg)
+    said = json.loads(received.msg)
     if name not in said["nodes"] or said["nodes"][name]["late_s"] == 99.0:
         return []
     said["nodes"][name]["late_s"] = 99.0
@@ -47,11 +47,11 @@ def main(name: str, how: str) -> int:
     publisher = node.create_publisher(Log, BEACON, 10)
     texts: list[str] = []
 
-    def hear(message: Any) -> None:
+    def receive(message: Any) -> None:
         texts[:] = copied(message, name) or texts
 
     if how == "copy":
-        node.create_subscription(Log, BEACON, hear, qos_profile_sensor_data)
+        node.create_subscription(Log, BEACON, receive, qos_profile_sensor_data)
     for turn in count():
         rclpy.spin_once(node, timeout_sec=0.05)
         for text in crowd(turn) if how == "crowd" else texts:

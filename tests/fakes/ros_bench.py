@@ -140,12 +140,12 @@ class Bench:
 
 
 class Listener:
-    """A real subscriber of diagnostic arrays; `heard` is the newest of each status, as [level, message, hardware id, values]."""
+    """A real subscriber of diagnostic arrays; `received` is the newest of each status, as [level, message, hardware id, values]."""
 
     def __init__(self, bench: Bench, topic: str = "/diagnostics") -> None:
-        self.heard: dict[str, list[Any]] = {}
+        self.received: dict[str, list[Any]] = {}
         self.frames: dict[str, str] = {}
-        process = bench.script("ros_status.py", "hear", "monitor", topic)
+        process = bench.script("ros_status.py", "receive", "monitor", topic)
         threading.Thread(target=self._read, args=(process,), daemon=True).start()
 
     def _read(self, process: subprocess.Popen[bytes]) -> None:
@@ -153,7 +153,7 @@ class Listener:
         with contextlib.suppress(ValueError):  # at the end of the test the pipe is closed, in the middle of a line
             for line in process.stdout:
                 frame, statuses = json.loads(line)
-                self.heard.update({name: rest for name, *rest in statuses})
+                self.received.update({name: rest for name, *rest in statuses})
                 self.frames.update({name: frame for name, *_ in statuses})
 
 

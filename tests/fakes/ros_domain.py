@@ -1,4 +1,4 @@
-"""ROS domains for tests that run side by side: a PHM on this machine hears the applications of all containers, too."""
+"""ROS domains for tests that run side by side: a PHM on this machine receives the applications of all containers, too."""
 
 from __future__ import annotations
 

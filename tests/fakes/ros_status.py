@@ -1,10 +1,10 @@
 """A real node that sends or receives diagnostics, in the format of diagnostic_updater.
 
     python tests/fakes/ros_status.py say NAME < lines of JSON
-    python tests/fakes/ros_status.py hear NAME [TOPIC] > lines of JSON
+    python tests/fakes/ros_status.py receive NAME [TOPIC] > lines of JSON
 
 `say`: each line is a list of `[name, level, message, hardware_id, {key: value}]` and is published ten times a second, replacing
-the previous line, as one array, reliable and with a queue of one. `hear` prints each array it gets: `[frame_id, [...as above]]`.
+the previous line, as one array, reliable and with a queue of one. `receive` prints each array it gets: `[frame_id, [...as above]]`.
 TOPIC: /diagnostics by default.
 """
 
@@ -25,7 +25,7 @@ PERIOD_S = 0.1
 def main(role: str, name: str, topic: str = "/diagnostics") -> None:
     rclpy.init(args=[])
     node = rclpy.create_node(name, namespace="/agent_1")
-    say(node) if role == "say" else hear(node, topic)
+    say(node) if role == "say" else receive(node, topic)
 
 
 def say(node: Node) -> None:
@@ -45,7 +45,7 @@ def _status(name: str, level: int, message: str, hardware_id: str, values: dict[
     return DiagnosticStatus(name=name, level=bytes([level]), message=message, hardware_id=hardware_id, values=pairs)
 
 
-def hear(node: Node, topic: str) -> None:
+def receive(node: Node, topic: str) -> None:
     def take(array: DiagnosticArray) -> None:
         statuses = [
             [s.name, s.level[0], s.message, s.hardware_id, {pair.key: pair.value for pair in s.values}]

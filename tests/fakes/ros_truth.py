@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -10,12 +11,15 @@ from phm.facts import RateFact
 
 
 def true_rate(path: Path, window_s: float) -> float:
-    """In Hz over the last `window_s`, on a machine under any load. path: lines of `COUNT SECONDS`."""
+    """In Hz over the last `window_s`, on a machine under any load; nan if it has fewer than two publications, e.g. right after a
+    publisher got no CPU for longer. path: lines of `COUNT SECONDS`."""
     lines = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
     sent = [(int(words[0]), float(words[1])) for words in lines[:-1]]  # the last line may be incomplete
-    count, at_s = sent[-1]
-    first = next(entry for entry in sent if at_s - entry[1] <= window_s)
-    return (count - first[0]) / (at_s - first[1])
+    recent = [entry for entry in sent if sent[-1][1] - entry[1] <= window_s]
+    if len(recent) < 2:
+        return math.nan
+    (first, since_s), (count, at_s) = recent[0], recent[-1]
+    return (count - first) / (at_s - since_s)
 
 
 def within_2_percent(rate: RateFact | None, path: Path) -> bool:

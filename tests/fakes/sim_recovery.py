@@ -28,7 +28,7 @@ from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.testing import FakeClock
 from tests.fakes.agent_world import FIXES, Sim
 
-REAL_LIMIT_S = 20.0
+REAL_LIMIT_S = 60.0
 KINDS = {kind.name: kind for kind in (Start, Restart, Unpause, Reconnect, JoinNetwork, Relaunch, RestoreFile)}
 
 

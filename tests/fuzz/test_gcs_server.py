@@ -20,7 +20,7 @@ from tests.fuzz.hostile import corrupted
 from tests.fuzz.targets import fuzzed
 from tests.gcs.bench import Source
 
-LIMIT_S = 30.0
+LIMIT_S = 60.0
 ASKED = [
     b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",
     b"GET /snapshot HTTP/1.1\r\nHost: 127.0.0.1:80\r\n\r\n",

@@ -51,9 +51,9 @@ class Ground:
         self.store.links({"gcs": (True, "")}, self.clock.stamp())
         self.store.tick(self.clock.stamp())
 
-    def hear(self, *frames: Frame) -> list[GcsEvent]:
+    def receive(self, *frames: Frame) -> list[GcsEvent]:
         """The events that these frames cause."""
-        found = [news for frame in frames for news in self.store.hear(frame, "gcs", self.clock.stamp())]
+        found = [news for frame in frames for news in self.store.receive(frame, "gcs", self.clock.stamp())]
         self.news += found
         return found
 
@@ -64,7 +64,7 @@ class Ground:
         for step in range(1, steps + 1):
             self.clock.advance(0.25)
             if repeated and step % round(every / 0.25) == 0:
-                found += self.hear(*repeated)
+                found += self.receive(*repeated)
             ticked = self.store.tick(self.clock.stamp())
             self.news += ticked
             found += ticked
@@ -100,7 +100,7 @@ class Source:
     def watch(self, queue: BoundedQueue[Received]) -> None:
         """It receives no frames."""
 
-    def heard(self) -> None:
+    def received(self) -> None:
         """Nothing."""
 
     def line(self, number: int, news: GcsEvent) -> bytes:
@@ -126,7 +126,7 @@ class Wire:
     def send(self, data: bytes) -> None:
         self.sock.sendto(data, self._to)
 
-    def hear(self) -> list[Any]:
+    def receive(self) -> list[Any]:
         try:
             return self._decoder.parse_buffer(self.sock.recv(65535)) or []
         except TimeoutError:

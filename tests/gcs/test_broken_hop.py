@@ -38,29 +38,29 @@ def test_the_hop_is_the_first_that_the_agent_names(
     ground: Ground, slots: dict[Slot, Level], text: str, hop: tuple[str, str, bool] | None
 ) -> None:
     """From its lines, or from its status word while no line has a reason; a possible hop is marked as uncertain."""
-    ground.hear(phm_heartbeat(7, slots))
+    ground.receive(phm_heartbeat(7, slots))
     if text:
-        ground.hear(text_frame(7, text))
+        ground.receive(text_frame(7, text))
     found = ground.agent(7)["hop"]
     assert (found and (found["name"], found["evidence"], found["certain"])) == hop
 
 
 def test_the_hop_closest_to_the_ground_wins(ground: Ground) -> None:
     """Units behind a broken hop may be bad because of it."""
-    ground.hear(phm_heartbeat(7, {Slot.RADIO: Level.ERROR, Slot.AUTOPILOT: Level.ERROR, Slot.NODES: Level.ERROR}))
+    ground.receive(phm_heartbeat(7, {Slot.RADIO: Level.ERROR, Slot.AUTOPILOT: Level.ERROR, Slot.NODES: Level.ERROR}))
     assert ground.agent(7)["hop"]["name"] == "radio"
 
 
 def test_a_silent_agent_is_explained_by_other_received_frames(ground: Ground) -> None:
     """Of its autopilot, of other agents, or none: the companion, the radio, or the ground's own link."""
-    ground.hear(phm_heartbeat(7), phm_heartbeat(8), autopilot(7))
+    ground.receive(phm_heartbeat(7), phm_heartbeat(8), autopilot(7))
     ground.wait(20, autopilot(7), phm_heartbeat(8), every=1)
     assert ground.agent(7)["hop"]["name"] == "companion"
     ground.wait(20, phm_heartbeat(8), every=1)
     assert ground.agent(7)["hop"] == {"name": "radio or vehicle", "evidence": "silent 40 s", "certain": False}
     ground.wait(20)
     assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "all agents are silent", "certain": False}
-    ground.hear(RadioStatus(51, 68, 190, 180, 60, None, 99))
+    ground.receive(RadioStatus(51, 68, 190, 180, 60, None, 99))
     assert ground.agent(7)["hop"]["name"] == "radio"
     assert ground.snapshot()["radios"] == [
         {"link": "gcs", "age_s": 0.0, "rssi": 190, "remrssi": 180, "noise": 60, "remnoise": None, "txbuf": 99}
@@ -78,16 +78,16 @@ def test_an_agent_that_was_never_received_gets_time() -> None:
 
 def test_a_hop_causes_one_event(ground: Ground) -> None:
     """When it breaks and when it works again; the growing duration of its silence causes none."""
-    ground.hear(phm_heartbeat(7), phm_heartbeat(8))
+    ground.receive(phm_heartbeat(7), phm_heartbeat(8))
     news = ground.wait(60, phm_heartbeat(8))
     assert [body["hop"]["name"] for body in events(news, "hop")] == ["radio or vehicle"]
-    ground.hear(phm_heartbeat(7))
+    ground.receive(phm_heartbeat(7))
     assert [body["hop"] for body in events(ground.wait(1), "hop")] == [None]
 
 
 def test_an_agent_without_contact_to_the_ground_reports_it_in_its_view(ground: Ground) -> None:
     """Its radio works in one direction only: it is received, but commands do not reach it."""
-    ground.hear(phm_heartbeat(7), tunnel_frame(7, PeerView(1, gcs=False, autopilot=True, radio=False)))
+    ground.receive(phm_heartbeat(7), tunnel_frame(7, PeerView(1, gcs=False, autopilot=True, radio=False)))
     assert ground.agent(7)["hop"] == {
         "name": "radio",
         "evidence": "it does not receive the ground station",

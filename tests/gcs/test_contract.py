@@ -23,23 +23,23 @@ def flight() -> Ground:
     ground.store.links({"gcs": (False, "refused")}, ground.clock.stamp())
     ground.news += ground.store.links({"gcs": (True, "")}, ground.clock.stamp())
     ground.wait(20)
-    ground.hear(
+    ground.receive(
         phm_heartbeat(7),
         phm_heartbeat(8),
         autopilot(7, armed=True),
         text_frame(7, "A07 FAIL 6 node_1 dead"),
         text_frame(7, "hello", component=1),
     )
-    ground.hear(
+    ground.receive(
         text_frame(7, "SWARM 1/2 FAIL A08:lost", 6), tunnel_frame(7, SwarmDigest(2, 1, {7: Level.OK, 8: Level.ERROR}))
     )
-    ground.hear(
+    ground.receive(
         tunnel_frame(7, PeerView(1, True, True, False, {8: PeerState.LOST})),
         tunnel_frame(7, StatusWords({8: 0x40025D55})),
     )
-    ground.hear(tunnel_frame(7, tunnel.details("ab12-1", "node_1 is dead")[0]))
-    ground.hear(text_frame(7, "A07 ADVISE 6 restart app #1 60s", 4), CommandAck(7, 193, 31010, 0, (254, 190)))
-    ground.hear(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), phm_heartbeat(7, {}, state=1))
+    ground.receive(tunnel_frame(7, tunnel.details("ab12-1", "node_1 is dead")[0]))
+    ground.receive(text_frame(7, "A07 ADVISE 6 restart app #1 60s", 4), CommandAck(7, 193, 31010, 0, (254, 190)))
+    ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), phm_heartbeat(7, {}, state=1))
     ground.wait(30, phm_heartbeat(7))
     return ground
 

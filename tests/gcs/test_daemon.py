@@ -156,12 +156,14 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 def test_two_real_agents_are_found_and_shown(scene: Scene, tmp_path: Path) -> None:
     """Slots, lines, views and the digest of agents whose clocks are years behind; one is stopped, one is killed."""
     until(lambda: scene.of(7)["how"] == "ERROR" and scene.of(8)["how"] in ("OK", "WARN"), "both agents")
-    until(lambda: any(bad["slot"] == 2 for bad in scene.of(7)["bad"]), "the line of the fault")
-    assert scene.of(7)["slots"]["2"] == "ERROR"
+    until(
+        lambda: (one := scene.of(7))["slots"].get("2") == "ERROR" and any(bad["slot"] == 2 for bad in one["bad"]),
+        "the line of the fault",
+    )
     until(lambda: (view := scene.of(8)["view"]) and view["gcs"] and view["peers"] == {"7": "alive"}, "the view")
-    until(lambda: scene.of(7)["heard_by"] == [8], "the agents that receive it")
+    until(lambda: scene.of(7)["received_by"] == [8], "the agents that receive it")
     until(lambda: (swarm := scene.station.snapshot()[1].body["swarm"]) and swarm["line"], "the swarm's line")
-    assert all(one["presence"] == "alive" for one in (scene.of(7), scene.of(8)))
+    until(lambda: all(one["presence"] == "alive" for one in (scene.of(7), scene.of(8))), "two agents in time")
     lines = [body for body in scene.events("text") if body["phm"] and body["agent"] == 7]
     assert any(body["text"].startswith("A07 FAIL 2 ") and body["severity_name"] == "CRITICAL" for body in lines)
     now = SystemClock().utc()
@@ -207,7 +209,7 @@ def test_the_record_can_be_read_back(scene: Scene, tmp_path: Path) -> None:
     with path.open("ab") as stream:
         stream.write(b'{"v":1,"run":"torn')
     events = list(json_log.read(path))
-    news = [event for event in events if event["event"] not in ("snapshot", "heard")]
+    news = [event for event in events if event["event"] not in ("snapshot", "received")]
     assert [event["seq"] for event in news] == list(range(news[0]["seq"], news[0]["seq"] + len(news)))
     assert events[-1]["event"] == "snapshot"
     assert {one["agent"] for one in events[-1]["agents"]} == {7, 8}
@@ -244,7 +246,7 @@ def test_the_station_sends_heartbeats_like_a_ground_station(wired: Callable[...,
     """Type GCS, 254/190, and only heartbeats."""
     _, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
-    received = until(lambda: (wire.hear() + wire.hear() + wire.hear()) or None, "a heartbeat")
+    received = until(lambda: (wire.receive() + wire.receive() + wire.receive()) or None, "a heartbeat")
     assert {(one.get_type(), one.get_srcSystem(), one.get_srcComponent(), one.type) for one in received} == {
         ("HEARTBEAT", 254, 190, mavlink.MAV_TYPE_GCS)
     }
@@ -257,10 +259,10 @@ def test_the_station_announces_its_end(
     """Its heartbeats say that it is `phm gcs`, or with --pilot a ground station like others; the last one says POWEROFF."""
     station, wire = wired(pilot=is_pilot)
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
-    first = until(lambda: wire.hear() or None, "a heartbeat")[0]
+    first = until(lambda: wire.receive() or None, "a heartbeat")[0]
     assert (first.custom_mode, first.system_status) == (mode, mavlink.MAV_STATE_ACTIVE)
     station.close()
-    until(lambda: any(one.system_status == mavlink.MAV_STATE_POWEROFF for one in wire.hear()), "the farewell")
+    until(lambda: any(one.system_status == mavlink.MAV_STATE_POWEROFF for one in wire.receive()), "the farewell")
 
 
 def test_a_silent_station_sends_nothing(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
@@ -269,16 +271,16 @@ def test_a_silent_station_sends_nothing(wired: Callable[..., tuple[GroundStation
     sender = Sender(7, 193)
     wire.send(sender.frame(heartbeat(1 << 30)))
     until(lambda: station.snapshot()[1].body["agents"], "the agent")
-    assert [wire.hear() for _ in range(8)] == [[]] * 8
+    assert [wire.receive() for _ in range(8)] == [[]] * 8
     station.close()
-    assert wire.hear() == []
+    assert wire.receive() == []
 
 
 def test_another_program_with_our_id_is_reported(wired: Callable[..., tuple[GroundStation, Wire]]) -> None:
     """Our own frames that a router echoes are not reported."""
     station, wire = wired()
     wire.send(Sender(7, 193).frame(heartbeat(1 << 30)))
-    own = until(lambda: wire.hear() or None, "a heartbeat of ours")[0]
+    own = until(lambda: wire.receive() or None, "a heartbeat of ours")[0]
     wire.send(bytes(own.get_msgbuf()))
     wire.send(Sender(8, 193).frame(heartbeat(1 << 30)))
     until(lambda: len(station.snapshot()[1].body["agents"]) == 2, "a frame after the echo")
@@ -292,11 +294,16 @@ def test_a_flood_does_not_affect_other_senders(wired: Callable[..., tuple[Ground
     """Only frames of the flooding sender are dropped; garbage in between changes nothing."""
     station, wire = wired()
     loud, calm = Sender(9, 193), Sender(7, 193)
-    for number in range(600):
-        wire.send(loud.frame(text(f"A09 FAIL 6 unit {number}", 2)))
-        if number % 100 == 0:
-            wire.send(os.urandom(64) + calm.frame(heartbeat(1 << 30 | number)))
-    until(lambda: station.snapshot()[1].body["frames_refused"], "refused frames")
+
+    def flood() -> bool:
+        """On a busy machine the first frames may be too slow for one."""
+        for number in range(600):
+            wire.send(loud.frame(text(f"A09 FAIL 6 unit {number}", 2)))
+            if number % 100 == 0:
+                wire.send(os.urandom(64) + calm.frame(heartbeat(1 << 30 | number)))
+        return bool(station.snapshot()[1].body["frames_refused"])
+
+    until(flood, "refused frames")
     until(lambda: any(one["agent"] == 7 for one in station.snapshot()[1].body["agents"]), "the other agent")
 
 
@@ -315,7 +322,7 @@ def test_an_autopilot_forwards_to_stations_that_send(silent: bool) -> None:
         return station.snapshot()[1].body
 
     try:
-        with socket.create_connection(("127.0.0.1", companion), 5) as phm_socket:
+        with socket.create_connection(("127.0.0.1", companion), 60) as phm_socket:
 
             def speak(times: int) -> bool:
                 for _ in range(times):

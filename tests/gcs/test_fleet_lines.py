@@ -19,59 +19,59 @@ def ground() -> Ground:
 
 def test_lines_name_the_bad_units_until_they_recover(ground: Ground) -> None:
     """Two units of one slot, one of them recovered by name; the heartbeat with an OK slot ends the rest."""
-    ground.hear(phm_heartbeat(7, {Slot.NODES: Level.ERROR}))
-    ground.hear(text_frame(7, "A07 FAIL 6 node_1 dead"), text_frame(7, "A07 FAIL 6 node_2 dead"))
-    ground.hear(text_frame(7, "A07 OK 6 node_2 restarted", 5))
+    ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}))
+    ground.receive(text_frame(7, "A07 FAIL 6 node_1 dead"), text_frame(7, "A07 FAIL 6 node_2 dead"))
+    ground.receive(text_frame(7, "A07 OK 6 node_2 restarted", 5))
     assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["node_1 dead"]
-    ground.hear(phm_heartbeat(7))
+    ground.receive(phm_heartbeat(7))
     assert ground.agent(7)["bad"] == []
 
 
 def test_a_refresh_corrects_missed_lines(ground: Ground) -> None:
     """Radios lose lines: the refresh knows exactly one bad unit, or none."""
     bad = {Slot.NODES: Level.ERROR, Slot.FILES: Level.ERROR}
-    ground.hear(
+    ground.receive(
         phm_heartbeat(7, bad), text_frame(7, "A07 FAIL 6 node_1 dead"), text_frame(7, "A07 FAIL 3 map.bin missing")
     )
-    ground.hear(text_frame(7, "A07 FAIL 11111011 6 node_2 dead +1", 6))
+    ground.receive(text_frame(7, "A07 FAIL 11111011 6 node_2 dead +1", 6))
     assert [entry["text"] for entry in ground.agent(7)["bad"]] == ["map.bin missing", "node_1 dead", "node_2 dead"]
-    ground.hear(text_frame(7, "A07 FAIL 11111011 6 node_1 dead", 6))
+    ground.receive(text_frame(7, "A07 FAIL 11111011 6 node_1 dead", 6))
     assert [entry["text"] for entry in ground.agent(7)["bad"]] == ["node_1 dead"]
-    ground.hear(text_frame(7, "A07 OK 11111111", 6))
+    ground.receive(text_frame(7, "A07 OK 11111111", 6))
     assert ground.agent(7)["bad"] == []
 
 
 def test_a_repeated_refresh_is_recorded_and_not_shown(ground: Ground) -> None:
     """The operator sees only a refresh that differs from the last."""
-    ground.hear(phm_heartbeat(7))
-    first = ground.hear(text_frame(7, "A07 OK 11111111", 6))
-    again = ground.hear(text_frame(7, "A07 OK 11111111", 6))
+    ground.receive(phm_heartbeat(7))
+    first = ground.receive(text_frame(7, "A07 OK 11111111", 6))
+    again = ground.receive(text_frame(7, "A07 OK 11111111", 6))
     assert [bool(describe_with_time(news)) for news in first + again] == [True, False]
     assert events(again, "text")[0]["repeat"] is True
 
 
 def test_an_agent_with_two_links_to_the_ground_is_reported_once(ground: Ground) -> None:
     """Each line and each heartbeat arrives twice: neither a second line nor a shorter period."""
-    ground.hear(phm_heartbeat(7))
+    ground.receive(phm_heartbeat(7))
     first, second = (
-        ground.hear(text_frame(7, "A07 FAIL 6 node_1 dead")),
-        ground.hear(text_frame(7, "A07 FAIL 6 node_1 dead")),
+        ground.receive(text_frame(7, "A07 FAIL 6 node_1 dead")),
+        ground.receive(text_frame(7, "A07 FAIL 6 node_1 dead")),
     )
     assert (bool(describe_with_time(first[0])), bool(describe_with_time(second[0]))) == (True, False)
     for _ in range(10):
         ground.wait(0.5)
-        ground.hear(phm_heartbeat(7))
+        ground.receive(phm_heartbeat(7))
         ground.wait(1.5)
-        ground.hear(phm_heartbeat(7))
+        ground.receive(phm_heartbeat(7))
     assert ground.agent(7)["period_s"] == 1.5
-    assert describe_with_time(ground.hear(text_frame(7, "A07 FAIL 6 node_1 dead"))[0])
+    assert describe_with_time(ground.receive(text_frame(7, "A07 FAIL 6 node_1 dead"))[0])
 
 
 def test_a_slot_missing_from_a_refresh_is_stale(ground: Ground) -> None:
     """Unused and unknown are equal in the status word: the refresh distinguishes them."""
-    ground.hear(phm_heartbeat(7), text_frame(7, "A07 STALE 11111--- 6", 6))
+    ground.receive(phm_heartbeat(7), text_frame(7, "A07 STALE 11111--- 6", 6))
     assert ground.agent(7)["how"] == "STALE"
-    ground.hear(text_frame(7, "A07 OK 11111111", 6))
+    ground.receive(text_frame(7, "A07 OK 11111111", 6))
     assert ground.agent(7)["how"] == "OK"
 
 
@@ -88,8 +88,8 @@ def test_a_slot_missing_from_a_refresh_is_stale(ground: Ground) -> None:
 )
 def test_lines_of_other_programs_are_shown_with_their_sender(ground: Ground, frame: StatusText) -> None:
     """They are recorded with their sender, and change no agent."""
-    ground.hear(phm_heartbeat(7), phm_heartbeat(8))
-    news = ground.hear(frame)
+    ground.receive(phm_heartbeat(7), phm_heartbeat(8))
+    news = ground.receive(frame)
     assert (events(news, "text")[0]["phm"], events(news, "text")[0].get("agent")) == (False, None)
     assert ground.agent(7)["bad"] == ground.agent(8)["bad"] == []
     assert ground.agent(7)["line"] is None
@@ -98,7 +98,7 @@ def test_lines_of_other_programs_are_shown_with_their_sender(ground: Ground, fra
 
 def test_a_line_before_the_first_heartbeat_is_not_lost(ground: Ground) -> None:
     """From PHM's usual component, about itself: the agent is known by it, and everything else of it is unknown."""
-    ground.hear(text_frame(7, "A07 FAIL 6 node_1 dead"))
+    ground.receive(text_frame(7, "A07 FAIL 6 node_1 dead"))
     agent = ground.agent(7)
     assert (agent["line"]["text"], agent["how"], agent["presence"]) == (
         "A07 FAIL 6 node_1 dead",
@@ -111,14 +111,14 @@ def test_with_a_key_unsigned_frames_are_not_accepted() -> None:
     """A forged agent has no row, and a forged line of a real one is shown with its sender and changes nothing."""
     store = FleetState(signed=True)
     word = status_word.encode({Slot.NODES: Level.OK})
-    store.hear(Heartbeat(7, 193, 18, 8, 0, word, 4, signed=True), "link", Stamp(0.0, 0.0))
-    store.hear(Heartbeat(8, 193, 18, 8, 0, word, 4), "link", Stamp(0.0, 0.0))
-    store.hear(Heartbeat(7, 193, 18, 8, 0, word, 7), "link", Stamp(0.1, 0.1))
-    (news,) = store.hear(StatusText(7, 193, 2, "A07 FAIL 6 node_1 dead"), "link", Stamp(0.2, 0.2))
+    store.receive(Heartbeat(7, 193, 18, 8, 0, word, 4, signed=True), "link", Stamp(0.0, 0.0))
+    store.receive(Heartbeat(8, 193, 18, 8, 0, word, 4), "link", Stamp(0.0, 0.0))
+    store.receive(Heartbeat(7, 193, 18, 8, 0, word, 7), "link", Stamp(0.1, 0.1))
+    (news,) = store.receive(StatusText(7, 193, 2, "A07 FAIL 6 node_1 dead"), "link", Stamp(0.2, 0.2))
     (agent,) = store.snapshot(Stamp(0.3, 0.3))["agents"]
     assert (agent["name"], agent["presence"], agent["bad"]) == ("A07", "alive", [])
     assert news.body["phm"] is False
-    (news,) = store.hear(StatusText(7, 193, 2, "A07 FAIL 6 node_1 dead", signed=True), "link", Stamp(0.4, 0.4))
+    (news,) = store.receive(StatusText(7, 193, 2, "A07 FAIL 6 node_1 dead", signed=True), "link", Stamp(0.4, 0.4))
     assert news.body["phm"] is True
 
 

@@ -24,13 +24,13 @@ def ground() -> Ground:
 
 def test_an_unlisted_agent_is_discovered_by_its_heartbeat(ground: Ground) -> None:
     """One event for the agent and one for its slots; an equal heartbeat causes none."""
-    news = ground.hear(phm_heartbeat(9, {Slot.NODES: Level.ERROR}, state=EMERGENCY))
+    news = ground.receive(phm_heartbeat(9, {Slot.NODES: Level.ERROR}, state=EMERGENCY))
     assert [one.event for one in news] == ["agent", "slots"]
     assert events(news, "agent")[0]["name"] == "A09"
     agent = ground.agent(9)
     assert (agent["how"], agent["presence"], agent["state"]) == ("ERROR", "alive", "EMERGENCY")
     assert agent["slots"] == {**{str(int(slot)): "OK" for slot in HEALTHY}, "6": "ERROR"}
-    assert ground.hear(phm_heartbeat(9, {Slot.NODES: Level.ERROR}, state=EMERGENCY)) == []
+    assert ground.receive(phm_heartbeat(9, {Slot.NODES: Level.ERROR}, state=EMERGENCY)) == []
 
 
 def test_unreported_state_is_unknown() -> None:
@@ -38,10 +38,10 @@ def test_unreported_state_is_unknown() -> None:
     ground = Ground(expected=(3,))
     agent = ground.agent(3)
     assert (agent["how"], agent["presence"], agent["slots"], agent["age_s"]) == ("UNKNOWN", "never received", {}, None)
-    assert (agent["line"], agent["autopilot"], agent["hears_ground"], agent["period_s"]) == (None, None, None, None)
-    ground.hear(Heartbeat(3, 193, 18, 8, 0, 1 << 30, 4))
+    assert (agent["line"], agent["autopilot"], agent["receives_ground"], agent["period_s"]) == (None, None, None, None)
+    ground.receive(Heartbeat(3, 193, 18, 8, 0, 1 << 30, 4))
     assert (ground.agent(3)["how"], ground.agent(3)["slots"]) == ("UNKNOWN", {})
-    ground.hear(phm_heartbeat(3, {Slot.FILES: Level.STALE}))
+    ground.receive(phm_heartbeat(3, {Slot.FILES: Level.STALE}))
     assert "3" not in ground.agent(3)["slots"]
 
 
@@ -60,21 +60,21 @@ def test_unreported_state_is_unknown() -> None:
 )
 def test_heartbeats_of_others_make_no_agent(ground: Ground, frame: Heartbeat) -> None:
     """Regardless of their custom_mode."""
-    ground.hear(frame)
+    ground.receive(frame)
     assert ground.snapshot()["agents"] == []
 
 
 def test_a_status_word_of_another_version_is_reported_as_unreadable(ground: Ground) -> None:
     """Once; the agent is listed, and its slots are unknown."""
-    news = ground.hear(Heartbeat(9, 193, 18, 8, 0, 2 << 30 | 1, 4))
+    news = ground.receive(Heartbeat(9, 193, 18, 8, 0, 2 << 30 | 1, 4))
     assert "version 2" in events(news, "problem")[0]["text"]
-    assert ground.hear(Heartbeat(9, 193, 18, 8, 0, 2 << 30 | 1, 4)) == []
+    assert ground.receive(Heartbeat(9, 193, 18, 8, 0, 2 << 30 | 1, 4)) == []
     assert (ground.agent(9)["how"], ground.agent(9)["slots"]) == ("UNKNOWN", {})
 
 
 def test_two_phms_of_one_vehicle_are_two_rows(ground: Ground) -> None:
     """A second PHM on another component does not hide the first."""
-    ground.hear(phm_heartbeat(7), phm_heartbeat(7, {Slot.FILES: Level.ERROR}, component=195))
+    ground.receive(phm_heartbeat(7), phm_heartbeat(7, {Slot.FILES: Level.ERROR}, component=195))
     assert [(one["name"], one["how"]) for one in ground.snapshot()["agents"]] == [("A07", "OK"), ("A07/195", "ERROR")]
 
 
@@ -83,19 +83,19 @@ def test_two_phms_of_one_vehicle_are_two_rows(ground: Ground) -> None:
 
 def test_a_line_counts_until_the_next_heartbeat(ground: Ground) -> None:
     """A failure or its end is known by whichever is received first."""
-    ground.hear(phm_heartbeat(7), text_frame(7, "A07 FAIL 6 node_1 dead"))
+    ground.receive(phm_heartbeat(7), text_frame(7, "A07 FAIL 6 node_1 dead"))
     assert (ground.agent(7)["how"], ground.agent(7)["slots"]["6"]) == ("ERROR", "ERROR")
-    ground.hear(text_frame(7, "A07 FAIL 6 node_2 dead"), text_frame(7, "A07 OK 6 node_1 restarted", 5))
+    ground.receive(text_frame(7, "A07 FAIL 6 node_2 dead"), text_frame(7, "A07 OK 6 node_1 restarted", 5))
     assert ground.agent(7)["how"] == "ERROR"
-    ground.hear(text_frame(7, "A07 OK 6 node_2 restarted", 5))
+    ground.receive(text_frame(7, "A07 OK 6 node_2 restarted", 5))
     assert (ground.agent(7)["how"], ground.agent(7)["slots"]["6"]) == ("OK", "OK")
-    ground.hear(phm_heartbeat(7, {Slot.NODES: Level.ERROR}))
+    ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}))
     assert ground.agent(7)["how"] == "ERROR"
 
 
 def test_the_end_of_an_unknown_failure_proves_nothing(ground: Ground) -> None:
     """The heartbeat says ERROR, and the lines about its causes were not received: others may last."""
-    ground.hear(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 OK 6 node_1 restarted", 5))
+    ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 OK 6 node_1 restarted", 5))
     assert ground.agent(7)["how"] == "ERROR"
 
 
@@ -113,15 +113,15 @@ def test_a_refresh_counts_until_the_next_heartbeat(
     ground: Ground, before: dict[Slot, Level] | None, line: str, how: str
 ) -> None:
     """Its digits are the newest about slots 1 to 8."""
-    ground.hear(phm_heartbeat(7, before), text_frame(7, line, 6))
+    ground.receive(phm_heartbeat(7, before), text_frame(7, line, 6))
     assert ground.agent(7)["how"] == how
 
 
 def test_a_ground_station_that_announces_its_end_is_no_longer_listed(ground: Ground) -> None:
     """So that the table of another `phm gcs` does not show it."""
-    ground.hear(Heartbeat(250, 190, 6, 8, 0, 0, 4))
+    ground.receive(Heartbeat(250, 190, 6, 8, 0, 0, 4))
     assert ground.snapshot()["stations"] == [{"system": 250, "component": 190}]
-    ground.hear(Heartbeat(250, 190, 6, 8, 0, 0, 7))
+    ground.receive(Heartbeat(250, 190, 6, 8, 0, 0, 7))
     assert ground.snapshot()["stations"] == []
 
 
@@ -130,7 +130,7 @@ def test_a_ground_station_that_announces_its_end_is_no_longer_listed(ground: Gro
 
 def test_a_silent_agent_is_lost_by_its_own_period(ground: Ground) -> None:
     """Late after 2.5 of its periods, lost after 5; then its slots are unknown, and its last report is kept separately."""
-    ground.hear(phm_heartbeat(7, {Slot.FILES: Level.ERROR}))
+    ground.receive(phm_heartbeat(7, {Slot.FILES: Level.ERROR}))
     ground.wait(10, phm_heartbeat(7, {Slot.FILES: Level.ERROR}), every=1)
     ground.wait(3)
     assert ground.agent(7)["presence"] == "late"
@@ -140,13 +140,13 @@ def test_a_silent_agent_is_lost_by_its_own_period(ground: Ground) -> None:
     ]
     agent = ground.agent(7)
     assert (agent["how"], agent["slots"], agent["last_slots"]["3"]) == ("LOST", {}, "ERROR")
-    assert events(ground.hear(phm_heartbeat(7)), "presence")[0]["presence"] == "alive"
+    assert events(ground.receive(phm_heartbeat(7)), "presence")[0]["presence"] == "alive"
     assert ground.agent(7)["how"] == "OK"
 
 
 def test_slow_heartbeats_of_a_large_swarm_are_not_a_loss(ground: Ground) -> None:
     """A period of 25 s is learned, the first heartbeats are given time, and one lost heartbeat is tolerated."""
-    ground.hear(phm_heartbeat(7))
+    ground.receive(phm_heartbeat(7))
     ground.wait(100, phm_heartbeat(7), every=25)
     assert events(ground.wait(50, phm_heartbeat(7), every=50), "presence") == []
     assert ground.agent(7)["period_s"] == 25.0
@@ -154,17 +154,17 @@ def test_slow_heartbeats_of_a_large_swarm_are_not_a_loss(ground: Ground) -> None
 
 def test_an_answer_to_a_ground_station_does_not_change_the_period(ground: Ground) -> None:
     """Additional heartbeats, and copies of one, do not make the learned period shorter."""
-    ground.hear(phm_heartbeat(7), phm_heartbeat(7))
+    ground.receive(phm_heartbeat(7), phm_heartbeat(7))
     ground.wait(0.5)
-    ground.hear(phm_heartbeat(7))
+    ground.receive(phm_heartbeat(7))
     ground.wait(40, phm_heartbeat(7), every=10)
     assert ground.agent(7)["period_s"] == 10.0
 
 
 def test_an_agent_that_was_shut_down_has_left(ground: Ground) -> None:
     """POWEROFF is its last report: it is not lost, however long it is gone."""
-    ground.hear(phm_heartbeat(7))
-    news = ground.hear(phm_heartbeat(7, state=7))
+    ground.receive(phm_heartbeat(7))
+    news = ground.receive(phm_heartbeat(7, state=7))
     assert events(news, "presence")[0]["presence"] == "left"
     assert events(ground.wait(100), "presence") == []
     assert (ground.agent(7)["how"], ground.agent(7)["hop"]) == ("LEFT", None)
@@ -172,8 +172,8 @@ def test_an_agent_that_was_shut_down_has_left(ground: Ground) -> None:
 
 def test_a_restart_discards_earlier_reports(ground: Ground) -> None:
     """A heartbeat with BOOT after others: the new PHM reports everything again."""
-    ground.hear(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 FAIL 6 node_1 dead"))
-    news = ground.hear(Heartbeat(7, 193, 18, 8, 0, 1 << 30, 1))
+    ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 FAIL 6 node_1 dead"))
+    news = ground.receive(Heartbeat(7, 193, 18, 8, 0, 1 << 30, 1))
     assert events(news, "restart")[0]["restarts"] == 1
     agent = ground.agent(7)
     assert (agent["bad"], agent["restarts"], agent["how"]) == ([], 1, "BOOT")
@@ -181,13 +181,13 @@ def test_a_restart_discards_earlier_reports(ground: Ground) -> None:
 
 def test_wrong_clocks_change_nothing(ground: Ground) -> None:
     """Ages use the ground's monotonic clock: its UTC may jump by years, and clocks of agents are never used."""
-    ground.hear(phm_heartbeat(7), text_frame(7, "A07 OK 11111111"))
+    ground.receive(phm_heartbeat(7), text_frame(7, "A07 OK 11111111"))
     ground.wait(2)
     ground.clock.jump_utc(-3e8)
     agent = ground.agent(7)
     assert (agent["age_s"], agent["line"]["age_s"], agent["presence"]) == (2.0, 2.0, "alive")
     ground.clock.jump_utc(1e12)  # a year beyond the range of dates
-    news = ground.hear(phm_heartbeat(7, {Slot.FILES: Level.WARN}))
+    news = ground.receive(phm_heartbeat(7, {Slot.FILES: Level.WARN}))
     line = json.loads(encode(news[0], "run", 1))
     assert line["mono"] == ground.clock.mono()
     assert line["utc_s"] == ground.clock.utc()
@@ -198,10 +198,10 @@ def test_wrong_clocks_change_nothing(ground: Ground) -> None:
 
 def test_arming_is_shown_with_the_agent(ground: Ground) -> None:
     """An event when it changes, and when the autopilot falls silent."""
-    ground.hear(phm_heartbeat(7))
-    assert events(ground.hear(autopilot(7)), "autopilot")[0]["armed"] is False
-    assert ground.hear(autopilot(7)) == []
-    assert events(ground.hear(autopilot(7, armed=True)), "autopilot")[0]["armed"] is True
+    ground.receive(phm_heartbeat(7))
+    assert events(ground.receive(autopilot(7)), "autopilot")[0]["armed"] is False
+    assert ground.receive(autopilot(7)) == []
+    assert events(ground.receive(autopilot(7, armed=True)), "autopilot")[0]["armed"] is True
     assert ground.agent(7)["autopilot"]["armed"] is True
     assert [body["presence"] for body in events(ground.wait(20, phm_heartbeat(7)), "autopilot")] == ["lost"]
     assert ground.agent(7)["autopilot"]["presence"] == "lost"
@@ -209,7 +209,7 @@ def test_arming_is_shown_with_the_agent(ground: Ground) -> None:
 
 def test_other_ground_stations_are_listed_while_they_are_received(ground: Ground) -> None:
     """So one can see whether the pilot's own station is on the network."""
-    ground.hear(Heartbeat(255, 190, 6, 8, 0, 0, 4))
+    ground.receive(Heartbeat(255, 190, 6, 8, 0, 0, 4))
     assert ground.snapshot()["stations"] == [{"system": 255, "component": 190}]
     ground.wait(20)
     assert ground.snapshot()["stations"] == []
@@ -221,26 +221,26 @@ def test_other_ground_stations_are_listed_while_they_are_received(ground: Ground
 def test_forged_agents_do_not_displace_real_ones() -> None:
     """There is room for 512; a departed agent is displaced, a present or expected one is not."""
     ground = Ground(expected=(100,))
-    ground.hear(*(Heartbeat(number, 193, 18, 8, 0, 1 << 30, 4) for number in range(1, 100)))
+    ground.receive(*(Heartbeat(number, 193, 18, 8, 0, 1 << 30, 4) for number in range(1, 100)))
     for component in range(200, 210):
-        ground.hear(*(Heartbeat(number, component, 18, 8, 0, 1 << 30, 4) for number in range(1, 251)))
+        ground.receive(*(Heartbeat(number, component, 18, 8, 0, 1 << 30, 4) for number in range(1, 251)))
     snapshot = ground.snapshot()
     assert len(snapshot["agents"]) == 512
     assert snapshot["refused"] > 1900
     assert {one["agent"] for one in snapshot["agents"] if one["component"] == 193} == set(range(1, 101))
     ground.clock.advance(300)
-    ground.hear(phm_heartbeat(150))
+    ground.receive(phm_heartbeat(150))
     assert ground.agent(150)["how"] == "OK"
     assert ground.agent(100)["presence"] == "never received"
 
 
 def test_memory_is_bounded(ground: Ground) -> None:
     """The number of stored lines, fault numbers and ground stations has a limit."""
-    ground.hear(phm_heartbeat(7, dict.fromkeys(Slot, Level.ERROR)))
+    ground.receive(phm_heartbeat(7, dict.fromkeys(Slot, Level.ERROR)))
     for number in range(500):
-        ground.hear(text_frame(7, f"A07 FAIL {number % 15 + 1} unit {number} bad"))
-        ground.hear(tunnel_frame(7, tunnel.FaultDetail(f"ab-{number}", 0, 16, b"x")))
-        ground.hear(Heartbeat(number % 256, number // 2 % 256, 6, 8, 0, 0, 4))
+        ground.receive(text_frame(7, f"A07 FAIL {number % 15 + 1} unit {number} bad"))
+        ground.receive(tunnel_frame(7, tunnel.FaultDetail(f"ab-{number}", 0, 16, b"x")))
+        ground.receive(Heartbeat(number % 256, number // 2 % 256, 6, 8, 0, 0, 4))
     held = ground.store.fleet.agents[7, 193]
     assert len(ground.agent(7)["bad"]) == 60
     assert len(held.details) == 4
@@ -250,7 +250,7 @@ def test_memory_is_bounded(ground: Ground) -> None:
 def test_unknown_senders_and_types_of_tunnels_are_ignored(ground: Ground) -> None:
     """Only agents whose heartbeat was received count, and only payloads of the contract."""
     payload = tunnel.encode(PeerView(1, False, False, False, {3: PeerState.LOST}))
-    ground.hear(phm_heartbeat(7))
+    ground.receive(phm_heartbeat(7))
     for frame in (
         TunnelPayload(8, 193, tunnel.PAYLOAD_TYPE, payload),
         TunnelPayload(7, 193, 5, payload),
@@ -258,5 +258,5 @@ def test_unknown_senders_and_types_of_tunnels_are_ignored(ground: Ground) -> Non
         TunnelPayload(7, 193, tunnel.PAYLOAD_TYPE, b"\xff" * 128),
         TunnelPayload(7, 193, tunnel.PAYLOAD_TYPE, b"\x12\x01\x05"),
     ):
-        assert ground.hear(frame) == []
+        assert ground.receive(frame) == []
     assert ground.agent(7)["view"] is None

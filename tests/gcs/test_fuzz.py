@@ -57,7 +57,7 @@ class Link:
         for message in self.parser.feed(data):
             frame = frames.parse(message)
             assert frame is not None
-            for news in self.ground.hear(frame):
+            for news in self.ground.receive(frame):
                 json.loads(encode(news, "run", 1))
                 assert describe_with_time(news).isprintable()
 
@@ -106,7 +106,7 @@ def test_garbage_and_damaged_frames_change_nothing(pieces: list[bytes | int], se
 def test_other_senders_cannot_change_the_row_of_an_agent() -> None:
     """Frames of all other senders, with lines about this agent: its row does not change."""
     ground, luck = Ground(), random.Random(1)
-    ground.hear(phm_heartbeat(7))
+    ground.receive(phm_heartbeat(7))
     before = {**ground.agent(7), "age_s": None}
     for _ in range(2000):
         system, component = luck.randrange(256), luck.randrange(256)
@@ -115,7 +115,7 @@ def test_other_senders_cannot_change_the_row_of_an_agent() -> None:
         words = luck.choice(
             ["A07 FAIL 6 node_1 dead", "A07 OK 11111111", "A07 FAIL 11111011 6 x", "SWARM 0/9 FAIL A07:lost"]
         )
-        ground.hear(frames.StatusText(system, component, 2, words))
+        ground.receive(frames.StatusText(system, component, 2, words))
     assert {**ground.agent(7), "age_s": None} == before
     assert ground.snapshot()["swarm"] is None
     assert before["slots"] == {str(int(slot)): "OK" for slot in HEALTHY}

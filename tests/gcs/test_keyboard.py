@@ -40,7 +40,7 @@ def test_a_terminal_is_read_key_by_key_and_restored(monkeypatch: pytest.MonkeyPa
             assert keyboard.active
             assert keyboard.read(0.0) == []
             os.write(ours, b"\x1b[Bq")
-            assert keyboard.read(10.0) == ["down", "q"]
+            assert keyboard.read(60.0) == ["down", "q"]
             assert not termios.tcgetattr(theirs)[3] & termios.ICANON
         assert termios.tcgetattr(theirs) == before
     os.close(ours)

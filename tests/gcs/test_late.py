@@ -17,7 +17,7 @@ def receiving_station() -> tuple[GroundStation, FakeClock]:
     station = GroundStation(made.mavlink, 254, clock)
     for _ in range(10):
         for frame in (phm_heartbeat(7), autopilot(7)):
-            station._store.hear(frame, "gcs", clock.stamp())
+            station._store.receive(frame, "gcs", clock.stamp())
         clock.advance(PERIOD_S)
         station._tick()
     return station, clock

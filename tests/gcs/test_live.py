@@ -43,8 +43,8 @@ class Station:
             for event in events:
                 queue.put(QueuedEvent(1, event, b""))
 
-    def hear(self, *frames: Any) -> None:
-        self.publish(*self.ground.hear(*frames))
+    def receive(self, *frames: Any) -> None:
+        self.publish(*self.ground.receive(*frames))
 
 
 class Bench:
@@ -54,7 +54,7 @@ class Bench:
         self.station, self.clock = Station(), FakeClock()
         self.view = LiveView(self.station, self.clock, list)  # type: ignore[arg-type]
         advice = text_frame(7, "A07 ADVISE 2 restart ros_app #17 60s", 4)
-        self.station.hear(
+        self.station.receive(
             phm_heartbeat(7, {Slot.CONTAINER: Level.ERROR}),
             phm_heartbeat(8),
             text_frame(7, "A07 FAIL 2 ros_app exited 1"),
@@ -94,7 +94,7 @@ def test_an_action_is_approved_with_arrow_keys_and_enter(bench: Bench) -> None:
 def test_containers_are_offered_once_the_agent_has_named_them(bench: Bench) -> None:
     """Opening the menu asks for them."""
     assert "  restart ros_app" not in bench.press("down", "enter")
-    bench.station.hear(tunnel_frame(7, tunnel.details("containers", "1 ros_app, 2 router")[0]))
+    bench.station.receive(tunnel_frame(7, tunnel.details("containers", "1 ros_app, 2 router")[0]))
     assert "  restart router" in bench.press()
     lines = bench.press("up")
     assert "> restart router" in lines
@@ -102,9 +102,9 @@ def test_containers_are_offered_once_the_agent_has_named_them(bench: Bench) -> N
     assert bench.station.sent[-1] == (7, "restart router", 0)
 
 
-def hear_containers(bench: Bench, listed: str) -> None:
+def receive_containers(bench: Bench, listed: str) -> None:
     """The agent answers the request for its containers."""
-    bench.station.hear(tunnel_frame(7, tunnel.details("containers", listed)[0]))
+    bench.station.receive(tunnel_frame(7, tunnel.details("containers", listed)[0]))
     bench.answer("ack", command=512, result="ACCEPTED")
 
 
@@ -116,7 +116,7 @@ def test_enter_sends_only_what_the_screen_shows(bench: Bench) -> None:
     """Advice that came and went since the last draw must not put another action under the selection."""
     lines = bench.press("down", "enter", "down")
     assert "> approve restart ros_app (fault #17, an approval is valid for 60 s)" in lines
-    bench.station.hear(APPROVED, OTHER_ADVICE)
+    bench.station.receive(APPROVED, OTHER_ADVICE)
     lines = bench.press("enter")
     assert "A07 approve #17 restart ros_app: not sent, it is no longer available" in lines
     assert [text for _, text, _ in bench.station.sent] == ["list containers"]
@@ -125,7 +125,7 @@ def test_enter_sends_only_what_the_screen_shows(bench: Bench) -> None:
 def test_arrow_keys_move_on_the_lines_that_the_screen_shows(bench: Bench) -> None:
     """Keys that are pressed before the next draw mean the lines of the last one."""
     bench.press("down", "enter")
-    bench.station.hear(APPROVED, OTHER_ADVICE)
+    bench.station.receive(APPROVED, OTHER_ADVICE)
     lines = bench.press("down", "enter")
     assert "A07 approve #17 restart ros_app: not sent, it is no longer available" in lines
     assert [text for _, text, _ in bench.station.sent] == ["list containers"]
@@ -134,7 +134,7 @@ def test_arrow_keys_move_on_the_lines_that_the_screen_shows(bench: Bench) -> Non
 def test_the_lines_of_an_open_menu_do_not_move(bench: Bench) -> None:
     """What is over stays selected and says so; what is new comes last."""
     bench.press("down", "enter", "down")
-    bench.station.hear(APPROVED, OTHER_ADVICE)
+    bench.station.receive(APPROVED, OTHER_ADVICE)
     lines = bench.press()
     first = lines.index("  run all checks")
     assert lines[first + 1 : first + 3] == [
@@ -147,7 +147,7 @@ def test_an_open_menu_has_a_limit(bench: Bench) -> None:
     """Advice that comes and goes adds no lines without end."""
     bench.press("down", "enter")
     for fault in range(100, 100 + 2 * MAX_CHOICES):
-        bench.station.hear(text_frame(7, f"A07 ADVISE 2 start x #{fault} 60s", 4))
+        bench.station.receive(text_frame(7, f"A07 ADVISE 2 start x #{fault} 60s", 4))
         bench.press()
     assert len(bench.view._choices) == MAX_CHOICES
 
@@ -155,11 +155,11 @@ def test_an_open_menu_has_a_limit(bench: Bench) -> None:
 def test_opening_the_menu_forgets_the_containers(bench: Bench) -> None:
     """The configuration may have changed since: restarts are offered once the agent has listed them again."""
     bench.press("down", "enter")
-    hear_containers(bench, "1 ros_app, 2 router")
+    receive_containers(bench, "1 ros_app, 2 router")
     assert "  restart router" in bench.press()
     lines = bench.press("escape", "enter")
     assert not any("restart router" in line for line in lines)
-    hear_containers(bench, "1 router")
+    receive_containers(bench, "1 router")
     assert "  restart router" in bench.press()
     bench.press("escape")
     assert [text for _, text, _ in bench.station.sent] == ["list containers", "list containers"]
@@ -168,7 +168,7 @@ def test_opening_the_menu_forgets_the_containers(bench: Bench) -> None:
 def test_a_list_that_is_on_its_way_is_not_requested_again(bench: Bench) -> None:
     """And what of it has arrived is kept."""
     bench.press("down", "enter")
-    bench.station.hear(tunnel_frame(7, tunnel.details("containers", "1 ros_app")[0]))
+    bench.station.receive(tunnel_frame(7, tunnel.details("containers", "1 ros_app")[0]))
     assert "  restart ros_app" in bench.press("escape", "enter")
     assert [text for _, text, _ in bench.station.sent] == ["list containers"]
 

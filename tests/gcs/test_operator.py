@@ -27,8 +27,8 @@ FAILED = {Slot.CONTAINER: Level.ERROR}
 def ground() -> Ground:
     """Agent 7 advises a restart and has named its containers."""
     made = Ground()
-    made.hear(phm_heartbeat(7, FAILED), text_frame(7, "A07 FAIL 2 ros_app exited 1"), text_frame(7, ADVICE, 4))
-    made.hear(tunnel_frame(7, tunnel.details("containers", "1 ros_app, 2 router")[0]))
+    made.receive(phm_heartbeat(7, FAILED), text_frame(7, "A07 FAIL 2 ros_app exited 1"), text_frame(7, ADVICE, 4))
+    made.receive(tunnel_frame(7, tunnel.details("containers", "1 ros_app, 2 router")[0]))
     return made
 
 
@@ -60,7 +60,7 @@ def test_the_menu_offers_what_is_advised_and_each_container(ground: Ground) -> N
 def test_advice_ends_when_it_can_no_longer_be_approved(ground: Ground, over: Any) -> None:
     """What cannot be approved any more is not offered."""
     assert [one["fault"] for one in ground.agent(7)["advice"]] == [17]
-    ground.hear(over)
+    ground.receive(over)
     assert ground.agent(7)["advice"] == []
 
 
@@ -75,15 +75,17 @@ def test_a_restart_names_the_container_by_its_hash(ground: Ground) -> None:
 def test_a_restarted_phm_must_list_its_containers_again(ground: Ground) -> None:
     """Its configuration may have changed; parts of a list from before the restart are not used either."""
     parts = tunnel.details("containers", ", ".join(f"{n} container_{n}" for n in range(1, 20)))
-    ground.hear(tunnel_frame(7, parts[0]), phm_heartbeat(7, FAILED, state=1))
+    ground.receive(tunnel_frame(7, parts[0]), phm_heartbeat(7, FAILED, state=1))
     assert ground.agent(7)["containers"] == []
-    ground.hear(*(tunnel_frame(7, part) for part in parts[1:]))
+    ground.receive(*(tunnel_frame(7, part) for part in parts[1:]))
     assert ground.agent(7)["containers"] == []
 
 
 def test_advice_of_an_older_phm_has_no_time(ground: Ground) -> None:
     """And advice without a number cannot be approved by MAVLink."""
-    ground.hear(text_frame(7, "A07 ADVISE 6 relaunch node_1 #18", 4), text_frame(7, "A07 ADVISE 6 relaunch node_2", 4))
+    ground.receive(
+        text_frame(7, "A07 ADVISE 6 relaunch node_1 #18", 4), text_frame(7, "A07 ADVISE 6 relaunch node_2", 4)
+    )
     advice = ground.agent(7)["advice"]
     assert [(one["fault"], one["target"], one["valid_s"]) for one in advice] == [
         (17, "ros_app", 60.0),
@@ -93,8 +95,8 @@ def test_advice_of_an_older_phm_has_no_time(ground: Ground) -> None:
 
 def test_a_hostile_sender_fills_no_memory(ground: Ground) -> None:
     """Neither advice nor names of containers grow without limit."""
-    ground.hear(*(text_frame(7, f"A07 ADVISE 2 start x #{number} 60s", 4) for number in range(100)))
-    ground.hear(
+    ground.receive(*(text_frame(7, f"A07 ADVISE 2 start x #{number} 60s", 4) for number in range(100)))
+    ground.receive(
         *(tunnel_frame(7, part) for part in tunnel.details("containers", ", ".join(f"{n} c" for n in range(1, 400))))
     )
     assert len(ground.agent(7)["advice"]) == 8
@@ -111,19 +113,19 @@ class Bench:
         self.sent: list[int] = []
         self.exchange = Exchange("A07", command, self.sent.append, 0.0)
 
-    def hear(self, event: str, now: float = 0.1, **body: Any) -> None:
-        self.exchange.hear(GcsEvent(Stamp(0.0, now), event, {"agent": 7, "name": "A07", **body}), now)
+    def receive(self, event: str, now: float = 0.1, **body: Any) -> None:
+        self.exchange.receive(GcsEvent(Stamp(0.0, now), event, {"agent": 7, "name": "A07", **body}), now)
 
 
 def test_the_answer_is_the_result_and_its_text() -> None:
     """Answers to other commands, and of other agents, are not taken for it."""
     bench = Bench(operator.approve(17, "restart ros_app"))
-    bench.hear("ack", command=512, result="ACCEPTED")
-    bench.hear("ack", name="A08", command=31010, result="ACCEPTED")
+    bench.receive("ack", command=512, result="ACCEPTED")
+    bench.receive("ack", name="A08", command=31010, result="ACCEPTED")
     assert not bench.exchange.done(0.2)
-    bench.hear("ack", command=31010, result="DENIED")
+    bench.receive("ack", command=31010, result="DENIED")
     assert not bench.exchange.done(0.3)
-    bench.hear("detail", fault="reply", text="'approve' is not in mavlink.commands")
+    bench.receive("detail", fault="reply", text="'approve' is not in mavlink.commands")
     assert bench.exchange.done(0.4)
     assert not bench.exchange.accepted
     expected = "A07 approve #17 restart ros_app: denied: 'approve' is not in mavlink.commands"
@@ -134,7 +136,7 @@ def test_the_answer_is_the_result_and_its_text() -> None:
 def test_a_refusal_without_a_text_still_says_why(result: str) -> None:
     """An older PHM sends none, and a radio may lose it."""
     bench = Bench(operator.run_checks())
-    bench.hear("ack", command=31010, result=result)
+    bench.receive("ack", command=31010, result=result)
     assert not bench.exchange.done(REPLY_S - 0.1)
     assert bench.exchange.done(REPLY_S + 0.2)
     assert bench.exchange.answer().startswith(f"A07 run all checks: {result.lower().replace('_', ' ')}: ")
@@ -162,8 +164,8 @@ def test_the_hash_of_the_name_is_sent_in_param3(monkeypatch: pytest.MonkeyPatch)
 
 def test_only_answers_to_this_ground_station_are_events(ground: Ground) -> None:
     """Of agents that are known; the autopilot's own are not."""
-    assert ground.hear(CommandAck(7, 193, 31010, 0, (255, 190)), CommandAck(7, 1, 31010, 0, (254, 190))) == []
-    found = ground.hear(CommandAck(7, 193, 31010, 2, (254, 190)))
+    assert ground.receive(CommandAck(7, 193, 31010, 0, (255, 190)), CommandAck(7, 1, 31010, 0, (254, 190))) == []
+    found = ground.receive(CommandAck(7, 193, 31010, 2, (254, 190)))
     assert events(found, "ack") == [{"agent": 7, "name": "A07", "command": 31010, "result": "DENIED"}]
 
 
@@ -179,7 +181,7 @@ def test_a_critical_line_is_an_alarm_until_it_is_acknowledged(ground: Ground) ->
         text_frame(7, "A07 WARN 9 disk / 88%", 4),
         text_frame(7, "hello", component=1),
     ]
-    news = ground.hear(*lines)
+    news = ground.receive(*lines)
     assert [alarms.take(event, "A07") for event in news] == [True, False, False, False]
     assert alarms.text() == "1 new CRITICAL: A07   a: acknowledge"
     alarms.acknowledge()

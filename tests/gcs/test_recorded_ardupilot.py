@@ -21,7 +21,7 @@ def replayed() -> Ground:
         for message in messages(decoder, raw):
             frame = gcs_frames.parse(message)
             if frame is not None:
-                ground.hear(frame)
+                ground.receive(frame)
     return ground
 
 

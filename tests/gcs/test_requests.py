@@ -9,11 +9,20 @@ from collections.abc import Callable, Iterator
 import pytest
 from click.testing import CliRunner, Result
 
-from phm.cli import group
+from phm.cli import gcs_requests, group
+from phm.gcs import operator
 from tests.fakes.mavlink import free_port
 from tests.gcs.test_daemon import agent
 
 Ask = Callable[..., Result]
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine an answer takes a while."""
+    for module, limit in ((gcs_requests, "FOUND_S"), (gcs_requests, "ADVICE_S"), (operator, "REPLY_S")):
+        monkeypatch.setattr(module, limit, 60.0)
+    monkeypatch.setattr(operator, "RESEND_S", 15.0)
 
 
 @pytest.fixture(scope="module")

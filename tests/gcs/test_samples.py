@@ -25,7 +25,7 @@ from phm.wire import json_log
 from tests.fakes.mavlink import Sender, free_port, heartbeat
 from tests.fakes.until import until
 from tests.gcs.bench import Wire, phm_heartbeat
-from tests.gcs.test_heard import links
+from tests.gcs.test_received import links
 from tests.gcs.web.swarm import Client
 
 
@@ -134,9 +134,9 @@ def test_a_replay_plots_what_was_recorded(recorded: Path) -> None:
 
         (rate,) = until(lambda: points("A07", "topic%20scan"), "the rate")
         assert rate[1] == 9.5
-        gaps = [value for _, value, _ in points("A07", "gap") if value is not None]
-        assert gaps and all(value > 0.1 for value in gaps)
-        assert points(link.replace(":", "%3A"), "rssi")[-1][1] == 190
+        gaps = until(lambda: [value for _, value, _ in points("A07", "gap") if value is not None], "the gaps")
+        assert all(value > 0.1 for value in gaps)
+        assert until(lambda: points(link.replace(":", "%3A"), "rssi"), "the radio")[-1][1] == 190
     finally:
         page.close()
 
@@ -156,12 +156,13 @@ def test_a_replay_plots_what_was_recorded(recorded: Path) -> None:
 def test_damaged_samples_are_left_out(recorded: Path, values: Any) -> None:
     """Of the wrong type, or too long or too large; what else the record has is shown."""
     lines = recorded.read_text().splitlines()
-    place, line = next((place, line) for place, line in enumerate(lines) if '"samples"' in line)
+    places = [place for place, line in enumerate(lines) if '"samples"' in line]  # several on a busy machine
     known = len(load(recorded).entries)
-    lines[place] = json.dumps({**json.loads(line), "samples": values})
+    for place in places:
+        lines[place] = json.dumps({**json.loads(lines[place]), "samples": values})
     recorded.write_text("\n".join(lines) + "\n")
     found = load(recorded)
-    assert known - 1 <= len(found.entries) <= known
+    assert places and known - len(places) <= len(found.entries) <= known
     assert not any(entry.samples for entry in found.entries)
 
 

@@ -33,15 +33,17 @@ def row(lines: list[str], name: str) -> str:
 def ground() -> Ground:
     """Agent 1 is OK, 2 has a dead node, 3 is lost here and received by 1, 4 is only reported, 7 lost its companion, 100 is new."""
     made = Ground()
-    made.hear(*(phm_heartbeat(number) for number in (1, 3, 7)), autopilot(1, armed=True), autopilot(2), autopilot(7))
-    made.hear(text_frame(7, "A07 OK 11111111", 6))
+    made.receive(*(phm_heartbeat(number) for number in (1, 3, 7)), autopilot(1, armed=True), autopilot(2), autopilot(7))
+    made.receive(text_frame(7, "A07 OK 11111111", 6))
     view = PeerView(1, gcs=True, autopilot=True, radio=False, peers={3: PeerState.ALIVE})
     bad = phm_heartbeat(2, {Slot.NODES: Level.ERROR, Slot.HOST: Level.WARN, Slot.FILES: Level.STALE})
     made.wait(30, phm_heartbeat(1), bad, tunnel_frame(1, view), autopilot(1, armed=True), autopilot(2), autopilot(7))
-    made.hear(
+    made.receive(
         text_frame(2, "A02 FAIL 6 node_1 dead"), phm_heartbeat(100, {Slot.AUTOPILOT: Level.OK, Slot.USER_1: Level.OK})
     )
-    made.hear(text_frame(1, "SWARM 1/5 FAIL A07:lost A02:ROS", 6), tunnel_frame(1, SwarmDigest(5, 3, {4: Level.WARN})))
+    made.receive(
+        text_frame(1, "SWARM 1/5 FAIL A07:lost A02:ROS", 6), tunnel_frame(1, SwarmDigest(5, 3, {4: Level.WARN}))
+    )
     return made
 
 
@@ -59,7 +61,7 @@ def test_each_agent_has_its_row(ground: Ground) -> None:
     assert row(lines, "A100").startswith("A100  ++++++++ ++-- +-- OK      0s   ?")
     assert "SWARM 1/5 FAIL A07:lost A02:ROS  (A01, 0 s ago)" in lines
     assert "links: gcs open; other ground stations: none" in lines
-    ground.hear(RadioStatus(51, 68, 190, 180, 60, None, 99))
+    ground.receive(RadioStatus(51, 68, 190, 180, 60, None, 99))
     assert "radio of gcs: signal/noise 190/60, other end 180/?, 0 s ago" in drawn(ground)
 
 
@@ -83,11 +85,11 @@ def test_a_lost_agent_does_not_show_its_last_line_as_current(ground: Ground) -> 
 def test_an_agent_whose_autopilot_is_lost_is_not_ok() -> None:
     """The ground has received the autopilot and no longer does, whatever the agent reports; one never received says nothing."""
     ground = Ground()
-    ground.hear(phm_heartbeat(1), autopilot(1), phm_heartbeat(2))
+    ground.receive(phm_heartbeat(1), autopilot(1), phm_heartbeat(2))
     ground.wait(20, phm_heartbeat(1), phm_heartbeat(2))
     assert [(one["name"], one["how"]) for one in ground.snapshot()["agents"]] == [("A01", "ERROR"), ("A02", "OK")]
     assert ground.agent(1)["hop"] == {"name": "autopilot", "evidence": "silent 20 s here", "certain": False}
-    ground.hear(autopilot(1))
+    ground.receive(autopilot(1))
     assert ground.agent(1)["how"] == "OK"
 
 
@@ -105,7 +107,7 @@ def test_the_selected_agent_and_alarms_are_marked(ground: Ground) -> None:
 @pytest.mark.parametrize("width", [40, 60, 80, 200])
 def test_the_table_is_never_wider_than_the_terminal(ground: Ground, width: int) -> None:
     """One row per agent, whatever names and texts there are."""
-    ground.hear(text_frame(2, "A02 FAIL 6 " + "n" * 38))
+    ground.receive(text_frame(2, "A02 FAIL 6 " + "n" * 38))
     lines = drawn(ground, width=width, events=["x" * 300])
     assert max(map(len, lines)) <= width
     if width >= 80:
@@ -116,7 +118,7 @@ def test_a_short_terminal_shows_agents_with_problems() -> None:
     """In their order, and the number of the others; the output is never higher than the terminal."""
     ground = Ground()
     bad = {5: Slot.FILES, 77: Slot.NODES}
-    ground.hear(
+    ground.receive(
         *(phm_heartbeat(number, {bad[number]: Level.ERROR} if number in bad else None) for number in range(1, 101))
     )
     lines = drawn(ground, height=24, events=[f"news {number}" for number in range(20)])
@@ -140,7 +142,7 @@ def test_the_table_says_that_no_agent_was_received_yet() -> None:
 
 def test_received_names_cannot_control_the_terminal(ground: Ground) -> None:
     """Even if a text bypassed the parser."""
-    ground.hear(text_frame(2, "A02 FAIL 6 \x1b[2J\u202enode"))
+    ground.receive(text_frame(2, "A02 FAIL 6 \x1b[2J\u202enode"))
     assert not any("\x1b" in line or "\u202e" in line for line in drawn(ground, width=200))
 
 

@@ -15,7 +15,7 @@ from mavsdk import ComponentType, Configuration, ConnectionResult, Mavsdk
 from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.telemetry import Telemetry
 
-FOUND_LIMIT_S = 30.0
+FOUND_LIMIT_S = 120.0
 SHOWN = ("HEARTBEAT", "STATUSTEXT", "COMMAND_ACK", "TUNNEL", "ONBOARD_COMPUTER_STATUS")
 _print = threading.Lock()
 

@@ -16,7 +16,7 @@ from tests.fakes.until import until
 
 ROOT = Path(__file__).resolve().parents[2]
 BIN = ROOT / ".venv-interop" / "bin"
-END_LIMIT_S = 5.0
+END_LIMIT_S, KILL_LIMIT_S = 5.0, 60.0
 KEPT = 20_000
 
 
@@ -70,12 +70,12 @@ class Program:
         with contextlib.suppress(OSError, ValueError):
             if self._process.stdin is not None:
                 self._process.stdin.close()
-        for number in (signal.SIGTERM, signal.SIGKILL):
+        for number, limit_s in ((signal.SIGTERM, END_LIMIT_S), (signal.SIGKILL, KILL_LIMIT_S)):
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, number)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(END_LIMIT_S)
-        self._reader.join(END_LIMIT_S)
+                self._process.wait(limit_s)
+        self._reader.join(KILL_LIMIT_S)
 
 
 class Mavproxy(Program):

@@ -65,7 +65,7 @@ def test_the_system_is_the_vehicle_and_phm_is_one_of_its_components(vehicle: Veh
 
     def both() -> list[dict[str, object]]:
         watcher.say("look")
-        return watcher.news("system", components=[1, COMPONENT])
+        return watcher.news("system", components=[1, COMPONENT], connected=True)
 
     seen = until(both, "both components", lambda: watcher.news("system"))[0]
     assert (seen["count"], seen["id"], seen["autopilot"]) == (1, SYSTEM, True)

@@ -56,7 +56,7 @@ def no_ping(monkeypatch: pytest.MonkeyPatch) -> None:
 def watch(engine: FakeEngine, *containers: str, **fields: Any) -> Observations:
     """fields: of the request; `settings`: sections of the configuration."""
     sections = fields.pop("settings", {})
-    settings = Settings.model_validate({"docker": {"socket": engine.url}, **sections})
+    settings = Settings.model_validate({"docker": {"socket": engine.url, "timeout": 60}, **sections})
     request = replace(ObservationRequest(5.0, containers, ros=False, links=False), **fields)
     return AgentObserver(settings, request, PassingClock()).run()
 
@@ -116,7 +116,7 @@ def test_files_that_change_meanwhile_are_left_out(engine: FakeEngine, tmp_path: 
                 (tmp_path / "data" / "b").write_text(str(self.mono()))
             return super().wait(event, timeout_s)
 
-    settings = Settings.model_validate({"docker": {"socket": engine.url}})
+    settings = Settings.model_validate({"docker": {"socket": engine.url, "timeout": 60}})
     request = ObservationRequest(5.0, folders=(("ros_app", "/data"),), ros=False, links=False)
     (folder,) = AgentObserver(settings, request, Changing()).run().folders
     assert (list(folder.files), folder.unstable) == (["a"], ("b",))

@@ -259,7 +259,7 @@ def follow(tmp_path: Path) -> Iterator[Callable[..., Path]]:
     yield start
     for program in started:
         program.terminate()
-        program.wait(30)
+        program.wait(60)
 
 
 def test_following_survives_a_rotation(follow: Callable[..., Path], tmp_path: Path) -> None:

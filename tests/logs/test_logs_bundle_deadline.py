@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +15,7 @@ from phm.cli import group
 from phm.doctor import examination
 from phm.doctor.row import Row
 from phm.logs.deadline import Deadline, Late
+from tests.fakes.until import until
 from tests.logs.test_logs import note, record
 from tests.logs.test_logs_bundle import members
 
@@ -52,12 +53,27 @@ def bundle(config: Path, timeout: str) -> Result:
     return CliRunner().invoke(group, [*words, "--run-dir", str(config.parent / "run")])
 
 
+def bundle_with(config: Path, wanted: Collection[str]) -> tuple[Result, dict[str, bytes]]:
+    """What `phm logs bundle` says and what is in its file, with the parts that do not hang. Where the machine itself stops the program
+    for their share of the time they are rightly left out, and it is done again.
+    """
+    file = config.parent / "x.tar.gz"
+
+    def made() -> tuple[Result, dict[str, bytes]] | None:
+        file.unlink(missing_ok=True)
+        result = bundle(config, "8s")
+        assert result.exit_code == 0, result.output
+        inside = members(file)
+        return (result, inside) if set(inside) >= set(wanted) else None
+
+    found: tuple[Result, dict[str, bytes]] = until(made, f"{sorted(wanted)}", lambda: members(file)["MISSING.txt"])
+    return found
+
+
 def test_an_engine_that_hangs_costs_its_own_parts_alone(config: Path, engine: socket.socket) -> None:
     """Each of its containers is named; configuration, logs and the rest are there."""
-    result = bundle(config, "8s")
-    assert result.exit_code == 0, result.output
-    inside = members(config.parent / "x.tar.gz")
-    assert set(inside) >= GOOD and b"an ordinary line" in inside["logs/phm.jsonl"]
+    result, inside = bundle_with(config, GOOD)
+    assert b"an ordinary line" in inside["logs/phm.jsonl"]
     missing = inside["MISSING.txt"].decode()
     assert "container app: " in missing and "container other: " in missing
     assert "not in it: container app: " in result.output
@@ -75,10 +91,10 @@ def test_a_part_of_doctor_that_hangs_is_said_and_the_others_are_there(
 
     monkeypatch.setitem(examination.GROUPS, "kernel", hangs)
     try:
-        assert bundle(config, "8s").exit_code == 0
+        _, inside = bundle_with(config, {"doctor.txt"})
     finally:
         end.set()
-    doctor = members(config.parent / "x.tar.gz")["doctor.txt"].decode()
+    doctor = inside["doctor.txt"].decode()
     assert "kernel: answer: limited: not known within" in doctor and "storage: " in doctor
 
 
@@ -89,9 +105,7 @@ def test_a_file_that_cannot_be_read_in_time_is_named(config: Path) -> None:
     os.mkfifo(folder / "run" / "status.json")
     os.mkfifo(folder / "key")
     config.write_text(f"{config.read_text()}mavlink: {{signing: {{key: {folder}/key}}}}\n")
-    assert bundle(config, "8s").exit_code == 0
-    inside = members(folder / "x.tar.gz")
-    assert set(inside) >= GOOD
+    _, inside = bundle_with(config, GOOD)
     missing = inside["MISSING.txt"].decode()
     assert "status.json: " in missing and "MAVLink signing key: " in missing and "not removed" in missing
 
@@ -119,7 +133,7 @@ def test_work_has_its_share_of_the_time() -> None:
     with pytest.raises(ZeroDivisionError):
         deadline.within(1.0, lambda: 1 // 0)
     with pytest.raises(Late, match="not done within"):
-        Deadline(0.2).within(1.0, end.wait)
+        Deadline(1.0).within(1.0, end.wait)
     end.set()
     begun: list[int] = []
     with pytest.raises(Late, match="not started within the time limit"):

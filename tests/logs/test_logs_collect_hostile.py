@@ -14,9 +14,12 @@ from typing import Any
 import pytest
 
 from phm.logs import log_sources
+from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Hang, Status, Trickle, Truncate
 from tests.fakes.log_agents import PLACE, Agent, agent as agent, collect, engine as engine, texts
+from tests.fakes.until import until
+from tests.logs.conftest import LOOK_S
 
 
 def _tar(*members: tarfile.TarInfo, content: bytes = b"x" * 10) -> bytes:
@@ -116,10 +119,17 @@ def test_a_copy_that_fails_costs_only_that_file(
     agent.rotate()
     engine.fault = fault
     out = tmp_path / "out"
-    result = collect(out, engine=engine)
-    assert result.exit_code == 1 and "phm.jsonl: " in result.output, result.output
-    assert texts(out / "agent_1") == texts(agent.folder)[: len(texts(out / "agent_1"))] != []
+
+    def without_it() -> bool:
+        """Where the machine is so busy that another file exceeds its deadline, too, the next run completes that one."""
+        result = collect(out, engine=engine)
+        assert result.exit_code == 1, result.output
+        return "phm.jsonl: " in result.output and bool(texts(out / "agent_1"))
+
+    until(without_it, "the other files")
+    assert texts(out / "agent_1") == texts(agent.folder)[: len(texts(out / "agent_1"))]
     engine.fault = None
+    monkeypatch.setattr(log_sources, "LOOK_S", LOOK_S)
     assert collect(out, engine=engine).exit_code == 0
     assert texts(out / "agent_1") == list(range(1, agent.count + 1))
 
@@ -173,13 +183,17 @@ def test_an_engine_that_hangs_after_its_list_is_given_up(
     tmp_path: Path, engine: FakeEngine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is not asked about each of many containers."""
+    listed = DockerEngine.list
+    # It has answered, however busy the machine is; the deadline is that of the questions about containers.
+    monkeypatch.setattr(DockerEngine, "list", lambda self, **_: listed(self, deadline_s=LOOK_S))
     monkeypatch.setattr(log_sources, "LOOK_S", 0.3)
     for number in range(20):
         engine.containers[f"c{number}"] = container(f"c{number}")
     engine.fault = Hang("/archive")
     result = collect(tmp_path / "out", engine=engine)
     assert result.exit_code == 1 and "the other containers at" in result.output
-    assert len([call for call in engine.calls if call.endswith("/archive")]) == 3
+    assert result.output.count("missing: container c") == 3
+    assert len([call for call in engine.calls if call.endswith("/archive")]) <= 3
 
 
 def test_an_engine_is_reached_through_ssh(

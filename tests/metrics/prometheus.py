@@ -31,7 +31,7 @@ def promtool(*words: str, stdin: bytes = b"", folder: Path | None = None) -> str
         input=stdin,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        timeout=60,
+        timeout=120,
         cwd=folder,
         check=False,
     )
@@ -78,7 +78,7 @@ class Prometheus:
     def get(self, what: str, **parameters: str) -> Any:
         address = f"{self.url}/api/v1/{what}?{urllib.parse.urlencode(parameters)}"
         try:
-            with urllib.request.urlopen(address, timeout=20) as response:
+            with urllib.request.urlopen(address, timeout=60) as response:
                 answer = json.load(response)
         except urllib.error.HTTPError as error:
             raise AssertionError(f"{parameters}: {error.read().decode()}") from None
@@ -100,7 +100,7 @@ class Prometheus:
     def _ready(self) -> bool:
         assert self.process.poll() is None, self.log.read_text()
         try:
-            with urllib.request.urlopen(f"{self.url}/-/ready", timeout=5) as response:
+            with urllib.request.urlopen(f"{self.url}/-/ready", timeout=60) as response:
                 return bool(response.status == 200)
         except OSError:
             return False

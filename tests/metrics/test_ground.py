@@ -55,7 +55,9 @@ def page_text() -> bytes:
     fleet = Fleet(expected=(9,))
     station = Station(fleet)
     metrics = GroundMetrics(station, FakeClock())
-    fleet.hear(phm_heartbeat(5, {Slot.CONTAINER: Level.ERROR}), autopilot(5, armed=True), text_frame(5, "A05 FAIL 2 x"))
+    fleet.receive(
+        phm_heartbeat(5, {Slot.CONTAINER: Level.ERROR}), autopilot(5, armed=True), text_frame(5, "A05 FAIL 2 x")
+    )
     fleet.wait(60.0, phm_heartbeat(6), autopilot(6, armed=False))
     ack = GcsEvent(fleet.clock.stamp(), "ack", {"result": "DENIED"})
     station.publish(*fleet.news, ack)
@@ -89,7 +91,7 @@ def test_counters_of_events_that_never_happened_are_0() -> None:
     """`increase()` is blind for a series that begins at 1; and a silent autopilot is neither armed nor disarmed."""
     fleet = Fleet()
     metrics = GroundMetrics(Station(fleet), FakeClock())
-    fleet.hear(phm_heartbeat(5), autopilot(5, armed=True))
+    fleet.receive(phm_heartbeat(5), autopilot(5, armed=True))
 
     def lines() -> list[str]:
         return MetricsText(metrics.page).render("text/plain")[0].decode().splitlines()
@@ -134,19 +136,21 @@ def test_prometheus_scrapes_a_ground_with_100_agents(here: Ground, tmp_path: Pat
     """All of them, within the time of a scrape, and the errors that they report."""
     vehicles = [here.vehicle(number) for number in range(1, 101)]
     for vehicle in vehicles:
-        vehicle.beat({Slot.RATES: Level.ERROR} if vehicle.number == 42 else None)
+        vehicle.heartbeat({Slot.RATES: Level.ERROR} if vehicle.number == 42 else None)
     address = here.client().address
     server = Prometheus(tmp_path, {"ground": f"{address[0]}:{address[1]}"})
 
-    def beat() -> None:
+    def send() -> None:
         for vehicle in vehicles:
-            vehicle.beat({Slot.RATES: Level.ERROR} if vehicle.number == 42 else None)
+            vehicle.heartbeat({Slot.RATES: Level.ERROR} if vehicle.number == 42 else None)
+
+    def seen() -> tuple[object, ...]:
+        """Agents, errors and levels: they are there together after each scrape that is in time, while the agents are received."""
+        errors = [(one["metric"]["agent"], one["metric"]["slot"]) for one in server.query("phm_gcs_slot_level == 2")]
+        return server.value("count(phm_gcs_agent_present == 1)"), errors, server.value("count(phm_gcs_slot_level)")
 
     try:
-        until(lambda: server.value("count(phm_gcs_agent_present == 1)") == 100, "100 agents", step=beat)
-        errors = server.query("phm_gcs_slot_level == 2")
-        assert [(one["metric"]["agent"], one["metric"]["slot"]) for one in errors] == [("A42", "rates")]
-        assert server.value("count(phm_gcs_slot_level)") == 100 * len(HEALTHY)
+        until(lambda: seen() == (100, [("A42", "rates")], 100 * len(HEALTHY)), "100 agents, one error", seen, step=send)
         until(lambda: not server.errors(), "a scrape without an error", server.errors)
     finally:
         server.close()

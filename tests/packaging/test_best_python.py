@@ -15,5 +15,5 @@ LISTS_MANY = (
 def test_the_first_python_is_taken_without_an_error_of_the_list() -> None:
     """The list of Pythons is longer than what is read of it, and SIGPIPE is ignored, as it may be where a script is started."""
     script = f"trap '' PIPE; source scripts/lib.sh; {LISTS_MANY}; best_python"
-    done = subprocess.run(["bash", "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(["bash", "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=120, check=True)
     assert (done.stdout, done.stderr) == (sys.executable, "")

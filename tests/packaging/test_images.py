@@ -14,7 +14,7 @@ from tests.docs.blocks import containing
 from tests.setup.test_template_renderer import made
 
 ROOT = Path(__file__).resolve().parents[2]
-LIMIT_S = 60.0
+LIMIT_S = 180.0
 pytestmark = pytest.mark.engine
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.fakes import overlay
 
-LIMIT_S = 120.0
+LIMIT_S = 300.0
 pytestmark = pytest.mark.packaging
 
 

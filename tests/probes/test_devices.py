@@ -190,11 +190,11 @@ def test_a_new_device_that_matches_is_reported(tmp_path: Path) -> None:
     made.matching(["/dev/serial/by-id/*"])
     changed.clear()
     (tmp_path / "serial" / "by-id").mkdir(parents=True)
-    assert changed.wait(20.0)
+    assert changed.wait(60.0)
     made.matching(["/dev/serial/by-id/*"])
     changed.clear()
     (tmp_path / "serial" / "by-id" / "usb-1").symlink_to("../../ttyUSB0")
-    assert changed.wait(20.0)
+    assert changed.wait(60.0)
     watcher.close()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.server
 import ssl
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from phm.core.clock import SystemClock
+from phm.facts import CannotTell
 from phm.probes.http_get import BODY_BYTES
 from phm.probes.pattern_matcher import PatternMatcher
 from phm.probes.sockets import Sockets
@@ -62,7 +64,7 @@ def server() -> Iterator[str]:
 @pytest.fixture
 def sockets() -> Iterator[Sockets]:
     clock = SystemClock()
-    matcher = PatternMatcher(clock)
+    matcher = PatternMatcher(clock, limit_s=60.0)
     made = Sockets(clock, matcher)
     yield made
     made.close()
@@ -90,7 +92,12 @@ def test_an_error_page_is_an_answer(sockets: Sockets, server: str) -> None:
 
 def test_an_answer_that_trickles_ends_at_the_deadline(sockets: Sockets, server: str) -> None:
     """The time is that of the entire answer, not from byte to byte."""
-    assert sockets.get(f"http://{server}/slow", timeout_s=0.5).problem == "no answer within 0.5 s"
+    said = ""
+    for timeout_s in (0.5, 5.0, 20.0):  # a busy machine may need seconds to look up the address
+        with contextlib.suppress(CannotTell):
+            said = sockets.get(f"http://{server}/slow", timeout_s=timeout_s).problem
+            break
+    assert said == f"no answer within {timeout_s:g} s"
 
 
 def test_an_endless_body_is_cut(sockets: Sockets, server: str) -> None:

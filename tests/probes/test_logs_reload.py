@@ -18,7 +18,7 @@ class Reloads:
     """The probe of the daemon that runs now, for one log."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.clock, self.matcher = path, testing.FakeClock(), PatternMatcher(SystemClock())
+        self.path, self.clock, self.matcher = path, testing.FakeClock(), PatternMatcher(SystemClock(), limit_s=60.0)
         self.now = self.new()
 
     def new(self) -> Logs:
@@ -31,7 +31,7 @@ class Reloads:
         self.now = after
 
     def lines(self) -> int:
-        return self.now.follow("app", patterns=["FATAL"], timeout_s=5.0, path=str(self.path)).counts[0]
+        return self.now.follow("app", patterns=["FATAL"], timeout_s=60.0, path=str(self.path)).counts[0]
 
     def write(self) -> None:
         with self.path.open("a") as log:

@@ -13,7 +13,7 @@ from phm.probes.pattern_matcher import PatternMatcher
 
 @pytest.fixture
 def matcher() -> Iterator[PatternMatcher]:
-    made = PatternMatcher(SystemClock(), limit_s=30.0)
+    made = PatternMatcher(SystemClock(), limit_s=60.0)
     yield made
     made.close()
 
@@ -36,6 +36,7 @@ def test_a_pattern_that_takes_exponential_time_is_given_up() -> None:
     try:
         with pytest.raises(CannotTell, match="took longer than 2 s"):
             matcher.search(["(a+)+$"], ["a" * 60 + "b"])
+        matcher._limit_s = 60.0  # a busy machine may need seconds to start the next child
         assert matcher.search(["b"], ["b"]) == [(1, 0)]
     finally:
         matcher.close()

@@ -35,7 +35,7 @@ def python(code: str) -> list[str]:
 
 def judged(programs: Programs, *command: str, **entry: Any) -> Any:
     settings = testing.settings(
-        custom=[{"name": "x", "type": "command", "command": list(command), "timeout": 10, **entry}]
+        custom=[{"name": "x", "type": "command", "command": list(command), "timeout": 60, **entry}]
     )
     (check,) = Custom.build(settings)
     return check.run(testing.world(programs=programs))
@@ -104,7 +104,7 @@ def test_a_program_that_hangs_is_killed_with_its_children(programs: Programs, tm
         except OSError:
             return True
 
-    until(ended, "the end of the child", limit_s=10)
+    until(ended, "the end of the child")
 
 
 def test_a_child_that_keeps_the_output_open_delays_nothing(programs: Programs) -> None:

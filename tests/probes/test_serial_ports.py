@@ -161,7 +161,7 @@ def test_the_number_of_ports_is_limited_and_their_threads_end(device: Device) ->
     with pytest.raises(CannotTell, match=f"no more than {MOST_PORTS} serial ports"):
         ports.look(device.path, baud=9600, line="")
     ports.close()
-    assert not [thread for thread in threading.enumerate() if thread.name == "phm-serial"]
+    until(lambda: not [thread for thread in threading.enumerate() if thread.name == "phm-serial"], "their end")
 
 
 def test_a_stream_without_line_ends_takes_no_memory() -> None:

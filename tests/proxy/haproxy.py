@@ -19,7 +19,7 @@ from phm.transport.docker import DockerEngine
 from tests.fakes.until import until
 
 ENGINE = "/var/run/docker.sock"
-LIMIT_S = 30.0
+LIMIT_S = 60.0
 Answer = tuple[int, bytes]
 
 
@@ -97,7 +97,7 @@ class Proxies:
     def client(self, made: Settings) -> DockerEngine:
         """PHM's client behind a proxy with the rules of these settings."""
         self.before(made)
-        engine = DockerEngine(made.docker.socket, timeout_s=10)
+        engine = DockerEngine(made.docker.socket, timeout_s=LIMIT_S)
         self._ends.append(engine.close)
         return engine
 
@@ -125,7 +125,7 @@ class BehindProxy(DockerEngine):
     """The real engine for the test itself; PHM's client (`tests.recovery.action_bench`) is behind a proxy."""
 
     def __init__(self, proxies: Proxies) -> None:
-        super().__init__(f"unix://{ENGINE}", timeout_s=10)
+        super().__init__(f"unix://{ENGINE}", timeout_s=LIMIT_S)
         self.proxies = proxies
 
 

@@ -10,9 +10,11 @@ from phm.probes.logs import TAIL
 from phm.testing import settings
 from phm.transport import docker_bodies
 from phm.transport.docker import DockerEngine, EngineRefused
-from tests.proxy.haproxy import Proxies
+from tests.fakes.until import until
+from tests.proxy.haproxy import LIMIT_S, Proxies
 
-FUEL, WAIT = ["sh", "-c", "echo FUEL low; exit 1"], "echo started; exec sleep 600"
+# The engine may lose the output of a program that ends immediately.
+FUEL, WAIT = ["sh", "-c", "echo FUEL low; sleep 0.5; exit 1"], "echo started; exec sleep 600"
 API = "/v1.41"
 
 
@@ -27,14 +29,14 @@ def test_a_proxy_allows_the_configured_program_the_log_and_the_process_list_alon
     ]
     containers = [{"name": app.name, "alias": "app"}, {"name": other.name, "alias": "other"}]
     proxy = proxies.before(settings(docker=docker, containers=containers, custom=custom))
-    client = DockerEngine(docker["socket"], timeout_s=10)
+    client = DockerEngine(docker["socket"], timeout_s=LIMIT_S)
     client.inspect(app.name)
     client.inspect(other.name)
     for _ in range(2):
         made = client.exec_create(app.id, FUEL)
-        assert client.exec_read(made, 1000, deadline_s=20) == (b"FUEL low\n", b"")
-        assert client.exec_exit_code(made) == 1
-    assert b"started" in client.logs(app.id, "0.0", tail=TAIL, limit=1000)
+        assert client.exec_read(made, 1000, deadline_s=LIMIT_S) == (b"FUEL low\n", b"")
+        assert until(lambda: client.exec_exit_code(made), "its end") == 1  # noqa: B023 - called immediately
+    until(lambda: b"started" in client.logs(app.id, "0.0", tail=TAIL, limit=1000), "the line in the log")
     assert client.top(app.id)["Processes"]
     for refused in (
         lambda: client.exec_create(app.id, ["sh"]),

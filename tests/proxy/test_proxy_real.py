@@ -16,7 +16,7 @@ from phm.transport import docker_bodies
 from phm.transport.docker import DockerEngine, EngineMissing, EngineRefused
 from sitl.faults.base import freeze
 from tests.fakes.until import until
-from tests.proxy.haproxy import Proxies, Proxy
+from tests.proxy.haproxy import LIMIT_S, Proxies, Proxy
 
 pytestmark = pytest.mark.engine
 
@@ -71,7 +71,7 @@ def place(real: Any, proxies: Proxies) -> Place:
         ros={"nodes": [{"name": "/one", "container": "app", "relaunch": RUN}]},
     )  # fmt: skip
     proxy = proxies.before(made)
-    client = DockerEngine(docker["socket"], timeout_s=10)
+    client = DockerEngine(docker["socket"], timeout_s=LIMIT_S)
     return Place(proxy, client, app, other, docker["container"], net, foreign)
 
 
@@ -262,7 +262,7 @@ def test_an_allowed_request_does_not_pass_with_an_upgrade(place: Place, headers:
     start, body = f"{API}/exec/{json.loads(made)['Id']}/start", docker_bodies.START_EXEC.encode()
     assert place.proxy.ask("POST", start, body, more=headers)[0] == 403
     assert place.app.exec_run(["test", "-e", "/tmp/ran"])[0] == 1
-    assert "403 POST" in until(lambda: place.proxy.said.read_text("utf-8"), "the proxy's line")
+    until(lambda: "403 POST" in place.proxy.said.read_text("utf-8"), "the proxy's line")
     assert place.proxy.ask("POST", start, body)[0] == 200
 
 

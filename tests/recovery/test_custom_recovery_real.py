@@ -10,12 +10,13 @@ from tests.proxy.haproxy import EngineAccess
 from tests.recovery.test_recovery_real import Phm
 
 RUN = "trap 'exit 0' TERM; touch /tmp/healthy; while :; do sleep 0.1; done"
-CHECK = ["sh", "-c", "test -e /tmp/healthy && echo fine || { echo PUMP dry; exit 2; }"]
+# A busy engine may lose the output of a program that ends immediately.
+CHECK = ["sh", "-c", "test -e /tmp/healthy && echo fine || { echo PUMP dry; sleep 0.5; exit 2; }"]
 
 
 def entry(**more: Any) -> dict[str, Any]:
     return {
-        "name": "pump", "type": "command", "command": CHECK, "container": "app", "period": "500ms", "timeout": "20s",
+        "name": "pump", "type": "command", "command": CHECK, "container": "app", "period": "500ms", "timeout": "60s",
         "grace": 0, **more,
     }  # fmt: skip
 

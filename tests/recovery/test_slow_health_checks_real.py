@@ -21,7 +21,7 @@ LIMIT_S = 600.0
 
 def healthcheck(interval_s: int, retries: int) -> dict[str, Any]:
     test = ["CMD", "test", "-e", READY]
-    return {"test": test, "interval": interval_s * SECOND, "timeout": 20 * SECOND, "retries": retries}
+    return {"test": test, "interval": interval_s * SECOND, "timeout": 60 * SECOND, "retries": retries}
 
 
 def comes_up(after_s: int) -> str:

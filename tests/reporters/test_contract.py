@@ -12,8 +12,8 @@ import phm
 from phm.core.model import ActionEvent, HoldChanged, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
 from phm.core.settings import LogSettings, Settings
 from phm.reporters.base import MavlinkSender
-from phm.reporters.heard_heartbeats import WRITE_S
 from phm.reporters.log import LogReporter
+from phm.reporters.received_heartbeats import WRITE_S
 from phm.reporters.rotating_file import FIRST_RETRY_S, RING_LINES
 from phm.reporters.text_log_format import NOTE_KINDS
 from phm.testing import FakeClock

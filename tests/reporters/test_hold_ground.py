@@ -86,13 +86,15 @@ def test_the_ground_shows_a_hold_and_its_end() -> None:
         agent = ground.store.snapshot(ground.clock.stamp())["agents"][0]
         return agent["how"], agent["on_hold"]
 
-    ground.hear(phm_heartbeat(1, {Slot.CONTAINER: Level.STALE}))
+    ground.receive(phm_heartbeat(1, {Slot.CONTAINER: Level.STALE}))
     assert how() == ("OK", False)
-    ground.hear(text_frame(1, "A01 HOLD 2 ros_app 20 min: new firmware", 5))
+    ground.receive(text_frame(1, "A01 HOLD 2 ros_app 20 min: new firmware", 5))
     assert how() == ("HOLD", True)
-    ground.hear(text_frame(1, "A01 HOLD 1-111111 2 ros_app on hold", 6))
+    ground.receive(text_frame(1, "A01 HOLD 1-111111 2 ros_app on hold", 6))
     assert how() == ("HOLD", True)
-    ground.hear(phm_heartbeat(1, {Slot.CONTAINER: Level.STALE, Slot.NODES: Level.ERROR}))
+    ground.receive(phm_heartbeat(1, {Slot.CONTAINER: Level.STALE, Slot.NODES: Level.ERROR}))
     assert how() == ("ERROR", True)
-    ground.hear(phm_heartbeat(1), text_frame(1, "A01 HOLD 2 ros_app released", 5), text_frame(1, "A01 OK 11111111", 6))
+    ground.receive(
+        phm_heartbeat(1), text_frame(1, "A01 HOLD 2 ros_app released", 5), text_frame(1, "A01 OK 11111111", 6)
+    )
     assert how() == ("OK", False)

@@ -263,7 +263,12 @@ while True:
 
 def test_sigkill_loses_no_accepted_line(tmp_path: Path) -> None:
     """A process killed in the middle of writing leaves every line for which `handle` had returned."""
-    with subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        text=True,
+        pipesize=8192,  # however late this test reads, its files hold all that it can write meanwhile
+    ) as process:
         assert process.stdout is not None
         for line in process.stdout:
             if int(line) >= 500:

@@ -287,7 +287,7 @@ def test_a_new_ground_station_receives_the_full_state_once() -> None:
     scene.become("host", Level.WARN, "disk / 88%")
     scene.port.sent.clear()
     for _ in range(3):
-        scene.port.hear(gcs.received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
+        scene.port.receive(gcs.received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
         scene.pass_time(1.0)
     lines = scene.port.lines()
     assert lines == [
@@ -305,7 +305,7 @@ def test_a_returning_ground_station_receives_the_full_state_again() -> None:
     for silence, expected in ((5.0, 1), (9.0, 0), (11.0, 1)):
         scene.pass_time(silence)
         scene.port.sent.clear()
-        scene.port.hear(gcs.received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
+        scene.port.receive(gcs.received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
         scene.pass_time(0.5)
         assert [severity for severity, _ in scene.port.lines()].count(2) == expected
 
@@ -319,7 +319,7 @@ def test_a_ground_station_that_announced_its_end_is_new_when_it_is_back() -> Non
     for message in (heartbeat(kind=mavlink.MAV_TYPE_GCS), leaving, heartbeat(kind=mavlink.MAV_TYPE_GCS)):
         scene.pass_time(5.0)
         scene.port.sent.clear()
-        scene.port.hear(gcs.received(message))
+        scene.port.receive(gcs.received(message))
         scene.pass_time(0.5)
         full.append(bool(scene.port.heartbeats()))
     assert full == [True, False, True]
@@ -330,7 +330,7 @@ def test_answers_of_a_swarm_are_spread() -> None:
     waits = []
     for agent in (1, 30, 81):
         scene = Scene(agent=agent).running()
-        scene.port.hear(Sender(255, 190).received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
+        scene.port.receive(Sender(255, 190).received(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
         before = scene.clock.mono()
         until(scene.port.lines, "the answer", step=lambda scene=scene: scene.pass_time(0.1))  # type: ignore[misc]
         waits.append(scene.clock.mono() - before)
@@ -341,7 +341,7 @@ def test_answers_of_a_swarm_are_spread() -> None:
 def test_other_senders_are_not_ground_stations(system: int, kind: int) -> None:
     """Another vehicle, or a program on board that acts as a ground station, gets no answer."""
     scene = Scene().running()
-    scene.port.hear(Sender(system, 190).received(heartbeat(kind=kind)))
+    scene.port.receive(Sender(system, 190).received(heartbeat(kind=kind)))
     scene.pass_time(1.0)
     assert scene.port.lines() == []
 

@@ -59,7 +59,14 @@ class Hook:
 
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
-        self.url = f"json://127.0.0.1:{self.server.server_address[1]}/phm"
+        # Apprise waits 4 s for a connection or an answer, unless its URL says otherwise.
+        self.url = f"json://127.0.0.1:{self.server.server_address[1]}/phm?cto=60&rto=60"
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that a busy machine starts late is not killed."""
+    monkeypatch.setattr(notify, "COMMAND_S", 60.0)
 
 
 @pytest.fixture

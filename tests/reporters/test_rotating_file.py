@@ -317,7 +317,7 @@ print(lines.problem())
 def test_a_limit_on_the_size_of_files_starts_a_new_file(tmp_path: Path) -> None:
     """RLIMIT_FSIZE below `max_size` truncates a write: it is undone and goes into the next file completely."""
     done = subprocess.run(
-        [sys.executable, "-c", LIMITED, str(tmp_path / "log")], capture_output=True, text=True, timeout=30, check=True
+        [sys.executable, "-c", LIMITED, str(tmp_path / "log")], capture_output=True, text=True, timeout=60, check=True
     )
     assert done.stdout.strip() == ""
     names = [f"log.{number}" for number in range(9, 0, -1)] + ["log"]

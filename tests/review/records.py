@@ -96,7 +96,7 @@ class Flown:
         self.armed = armed
         self.log.tick()
 
-    def hear(self, system: int, component: int, number: int) -> None:
+    def receive(self, system: int, component: int, number: int) -> None:
         """A heartbeat that arrives now."""
         frame = SimpleNamespace(
             get_srcSystem=lambda: system, get_srcComponent=lambda: component, get_seq=lambda: number
@@ -195,11 +195,11 @@ class Ground:
             brief=brief,
         )
 
-    def heard(self, frames: Sequence[tuple[float, int, int, int]]) -> None:
+    def received(self, frames: Sequence[tuple[float, int, int, int]]) -> None:
         """Heartbeats as (seconds, system, component, frame number), in lines of at most 64."""
         for first in range(0, len(frames), 64):
             some = frames[first : first + 64]
-            self.event(some[-1][0], "heard", frames=[(*sender, round(9000.0 + at, 3)) for at, *sender in some])
+            self.event(some[-1][0], "received", frames=[(*sender, round(9000.0 + at, 3)) for at, *sender in some])
 
     def close(self) -> Path:
         self.path.write_bytes(b"".join(line + b"\n" for line in self.lines))

@@ -112,7 +112,7 @@ class Sender:
             for agent in self.agents:
                 agent.until(agent.now + 1.0, every=20.0)
                 if self.draw.random() > 0.1:
-                    agent.hear(255, 190, self.number % 256)
+                    agent.receive(255, 190, self.number % 256)
                 agent.log.tick()
             self.number += self.draw.choice(self.steps)
 
@@ -181,7 +181,7 @@ def test_an_agent_without_a_fault_is_compared_by_the_heartbeats_of_the_ground(
     sky = Sender(agent, steps=steps)
     sky.until(900)
     agent.close()
-    ground.heard([*sky.sent, *((at, 7, 1, number) for at, _, _, number in sky.sent)])
+    ground.received([*sky.sent, *((at, 7, 1, number) for at, _, _, number in sky.sent)])
     ground.close()
     (clock,) = report(tmp_path)["clocks"]["runs"]
     assert clock["applied"] and clock["by"] == "heartbeats that the ground also received or sent"
@@ -196,7 +196,7 @@ def test_even_heartbeats_of_another_day_move_nothing(tmp_path: Path) -> None:
         sky = Sender(agent, steps=(1,))
         sky.until(day + 240.0)
         agent.close()
-    ground.heard(sky.sent)
+    ground.received(sky.sent)
     ground.close()
     (clock,) = report(tmp_path / "0", tmp_path / "ground.jsonl")["clocks"]["runs"]
     assert clock["offset_s"] is None
@@ -211,10 +211,10 @@ def test_a_sender_whose_frames_have_other_numbers_on_each_link_does_not_hide_ano
     for second in range(10, 900, 10):
         sky.until(float(second))
         for component in (1, 2):
-            agent.hear(1, component, 8 * draw.randrange(32))
+            agent.receive(1, component, 8 * draw.randrange(32))
             other.append((agent.now, 1, component, 8 * draw.randrange(32)))
     agent.close()
-    ground.heard([*sky.sent, *other])
+    ground.received([*sky.sent, *other])
     ground.close()
     (clock,) = report(tmp_path)["clocks"]["runs"]
     assert clock["applied"] and clock["offset_s"] == pytest.approx(600.0, abs=0.5)

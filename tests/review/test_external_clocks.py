@@ -30,7 +30,7 @@ def clock_of(made: dict[str, Any], file: Path) -> dict[str, Any]:
     return next(row for row in made["clocks"]["others"] if row["file"] == file.name)
 
 
-def heard(at: float, text: str, agent: int = 1) -> bytes:
+def received(at: float, text: str, agent: int = 1) -> bytes:
     """A line of PHM as a telemetry log has it, received at this many seconds since T0 by the recorder's clock."""
     link = mavlink.MAVLink(None, srcSystem=agent, srcComponent=193)
     return stamped(T0 + at, bytes(mavlink.MAVLink_statustext_message(4, text.encode()).pack(link)))
@@ -74,9 +74,9 @@ def test_the_offset_is_right_within_its_error(tmp_path: Path, wrong_s: float) ->
     """The recorder's clock is wrong, and each line came with its own delay; entries without a line move, too."""
     lines = flown(tmp_path / "log", times=THREE)
     delays = (0.1, 0.9, 0.2, 0.4, 0.3, 0.2)
-    frames = [heard(at + delay + wrong_s, text) for (at, text), delay in zip(lines, delays, strict=True)]
+    frames = [received(at + delay + wrong_s, text) for (at, text), delay in zip(lines, delays, strict=True)]
     file = tmp_path / "ground.tlog"
-    file.write_bytes(b"".join([*frames, heard(350.0 + wrong_s, "Mission: 1 Takeoff")]))
+    file.write_bytes(b"".join([*frames, received(350.0 + wrong_s, "Mission: 1 Takeoff")]))
     made = report(tmp_path)
     clock = clock_of(made, file)
     assert (clock["applied"], clock["lines"]) == (True, 6)
@@ -123,7 +123,7 @@ def test_lines_that_waited_for_the_link_do_not_move_it(tmp_path: Path) -> None:
     """A queue of old lines that arrives together is outside of the window, and does not count."""
     lines = flown(tmp_path / "log", times=THREE)
     late = {2: 40.0, 3: 36.0}
-    frames = [heard(at + late.get(place, 0.2) + 60.0, text) for place, (at, text) in enumerate(lines)]
+    frames = [received(at + late.get(place, 0.2) + 60.0, text) for place, (at, text) in enumerate(lines)]
     file = tmp_path / "ground.tlog"
     file.write_bytes(b"".join(frames))
     clock = clock_of(report(tmp_path), file)
@@ -134,7 +134,7 @@ def test_a_line_that_comes_twice_counts_once(tmp_path: Path) -> None:
     """Lines are paired in order, each with one."""
     lines = flown(tmp_path / "log", times=THREE)
     file = tmp_path / "ground.tlog"
-    file.write_bytes(b"".join(heard(at + again, text) for at, text in lines for again in (0.1, 1.3)))
+    file.write_bytes(b"".join(received(at + again, text) for at, text in lines for again in (0.1, 1.3)))
     assert clock_of(report(tmp_path), file)["lines"] == 6
 
 
@@ -142,9 +142,9 @@ def test_too_few_lines_leave_the_clock_as_it_says(tmp_path: Path) -> None:
     """Two lines could agree by chance; regular lines alone fit many offsets. The reason is in the report."""
     lines = flown(tmp_path / "log", times=THREE)
     few, regular, none = tmp_path / "few.tlog", tmp_path / "regular.tlog", tmp_path / "none.tlog"
-    few.write_bytes(b"".join(heard(at + 60.0, text) for at, text in lines[:2]))
-    regular.write_bytes(b"".join(heard(at + 5.0, "A01 OK 11111111") for at in range(20, 300, 20)))
-    none.write_bytes(heard(100.0, "Mission: 1 Takeoff"))
+    few.write_bytes(b"".join(received(at + 60.0, text) for at, text in lines[:2]))
+    regular.write_bytes(b"".join(received(at + 5.0, "A01 OK 11111111") for at in range(20, 300, 20)))
+    none.write_bytes(received(100.0, "Mission: 1 Takeoff"))
     made = report(tmp_path)
     assert not any(clock["applied"] for clock in made["clocks"]["others"])
     assert clock_of(made, few)["by"].startswith("its own clock: 2 lines about changes and 0 regular ones agree")
@@ -158,7 +158,7 @@ def test_two_offsets_with_as_many_lines_decide_nothing(tmp_path: Path) -> None:
     again = {**THREE, **{at + 300.0: unit for at, unit in THREE.items()}}
     lines = flown(tmp_path / "log", times=dict(sorted(again.items())))
     file = tmp_path / "ground.tlog"
-    file.write_bytes(b"".join(heard(at + 60.0, text) for at, text in lines[:6]))
+    file.write_bytes(b"".join(received(at + 60.0, text) for at, text in lines[:6]))
     clock = clock_of(report(tmp_path), file)
     assert (clock["applied"], clock["offset_s"]) == (False, None) and clock["by"].endswith("fit several offsets")
 
@@ -168,7 +168,7 @@ def test_records_with_the_same_name_have_separate_clocks(tmp_path: Path) -> None
     for number, wrong_s in ((1, 30.0), (2, -45.0)):
         folder = tmp_path / f"agent_{number}"
         lines = flown(folder, number, times=THREE)
-        (folder / "1.tlog").write_bytes(b"".join(heard(at + wrong_s, text, number) for at, text in lines))
+        (folder / "1.tlog").write_bytes(b"".join(received(at + wrong_s, text, number) for at, text in lines))
     offsets = [clock["offset_s"] for clock in report(tmp_path)["clocks"]["others"]]
     assert offsets == [pytest.approx(-30.0), pytest.approx(45.0)]
 
@@ -178,7 +178,7 @@ def test_hostile_lines_neither_raise_nor_move_anything(tmp_path: Path) -> None:
     flown(tmp_path / "log", times=THREE)
     texts = ["A999 FAIL 99 x", "A01 FAIL 6", "A01 OK 99 x", "A01 WARN 0 y", "A01 FAIL 6 nodes/node_1 gone"]
     file = tmp_path / "ground.tlog"
-    file.write_bytes(b"".join(heard(place * 1.5, texts[place % len(texts)]) for place in range(3000)))
+    file.write_bytes(b"".join(received(place * 1.5, texts[place % len(texts)]) for place in range(3000)))
     assert not clock_of(report(tmp_path), file)["applied"]
 
 
@@ -189,7 +189,7 @@ def test_a_record_of_the_end_of_a_long_log_is_compared_with_that_end(tmp_path: P
         tmp_path / "log", times={100.0 + 50.0 * at + draw.uniform(0, 30): "nodes/node_1" for at in range(100)}
     )
     file = tmp_path / "ground.tlog"
-    file.write_bytes(b"".join(heard(at + 20.0, text) for at, text in lines[-20:]))
+    file.write_bytes(b"".join(received(at + 20.0, text) for at, text in lines[-20:]))
     clock = clock_of(report(tmp_path), file)
     assert (clock["applied"], clock["lines"]) == (True, 20)
     assert clock["offset_s"] == pytest.approx(-20.0, abs=0.01)
@@ -202,7 +202,7 @@ def test_a_log_of_the_end_of_a_long_record_is_compared_with_that_end(tmp_path: P
     lines = flown(tmp_path / "log", times=dict.fromkeys(times, "nodes/node_1"), start=4900.0)
     before = [(30.0 * at + draw.uniform(0, 20), lines[at % 2][1]) for at in range(150)]
     file = tmp_path / "ground.tlog"
-    file.write_bytes(b"".join(heard(at + 20.0, text) for at, text in [*before, *lines]))
+    file.write_bytes(b"".join(received(at + 20.0, text) for at, text in [*before, *lines]))
     clock = clock_of(report(tmp_path), file)
     assert (clock["applied"], clock["lines"]) == (True, 20)
     assert clock["offset_s"] == pytest.approx(-20.0, abs=0.01)
@@ -228,7 +228,7 @@ def test_lines_of_another_day_do_not_agree_often_enough(tmp_path: Path) -> None:
     more = [status_line.failing(1, Level.ERROR, Slot.NODES, f"nodes/node_{number} gone") for number in range(2, 12)]
     file = tmp_path / "ground.tlog"
     theirs = sorted([*lines, *((110.0 + 15 * place, text) for place, text in enumerate(more))])
-    file.write_bytes(b"".join(heard(at + 86_400.0, text) for at, text in theirs))
+    file.write_bytes(b"".join(received(at + 86_400.0, text) for at, text in theirs))
     clock = clock_of(report(tmp_path), file)
     assert not clock["applied"]
     assert clock["by"].endswith("6 agree at -86400.0 s, less than half of the 16 that both records can have")
@@ -246,6 +246,6 @@ def test_repeated_lines_about_what_still_fails_are_no_evidence_against_an_offset
     made.until(400.0)
     made.close()
     file = tmp_path / "ground.tlog"
-    file.write_bytes(b"".join(heard(at + 3600.0, text) for at, text in lines))
+    file.write_bytes(b"".join(received(at + 3600.0, text) for at, text in lines))
     clock = clock_of(report(tmp_path), file)
     assert clock["applied"] and clock["offset_s"] == pytest.approx(-3600.0, abs=0.01)

@@ -60,7 +60,9 @@ def test_the_application_runs_and_stops_as_a_container_would(bench: Bench, tmp_p
         probe = bench.probe(nodes=[{"name": "/agent_1/node_1"}])
         seen(probe, lambda fact: set(fact.nodes) == {"/agent_1/node_1", "/agent_1/node_2"}, "both nodes")
         assert not marker.exists()
-        first, second = (int((pids / f"node_{number}.pid").read_text()) for number in (1, 2))
+        files = [pids / f"node_{number}.pid" for number in (1, 2)]
+        until(lambda: all(file.exists() and file.read_text().endswith("\n") for file in files), "their pid files")
+        first, second = (int(file.read_text()) for file in files)
         os.kill(first, signal.SIGKILL)
         until(lambda: not (pids / "node_1.pid").exists(), "the pid file's end")
         assert app.poll() is None
@@ -91,8 +93,8 @@ def test_a_node_drops_its_endpoints_and_recreates_them(bench: Bench) -> None:
     seen(probe, lambda fact: offers(fact) == ["best_effort"], "the lesser offer")
     node.send_signal(signal.SIGHUP)
     node.send_signal(signal.SIGRTMIN + 1)
-    seen(probe, lambda fact: listens(fact) and offers(fact) == ["reliable"], "both ends again")
-    assert probe.look().nodes["/agent_1/node_1"] == 1
+    fact = seen(probe, lambda fact: listens(fact) and offers(fact) == ["reliable"] and fact, "both ends again")
+    assert fact.nodes["/agent_1/node_1"] == 1
     assert node.poll() is None
 
 

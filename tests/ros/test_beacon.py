@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from phm.facts import BeaconFact, RosFact
+from phm.facts import BeaconFact, CannotTell, RosFact
 from phm.probes.ros.supervisor import RosSupervisor
 from tests.fakes.ros_bench import ROOT, Bench, seen, until
 
@@ -34,8 +37,20 @@ def all_see_each_other(fact: RosFact, *names: str) -> bool:
     ) and all_alive(fact, *names)
 
 
-def beacon(probe: RosSupervisor, name: str) -> BeaconFact:
-    return probe.look().beacons[name]
+def recorded(
+    probe: RosSupervisor, name: str, value: Callable[[BeaconFact], float], into: list[float]
+) -> Callable[[], None]:
+    """For `Bench.on_change`: records a value of its beacon. A moment in which the probe cannot tell has none, as in `seen`: raised
+    here, in the probe's thread, it would end the child.
+    """
+
+    def record() -> None:
+        with contextlib.suppress(CannotTell):
+            fact = probe.look().beacons.get(name)
+            if fact is not None:
+                into.append(value(fact))
+
+    return record
 
 
 def test_nodes_with_a_beacon_are_received_by_phm_and_each_other(bench: Bench) -> None:
@@ -43,12 +58,19 @@ def test_nodes_with_a_beacon_are_received_by_phm_and_each_other(bench: Bench) ->
     for name in ("a", "b", "c"):
         bench.script(SCRIPT, name)
     probe = bench.probe(nodes=NODES)
-    fact = seen(probe, lambda fact: all_see_each_other(fact, A, B, C) and fact, "three nodes that hear each other")
+    seen(probe, lambda fact: all_see_each_other(fact, A, B, C), "three nodes that receive each other")
+    fact = seen(
+        probe, lambda fact: set(fact.nodes) >= {A, B, C} and len(fact.beacons) >= 3 and fact, "their names in the graph"
+    )
     assert set(fact.nodes) == {A, B, C}
     assert "/phm/beacon" not in fact.others and fact.refused == 0
     assert {beacon.period_s for beacon in fact.beacons.values()} == {0.2}
     assert len({beacon.witness for beacon in fact.beacons.values()}) == 3
-    assert all(beacon.late_s == 0.0 for beacon in fact.beacons.values())
+    seen(  # a starved executor is late for a while; one that works is punctual again
+        probe,
+        lambda fact: all_alive(fact, A, B, C) and not any(beacon.late_s for beacon in fact.beacons.values()),
+        "three punctual executors",
+    )
 
 
 def test_a_killed_node_falls_silent_and_checks_are_woken(bench: Bench) -> None:
@@ -58,7 +80,7 @@ def test_a_killed_node_falls_silent_and_checks_are_woken(bench: Bench) -> None:
     probe = bench.probe(nodes=NODES)
     seen(probe, lambda fact: all_see_each_other(fact, A, B), "both nodes")
     doubts: list[float] = []
-    bench.on_change = lambda: doubts.append(beacon(probe, A).missed)
+    bench.on_change = recorded(probe, A, lambda fact: fact.missed, doubts)
     node.kill()
     until(lambda: any(missed > 3 for missed in doubts), "a wake-up for its silence")
     seen(probe, lambda fact: not fact.beacons[B].views[A].alive, "its neighbour's word")
@@ -71,14 +93,16 @@ def test_a_stopped_node_is_silent_and_resumes_with_its_identity(bench: Bench) ->
     probe = bench.probe(nodes=NODES)
     before = seen(probe, lambda fact: all_alive(fact, A) and fact.beacons[A], "the node")
     node.send_signal(signal.SIGSTOP)
-    seen(probe, lambda fact: fact.beacons[A].age_s > 3.0, "its silence")
+    seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].age_s > 8.0, "its silence")
     lateness: list[float] = []
-    bench.on_change = lambda: lateness.append(beacon(probe, A).late_s)
+    changes = bench.changes
+    bench.on_change = recorded(probe, A, lambda fact: fact.late_s, lateness)
     node.send_signal(signal.SIGCONT)
     after = seen(probe, lambda fact: all_alive(fact, A) and fact.beacons[A], "its return")
     assert after.birth == before.birth
-    until(lambda: lateness, "a wake-up for its return")
-    assert max([beacon(probe, A).late_s, *lateness]) < 1.0
+    until(lambda: bench.changes > changes, "a wake-up for its return")
+    assert max([after.late_s, *lateness]) < 5.0, "the suspended time, which would be at least 6 s late, counts"
+    seen(probe, lambda fact: all_alive(fact, A) and fact.beacons[A].late_s < 1.0, "its punctual executor")
 
 
 @pytest.mark.parametrize("executor", ["single", "multi"])
@@ -92,9 +116,12 @@ def test_a_deadlocked_executor_is_reported_by_its_live_process(bench: Bench, exe
     seen(probe, lambda fact: all_see_each_other(fact, A, B), "both nodes")
     node.send_signal(signal.SIGUSR1)
     fact = seen(probe, lambda fact: fact.beacons[A].late_s > HUNG_S and fact, "its lateness")
-    assert fact.beacons[A].missed < 3
+    more_s = fact.beacons[A].late_s + HUNG_S
+    seen(
+        probe, lambda fact: fact.beacons[A].late_s > more_s and fact.beacons[A].missed < 3, "its beacons that continue"
+    )
     seen(probe, lambda fact: fact.beacons[B].views[A].late_s > HUNG_S, "its neighbour's word")
-    assert beacon(probe, B).late_s == 0.0
+    seen(probe, lambda fact: all_alive(fact, B) and fact.beacons[B].late_s == 0.0, "the neighbour's own executor")
 
 
 def test_a_separate_hanging_callback_group_does_not_hang_the_executor(bench: Bench) -> None:
@@ -103,9 +130,10 @@ def test_a_separate_hanging_callback_group_does_not_hang_the_executor(bench: Ben
     probe = bench.probe(nodes=NODES)
     seen(probe, lambda fact: all_alive(fact, A), "the node")
     node.send_signal(signal.SIGUSR1)
-    turns = beacon(probe, A).turns
-    seen(probe, lambda fact: fact.beacons[A].turns > turns + 4, "the turns that go on")
-    assert beacon(probe, A).late_s == 0.0
+    turns = seen(probe, lambda fact: fact.beacons[A].turns, "its turns")
+    seen(
+        probe, lambda fact: fact.beacons[A].turns > turns + 4 and fact.beacons[A].late_s == 0.0, "the turns that go on"
+    )
 
 
 def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
@@ -117,10 +145,11 @@ def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
     probe = bench.probe(nodes=NODES)
     before = seen(probe, lambda fact: all_see_each_other(fact, A, B) and dict(fact.beacons), "both processes")
     process.kill()
+    began_s = time.monotonic()
     bench.script(SCRIPT, "a")
     after = seen(probe, lambda fact: fact.beacons[A].birth != before[A].birth and fact.beacons[A], "another birth")
     assert after.witness != before[A].witness
-    assert after.heartbeats < before[A].heartbeats + 20
+    assert after.heartbeats <= (time.monotonic() - began_s) / after.period_s + 2, "its own, counted from its start"
 
 
 def test_a_destroyed_node_falls_silent_and_its_successor_is_a_new_one(bench: Bench) -> None:
@@ -170,7 +199,7 @@ def test_ten_nodes_receive_each_other(bench: Bench) -> None:
             for name in names
         )
 
-    seen(probe, complete, "ten nodes, each with eight others in its view", limit_s=60.0)
+    seen(probe, complete, "ten nodes, each with eight others in its view", limit_s=120.0)
 
 
 @pytest.mark.parametrize("option", ["--lifecycle", "--sim-time"])
@@ -197,11 +226,10 @@ def test_a_node_that_is_never_spun_or_not_watched_never_looks_hung(bench: Bench,
 def test_other_periods_are_reported_and_respected(bench: Bench) -> None:
     """A slow beacon is not silent between its messages."""
     bench.script(SCRIPT, "a", "--period", "1.0")
-    fact = seen(
-        bench.probe(nodes=NODES), lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 3 and fact, "the node"
-    )
+    probe = bench.probe(nodes=NODES)
+    fact = seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 3 and fact, "the node")
     assert fact.beacons[A].period_s == 1.0
-    assert fact.beacons[A].missed < 2
+    seen(probe, lambda fact: fact.beacons[A].age_s > 0.6 and fact.beacons[A].missed < 2, "a pause that is no silence")
 
 
 STANDALONE = """
@@ -219,7 +247,7 @@ for wrong in (0.0, 11.0, float("nan")):
         continue
     raise AssertionError(wrong)
 beacon = Beacon(node)
-end = time.monotonic() + 60
+end = time.monotonic() + 180
 print("up", flush=True)
 while sys.argv[1] == "wait" and time.monotonic() < end:
     rclpy.spin_once(node, timeout_sec=0.1)
@@ -282,8 +310,8 @@ def test_the_environment_turns_it_off(bench: Bench, tmp_path: Path) -> None:
     process = alone(bench, tmp_path, "wait", PHM_BEACON="off")
     try:
         probe = bench.probe(nodes=NODES)
-        seen(probe, lambda fact: "/alone" in fact.nodes and fact.up_s > 5, "the node")
-        assert not probe.look().beacons
+        fact = seen(probe, lambda fact: "/alone" in fact.nodes and fact.up_s > 5 and fact, "the node")
+        assert not fact.beacons
     finally:
         process.kill()
         process.communicate()
@@ -303,7 +331,8 @@ def test_a_forked_process_does_not_join_the_parents_beacon(bench: Bench, tmp_pat
 
 def test_foreign_messages_are_rejected_and_counted(bench: Bench) -> None:
     """Other texts, other content types, forged names of live nodes: nothing breaks and no node is displaced."""
-    bench.script(SCRIPT, "a")
+    # The name of a node is free after three silent periods; in the default 0.6 s a starved node would lose it.
+    bench.script(SCRIPT, "a", "--period", "4.0")
     probe = bench.probe(nodes=NODES)
     before = seen(probe, lambda fact: all_alive(fact, A) and fact.beacons[A], "the node")
     forger = bench.script("ros_forger.py", A)
@@ -311,7 +340,14 @@ def test_foreign_messages_are_rejected_and_counted(bench: Bench) -> None:
     assert forger.poll() is None
     assert set(fact.beacons) == {A}
     assert fact.beacons[A].birth == before.birth
-    seen(probe, lambda fact: all_alive(fact, A), "its beacons beside the forger's")
+    beats = fact.beacons[A].heartbeats
+    seen(
+        probe,
+        lambda fact: (
+            all_alive(fact, A) and fact.beacons[A].birth == before.birth and fact.beacons[A].heartbeats > beats
+        ),
+        "its beacons beside the forger's",
+    )
 
 
 def test_a_copied_identity_is_rejected_and_reported_with_its_publisher(bench: Bench) -> None:
@@ -322,8 +358,12 @@ def test_a_copied_identity_is_rejected_and_reported_with_its_publisher(bench: Be
     bench.script("ros_beacon_replay.py", A, "copy")
     fact = seen(probe, lambda fact: fact.beacons[A].copied_by and fact, "the report")
     assert fact.beacons[A].copied_by.startswith(("/elsewhere/copycat", "writer ")), "until its name is discovered"
-    fact = seen(probe, lambda fact: fact.beacons[A].copied_by == "/elsewhere/copycat" and fact, "its name")
-    assert fact.beacons[A].late_s < 99.0 and fact.beacons[A].missed < 3.0
+    fact = seen(
+        probe,
+        lambda fact: fact.beacons[A].copied_by == "/elsewhere/copycat" and fact.beacons[A].missed < 3.0 and fact,
+        "its name, while the first one sends",
+    )
+    assert fact.beacons[A].late_s < 99.0
     node.kill()
     seen(probe, lambda fact: fact.beacons[A].missed > 6.0 and fact.beacons[A].late_s < 99.0, "its silence")
     bench.script("ros_beaconed.py", "a")
@@ -336,13 +376,16 @@ def test_large_foreign_beacons_displace_no_configured_node(bench: Bench) -> None
     probe = bench.probe(nodes=[{"name": A}])
     seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 5, "its beacon")
     bench.script("ros_beacon_replay.py", A, "crowd")
-    began = seen(probe, lambda fact: len(fact.beacons) > 100 and fact, "the crowd").beacons[A].heartbeats
+    began = seen(probe, lambda fact: A in fact.beacons and len(fact.beacons) > 100 and fact, "the crowd")
 
     def advances(fact: RosFact) -> bool:
-        assert fact.beacons[A].missed < 20.0, "it was displaced"
-        return fact.beacons[A].age_s < 0.6 and fact.up_s > first_s + 5.0
+        if A not in fact.beacons:
+            assert fact.lost_s is not None, "it was displaced"
+            return False  # a silence of which nothing is said: more arrived than a starved child can read
+        assert fact.beacons[A].missed < 100.0, "it was displaced"  # a starved node is silent for up to 20 s
+        later = fact.beacons[A].heartbeats > began.beacons[A].heartbeats
+        return later and fact.beacons[A].age_s < 0.6 and fact.listened_s > began.listened_s + 5.0
 
-    first_s = probe.look().up_s
     seen(probe, advances, "its beacons beside many others", 60.0)
-    assert probe.restarts == 0 and began
+    assert probe.restarts == 0
     assert all(problem.startswith("more messages arrive on") for problem in probe.problems()), "on a busy machine alone"

@@ -65,7 +65,7 @@ def test_a_full_list_of_neighbours_is_known_also_after_those_of_others_are_dropp
 
 def greet(neighbours: _Neighbours, *names: str, at_s: float = 1.0) -> None:
     said = {"witness": "other", "period_s": 0.8, "nodes": dict.fromkeys(names, 0.0)}
-    neighbours.hear(HELLO_FORMAT, json.dumps(said), at_s)
+    neighbours.receive(HELLO_FORMAT, json.dumps(said), at_s)
 
 
 def test_nodes_of_the_own_namespace_take_the_place_of_others() -> None:
@@ -248,8 +248,8 @@ def hello(witness: str, name: str, period_s: float = 0.4) -> str:
 def test_a_neighbour_is_alive_until_it_has_missed_three_greetings() -> None:
     """By the period that it announced; then it is not alive, and forgotten after a minute."""
     neighbours = _Neighbours("me")
-    neighbours.hear(HELLO_FORMAT, hello("w", A), 10.0)
-    neighbours.hear(HELLO_FORMAT, hello("me", B), 10.0)
+    neighbours.receive(HELLO_FORMAT, hello("w", A), 10.0)
+    neighbours.receive(HELLO_FORMAT, hello("me", B), 10.0)
     assert neighbours.views(11.2) == {A: {"alive": True, "age_s": 1.2, "late_s": 0.0}}
     assert not neighbours.views(11.5)[A]["alive"]
     assert neighbours.views(71.0) == {}
@@ -263,8 +263,8 @@ def test_other_messages_on_the_topic_are_ignored_by_nodes(wrong: str) -> None:
     rejects.
     """
     neighbours = _Neighbours("me")
-    neighbours.hear(HELLO_FORMAT, wrong, 1.0)
-    neighbours.hear("other", hello("w", A), 1.0)
+    neighbours.receive(HELLO_FORMAT, wrong, 1.0)
+    neighbours.receive("other", hello("w", A), 1.0)
     assert neighbours.views(1.0) == {} and neighbours.processes == 0
 
 
@@ -272,7 +272,7 @@ def test_neighbours_are_limited_to_what_fits_into_a_message() -> None:
     """The first ones are kept."""
     neighbours = _Neighbours("me")
     for number in range(MAX_NEIGHBOURS + 9):
-        neighbours.hear(HELLO_FORMAT, hello(f"w{number}", f"/n{number}"), 1.0)
+        neighbours.receive(HELLO_FORMAT, hello(f"w{number}", f"/n{number}"), 1.0)
     assert len(neighbours.views(1.0)) == MAX_NEIGHBOURS == neighbours.processes
     assert "/n0" in neighbours.views(1.0)
 

@@ -18,6 +18,7 @@ from phm.core.model import Event, FaultOpened, Level
 from phm.facts import AnswerFact, RosFact
 from phm.probes.ros.protocol import ReadinessUpdate, Wanted
 from phm.probes.ros.readiness import ReadinessReader
+from phm.probes.ros.supervisor import RosSupervisor
 from phm.tracker import Tracker
 from phm_checks.node_ready import NodeReady
 from phm_checks.nodes import Nodes
@@ -74,12 +75,12 @@ def test_each_state_of_a_lifecycle_node_is_seen(bench: Bench) -> None:
 class Agent:
     """Liveness and readiness of the node, judged as in the daemon; keeps faults."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: Bench, probe: RosSupervisor) -> None:
         self.clock, self.faults = SystemClock(), list[Event]()
         made = plan.build_plan(testing.settings(ros=ROS), {"nodes": Nodes, "node_ready": NodeReady})
         bus = Bus(self.clock)
         self.pipeline = Pipeline(Tracker(made.tracked, made.graph, self.clock.stamp()), bus, self.clock)
-        world = testing.world(clock=self.clock, ros=bench.probe(**ROS))
+        world = testing.world(clock=self.clock, ros=probe)
         self.scheduler = CheckScheduler(made.scheduled, world, self.clock, self._take)
         self.pipeline.attach(self.scheduler.wake_units)
         bench.on_change = lambda: self.scheduler.wake_subject("ros")
@@ -99,17 +100,32 @@ class Agent:
 
 
 @pytest.fixture
-def agent(bench: Bench) -> Iterator[Agent]:
-    made = Agent(bench)
+def node(bench: Bench) -> Planner:
+    return Planner(bench)
+
+
+def is_ready(fact: RosFact) -> bool:
+    """Whether the node is listed and active, and has all that READY names."""
+    rate = fact.topics[TOPIC].rate
+    received = rate is not None and rate.silent_s is not None
+    answers = lifecycle(fact).answer == "active" and fact.calls[CALL].answer == "true"
+    return NODE in fact.nodes and answers and fact.services[SERVICE] == 1 and received
+
+
+@pytest.fixture
+def agent(bench: Bench, node: Planner) -> Iterator[Agent]:
+    """It begins once the node is ready: on a busy machine a start takes longer than the grace, which would rightly be a fault."""
+    probe = bench.probe(**ROS)
+    node.do("configure")
+    node.do("activate")
+    seen(probe, is_ready, "the node ready")
+    made = Agent(bench, probe)
     yield made
     made.scheduler.stop()
 
 
-def test_a_node_that_is_not_ready_is_one_fault_and_a_dead_one_another(bench: Bench, agent: Agent) -> None:
+def test_a_node_that_is_not_ready_is_one_fault_and_a_dead_one_another(node: Planner, agent: Agent) -> None:
     """A deactivated node is reported as not ready; a killed one as dead, and its readiness is blocked by that."""
-    node = Planner(bench)
-    node.do("configure")
-    node.do("activate")
     agent.until("node_ready", Level.OK, "is ready")
     node.do("deactivate")
     agent.until("node_ready", Level.ERROR, "its lifecycle state is inactive, expected active")

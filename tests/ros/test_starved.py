@@ -31,7 +31,7 @@ class Child:
         self.now, self.up_s, self.late = 1000.0, 100.0, SchedulingDelay()
         self.view = GraphSnapshot(again_s=again_s(grace_s)).with_message(PICTURE, self.now)
 
-    def hear(self) -> None:
+    def receive(self) -> None:
         self.view = self.view.with_message(SelfReportUpdate({NODE: api.BeaconFact(0.0, 0.2)}), self.now)
 
     def tick(self, passed_s: float, late_s: float = 0.0) -> api.RosFact:
@@ -52,7 +52,7 @@ class Child:
 def test_a_beacon_is_not_silent_while_the_child_does_not_run() -> None:
     """Its silence is its age minus the child's lateness; while the child runs, silence counts in full."""
     child = Child()
-    child.hear()
+    child.receive()
     fact = child.tick(5.0, 4.8)
     assert not silent(fact.beacons[NODE])
     assert fact.beacons[NODE].age_s == pytest.approx(5.0)
@@ -64,7 +64,7 @@ def test_a_beacon_is_not_silent_while_the_child_does_not_run() -> None:
 def test_a_permanently_starved_child_halves_a_silence_at_most() -> None:
     """A dead node is still found."""
     child = Child()
-    child.hear()
+    child.receive()
     for _ in range(20):
         fact = child.tick(0.5, 0.49)
     assert fact.beacons[NODE].silent_s >= 4.5
@@ -187,7 +187,7 @@ def test_a_child_is_replaced_for_silence_only_if_it_could_run(
     hangs.
     """
     held(monkeypatch, share)
-    limits = SupervisorLimits(start_s=20.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, farewell_s=0.2, starved_s=2.0)
+    limits = SupervisorLimits(start_s=60.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, farewell_s=0.2, starved_s=2.0)
     probe = bench.probe(command=fake("mute"), limits=limits)
     until(lambda: probe.restarts >= 1, "a replacement")
     words = bench.notes[0]

@@ -11,13 +11,29 @@ from pathlib import Path
 import pytest
 
 from phm.core.settings import ReadySettings, RosSettings, Settings
+from phm.facts import CannotTell, RosFact
 from phm.probes.ros.child_environment import child_environ
 from phm.probes.ros.protocol import INSTALLS, WantedCall, decode_wanted, encode_wanted
 from phm.probes.ros.supervisor import NOT_INSTALLED, SupervisorLimits
 from phm.probes.ros.wanted import uses_ros, wanted
 from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
 
-FAST = SupervisorLimits(start_s=2.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)
+FAST = SupervisorLimits(start_s=60.0, silent_s=60.0, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)
+"""Quick, but patient with a child that, on a busy machine, gets no CPU for seconds, as this process does."""
+IMPATIENT = replace(FAST, start_s=2.0, silent_s=0.5)
+
+
+def sent_after_s(fact: RosFact) -> float:
+    """How long the child had run when it sent this snapshot."""
+    return fact.up_s - fact.age_s
+
+
+def nodes_of(bench: Bench) -> object:
+    """The nodes that the probe lists, or why it cannot tell. Also within `Bench.on_change`, before `Bench.probe` has returned."""
+    try:
+        return bench._probes[-1].look().nodes
+    except CannotTell as reason:
+        return str(reason)
 
 
 def fake(behaviour: str, folder: Path | str = "") -> tuple[str, ...]:
@@ -35,9 +51,10 @@ def fake(behaviour: str, folder: Path | str = "") -> tuple[str, ...]:
 )
 def test_a_failed_child_is_replaced_and_reported(bench: Bench, behaviour: str, words: str) -> None:
     """However a child fails, the probe reports how, counts it, and starts another."""
-    probe = bench.probe(command=fake(behaviour), limits=FAST)
+    probe = bench.probe(command=fake(behaviour), limits=IMPATIENT)
     until(lambda: probe.restarts >= 2, "two replacements")
-    assert any(words in note for note in bench.notes)
+    # On a busy machine some children fail otherwise before: they start too late, or for seconds could not run, as is noted then.
+    until(lambda: any(words in note for note in bench.notes), "the sentence in the log")
     until(lambda: words in stale(probe), "the sentence in CannotTell")
 
 
@@ -70,19 +87,20 @@ def test_an_interpreter_without_rclpy_reports_what_to_install(bench: Bench, monk
 def test_stray_output_is_harmless(bench: Bench, behaviour: str) -> None:
     """Lines that are not messages, and unterminated lines, are dropped; the messages between them count."""
     probe = bench.probe(command=fake(behaviour), limits=FAST)
-    seen(probe, lambda fact: fact.up_s > 0.5 and fact.nodes == {"/a/n": 1}, "a snapshot among the garbage")
+    seen(probe, lambda fact: sent_after_s(fact) > 0.5 and fact.nodes == {"/a/n": 1}, "a snapshot among the garbage")
     assert probe.restarts == 0
 
 
 def test_a_stopped_child_is_replaced(bench: Bench) -> None:
     """SIGSTOP looks like a deadlock in the middleware: the child is killed, and another answers."""
-    probe = bench.probe(command=fake("good"), limits=FAST)
+    probe = bench.probe(command=fake("good"), limits=replace(FAST, silent_s=0.5))
     seen(probe, lambda fact: fact.nodes, "a snapshot")
-    first = probe.pid
+    first, reasons = probe.pid, list[str]()
+    bench.on_change = lambda: reasons.append(stale(probe))
     os.kill(first, signal.SIGSTOP)
-    until(lambda: stale(probe), "STALE while it is silent")
+    until(lambda: any(reasons), "STALE while it is silent, as the checks that are woken see it")
     seen(probe, lambda fact: probe.pid not in (0, first), "a snapshot of another child")
-    assert gone(first)
+    until(lambda: gone(first), "the end of the first child")
     assert probe.restarts == 1
 
 
@@ -90,9 +108,11 @@ def test_a_stale_node_in_the_graph_disappears_with_its_child(bench: Bench, tmp_p
     """A node that one participant lists twice for longer than any lease is looked up by another, which does not count
     as a failure of the child.
     """
+    pictures: list[object] = []
+    bench.on_change = lambda: pictures.append(nodes_of(bench))
     limits = replace(FAST, doubt_s=0.3)
     probe = bench.probe(command=fake("stale_name", tmp_path), limits=limits, nodes=[{"name": "/a/n"}])
-    seen(probe, lambda fact: fact.nodes == {"/a/n": 2}, "the stale name")
+    until(lambda: {"/a/n": 2} in pictures, "the stale name, as the checks that are woken see it")
     seen(probe, lambda fact: fact.nodes == {"/a/n": 1}, "one node")
     assert bench.notes == ["the ROS child is restarted: /a/n has been listed more than once for 0.3 s"]
     assert probe.restarts == 0
@@ -104,7 +124,7 @@ def test_a_node_that_really_runs_twice_is_looked_up_once_more(bench: Bench, tmp_
     until(lambda: len(list(tmp_path.iterdir())) == 2, "a second child")
     seen(
         probe,
-        lambda fact: fact.nodes == {"/a/n": 2} and fact.up_s > 1.0,
+        lambda fact: fact.nodes == {"/a/n": 2} and sent_after_s(fact) > 1.0,
         "a second child that has run for long enough",
     )
     assert len(list(tmp_path.iterdir())) == 2
@@ -115,7 +135,7 @@ def test_an_unconfigured_node_listed_twice_does_not_replace_the_child(bench: Ben
     probe = bench.probe(
         command=fake("twice", tmp_path), limits=replace(FAST, doubt_s=0.1), nodes=[{"name": "/a/other"}]
     )
-    seen(probe, lambda fact: fact.up_s > 2.0, "a child that has run for long enough")
+    seen(probe, lambda fact: sent_after_s(fact) > 2.0, "a child that has run for long enough")
     assert len(list(tmp_path.iterdir())) == 1 and not bench.notes
 
 
@@ -136,7 +156,7 @@ def test_renewing_replaces_the_child_without_counting_a_failure(bench: Bench) ->
     first = probe.pid
     probe.renew("PHM joined a network")
     seen(probe, lambda fact: probe.pid not in (0, first), "a snapshot of another child")
-    assert gone(first)
+    until(lambda: gone(first), "the end of the first child")
     assert probe.restarts == 0
     assert bench.notes == ["the ROS child is restarted: PHM joined a network"]
 
@@ -148,8 +168,9 @@ def test_close_leaves_no_process(bench: Bench, tmp_path: Path, behaviour: str) -
     until(lambda: list(tmp_path.iterdir()), "a start")
     probe.close()
     probe.close()
-    assert all(gone(int(path.name)) for path in tmp_path.iterdir())
-    assert "closed" in stale(probe)
+    # `close` waits some seconds for its thread, and that for a killed child: on a busy machine they end later.
+    until(lambda: "closed" in stale(probe), "the end of the probe")
+    until(lambda: all(gone(int(path.name)) for path in tmp_path.iterdir()), "the end of all children")
 
 
 def test_the_probe_cannot_tell_before_its_start() -> None:
@@ -165,7 +186,7 @@ def test_the_probe_cannot_tell_before_its_start() -> None:
 def test_the_first_snapshot_and_its_loss_are_changes(bench: Bench) -> None:
     """Checks are woken when there is a snapshot and when it is lost, and not by every message."""
     probe = bench.probe(command=fake("good"), limits=FAST)
-    seen(probe, lambda fact: fact.up_s > 0.5, "several snapshots")
+    seen(probe, lambda fact: sent_after_s(fact) > 0.5, "several snapshots")
     assert bench.changes == 1
     os.kill(probe.pid, signal.SIGKILL)
     until(lambda: bench.changes >= 3, "the loss, and the first snapshot of the next")

@@ -5,7 +5,9 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -39,6 +41,12 @@ NO_DATA = """<?xml version="1.0" encoding="UTF-8"?>
 </defaultUnicastLocatorList></rtps></participant></profiles></dds>
 """
 """Data for this participant is to be sent to an address that leads nowhere; its discovery works."""
+LONG_LEASE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com"><profiles><participant profile_name="long" is_default_profile="true"><rtps>
+<builtin><discovery_config><leaseDuration><sec>100</sec><nanosec>0</nanosec></leaseDuration></discovery_config></builtin>
+</rtps></participant></profiles></dds>
+"""
+"""A killed node stays listed for longer than the start of another one takes on a busy machine, which is not so with 20 s."""
 APART = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com"><profiles>
 <data_writer profile_name="/agent_1/topic_1"><qos><partition><names><name>a</name></names></partition></qos></data_writer>
@@ -75,6 +83,14 @@ def matches_published(fact: RosFact, *paths: Path, within: float = 0.02) -> bool
     return rate.hz == pytest.approx(sum(true_rate(path, rate.window_s) for path in paths), rel=within)
 
 
+def is_even(path: Path, window_s: float) -> bool:
+    """Whether no pause of the publisher, which may get no CPU, changes its rate over this window by more than 15 % or so. Some
+    seconds before it count too: PHM's newest message may be as old."""
+    now_s = time.time()
+    recent = [at_s for _, at_s, _ in sent(path) if now_s - at_s <= window_s + 4.0]
+    return len(recent) > 20 and all(later - earlier < 0.15 * window_s for earlier, later in pairwise([*recent, now_s]))
+
+
 @pytest.mark.parametrize("hz", [2.0, 2000.0])
 def test_slow_and_very_fast_topics(bench: Bench, tmp_path: Path, hz: float) -> None:
     """From one sample every other poll to five hundred per poll."""
@@ -94,7 +110,7 @@ def test_two_nodes_on_one_topic_are_added_up(bench: Bench, tmp_path: Path, comma
         probe,
         lambda fact: rate_of(fact).publishers == 2 and matches_published(fact, *both, within=0.05),
         "the sum",
-        40.0,
+        120.0,
     )
 
 
@@ -108,7 +124,7 @@ def test_fast_publishers_are_distinguished(bench: Bench, tmp_path: Path) -> None
         probe,
         lambda fact: rate_of(fact).publishers == 2 and matches_published(fact, *both, within=0.05),
         "the sum",
-        40.0,
+        120.0,
     )
 
 
@@ -117,21 +133,27 @@ def test_two_publishers_of_one_node_are_added_up(bench: Bench, tmp_path: Path) -
     """They look like a restarted node until their numbers are found to be mixed."""
     flows(bench, "source", tmp_path / "sent", "topic_1:10", "topic_1:10")
     probe = bench.probe([{"name": TOPIC, "rate": 20}])
-    seen(probe, lambda fact: 18.0 < (rate_of(fact).hz or 0.0) < 22.0, "the sum", 60.0)
+    seen(probe, lambda fact: 18.0 < (rate_of(fact).hz or 0.0) < 22.0, "the sum", 120.0)
 
 
 def test_a_restarted_publisher_is_measured_again(bench: Bench, tmp_path: Path) -> None:
     """A restarted node, while the killed one is still listed: a restart, and not a second publisher."""
-    first = flows(bench, "source", tmp_path / "first", "topic_1:40")
+    profile = tmp_path / "long_lease.xml"
+    profile.write_text(LONG_LEASE, encoding="ascii")
+    first = flows(bench, "source", tmp_path / "first", "topic_1:40", **dict.fromkeys(PROFILE_VARIABLES, str(profile)))
     probe = bench.probe([{"name": TOPIC, "rate": 40}])
-    seen(probe, lambda fact: matches_published(fact, tmp_path / "first"), "a rate")
-    assert rate_of(probe.look()).restarts == 0
+    fact = seen(probe, lambda fact: matches_published(fact, tmp_path / "first") and fact, "a rate", 120.0)
+    assert rate_of(fact).restarts == 0
     first.kill()
     first.wait()
     flows(bench, "source", tmp_path / "second", "topic_1:10")
-    seen(probe, lambda fact: matches_published(fact, tmp_path / "second"), "the new rate", 40.0)
-    seen(probe, lambda fact: rate_of(fact).restarts == 1, "the restart")
-    assert rate_of(probe.look()).publishers == 2
+    seen(
+        probe,
+        lambda fact: (rate_of(fact).restarts, rate_of(fact).publishers) == (1, 2),
+        "the restart, with both listed",
+    )
+    fact = seen(probe, lambda fact: matches_published(fact, tmp_path / "second") and fact, "the new rate", 120.0)
+    assert rate_of(fact).restarts == 1
 
 
 def test_samples_are_counted_without_sequence_numbers(bench: Bench, tmp_path: Path) -> None:
@@ -154,11 +176,14 @@ def test_a_large_topic_is_subscribed_in_windows(bench: Bench, tmp_path: Path, co
     )
     assert rate_of(known).sample_bytes == pytest.approx(200_000, rel=0.01)
     assert rate_of(known).limit_s == 1.0 + 2.0
-    marks = [subscriptions for _, _, subscriptions in sent(path)]
-    until(lambda: len(sent(path)) > len(marks) + 200, "ten more seconds")
-    later = [subscriptions for _, _, subscriptions in sent(path)][len(marks) :]
-    assert later.count(0) > len(later) / 3
-    assert later.count(1) > 0
+    begun = len(sent(path))
+
+    def in_windows() -> bool:
+        """In the last ten seconds. A child that gets no CPU while it is subscribed remains so for longer."""
+        later = [subscriptions for _, _, subscriptions in sent(path)][begun:][-200:]
+        return len(later) == 200 and later.count(0) > len(later) / 3 and later.count(1) > 0
+
+    until(in_windows, "ten seconds, a third of them without a subscription", 120.0)
     seen(probe, lambda fact: rate_of(fact).hz == pytest.approx(true_rate(path, 10.0), rel=0.03), "a rate within 3 %")
     source.send_signal(signal.SIGSTOP)
     seen(probe, lambda fact: rate_of(fact).hz == 0.0, "silence")
@@ -170,8 +195,8 @@ def test_simulated_time_does_not_matter(bench: Bench, tmp_path: Path) -> None:
     """The stamps are the middleware's: a node whose clock is stopped has its real rate."""
     flows(bench, "source", tmp_path / "sent", "topic_1:20:sim")
     probe = bench.probe([{"name": TOPIC, "rate": 20}])
-    fact = seen(probe, lambda fact: matches_published(fact, tmp_path / "sent") and fact, "a rate within 2 %")
-    assert rate_of(fact).age_s == pytest.approx(0.0, abs=1.0)
+    seen(probe, lambda fact: matches_published(fact, tmp_path / "sent"), "a rate within 2 %")
+    seen(probe, lambda fact: rate_of(fact).age_s == pytest.approx(0.0, abs=1.0), "the true age of a sample")
 
 
 def test_setting_a_publishers_clock_does_not_distort_its_rate(bench: Bench, tmp_path: Path) -> None:
@@ -186,27 +211,38 @@ def test_setting_a_publishers_clock_does_not_distort_its_rate(bench: Bench, tmp_
         environ={"PHM_DEBUG_ROS_CLOCK": str(off)},
         installs=[str(tmp_path)],
     )
-    seen(probe, lambda fact: matches_published(fact, path), "a rate within 2 %")
+    before = seen(probe, lambda fact: matches_published(fact, path) and fact, "a rate within 2 %")
     rates: list[RateFact] = []
+    judged: list[RateFact] = []
+
+    def note(fact: RosFact) -> bool:
+        """Note a rate, and judge it where the publisher has not paused in its window."""
+        rates.append(rate_of(fact))
+        if rates[-1].hz is not None and is_even(path, min(max(rates[-1].window_s, 1.0), 10.0)):
+            judged.append(rates[-1])
+        return bool(judged)
+
     for seconds in (3600, -60):
         off.write_text(str(seconds), encoding="ascii")
-        taken = rate_of(probe.look()).samples
-        seen(probe, lambda fact: rates.append(rate_of(fact)) or rate_of(fact).samples > taken + 16, "four seconds")  # noqa: B023
-        seen(probe, lambda fact: matches_published(fact, path), "a rate within 2 % again")
+        taken = rate_of(before).samples
+        judged.clear()
+        seen(probe, lambda fact: note(fact) and rate_of(fact).samples > taken + 16, "four seconds", 120.0)  # noqa: B023
+        assert all(15.0 < (rate.hz or 0.0) < 25.0 for rate in judged)
+        before = seen(probe, lambda fact: matches_published(fact, path) and fact, "a rate within 2 % again")
     assert {(rate.restarts, rate.problem) for rate in rates} == {(0, "")}
-    assert all(rate.hz is None or 15.0 < rate.hz < 25.0 for rate in rates)
 
 
 def test_a_latched_sample_from_before_the_subscription_is_received(bench: Bench, tmp_path: Path) -> None:
     """The reader adopts the QoS of its publishers: first of a volatile one, then of a transient-local one."""
     path, leases = tmp_path / "sent", dict.fromkeys(PROFILE_VARIABLES, str(ROOT / "config" / "fastdds.xml"))
     first = flows(bench, "source", path, "topic_1:0", **leases)
+    until(lambda: path.exists() and path.read_text(encoding="ascii"), "its only message, before any subscription")
     probe = bench.probe([{"name": TOPIC, "rate": 0}])
     fact = seen(probe, lambda fact: rate_of(fact).matched == 1 and fact, "the first publisher")
     assert (rate_of(fact).samples, rate_of(fact).age_s, rate_of(fact).limit_s) == (0, None, None)
     first.kill()
     first.wait()
-    seen(probe, lambda fact: not fact.topics[TOPIC].publishers, "its end", 40.0)
+    seen(probe, lambda fact: not fact.topics[TOPIC].publishers, "its end")
     flows(bench, "source", path, "topic_1:0:1000:latched", **leases)
     fact = seen(probe, lambda fact: (rate_of(fact).age_s or 0.0) > 2.0 and fact, "the age of its sample")
     assert (rate_of(fact).samples, rate_of(fact).hz, rate_of(fact).problem) == (1, None, "")
@@ -237,7 +273,7 @@ def test_a_blocked_transport_shows_a_publisher_without_data(bench: Bench, tmp_pa
     seen(probe, lambda fact: rate_of(fact).matched == 1, "a connection")
     begun = len(sent(path))
     until(lambda: len(sent(path)) > begun + 60, "three seconds of samples")
-    fact = probe.look()
+    fact = seen(probe, lambda fact: fact.topics[TOPIC].publishers and fact, "the publisher")
     assert [end.node for end in fact.topics[TOPIC].publishers] == [""]
     assert (rate_of(fact).silent_s, rate_of(fact).samples, rate_of(fact).problem) == (None, 0, "")
 
@@ -252,8 +288,8 @@ def test_a_publisher_of_another_type_is_ambiguous(bench: Bench, tmp_path: Path) 
     other = subprocess.Popen([sys.executable, "-c", code], env=bench.environ, cwd=ROOT)
     try:
         probe = bench.probe([{"name": TOPIC, "rate": 10}])
-        fact = seen(probe, lambda fact: rate_of(fact).problem and fact, "the problem")
-        assert rate_of(fact).problem == "ambiguous: published as std_msgs/msg/Bool and as std_msgs/msg/String"
+        problem = "ambiguous: published as std_msgs/msg/Bool and as std_msgs/msg/String"
+        seen(probe, lambda fact: rate_of(fact).problem == problem, "the problem")
     finally:
         other.kill()
         other.wait()

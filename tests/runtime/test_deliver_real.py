@@ -21,6 +21,15 @@ from tests.fakes.mavlink import free_port
 from tests.fakes.until import until
 from tests.runtime.test_service import LIMIT_S, ROOT
 
+PATIENT = """
+import sys
+from phm.commands import delivery_server
+from phm.gcs import delivery_client
+delivery_server.REQUEST_S = delivery_server.BODY_S = delivery_server.ANSWER_S = delivery_client.CONNECT_S = 60.0
+from phm.cli import main
+main(sys.argv[1:])
+"""
+"""`phm` with long limits for the steps of a delivery: a busy machine may stop either end for seconds."""
 ENVIRON = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_WATCHDOG": "off"}
 
 
@@ -40,7 +49,8 @@ class Agent:
             "run_dir": str(folder / "run"),
             "log": {"directory": str(folder / "log")},
             "checks": {"host": {"enabled": False}},
-            "mavlink": {"endpoints": [{"url": f"tcp:127.0.0.1:{companion}"}]},
+            # A busy machine may keep the autopilot of this test from sending: it is silent only after a minute.
+            "mavlink": {"endpoints": [{"url": f"tcp:127.0.0.1:{companion}"}], "autopilot_timeout": 60},
             "delivery": {"listen": f"127.0.0.1:{self.port}", "key": str(self.key)},
         }
         self.mine = folder / "mine.yaml"
@@ -51,7 +61,7 @@ class Agent:
         self.flying = threading.Thread(target=self.pilot.run, daemon=True)
         self.flying.start()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "phm.cli", "run", "-c", str(self.file)],
+            [sys.executable, "-c", PATIENT, "run", "-c", str(self.file)],
             text=True,
             stderr=subprocess.PIPE,
             env=ENVIRON,
@@ -77,7 +87,7 @@ class Agent:
         where = f"127.0.0.1:{self.port}"
         chosen = more or ("--base", str(self.original))
         return subprocess.run(
-            [sys.executable, "-m", "phm.cli", "deliver", str(self.mine), where, "--key", str(key or self.key), *chosen],
+            [sys.executable, "-c", PATIENT, "deliver", str(self.mine), where, "--key", str(key or self.key), *chosen],
             text=True,
             env=ENVIRON,
             capture_output=True,

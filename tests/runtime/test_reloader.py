@@ -22,6 +22,14 @@ from tests.fakes.until import until
 from tests.runtime.test_service import LIMIT_S, ROOT
 
 HEARTBEAT, POWEROFF = 0, 8
+PATIENT = """
+import sys
+from phm.probes.pattern_matcher import PatternMatcher
+PatternMatcher.__init__.__defaults__ = (60.0,)
+from phm.cli import main
+main(sys.argv[1:])
+"""
+"""`phm` with a long limit for the search of patterns: a busy machine may delay the process that searches."""
 
 
 class Agent:
@@ -35,7 +43,7 @@ class Agent:
         self.ground.setblocking(False)
         self.write()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "phm.cli", "run", "-c", str(self.file)],
+            [sys.executable, "-c", PATIENT, "run", "-c", str(self.file)],
             text=True,
             stderr=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_WATCHDOG": "off"},
@@ -102,6 +110,11 @@ def agent(tmp_path: Path) -> Iterator[Agent]:
     made.close()
 
 
+def disk_fault(status: dict[str, Any]) -> str:
+    """The id of the open fault of the disk; a busy machine may have others."""
+    return next(str(fault["fault"]) for fault in status["faults"]["open"] if fault["unit"] == "host/disk")
+
+
 def test_a_valid_configuration_applies_and_faults_stay_open(agent: Agent) -> None:
     """The fault keeps its id and is reported once; heartbeats continue without POWEROFF; keys that need a restart are
     named.
@@ -117,7 +130,7 @@ def test_a_valid_configuration_applies_and_faults_stay_open(agent: Agent) -> Non
     after = agent.status()
     assert after["pid"] == before["pid"]
     assert after["agent"] == before["agent"], "the agent's name stays until a restart"
-    assert after["faults"]["open"][0]["fault"] == before["faults"]["open"][0]["fault"]
+    assert disk_fault(after) == disk_fault(before)
     seen: list[int] = []
     until(lambda: seen.extend(agent.heartbeat_states()) or len(seen) >= 3, "three heartbeats")
     assert POWEROFF not in seen
@@ -217,7 +230,7 @@ def test_a_log_is_followed_over_a_reload(agent: Agent) -> None:
     log.write_text("old FATAL\n")
 
     def checks(path: Path) -> list[dict[str, Any]]:
-        pattern = {"patterns": [{"pattern": "FATAL"}], "quiet": "1h", "period": "500ms"}
+        pattern = {"patterns": [{"pattern": "FATAL"}], "quiet": "1h", "period": "500ms", "timeout": "60s"}
         return [{"name": "app", "type": "log", "path": str(path), **pattern}]
 
     def write() -> None:
@@ -245,7 +258,7 @@ def test_a_log_is_followed_over_a_reload(agent: Agent) -> None:
     finally:
         stop.set()
         writer.join()
-    until(lambda: found() == ("ERROR", written[0]), f"all {written[0]} lines to be found", found, limit_s=20.0)
+    until(lambda: found() == ("ERROR", written[0]), f"all {written[0]} lines to be found", found)
     events = [each for each in json_log.read(agent.folder / "log") if each.get("unit") == "custom/app"]
     assert not [each for each in events if each["event"] == "fault_closed"]
     other = agent.folder / "other.log"

@@ -14,6 +14,8 @@ from tests.fakes.engine import FakeEngine
 from tests.fakes.engine_faults import Status
 from tests.setup.machines import described
 
+LIMIT_S = 60.0
+
 
 @pytest.fixture
 def fake(tmp_path: Path) -> Iterator[FakeEngine]:
@@ -25,7 +27,7 @@ def test_applications_are_found_with_what_ros_reads(fake: FakeEngine, tmp_path: 
     """Image, Compose service, network and ROS variables; nothing else of the environment."""
     labels = {"com.docker.compose.project": "agent", "com.docker.compose.service": "autonomy"}
     fake.containers["app"] = described("app", env={"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"}, labels=labels)
-    found = look(DockerEngine(fake.url), tmp_path)
+    found = look(DockerEngine(fake.url, LIMIT_S), tmp_path)
     (app,) = found.applications
     assert (app.name, app.image, app.service, app.networks) == ("app", "app:1", "autonomy", ("swarm",))
     assert app.ros.variables == {"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"}
@@ -38,7 +40,7 @@ def test_a_fast_dds_profile_is_read_from_the_container(fake: FakeEngine, tmp_pat
     profile = {"FASTDDS_DEFAULT_PROFILES_FILE": "/opt/dds.xml"}
     fake.containers["a"] = described("a", env=profile, files={"/opt/dds.xml": b"<dds/>"})
     fake.containers["b"] = described("b", env=profile)
-    assert [one.profile for one in look(DockerEngine(fake.url), tmp_path).applications] == ["<dds/>", ""]
+    assert [one.profile for one in look(DockerEngine(fake.url, LIMIT_S), tmp_path).applications] == ["<dds/>", ""]
 
 
 def test_phm_and_finished_jobs_are_not_applications(fake: FakeEngine, tmp_path: Path) -> None:
@@ -47,7 +49,7 @@ def test_phm_and_finished_jobs_are_not_applications(fake: FakeEngine, tmp_path: 
     fake.containers["job"] = described("job", status="exited")
     fake.containers["kept"] = described("kept", status="exited")
     fake.containers["kept"]["HostConfig"]["RestartPolicy"] = {"Name": "unless-stopped"}
-    found = look(DockerEngine(fake.url), tmp_path)
+    found = look(DockerEngine(fake.url, LIMIT_S), tmp_path)
     assert [one.name for one in found.applications] == ["kept"]
     assert [one.name for one in found.sidecars] == ["phm"]
 
@@ -56,7 +58,7 @@ def test_the_owner_of_a_shared_network_is_found_by_id(fake: FakeEngine, tmp_path
     """The engine names it by id, the configuration by name."""
     fake.containers["pod"] = described("pod")
     fake.containers["app"] = described("app", mode=f"container:{fake.containers['pod']['Id']}")
-    found = look(DockerEngine(fake.url), tmp_path)
+    found = look(DockerEngine(fake.url, LIMIT_S), tmp_path)
     assert [one.owner for one in found.applications] == ["pod", ""]
 
 
@@ -64,7 +66,7 @@ def test_an_engine_that_refuses_is_named(fake: FakeEngine, tmp_path: Path) -> No
     """The error says what to do, also where nothing listens."""
     fake.fault = Status(403, "no")
     with pytest.raises(CannotTell, match="socket proxy"):
-        look(DockerEngine(fake.url), tmp_path)
+        look(DockerEngine(fake.url, LIMIT_S), tmp_path)
     with pytest.raises(CannotTell, match="start the Docker Engine"):
         look(DockerEngine(f"unix://{tmp_path}/none.sock"), tmp_path)
 

@@ -21,12 +21,12 @@ from tests.fakes.ros_domain import claim_domain
 from tests.fakes.until import until
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
-LIMIT_S = 90.0
+LIMIT_S = 180.0
 Start = Callable[..., str]
 
 
 def run(*words: str, cwd: Path, check: bool = True) -> str:
-    done = subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(words, cwd=cwd, capture_output=True, text=True, timeout=180, check=False)
     assert not check or done.returncode == 0, f"{words}: {done.stdout}{done.stderr}"
     return done.stdout
 

@@ -16,7 +16,7 @@ from tests.fakes.mavlink import Sender, free_port, heartbeat, text
 from tests.fakes.recorded_flight import frames, source
 from tests.fakes.until import until
 
-STEP_S = 0.1
+STEP_S, LIMIT_S = 0.1, 60.0
 STREAMS = {"SYSTEM_TIME", "ATTITUDE", "GLOBAL_POSITION_INT"}
 COMMON = {"HEARTBEAT", "STATUSTEXT", "TIMESYNC", "PARAM_VALUE"}
 
@@ -129,14 +129,14 @@ def pilot() -> Iterator[SimulatedAutopilot]:
 def test_a_reboot_closes_tcp_connections(pilot: SimulatedAutopilot) -> None:
     """New ones are refused until it is over."""
     port = pilot.companion.bound_port
-    with socket.create_connection(("127.0.0.1", port), 5) as phm:
+    with socket.create_connection(("127.0.0.1", port), LIMIT_S) as phm:
         until(lambda: phm.recv(1000), "a heartbeat")
         pilot.reboot()
         until(lambda: not phm.recv(1000), "the end of the connection")
 
     def again() -> bool:
         try:
-            with socket.create_connection(("127.0.0.1", port), 1) as phm:
+            with socket.create_connection(("127.0.0.1", port), 10) as phm:
                 return bool(phm.recv(1000))
         except OSError:
             return False
@@ -149,8 +149,8 @@ def test_frames_that_arrive_during_a_hang_are_forwarded_in_one_burst(pilot: Simu
     """As recorded: eleven lines and heartbeats of 12 s within 20 ms."""
     sender, decoder, seen = Sender(7, 193), parser(), list[str]()
     with (
-        socket.create_connection(("127.0.0.1", pilot.companion.bound_port), 5) as phm,
-        socket.create_connection(("127.0.0.1", pilot.ground.bound_port), 5) as ground,
+        socket.create_connection(("127.0.0.1", pilot.companion.bound_port), LIMIT_S) as phm,
+        socket.create_connection(("127.0.0.1", pilot.ground.bound_port), LIMIT_S) as ground,
     ):
 
         def listen() -> list[str]:

@@ -33,7 +33,7 @@ def test_an_agent_ends_with_a_killed_demo(tmp_path: Path) -> None:
         assert Path(f"/proc/{autopilot}").exists()
         demo.kill()
         demo.wait()
-        until(lambda: not Path(f"/proc/{autopilot}").exists(), "the end of the autopilot", limit_s=30.0)
+        until(lambda: not Path(f"/proc/{autopilot}").exists(), "the end of the autopilot")
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.kill(autopilot, signal.SIGKILL)

@@ -87,18 +87,18 @@ def test_one_agent_without_reception_does_not_make_a_peer_lost() -> None:
     for agent in (1, 2, 4, 5):
         status = swarm.agreed(agent).statuses[3]
         assert status.state is MemberState.PARTLY
-        assert status.not_heard_by == (1,)
-        assert status.heard_by == tuple({2, 4, 5})
+        assert status.not_received_by == (1,)
+        assert status.received_by == tuple({2, 4, 5})
 
 
 def test_a_peer_that_most_agents_lost_is_lost_and_disagreement_is_shown() -> None:
-    """`heard_by` names those that still receive it."""
+    """`received_by` names those that still receive it."""
     swarm = Swarm(range(1, 7))
     swarm.run(20)
     swarm.cut = {(3, hearer) for hearer in (1, 2, 4, 6)}
     swarm.run(20)
     status = swarm.agreed(1).statuses[3]
-    assert (status.state, status.heard_by) == (MemberState.LOST, (5,))
+    assert (status.state, status.received_by) == (MemberState.LOST, (5,))
 
 
 def test_a_split_network_is_reported_on_both_sides_and_recovers() -> None:

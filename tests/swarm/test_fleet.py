@@ -78,7 +78,7 @@ def test_a_new_ground_station_receives_relayed_agents_again() -> None:
     for _ in range(3):
         hello = Sender(254, 190).received(heartbeat(kind=mavlink.MAV_TYPE_GCS))
         for number in (1, 2, 4):
-            fleet.agents[number].port.hear([hello])
+            fleet.agents[number].port.receive([hello])
         fleet.run(5)
     assert fleet.lines(4) == ["A03 no GCS radio, received by A01 A02 A04: OK"]
 

@@ -16,7 +16,7 @@ STEP_S = 0.2
 WORD = 5
 LEARNED_S = 300.0
 """Long enough for heartbeats that arrived without loss to be known as steady."""
-Heard = Callable[[int, float], bool]
+Received = Callable[[int, float], bool]
 
 
 class Air:
@@ -27,7 +27,7 @@ class Air:
         self.others = range(2, 2 + peers)
         self.peers = Peers(1, PERIOD_S, self.others)
         self.now = 0.0
-        self.hears: Heard = lambda agent, now: True
+        self.receives: Received = lambda agent, now: True
         phases = [place / peers if even else self.random.random() for place in range(peers)]
         self._due = {agent: phase * PERIOD_S for agent, phase in zip(self.others, phases, strict=True)}
         self._late = dict.fromkeys(self.others, 0.0)
@@ -42,7 +42,7 @@ class Air:
                     at = self._due[agent] + self._late[agent]
                     self._due[agent] += PERIOD_S
                     self._late[agent] = self.random.random() / 10
-                    if self.hears(agent, at):
+                    if self.receives(agent, at):
                         self.peers.heartbeat(agent, WORD, at)
             self.peers.watch(self.now, PERIOD_S)
         return self.now - began
@@ -54,11 +54,11 @@ class Air:
         """Seconds until all of these are lost; a random part of a period passes before the cut."""
         gone = set(agents)
         self.run(self.random.random() * PERIOD_S)
-        self.hears = lambda agent, now: agent not in gone
+        self.receives = lambda agent, now: agent not in gone
         return self.run(30.0, until=lambda: gone <= self.lost())
 
     def lossy(self, share: float) -> None:
-        self.hears = lambda agent, now: self.random.random() >= share
+        self.receives = lambda agent, now: self.random.random() >= share
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_a_fade_of_one_period_is_not_a_loss(peers: int) -> None:
     for _ in range(100):
         air.peers._fades.clear()
         end = air.now + PERIOD_S
-        air.hears = lambda agent, now, end=end: now > end  # type: ignore[misc]
+        air.receives = lambda agent, now, end=end: now > end  # type: ignore[misc]
         air.run(10.0 + air.random.random() * PERIOD_S, until=lambda: bool(air.lost()))
         assert air.lost() == set()
 
@@ -117,9 +117,9 @@ def test_a_loss_must_exceed_earlier_fades() -> None:
     for pause_s in (LEARNED_S, 30.0, 30.0, 630.0):
         air.run(pause_s)
         end = air.now + 3.2
-        air.hears = lambda agent, now, end=end: now > end  # type: ignore[misc]
+        air.receives = lambda agent, now, end=end: now > end  # type: ignore[misc]
         reported.append(air.run(8.0, until=lambda: bool(air.lost())) < 8.0)
-        air.hears = lambda agent, now: True
+        air.receives = lambda agent, now: True
     assert reported == [True, False, False, True]
 
 
@@ -128,7 +128,7 @@ def test_synchronized_agents_are_not_lost_by_one_missed_heartbeat() -> None:
     air = Air(7, 5)
     air._due = dict.fromkeys(air.others, 1.0)
     air.run(LEARNED_S)
-    air.hears = lambda agent, now: not LEARNED_S < now <= LEARNED_S + PERIOD_S
+    air.receives = lambda agent, now: not LEARNED_S < now <= LEARNED_S + PERIOD_S
     air.run(20.0, until=lambda: bool(air.lost()))
     assert air.lost() == set()
 
@@ -138,7 +138,7 @@ def test_our_own_pause_is_not_a_loss() -> None:
     air = Air(7, 6)
     air.run(LEARNED_S)
     stall = air.now + 5.0
-    air.hears = lambda agent, now: now > stall
+    air.receives = lambda agent, now: now > stall
     air.now = stall
     air.run(10.0, until=lambda: bool(air.lost()))
     assert air.lost() == set()
@@ -151,7 +151,7 @@ def test_no_agent_is_lost_early_when_a_link_is_closed() -> None:
     air.run(LEARNED_S)
     for _ in range(20):
         air.now += STEP_S
-        air.peers.watch(air.now, PERIOD_S, hears=False)
+        air.peers.watch(air.now, PERIOD_S, receives=False)
     assert air.lost() == set()
 
 
@@ -159,7 +159,7 @@ def test_no_agent_is_lost_when_a_growing_swarm_slows_its_heartbeats() -> None:
     """The new, longer period counts immediately."""
     air = Air(7, 8)
     air.run(LEARNED_S)
-    last_received = max(peer.heard_s or 0.0 for peer in air.peers.all().values())
+    last_received = max(peer.received_s or 0.0 for peer in air.peers.all().values())
     while air.now < last_received + 5.0:
         air.now += STEP_S
         air.peers.watch(air.now, 5.0)
@@ -171,9 +171,9 @@ def test_one_steady_peer_is_lost_after_three_missed_heartbeats() -> None:
     steady, new, lossy = (Air(7, 9) for _ in range(3))
     steady.run(LEARNED_S)
     new.run(40.0)
-    lossy.hears = lambda agent, now: agent != 2 or now % 60.0 > 4.5
+    lossy.receives = lambda agent, now: agent != 2 or now % 60.0 > 4.5
     lossy.run(LEARNED_S)
-    lossy.hears = lambda agent, now: True
+    lossy.receives = lambda agent, now: True
     lossy.run(20.0)
     first, second, third = (air.cut([2]) for air in (steady, new, lossy))
     assert first < 3.3 * PERIOD_S < second <= (LOST_PERIODS + 0.5) * PERIOD_S
@@ -184,9 +184,9 @@ def test_agents_that_fall_silent_one_after_another_have_not_vanished_together() 
     """The second one is not lost before its own time."""
     air = Air(7, 10)
     air.run(LEARNED_S)
-    air.hears = lambda agent, now: agent != 2
+    air.receives = lambda agent, now: agent != 2
     air.run(2.5 * PERIOD_S)
-    air.hears = lambda agent, now: agent not in (2, 3)
+    air.receives = lambda agent, now: agent not in (2, 3)
     air.run(1.5 * PERIOD_S, until=lambda: 3 in air.lost())
     assert air.lost() == {2}
 
@@ -208,6 +208,6 @@ def test_a_peer_that_is_received_again_is_back() -> None:
     air = Air(7, 11)
     air.run(LEARNED_S)
     air.cut(air.others)
-    air.hears = lambda agent, now: True
+    air.receives = lambda agent, now: True
     air.run(1.2 * PERIOD_S, until=lambda: not air.lost())
     assert air.lost() == set()

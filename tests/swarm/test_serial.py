@@ -108,7 +108,7 @@ def pair(tmp_path: Path) -> Iterator[Pair]:
 def test_agents_receive_each_other_by_serial_radios(pair: Pair) -> None:
     """Heartbeats and views arrive though every ninth packet is lost; silence and its end are detected on both sides."""
     until(lambda: pair.states() == ["alive", "alive"], "both to be received")
-    until(lambda: all(peer.heard_by == (1, 2) for fact in pair.see() for peer in fact.peers.values()), "views")
+    until(lambda: all(peer.received_by == (1, 2) for fact in pair.see() for peer in fact.peers.values()), "views")
     assert all(fact.links == ("xbee",) for fact in pair.see())
     until(lambda: pair.air.lost >= 3, "packets to be lost")
     pair.air.cut = True

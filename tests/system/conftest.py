@@ -29,7 +29,7 @@ from tests.fakes.until import until
 
 APP_IMAGE = os.environ.get("PHM_TEST_APP_IMAGE", "phm-app:dev")
 ROOT = Path(__file__).resolve().parents[2]
-START_LIMIT_S = 60.0
+START_LIMIT_S = 120.0
 
 
 @pytest.fixture(scope="session")
@@ -114,7 +114,7 @@ class Phm:
                 stderr=output,
             )
 
-    def cli(self, *words: str, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
+    def cli(self, *words: str, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
         argv = [sys.executable, "-m", "phm.cli", *words]
         return subprocess.run(
             argv, cwd=ROOT, env=self.environ, capture_output=True, text=True, timeout=timeout_s, check=False
@@ -131,7 +131,7 @@ class Phm:
             if "phm.probes.ros" in " ".join(_command(child))
         ]
 
-    def wait(self, wanted: Callable[[Event], bool], what: str, limit_s: float = 30.0, since: int = 0) -> Event:
+    def wait(self, wanted: Callable[[Event], bool], what: str, limit_s: float = 120.0, since: int = 0) -> Event:
         """Return the first matching event of the JSON log; fail with the end of the text log on timeout."""
         event = self.record.wait(wanted, limit_s, since=since)
         if event is None:
@@ -163,11 +163,11 @@ class Phm:
         assert self.process is not None
         self.process.send_signal(signal.SIGTERM)
         try:
-            return self.process.wait(15)
+            return self.process.wait(60)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-            pytest.fail(f"PHM did not end within 15 s of SIGTERM:\n{self.output()}")
+            pytest.fail(f"PHM did not end within 60 s of SIGTERM:\n{self.output()}")
 
 
 def config_for(app: AppContainer, **more: Any) -> dict[str, Any]:
@@ -232,6 +232,6 @@ def _command(process: psutil.Process) -> list[str]:
         return []
 
 
-def poll(condition: Callable[[], bool], what: str, limit_s: float = 20.0) -> None:
+def poll(condition: Callable[[], bool], what: str, limit_s: float = 120.0) -> None:
     """Wait until `condition` is true, with fewer looks than `until`: each may ask the Docker Engine."""
     until(condition, what, limit_s=limit_s, poll_s=0.05)

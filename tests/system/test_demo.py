@@ -37,10 +37,14 @@ def stack() -> Iterator[Stack]:
         stack.down()
 
 
-def test_the_demonstration_detects_and_recovers_four_faults(stack: Stack, docker_client: DockerClient) -> None:
+def test_the_demonstration_detects_and_recovers_four_faults(
+    stack: Stack, docker_client: DockerClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A pass without faults, then four faults, each reported once at its cause, recovered, verified and sent to the
     ground: exit 0.
     """
+    for limit in ("CLEAN_LIMIT_S", "FAULT_LIMIT_S"):  # those of an idle machine, on which somebody waits
+        monkeypatch.setattr(main, limit, 180.0)
     output = io.StringIO()
     code = main.run(stack, Console(file=output, width=200))
     assert code == 0, output.getvalue()
@@ -62,7 +66,7 @@ def test_the_sidecar_runs_with_least_privilege_and_is_healthy(stack: Stack, dock
         joined = f"{stack.project}_net" in phm.attrs["NetworkSettings"]["Networks"]
         return joined and bool(phm.attrs["State"]["Health"]["Status"] == "healthy")
 
-    poll(healthy, "a healthy sidecar on the network", 60.0)
+    poll(healthy, "a healthy sidecar on the network")
 
 
 KILL_DAEMON = """
@@ -88,9 +92,10 @@ def test_a_killed_daemon_is_restarted_and_continues_its_log(stack: Stack, docker
         return {event["boot_id"] for event in record.events if event["event"] == "report"}
 
     before = boots()
-    killed = phm.exec_run(["python", "-c", KILL_DAEMON])
-    # The program itself is killed with its container, or ends first.
-    assert killed.exit_code in (0, 137, None), killed.output
+    # The program itself is killed with its container, or ends first. The engine forgets it with the container, so that it may not
+    # know its exit code any more; with `stream` that is not asked for.
+    killed = b"".join(phm.exec_run(["python", "-c", KILL_DAEMON], stream=True).output)
+    assert killed == b""
     poll(lambda: bool(boots() - before), f"a report of a boot after {before}", 120.0)
     phm.reload()
     assert phm.attrs["RestartCount"] == 1

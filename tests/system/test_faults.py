@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Callable
 from typing import Any
 
@@ -11,19 +12,23 @@ from docker import DockerClient
 
 from sitl.faults.base import freeze
 from sitl.harness.log_follower import Event
+from tests.fakes.until import until
 from tests.system.conftest import AppContainer, Phm, config_for
 
 SETTLED_S = 10.0
 """A fault is observed for this long after its recovery: longer than the grace of any unit."""
 
+
+def end_from_within(app: AppContainer) -> None:
+    """The command may end with the container, and the engine forgets it then: its exit code is not asked for."""
+    api = app.client.api
+    api.exec_start(api.exec_create(app.container.id, ["kill", "-USR2", "1"])["Id"], detach=True)
+
+
 CASES: dict[str, tuple[str, str, Callable[[AppContainer], object]]] = {
     "node killed": ("nodes/agent_1/node_1", "restart", lambda app: app.kill_node("node_1")),
     "container killed": ("container/{name}", "start", lambda app: app.container.kill()),
-    "container stopped": (
-        "container/{name}",
-        "start",
-        lambda app: app.container.exec_run(["kill", "-USR2", "1"]),  # which may end with the container
-    ),
+    "container stopped": ("container/{name}", "start", end_from_within),
     "container paused": ("container/{name}", "unpause", lambda app: freeze(app.container)),
     "unhealthy": ("health/{name}", "restart", lambda app: app.run("touch", "/tmp/unhealthy")),
     "network lost": ("network/{name}", "reconnect", lambda app: app.network.disconnect(app.container, force=True)),
@@ -32,7 +37,7 @@ CASES: dict[str, tuple[str, str, Callable[[AppContainer], object]]] = {
 
 def settled(phm: Phm, mark: int, from_mono: float) -> None:
     """Observe the log until `SETTLED_S` after `from_mono`."""
-    phm.wait(lambda event: event["mono"] > from_mono + SETTLED_S, "the log going on", 2 * SETTLED_S, mark)
+    phm.wait(lambda event: event["mono"] > from_mono + SETTLED_S, "the log going on", since=mark)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -70,8 +75,10 @@ def test_off_and_advise_change_nothing_in_the_world(
     mark = phm.mark()
     app.container.kill()
     before = app.identity()
-    opened = phm.wait(lambda event: event["event"] == "fault_opened", "the fault", since=mark)
-    settled(phm, mark, opened["mono"])
+    last = phm.wait(lambda event: event["event"] == "fault_opened", "the fault", since=mark)
+    if recovery["mode"] == "advise":
+        last = phm.wait(lambda event: event["event"] == "action", "the advice", since=mark)
+    settled(phm, mark, last["mono"])
     assert app.identity() == before
     assert before[2] == "exited"
     phases = [event["phase"] for event in phm.record.events[mark:] if event["event"] == "action"]
@@ -125,9 +132,15 @@ def test_once_prints_the_state_and_changes_nothing(app: AppContainer, start_phm:
     phm = start_phm(config_for(app), app.domain)
     phm.wait_all_ok()
     before = app.identity()
-    done = phm.cli("once", "-c", str(phm.config), "--json")
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
+    passes: list[subprocess.CompletedProcess[str]] = []
+
+    def all_ok() -> bool:
+        """On a busy machine one pass may rightly find a topic too slow."""
+        passes.append(phm.cli("once", "-c", str(phm.config), "--json"))
+        return passes[-1].returncode == 0
+
+    until(all_ok, "a pass with everything OK", lambda: passes[-1])
+    report = json.loads(passes[-1].stdout)
     assert set(report) == {"agent", "status_array", "slots", "checks"}
     assert report["status_array"] == [1] * 8
     assert {"id", "slot", "layer", "level", "summary", "blocked_by", "duration_ms"} <= set(report["checks"][0])

@@ -63,7 +63,7 @@ def test_a_learned_baseline_passes_and_catches_faults(
     app: AppContainer, folder: Path, start_phm: Callable[..., Phm], tmp_path: Path
 ) -> None:
     """Three nodes in a ring, and 200 files. Then a file is altered and a node killed."""
-    poll(lambda: healthy(app), "a healthy application", 90.0)
+    poll(lambda: healthy(app), "a healthy application")
     output = tmp_path / "phm.yaml"
     words = ("--fresh", "--container", app.name, "--files", f"{app.name}:{INSIDE}", "--output", str(output))
     cli(app, "learn", "--for", "12s", *words)
@@ -81,7 +81,7 @@ def test_a_learned_baseline_passes_and_catches_faults(
     # The load of the machine that runs the tests is not what this is about.
     learned["checks"] = {"host": {"enabled": False}, "pressure": {"enabled": False}}
     phm = start_phm({"interval": "3s", **learned}, app.domain)
-    phm.wait(clean, "a clean report", 60.0)
+    phm.wait(clean, "a clean report")
     phm.wait(clean, "a second one", since=phm.mark())
     (folder / "below" / "file_7").write_text("altered")
     fault = phm.wait(opened(f"files/{app.name}"), "a fault at the altered file")

@@ -67,7 +67,7 @@ def test_an_advised_fault_stays_the_same_and_can_be_approved(app: AppContainer, 
     assert [fault["fault"] for fault in listed["faults"] if fault["outcome"] == "open"] == [opened["fault"]]
     asked = phm.cli("approve", opened["fault"])
     assert (asked.returncode, asked.stdout.startswith("approved: start")) == (0, True), asked.stderr
-    end = phm.wait(closed(opened["fault"]), "the end of the fault", 40, mark)
+    end = phm.wait(closed(opened["fault"]), "the end of the fault", since=mark)
     assert (end["outcome"], end["by"]) == ("resolved", "start")
     steps = phm.cli("faults", opened["fault"], "-c", str(phm.config)).stdout
     assert steps.index("start advised") < steps.index("start approved") < steps.index("start verified")
@@ -79,9 +79,7 @@ def test_a_fault_that_was_given_up_stays_given_up(app: AppContainer, start_phm: 
     phm = start_phm(config_for(app, recovery=recovery), app.domain)
     phm.wait_all_ok()
     app.run("touch", "/tmp/unhealthy")
-    given_up = phm.wait(
-        lambda event: event["event"] == "fault_closed" and event["outcome"] == "escalated", "giving up", 40
-    )
+    given_up = phm.wait(lambda event: event["event"] == "fault_closed" and event["outcome"] == "escalated", "giving up")
     poll(lambda: bool(saved_state(phm).get("given_up")), "the state on the disk")
     kill(phm)
     mark = start_again(phm)
@@ -100,13 +98,13 @@ def test_an_interrupted_restart_is_resumed(app: AppContainer, start_phm: Callabl
     phm = start_phm(config, app.domain)
     phm.wait_all_ok()
     app.run("touch", "/tmp/unhealthy")
-    started = phm.wait(lambda event: event["event"] == "action" and event["phase"] == "started", "a restart", 40)
-    poll(lambda: bool(saved_state(phm).get("under_way")), "the action on the disk", 5)
+    started = phm.wait(lambda event: event["event"] == "action" and event["phase"] == "started", "a restart")
+    poll(lambda: bool(saved_state(phm).get("under_way")), "the action on the disk")
     kill(phm)
     mark = start_again(phm)
     note = phm.wait(lambda event: event["event"] == "note" and "interrupted" in event["text"], "the note", since=mark)
     assert started["fault"] in note["text"]
-    end = phm.wait(closed(started["fault"]), "the end of the fault", 60, mark)
+    end = phm.wait(closed(started["fault"]), "the end of the fault", since=mark)
     assert end["outcome"] == "resolved"
     phm.wait_all_ok(mark)
     assert phm.opened(mark) == []

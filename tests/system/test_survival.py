@@ -50,7 +50,7 @@ def test_a_killed_daemon_starts_again_without_cleanup(app: AppContainer, start_p
     phm.start()
     phm.wait(partial(warned, "phm_restarted"), "the warning that it terminated unexpectedly", since=mark)
     phm.wait_all_ok(mark)
-    assert phm.cli("status", "--healthy").returncode == 0
+    poll(lambda: phm.cli("status", "--healthy").returncode == 0, "a healthy daemon")
     assert len({event["boot_id"] for event in phm.record.events}) == 2
 
 
@@ -74,7 +74,8 @@ def test_sigterm_shuts_the_daemon_down(app: AppContainer, start_phm: Callable[..
     children = [child.pid for child in phm.children()]
     assert phm.stop() == 0
     assert not (phm.folder / "run" / "status.json").exists()
-    assert not any(os.path.exists(f"/proc/{pid}") for pid in children)
+    # A killed child may take a moment longer on a busy machine.
+    poll(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in children), "the ROS child's end")
     assert "Traceback" not in phm.output()
 
 
@@ -86,4 +87,4 @@ def test_a_missing_engine_is_one_fault(app: AppContainer, start_phm: Callable[..
     assert opened["unit"] == "engine"
     phm.wait(lambda event: event["event"] == "report" and event["number"] >= 4, "reports going on")
     assert phm.opened(0) == ["engine"]
-    assert phm.cli("status", "--healthy").returncode == 0
+    poll(lambda: phm.cli("status", "--healthy").returncode == 0, "a healthy daemon")

@@ -22,7 +22,7 @@ from sitl.swarm.swarm import Options, Swarm
 from tests.fakes.until import until
 from tests.system.conftest import APP_IMAGE, ROOT
 
-STARTED_LIMIT_S = 120.0
+STARTED_LIMIT_S = 240.0
 
 
 @pytest.fixture

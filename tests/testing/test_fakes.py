@@ -21,7 +21,7 @@ def test_a_thread_sleeps_until_the_fake_clock_advances() -> None:
     thread = threading.Thread(target=sleep_thrice, name="phm-test-sleeper", daemon=True)
     thread.start()
     for _ in range(3):
-        clock.wait_for_sleepers(1)
+        clock.wait_for_sleepers(1, 60.0)
         clock.advance(10.0)
     thread.join(60)
     assert seen == [1010.0, 1020.0, 1030.0]
@@ -33,7 +33,7 @@ def test_an_event_wakes_a_sleeper_without_passing_time() -> None:
     clock, event, woken = testing.FakeClock(), threading.Event(), list[bool]()
     thread = threading.Thread(target=lambda: woken.append(clock.wait(event, None)), name="phm-test-event", daemon=True)
     thread.start()
-    clock.wait_for_sleepers(1)
+    clock.wait_for_sleepers(1, 60.0)
     event.set()
     thread.join(60)
     assert woken == [True] and clock.mono() == 1000.0

@@ -29,7 +29,7 @@ def test_the_oldest_idle_peer_is_displaced() -> None:
     came = full(admission, per_address=1)
     assert len(came) == MAX_PEERS
     for key in came[1:]:
-        admission.heard(key, IDLE_S, signed=False)
+        admission.receive(key, IDLE_S, signed=False)
     assert admission.admit("early", "10.0.1.1", IDLE_S - 0.1) is None
     assert admission.admit("ground", "10.0.1.1", IDLE_S) == [came[0]]
     assert admission.admit("late", "10.0.1.2", IDLE_S) is None
@@ -56,7 +56,7 @@ def test_active_peers_of_two_addresses_do_not_lock_out_a_third() -> None:
     admission = ClientAdmission(signs=False)
     came = full(admission)
     for key in came:
-        admission.heard(key, 0.5, signed=False)
+        admission.receive(key, 0.5, signed=False)
     assert admission.admit("ground", "10.0.9.9", 0.6) == [came[PER_ADDRESS - 1]]
     assert admission.admit("second", "10.0.9.9", 0.6) == [came[-1]]
     assert admission.admit("back", "10.0.0.0", 0.6) is None
@@ -91,7 +91,7 @@ def test_a_connection_has_a_reserved_place_until_it_had_time_to_sign() -> None:
     assert len(came) == MAX_PEERS
     trial = admission.peers[-RESERVED:]
     for key in admission.peers:
-        admission.heard(key, PROVE_S, signed=key == trial[1])
+        admission.receive(key, PROVE_S, signed=key == trial[1])
     assert admission.unproven(PROVE_S) == []
     assert admission.unproven(PROVE_S + 0.1) == [trial[0], *trial[2:]]
     for key in admission.unproven(PROVE_S + 0.1):
@@ -108,7 +108,7 @@ def test_an_ipv6_host_is_identified_by_its_network() -> None:
     assert admission.admit("mapped", "::ffff:10.0.0.1", 0.0) == []
 
 
-EVENTS = st.tuples(st.sampled_from(["admit", "heard", "forget"]), st.integers(0, 40), st.booleans(), st.floats(0, 2))
+EVENTS = st.tuples(st.sampled_from(["admit", "receive", "forget"]), st.integers(0, 40), st.booleans(), st.floats(0, 2))
 
 
 @given(st.lists(EVENTS, max_size=200), st.booleans(), st.booleans())
@@ -122,7 +122,7 @@ def test_the_number_of_places_is_limited(
         if what == "forget":
             admission.forget(key)
         elif key in admission:
-            admission.heard(key, now, signed=signed and signs)
+            admission.receive(key, now, signed=signed and signs)
         elif what == "admit":
             admission.admit(key, f"10.0.0.{key % 3}", now, signed=signed and signs)
         assert len(admission.peers) <= MAX_PEERS

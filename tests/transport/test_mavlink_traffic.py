@@ -16,7 +16,7 @@ def counted(sequences: Iterable[int]) -> tuple[int, int]:
     """Frames and lost frames of one sender."""
     senders = SenderTable()
     for number in sequences:
-        senders.heard(1, 1, number % 256)
+        senders.receive(1, 1, number % 256)
     return senders.now().get((1, 1), (0, 0))
 
 
@@ -47,9 +47,9 @@ def test_senders_are_limited() -> None:
     """Forged senders do not displace a real one."""
     senders = SenderTable()
     for number in range(100):
-        senders.heard(1, 1, number)
+        senders.receive(1, 1, number)
     for made_up in range(1000):
-        senders.heard(2 + made_up // 250, made_up % 250, 0)
+        senders.receive(2 + made_up // 250, made_up % 250, 0)
     assert len(senders.now()) == MAX_SENDERS
     assert senders.now()[1, 1] == (100, 0)
 

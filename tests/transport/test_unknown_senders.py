@@ -49,9 +49,9 @@ class Agent:
         )
         assert isinstance(chosen.mavlink, MavlinkSettings)
         self.did: list[str] = []
-        self.heard: list[tuple[int, str]] = []
+        self.received: list[tuple[int, str]] = []
         self.hub = MavlinkHub(chosen.mavlink, 7, SystemClock())
-        self.hub.listen(lambda message, link: self.heard.append((message.get_srcSystem(), message.get_type())), (0,))
+        self.hub.listen(lambda message, link: self.received.append((message.get_srcSystem(), message.get_type())), (0,))
         services = CommandServices(
             tuple,
             tuple,
@@ -102,7 +102,7 @@ def udp() -> Iterator[Callable[..., socket.socket]]:
             made = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             made.bind((host, port))
-            made.settimeout(15.0)
+            made.settimeout(60.0)
             return made
 
         yield make
@@ -126,7 +126,7 @@ def test_udpout_receives_only_from_its_peer(board: MakeAgent, udp: Callable[...,
         ground.sendto(known.frame(message), ours)
     until(lambda: agent.did, "the peer's restart")
     assert agent.did == ["254/190"]
-    assert agent.heard == [(254, "HEARTBEAT")]
+    assert agent.received == [(254, "HEARTBEAT")]
 
 
 def test_udpbcast_receives_answers_only_from_its_port(board: MakeAgent, udp: Callable[..., socket.socket]) -> None:
@@ -141,7 +141,7 @@ def test_udpbcast_receives_answers_only_from_its_port(board: MakeAgent, udp: Cal
         ground.sendto(Sender(254, 190).frame(message), ("127.0.0.1", ours[1]))
     until(lambda: agent.did, "the restart that the listener on the port requested")
     assert agent.did == ["254/190"]
-    assert agent.heard == [(254, "HEARTBEAT")]
+    assert agent.received == [(254, "HEARTBEAT")]
 
 
 def test_a_ground_station_that_starts_later_gets_the_next_frame(
@@ -201,9 +201,9 @@ def test_sixteen_source_ports_do_not_lock_out_a_ground_station(
     crowd, ground = [udp("127.0.0.2") for _ in range(MAX_PEERS)], udp()
     for number, stranger in enumerate(crowd):
         stranger.sendto(Sender(200 + number, 190).frame(heartbeat()), ("127.0.0.1", port))
-    until(lambda: len(agent.heard) == len(crowd))
+    until(lambda: len(agent.received) == len(crowd))
     ground.sendto(Sender(255, 190).frame(heartbeat()), ("127.0.0.1", port))
-    until(lambda: (255, "HEARTBEAT") in agent.heard)
+    until(lambda: (255, "HEARTBEAT") in agent.received)
     agent.hub.send(text("to the ground"))
     assert b"to the ground" in ground.recv(300)
 
@@ -218,7 +218,7 @@ def test_a_ground_station_displaces_an_idle_one_of_its_address(
     crowd, ground, known = [udp() for _ in range(MAX_PEERS)], udp(), Sender(255, 190)
     for stranger in crowd:
         stranger.sendto(Sender(200, 190).frame(heartbeat()), ("127.0.0.1", port))
-    until(lambda: len(agent.heard) == len(crowd))
+    until(lambda: len(agent.received) == len(crowd))
     ground.settimeout(0.2)
 
     def read() -> bool:
@@ -243,9 +243,10 @@ def test_idle_tcp_clients_do_not_lock_out_a_ground_station(board: MakeAgent) -> 
 
         def reads() -> bool:
             with socket.create_connection(("127.0.0.1", port)) as ground, contextlib.suppress(OSError):
-                ground.settimeout(0.3)
+                ground.settimeout(5.0)
+                agent.received.clear()  # of an earlier attempt
                 ground.sendall(Sender(255, 190).frame(heartbeat()))
-                until(lambda: (255, "HEARTBEAT") in agent.heard or not _open(ground))
+                until(lambda: (255, "HEARTBEAT") in agent.received or not _open(ground))
                 agent.hub.send(text("to the ground"))
                 return b"to the ground" in ground.recv(300)
             return False
@@ -274,10 +275,10 @@ def test_a_signing_peer_is_admitted_among_many_unsigned_ones(board: MakeAgent, t
     with contextlib.ExitStack() as stack:
         for host in ("127.0.0.2", "127.0.0.3"):
             flood = threading.Thread(target=_flood, args=(port, host, stop), daemon=True)
-            stack.callback(flood.join, 15.0)
+            stack.callback(flood.join, 60.0)
             flood.start()
         stack.callback(stop.set)
-        until(lambda: len(agent.heard) > 20 * MAX_PEERS, "the floods to have all connections that they get")
+        until(lambda: len(agent.received) > 20 * MAX_PEERS, "the floods to have all connections that they get")
         ground = mavutil.mavlink_connection(f"tcp:127.0.0.1:{port}", source_system=255, source_component=190)
         stack.callback(ground.close)
         ground.setup_signing(bytes(range(32)), link_id=9)
@@ -287,7 +288,7 @@ def test_a_signing_peer_is_admitted_among_many_unsigned_ones(board: MakeAgent, t
             return ground.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.5) is not None
 
         until(answered, "an answer to the signing peer")
-        assert agent.did
+        until(lambda: agent.did, "the restart")
     assert (ground.mav.srcSystem, set(agent.did)) == (255, {"255/190"})
 
 
@@ -312,25 +313,33 @@ def _flood(port: int, host: str, stop: threading.Event) -> None:
 
 def test_a_link_without_a_radio_is_not_slowed_down(udp: Callable[..., socket.socket]) -> None:
     """RADIO_STATUS can be forged by anyone; with `radio: off` it is not read."""
+    with reported_full(udp(), "off") as slowed:
+        assert slowed() == 1.0
+    with reported_full(udp(), "auto") as slowed:
+        until(lambda: slowed() > 1.0, "the slow-down")  # on a busy machine the first report may be outdated already
+
+
+@contextlib.contextmanager
+def reported_full(ground: socket.socket, radio: str) -> Iterator[Callable[[], float]]:
+    """By how much a link is slowed down after its radio has reported a full buffer once more."""
     full = mavlink.MAVLink_radio_status_message(100, 100, 5, 30, 30, 0, 0)
-    slowed = {}
-    for radio in ("off", "auto"):
-        ground = udp()
-        url = f"udpout:127.0.0.1:{ground.getsockname()[1]}"
-        hub = MavlinkHub(
-            MavlinkSettings.model_validate({"endpoints": [{"url": url, "radio": radio}]}), 7, SystemClock()
-        )
-        received: list[Any] = []
-        hub.listen(lambda message, link, to=received: to.append(message), (0,))  # type: ignore[misc]
-        hub.start()
-        try:
-            hub.send(text("hello"))
-            _data, ours = ground.recvfrom(300)
-            sender = Sender(51, 68)
+    url = f"udpout:127.0.0.1:{ground.getsockname()[1]}"
+    hub = MavlinkHub(MavlinkSettings.model_validate({"endpoints": [{"url": url, "radio": radio}]}), 7, SystemClock())
+    received: list[Any] = []
+    hub.listen(lambda message, link: received.append(message), (0,))
+    hub.start()
+    try:
+        hub.send(text("hello"))
+        _data, ours = ground.recvfrom(300)
+        sender = Sender(51, 68)
+
+        def slowed() -> float:
+            received.clear()
             for message in (full, heartbeat()):
                 ground.sendto(sender.frame(message), ours)
-            until(lambda seen=received: seen)  # type: ignore[misc]
-            slowed[radio] = hub.budgets()[url][1]
-        finally:
-            hub.close()
-    assert slowed["off"] == 1.0 < slowed["auto"]
+            until(lambda: received, "the message after the report")
+            return hub.budgets()[url][1]
+
+        yield slowed
+    finally:
+        hub.close()

@@ -48,7 +48,7 @@ class Topic(RosCheck):
         return judge(entry, f"{entry.field} of {name}", reading, age_s=round(silent_s, 1))
 
     def _never(self, name: str, seen: api.TopicFact, fact: api.RosFact) -> Finding:
-        if fact.up_s < self.settings.ros.grace or fact.heard_for_s < (self.entry.max_age or 0.0):
+        if fact.up_s < self.settings.ros.grace or fact.listened_for_s < (self.entry.max_age or 0.0):
             raise api.CannotTell(f"no message of {name} received yet")
         if not seen.publishers:
             return bad(f"{name} has no publisher", "no publisher")

@@ -115,11 +115,11 @@ class RequestHandler:
         with self._lock:
             waiting = [one for one in self._sent if one.waits]
             for one in waiting:
-                one.exchange.hear(item.event, now)
+                one.exchange.receive(item.event, now)
             late = [one for one in self._sent if self._may_be_late(one, waiting, now)]
             before = [(one.exchange.late, one.exchange.reply) for one in late]
             for one in late:
-                one.exchange.hear(item.event, now)
+                one.exchange.receive(item.event, now)
             changed = [
                 one
                 for one, was in zip(late, before, strict=True)

@@ -127,12 +127,12 @@ def _report(watch: Observer, peers: StaticPeers, out: int, tick_s: float) -> Obs
 
 def _wait(until_s: float, orders: LineSplitter, watch: Observer) -> bool | None:
     """Sleep, and execute orders of the daemon meanwhile. True: the graph may have changed. None: the pipe is closed."""
-    ears = [0] if watch.events is None else [0, watch.events]
+    inputs = [0] if watch.events is None else [0, watch.events]
     while True:
         left_s = until_s - time.monotonic()
         if left_s <= 0:
             return False
-        readable, _, _ = select.select(ears, [], [], left_s)
+        readable, _, _ = select.select(inputs, [], [], left_s)
         if not readable:
             continue
         if 0 not in readable:

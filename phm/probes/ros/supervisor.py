@@ -263,7 +263,7 @@ class RosSupervisor:
 
     def _attend(self, child: ChildProcess, missing: list[Missing]) -> str:
         """Read until it must be replaced; returns why, or nothing if it ended by itself or on request."""
-        heard_s = weighed_s = looked_s = self._clock.mono()
+        received_s = weighed_s = looked_s = self._clock.mono()
         progress, held_s = ProcessStallMeter(child.pid), 0.0
         limit_s = self._limits.start_s
         dropped = 0
@@ -282,7 +282,7 @@ class RosSupervisor:
                     message = decode(line)
                 except ProtocolError:
                     continue  # invalid lines do not show that it works
-                heard_s = now_s
+                received_s = now_s
                 if isinstance(message, Missing):
                     missing.append(message)
                 elif isinstance(message, Sandbox):
@@ -290,7 +290,7 @@ class RosSupervisor:
                 else:
                     limit_s = self._limits.silent_s
                     self._take(message, now_s)
-            if now_s - heard_s - held_s > limit_s or now_s - heard_s > limit_s + self._limits.starved_s:
+            if now_s - received_s - held_s > limit_s or now_s - received_s > limit_s + self._limits.starved_s:
                 held = f" (besides {held_s:.0f} s in which it could not run)" if held_s >= 1.0 else ""
                 return f"was unresponsive for {limit_s:g} s{held} and was killed"
             if now_s - weighed_s >= self._limits.weigh_s:

@@ -44,7 +44,7 @@ class Relay:
                 thread.start()
 
     def _serve(self, near: socket.socket, stalled: threading.Event) -> None:
-        with near, contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self._target), 5) as far:
+        with near, contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self._target), 60) as far:
             back = threading.Thread(
                 target=self._forward, args=(far, near, stalled), name="test-relay-back", daemon=True
             )

@@ -26,7 +26,7 @@ from tests.fakes.until import until
 HOME = "\x1b[H"
 """A live table begins each drawing with it."""
 ROWS = 24
-LIMIT_S = 30.0
+LIMIT_S = 60.0
 FONT = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
 """It would load a font from another server. Without it the viewer's monospace font is used, in the same cells."""
 THEME = TerminalTheme(

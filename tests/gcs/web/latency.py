@@ -76,7 +76,7 @@ def measure(agents: int, changes: int) -> Measured:
             levels = {Slot.CONTAINER: Level.OK if number % 2 else Level.ERROR}
             swarm.levels[FIRST] = levels
             sent = time.time()
-            swarm.vehicles[FIRST].beat(levels, 4)
+            swarm.vehicles[FIRST].heartbeat(levels, 4)
             found.append(_drawn(page, number) - sent)
         share = 100 * (_cpu_s(station.pid) - used_s) / (time.monotonic() - begin_s)
         return _measured(agents, sorted(found), list(page.evaluate("() => window.frames_at")), share)

@@ -21,15 +21,16 @@ def test_a_frame_becomes_a_change_of_one_row(here: Ground) -> None:
     """A client gets the complete state once, then only the keys that differ."""
     one, two = here.vehicle(11), here.vehicle(12)
     live = here.live()
-    one.beat()
-    two.beat()
+    one.heartbeat()
+    two.heartbeat()
     until(lambda: live.agent("A11") and live.agent("A12"), "both rows")
-    one.beat({Slot.CONTAINER: Level.ERROR})
+    one.heartbeat({Slot.CONTAINER: Level.ERROR})
     until(lambda: live.agent("A11")["how"] == "ERROR", "the failure")
     assert len(live.of("full")) == 1
     changes = [body["agents"]["A11"] for body in live.of("delta") if "A11" in body.get("agents", {})]
-    assert {"how", "slots", "rank", "word"} <= changes[-1].keys()
-    assert "agent" not in changes[-1]
+    failed = next(change for change in changes if change.get("how") == "ERROR")
+    assert {"how", "slots", "rank", "word"} <= failed.keys()
+    assert "agent" not in failed
     assert live.agent("A11")["rank"] < live.agent("A12")["rank"]
     assert {"name": "container", "state": "perhaps"}.items() <= live.agent("A11")["hops"][3].items()
 
@@ -37,7 +38,7 @@ def test_a_frame_becomes_a_change_of_one_row(here: Ground) -> None:
 def test_names_from_the_air_stay_text(here: Ground) -> None:
     """Markup, quotes and line ends in a received line are characters of a JSON string, never part of the protocol."""
     vehicle, live = here.vehicle(13), here.live()
-    vehicle.beat()
+    vehicle.heartbeat()
     hostile = 'A13 FAIL 2 </script><img src=x>"\\\n\ndata: x'
     vehicle.say(hostile)
     until(lambda: [event for event in live.events() if event["who"] == "A13" and event["event"] == "text"], "the line")
@@ -52,7 +53,7 @@ def test_a_critical_line_is_an_alarm_until_it_is_acknowledged(here: Ground) -> N
     """Silenced for a time it stays counted, but says until when it is silent."""
     vehicle, live, client = here.vehicle(14), here.live(), here.client()
     client.session()
-    vehicle.beat()
+    vehicle.heartbeat()
     vehicle.say("A14 FAIL 2 app exited 1")
     until(lambda: (live.agent("A14").get("alarm") or {}).get("count") == 1, "the alarm")
     client.post("/api/alarms", {"do": "silence", "agent": "A14", "for_s": 600})
@@ -66,6 +67,6 @@ def test_a_critical_line_is_an_alarm_until_it_is_acknowledged(here: Ground) -> N
 def test_the_stream_and_the_snapshot_of_serve_are_there_as_well(here: Ground) -> None:
     """With the keys of gcs.md."""
     vehicle = here.vehicle(16)
-    vehicle.beat()
+    vehicle.heartbeat()
     until(lambda: "A16" in [agent["name"] for agent in here.client().get("/snapshot")["agents"]], "the agent")
     assert "age_s" in here.client().get("/snapshot")["agents"][0]

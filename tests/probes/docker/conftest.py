@@ -14,9 +14,12 @@ from docker.errors import DockerException, NotFound
 
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine
+from tests.fakes.until import until
 
 SOCKET = "unix:///var/run/docker.sock"
 LABEL = "phm.test.docker"
+PATIENT_S, HUNG_S = 60.0, 4.0
+"""Deadlines of requests: where an answer is expected, however busy the machine is; and in a test of an engine that never answers."""
 
 
 @pytest.fixture
@@ -27,8 +30,8 @@ def fake(tmp_path: Path) -> Iterator[FakeEngine]:
 
 @pytest.fixture
 def ask(fake: FakeEngine) -> Iterator[DockerEngine]:
-    """A client of the fake engine. Its timeout is short for tests of a hung engine, and long enough for a busy machine."""
-    engine = DockerEngine(fake.url, timeout_s=4.0)
+    """A client of the fake engine. A test of a hung engine sets its `timeout_s` to HUNG_S."""
+    engine = DockerEngine(fake.url, timeout_s=PATIENT_S)
     yield engine
     engine.close()
 
@@ -91,7 +94,7 @@ class Real:
 def real() -> Iterator[Real]:
     image = os.environ.get("PHM_TEST_IMAGE", "phm-base:dev")
     try:
-        client = DockerClient(base_url=SOCKET, version="1.41", timeout=30)
+        client = DockerClient(base_url=SOCKET, version="1.41", timeout=60)
         client.ping()
     except DockerException as error:
         pytest.fail(f"no Docker Engine answers at {SOCKET}: start one, or run scripts/test, which does ({error})")
@@ -106,9 +109,21 @@ def real() -> Iterator[Real]:
     client.close()
 
 
+def printed(made: Any, *argv: str) -> str:
+    """The output of a program in a container that prints something. A busy engine now and then loses it: then it runs again."""
+
+    def run() -> str:
+        code, output = made.exec_run(list(argv))
+        assert code in (0, None), output
+        return str(output.decode()).strip() if code == 0 else ""
+
+    return str(until(run, f"the output of {argv[0]}"))
+
+
 @pytest.fixture
-def engine() -> Iterator[DockerEngine]:
-    """PHM's own client of the real engine."""
-    engine = DockerEngine(SOCKET, timeout_s=10)
+def engine(monkeypatch: pytest.MonkeyPatch) -> Iterator[DockerEngine]:
+    """PHM's own client of the real engine. Its deadlines, also that of lists of processes, are long: the machine may be busy."""
+    monkeypatch.setattr("phm.probes.docker_processes.LIMIT_S", PATIENT_S)
+    engine = DockerEngine(SOCKET, timeout_s=PATIENT_S)
     yield engine
     engine.close()

@@ -21,6 +21,7 @@ from phm.testing import FakeClock, FakeDocker, container as fact, settings
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Hang
+from tests.probes.docker.conftest import HUNG_S
 
 
 class Mounted:
@@ -259,9 +260,9 @@ def test_without_a_container_its_files_are_unknown(ask: DockerEngine) -> None:
         files.look("app", "/etc/hosts", digest=False)
 
 
-def test_with_a_hung_engine_a_file_is_unknown(mounted: Mounted) -> None:
+def test_with_a_hung_engine_a_file_is_unknown(mounted: Mounted, ask: DockerEngine) -> None:
     """Outside of volumes a silent engine does not mean a missing file."""
-    mounted.fake.fault = Hang()
+    mounted.fake.fault, ask.timeout_s = Hang(), HUNG_S
     with pytest.raises(CannotTell):
         mounted.read("/opt/app")
 
@@ -276,7 +277,7 @@ def test_a_folder_that_hangs_does_not_block_other_folders(mounted: Mounted, monk
     def read(walk: file_tree._Walk, number: int, path: str) -> None:
         if path == "stuck":
             hangs.set()
-            go_on.wait(30)
+            go_on.wait(120)
         real(walk, number, path)
 
     monkeypatch.setattr(file_tree._Walk, "_read", read)
@@ -289,7 +290,7 @@ def test_a_folder_that_hangs_does_not_block_other_folders(mounted: Mounted, monk
                 healthy = pool.submit(mounted.files.listing, "app", "/data/healthy", ()).result(60)
                 assert healthy is not None and set(healthy.sums) == {"healthy"}
                 with pytest.raises(CannotTell, match="still reading"):
-                    pool.submit(mounted.files.listing, "app", "/data/stuck", ()).result(10)
+                    pool.submit(mounted.files.listing, "app", "/data/stuck", ()).result(60)
             finally:
                 go_on.set()
     finally:

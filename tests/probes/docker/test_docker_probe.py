@@ -18,6 +18,8 @@ from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Hang, Status
+from tests.fakes.until import until
+from tests.probes.docker.conftest import HUNG_S
 
 
 def probe(ask: DockerEngine, *containers: dict[str, Any], clock: Any = None, **more: Any) -> Docker:
@@ -208,12 +210,24 @@ def test_an_event_invalidates_the_shared_response(fake: FakeEngine, ask: DockerE
     assert fact.status == "exited"
 
 
-def test_checks_that_waited_for_a_hung_engine_do_not_wait_again(fake: FakeEngine) -> None:
+class NotedClock(SystemClock):
+    """Notes which threads have read it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.readers: set[int | None] = set()
+
+    def mono(self) -> float:
+        self.readers.add(threading.get_ident())
+        return super().mono()
+
+
+def test_checks_that_waited_for_a_hung_engine_do_not_wait_again(fake: FakeEngine, ask: DockerEngine) -> None:
     """Five checks on a hung engine end together, not one timeout after the other."""
-    engine = DockerEngine(fake.url, timeout_s=1.0)
-    docker = probe(engine, {"name": "app"}, clock=SystemClock())
-    engine.version()
-    fake.fault = Hang(route="/app/")
+    clock = NotedClock()
+    docker = probe(ask, {"name": "app"}, clock=clock)
+    ask.version()
+    fake.fault, ask.timeout_s = Hang(route="/app/"), HUNG_S
     errors: list[str] = []
 
     def look() -> None:
@@ -223,13 +237,20 @@ def test_checks_that_waited_for_a_hung_engine_do_not_wait_again(fake: FakeEngine
             errors.append(str(error))
 
     threads = [threading.Thread(target=look) for _ in range(5)]
+    real_ask = docker._ask
+
+    def ask_when_all_wait(*words: Any) -> None:
+        """On a busy machine a thread may begin long after the others, and would then rightly ask again."""
+        until(lambda: {thread.ident for thread in threads} <= clock.readers, "all checks to begin")
+        real_ask(*words)
+
+    docker._ask = ask_when_all_wait  # type: ignore[method-assign]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(20)
+        thread.join(60)
     assert len(errors) == 5
     assert asked(fake, "GET /containers/app/json") == 1
-    engine.close()
 
 
 def test_a_network_has_an_id_or_does_not_exist(fake: FakeEngine, ask: DockerEngine) -> None:

@@ -19,7 +19,7 @@ from phm_checks.pressure import Pressure
 from tests.fakes.until import until
 
 FILES, STATISTICS = "/sys/fs/cgroup", "/nowhere"
-LOOK_S, LIMIT_S = 0.5, 90.0
+LOOK_S, LIMIT_S = 0.5, 180.0
 """For whatever is waited for: the machine may be as busy as it likes."""
 BUSY = "while :; do :; done"
 THRASH = """
@@ -198,8 +198,12 @@ def test_a_real_mount_of_version_2_is_read(real: Any, engine: DockerEngine) -> N
     wait_until(lambda: stalled_s() >= first_s + 1.0, "the kernel to count that the limit stops it")
 
 
-def test_users_of_the_cpu_are_known_by_name(real: Any, engine: DockerEngine, source: str) -> None:
+def test_users_of_the_cpu_are_known_by_name(
+    real: Any, engine: DockerEngine, source: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also a container that is not configured."""
+    for name in ("LIST_S", "BUDGET_S"):  # the machine may be busy
+        monkeypatch.setattr(f"phm.probes.top_consumers.{name}", 30.0)
     made, other = real.container(), real.container(f"{BUSY} & {BUSY}")
     agent = Agent(engine, made.name, source)
     agent.is_ok()
@@ -225,7 +229,7 @@ def test_the_process_that_leaks_is_named(real: Any, engine: DockerEngine, source
     made = real.container(commands, mem_limit="256m", memswap_limit="256m")
     nodes = [{"name": "/steady"}, {"name": "/leaking"}]
     agent = Agent(engine, made.name, source, ros={"nodes": nodes})
-    result = agent.until(lambda result: "most of it" in result.summary, "a named process", limit_s=170.0)
+    result = agent.until(lambda result: "most of it" in result.summary, "a named process", limit_s=300.0)
     assert (result.level, result.condition) == (api.Level.WARN, "memory_filling")
     pids = [fact.pid for fact in agent.docker.processes("ros_app") if fact.command.endswith("__node:=leaking")]
     assert any(f"most of it node /leaking (process {pid}): find the leak" in result.summary for pid in pids)

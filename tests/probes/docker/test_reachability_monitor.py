@@ -79,9 +79,9 @@ def test_a_machine_without_sockets_does_not_end_the_monitor() -> None:
     monitor = ReachabilityMonitor(clock, lambda: ["10.0.0.2"], ping, lambda: None)
     monitor.start()
     for _ in range(3):
-        clock.wait_for_sleepers(1)
+        clock.wait_for_sleepers(1, 60.0)
         clock.advance(PERIOD_S)
-    clock.wait_for_sleepers(1)
+    clock.wait_for_sleepers(1, 60.0)
     monitor.stop()
 
 

@@ -58,7 +58,7 @@ def false_alarms(heartbeats: Iterator[float]) -> int:
         if last is not None and at > last:
             looks = (last + LOOK_S * count for count in range(1, int((min(at, last + BOUND_S) - last) / LOOK_S) + 1))
             found += any(cadence.overdue(look) for look in looks)
-        cadence.beat(at)
+        cadence.heartbeat(at)
         last = at
     return found
 
@@ -75,7 +75,7 @@ def test_an_hour_raises_no_false_alarm(trace: Callable[[random.Random], Iterator
 
 def learned(cadence: AdaptiveTimeout, heartbeats: int = int(LEARN_S) + 3, period_s: float = 1.0) -> float:
     for count in range(heartbeats):
-        cadence.beat(count * period_s)
+        cadence.heartbeat(count * period_s)
     return (heartbeats - 1) * period_s
 
 
@@ -108,12 +108,12 @@ def test_a_lost_heartbeat_raises_the_limit_for_a_while() -> None:
     """And two lost in a row disable it; after an hour that is forgotten."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
-    cadence.beat(last + 2.0)
+    cadence.heartbeat(last + 2.0)
     assert cadence.due_s() == pytest.approx(4.4)
-    cadence.beat(last + 5.0)
+    cadence.heartbeat(last + 5.0)
     assert cadence.due_s() is None
     for count in range(1, int(STEP_S * (STEPS + 2))):
-        cadence.beat(last + 5.0 + count)
+        cadence.heartbeat(last + 5.0 + count)
     assert cadence.due_s() == UNEVEN_S
 
 
@@ -128,7 +128,7 @@ def test_a_limit_above_the_configured_timeout_is_ignored() -> None:
     """The configured timeout is the upper bound."""
     cadence = AdaptiveTimeout(3.5)
     last = learned(cadence)
-    cadence.beat(last + 1.7)
+    cadence.heartbeat(last + 1.7)
     assert cadence.due_s() is None
 
 
@@ -136,7 +136,7 @@ def test_an_outage_does_not_raise_the_limit() -> None:
     """A silence beyond the configured timeout was reported as a fault; the next one is detected as early."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
-    cadence.beat(last + 30.0)
+    cadence.heartbeat(last + 30.0)
     assert cadence.due_s() == UNEVEN_S
 
 
@@ -148,7 +148,7 @@ def test_an_overdue_sender_stays_overdue_until_its_next_heartbeat() -> None:
     cadence.broke(last + 3.0)
     assert cadence.overdue(None)
     assert cadence.overdue(last + 3.1)
-    cadence.beat(last + 4.0)
+    cadence.heartbeat(last + 4.0)
     assert not cadence.overdue(last + 4.1)
 
 
@@ -156,10 +156,10 @@ def test_a_closed_link_is_not_a_pause_of_the_sender() -> None:
     """The link was closed for a moment: silence counts from then on, and the earlier pause is forgotten, too."""
     cadence = AdaptiveTimeout(BOUND_S)
     last = learned(cadence)
-    cadence.beat(last + 2.4)
+    cadence.heartbeat(last + 2.4)
     cadence.broke(last + 4.0)
     assert cadence.due_s() == UNEVEN_S
     assert not cadence.overdue(last + 6.0)
     assert cadence.overdue(last + 6.6)
-    cadence.beat(last + 6.6)
+    cadence.heartbeat(last + 6.6)
     assert cadence.due_s() == UNEVEN_S

@@ -9,6 +9,7 @@ import pytest
 
 from phm.core.clock import SystemClock
 from phm.core.settings import Settings
+from phm.facts import LinkFact
 from phm.probes.links import Links
 from phm.testing import settings
 from phm.transport.dialect import mavlink
@@ -104,13 +105,13 @@ def test_the_traffic_of_an_endpoint_is_measured() -> None:
             _, address = peer.recvfrom(300)
             sender = Sender(7, 1)
 
-            def measured() -> bool:
+            def measured() -> LinkFact | None:
                 peer.sendto(sender.frame(pilot()), address)
-                link = links.links()[0]
-                return bool(link.rx_s and link.frames_s and link.senders and link.senders[0].frames > 20)
+                (link,) = links.links()
+                known = link.rx_s and link.frames_s and link.senders and link.senders[0].frames > 20
+                return link if known else None
 
-            until(measured, "the measurement of the traffic")
-            (link,) = links.links()
+            link = until(measured, "the measurement of the traffic")
             assert (link.name, link.open) == ("fc", True)
             assert [(one.system, one.component, one.loss_percent) for one in link.senders] == [(7, 1, 0.0)]
             assert link.rx_age_s is not None
@@ -123,7 +124,7 @@ def test_our_own_echo_is_not_a_duplicate() -> None:
     """A router that echoes our frames raises no alarm; another sender on the same link does."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as router:
         router.bind(("127.0.0.1", 0))
-        router.settimeout(5.0)
+        router.settimeout(60.0)
         url = f"udpout:127.0.0.1:{router.getsockname()[1]}"
         chosen: Settings = settings(agent={"id": 7}, mavlink={"endpoints": [{"url": url}]})
         hub = MavlinkHub(chosen.mavlink, 7, SystemClock())

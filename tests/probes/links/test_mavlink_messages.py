@@ -19,6 +19,7 @@ from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink, message_class
 from phm.transport.mavlink import MavlinkHub
 from tests.fakes.mavlink import Sender
+from tests.fakes.measured_clock import measured_clock
 from tests.fakes.recorded_flight import PHM, frames, source
 from tests.fakes.until import until
 
@@ -223,7 +224,8 @@ class Vehicle:
                         "grace": 0,
                     },
                 ],
-            )
+            ),
+            measured_clock(),
         )
         self.daemon.start()
 

@@ -15,6 +15,7 @@ from phm.simulation.mavlink_port import mavlink
 from phm.testing import settings
 from sitl.simulation.ground import Ground
 from tests.fakes.mavlink import free_port
+from tests.fakes.measured_clock import measured_clock
 from tests.fakes.until import until
 
 
@@ -38,7 +39,8 @@ class Vehicle:
                 log={"directory": str(folder / "log")},
                 checks={"host": {"enabled": False}, "peers": {"enabled": False}},
                 mavlink={"endpoints": [{"url": port, "name": "fc", "budget": 0}], "heartbeat": 0.5},
-            )
+            ),
+            measured_clock(),
         )
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
@@ -71,11 +73,14 @@ def test_a_reboot_is_reported_as_one_and_no_action_is_credited(vehicle: Vehicle)
     """It returns just after PHM has reopened the port, and the ground reads what it was."""
     until(lambda: vehicle.level() is Level.OK and (7, 193) in vehicle.ground.heartbeats, "the autopilot and PHM")
     until(vehicle.standby, "the end of its start")
+    before = len(vehicle.events)
     vehicle.pilot.reboot()
-    closed = until(lambda: [event.fault for event in list(vehicle.events) if isinstance(event, FaultClosed)], "its end")
+    closed = until(
+        lambda: [event.fault for event in vehicle.events[before:] if isinstance(event, FaultClosed)], "its end"
+    )
     assert [(fault.unit, fault.by) for fault in closed] == [("autopilot", "reboot")]
     until(lambda: "A07 WARN 10 autopilot rebooted" in vehicle.lines(), "the line")
-    states = [event.state for event in list(vehicle.events) if isinstance(event, Transition)]
+    states = [event.state for event in vehicle.events[before:] if isinstance(event, Transition)]
     levels = [state.level for state in states if state.unit == "autopilot"]
     lost = levels.index(Level.ERROR)
     assert levels[lost : lost + 2] == [Level.ERROR, Level.WARN]

@@ -35,6 +35,8 @@ class Senders:
         self._sock, self._port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), port
         self.speaks, self._ends = threading.Event(), threading.Event()
         self.speaks.set()
+        self.paused_s, self._sent_at = 0.0, time.monotonic()
+        """The longest pause between two rounds: how late a busy machine made them."""
         word = status_word.encode({Slot.COMPANION: Level.OK})
         self._senders: list[tuple[Sender, Any]] = [
             (Sender(1, 1), heartbeat(5, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=3)),
@@ -46,6 +48,7 @@ class Senders:
 
     def _loop(self) -> None:
         while not self._ends.wait(0.5):
+            self.paused_s, self._sent_at = max(self.paused_s, time.monotonic() - self._sent_at), time.monotonic()
             if self.speaks.is_set():
                 for sender, message in self._senders:
                     self._sock.sendto(sender.frame(message), ("127.0.0.1", self._port))
@@ -92,11 +95,12 @@ class Agent:
         levels = self.levels()
         return all(levels.get(unit) == "OK" for unit in UNITS)
 
-    def lost(self) -> set[str]:
+    def lost(self) -> list[str]:
         """Units of senders with a fault, open or closed, since the start of PHM."""
         lines = (self.folder / "log" / "phm.jsonl").read_text().splitlines()
         events = [json.loads(line) for line in lines if line.endswith("}")]
-        return {event["unit"] for event in events if event["event"] == "fault_opened"} & {*UNITS, "peers/swarm"}
+        opened = [event["unit"] for event in events if event["event"] == "fault_opened"]
+        return [unit for unit in opened if unit in {*UNITS, "peers/swarm"}]
 
     def passes(self) -> int:
         return (self.folder / "log" / "phm.jsonl").read_text().count('"event":"report"')
@@ -123,16 +127,26 @@ def agent(tmp_path: Path, senders: tuple[Senders, int]) -> Iterator[Agent]:
 def test_a_suspended_phm_reports_no_false_loss_and_detects_a_real_one(
     agent: Agent, senders: tuple[Senders, int], frozen: str
 ) -> None:
-    """Whether senders kept sending or were frozen too; a sender that stays silent afterwards is reported."""
-    until(agent.is_ok, "all senders received")
-    agent.process.send_signal(signal.SIGSTOP)
-    if frozen == "the machine":
-        senders[0].speaks.clear()
-    time.sleep(STOPPED_S)
-    senders[0].speaks.set()
-    agent.process.send_signal(signal.SIGCONT)
-    passes = agent.passes()
-    until(lambda: agent.passes() >= passes + 4, "four passes after it")
-    assert agent.lost() == set()
-    senders[0].speaks.clear()
-    until(lambda: "autopilot" in agent.lost(), "the loss of the autopilot")
+    """Whether senders kept sending or were frozen too; a sender that stays silent afterwards is reported.
+
+    A machine that keeps the senders of this test from sending makes PHM rightly report them: then it is tried again.
+    """
+    sender, before = senders[0], 0
+    for left in reversed(range(5)):
+        until(agent.is_ok, "all senders received")
+        agent.process.send_signal(signal.SIGSTOP)
+        if frozen == "the machine":
+            sender.speaks.clear()
+        time.sleep(STOPPED_S)
+        sender.speaks.set()
+        agent.process.send_signal(signal.SIGCONT)
+        passes = agent.passes()
+        until(lambda: agent.passes() >= passes + 4, "four passes after it")  # noqa: B023
+        lost = agent.lost()[before:]
+        if not lost or sender.paused_s < TIMEOUT_S / 2 or not left:
+            break
+        before, sender.paused_s = len(agent.lost()), 0.0
+    assert lost == [], f"the senders themselves paused for at most {sender.paused_s:.1f} s"
+    before = len(agent.lost())
+    sender.speaks.clear()
+    until(lambda: "autopilot" in agent.lost()[before:], "the loss of the autopilot")

@@ -9,7 +9,7 @@ import pytest
 from phm.probes.ros.static_peers import StaticPeers
 from tests.fakes.until import until
 
-LIMIT_S = 30.0
+LIMIT_S = 60.0
 
 
 def test_a_peer_that_cannot_be_resolved_is_left_out_until_it_can() -> None:

@@ -85,7 +85,7 @@ def test_a_quickly_recreated_network_is_reconnected(real: Any, phm: StartPhm) ->
     """Removed and created within moments, under the same name with another id."""
     network = real.network()
     app = real.container(RUN, network=network.name)
-    daemon = phm([entry(app, network)], verify="10s")
+    daemon = phm([entry(app, network)], verify="60s")
     before = started_at(app)
     remove_network(daemon, network, app)
     new = real.network(network.name)
@@ -97,7 +97,7 @@ def test_a_long_missing_network_is_waited_for(real: Any, phm: StartPhm) -> None:
     """However long: no attempt is used up, nothing is restarted, and its creation resumes the action."""
     network = real.network()
     app = real.container(RUN, network=network.name)
-    daemon = phm([entry(app, network)], verify="10s")
+    daemon = phm([entry(app, network)], verify="60s")
     before = started_at(app)
     remove_network(daemon, network, app)
     daemon.until(lambda: condition(daemon) == "network_missing", "PHM to see that it is missing")
@@ -134,7 +134,7 @@ def test_phm_and_the_application_lose_the_network_together(real: Any, phm: Start
     """
     network = real.network()
     app, own = real.container(RUN, network=network.name), real.container(RUN, network=network.name)
-    daemon = phm([entry(app, network)], docker={"container": own.name}, verify="10s")
+    daemon = phm([entry(app, network)], docker={"container": own.name}, verify="60s")
     before, lost = started_at(app), threading.Event()
     original = daemon.daemon.components.probes.engine.connect
 

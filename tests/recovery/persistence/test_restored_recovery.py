@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
@@ -34,6 +33,8 @@ class Life:
         self.events: list[Event] = []
         self.runs: list[str] = []
         self.behave: Callable[[str], None] = lambda name: None
+        self.hangs = self._at_work = self._entered = False
+        """Whether an action may wait in real time; whether the worker waits for one, and whether that has begun to run."""
         recovery = {"ladders": {"unhealthy": ["restart"]}, "same_failure": 2, **more}
         app = ContainerSettings(name="app", recover=True)
         settings = Settings.model_validate({"containers": [app], "recovery": recovery, "state_dir": str(folder)})
@@ -47,7 +48,7 @@ class Life:
         context = ActionContext(cast(Any, None), settings, lambda key: None, lambda: None, lambda a, b: None)
         self.executor = Executor(
             self.pipeline,
-            self.bus.publish,
+            self._publish,
             clock,
             {"restart": self._action()},
             context,
@@ -65,6 +66,7 @@ class Life:
             deadline_s = 5.0
 
             def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
+                life._entered = True
                 life.runs.append("restart")
                 life.behave("restart")
                 return "restarted"
@@ -80,10 +82,21 @@ class Life:
         """Let fake time pass, with regular checks of the unit, until `condition` is true."""
         until(condition, "recovery", lambda: self.events, step=self._step)
 
+    def _publish(self, event: Event) -> None:
+        """Published by the worker's own thread: from STARTED until it knows the result, a thread runs the action."""
+        if isinstance(event, ActionEvent):
+            self._at_work, self._entered = event.phase is Phase.STARTED, False
+        self.bus.publish(event)
+
     def _step(self) -> None:
         self.clock.advance(0.05)
         self.look()
-        time.sleep(0.001)
+        until(self._is_idle, "all threads to be idle", poll_s=0.0002)
+
+    def _is_idle(self) -> bool:
+        """Whether the threads of the bus and of recovery sleep, and no action runs: a busy machine may delay each of them."""
+        awake = len(self.bus._subscriptions) + len(self.executor._workers) - self.clock.sleepers
+        return awake <= 0 and (not self._at_work or (self.hangs and self._entered))
 
     def die(self) -> None:
         """SIGKILL, as far as a thread can simulate it: nothing more is saved."""
@@ -171,7 +184,7 @@ def test_attempts_and_giving_up_survive_a_restart(lives: Callable[..., Life]) ->
 def test_an_interrupted_action_is_an_attempt_and_repeated(lives: Callable[..., Life]) -> None:
     """The state says that it had started: reported, counted, and repeated once the fault is seen to last."""
     first, stuck = lives(same_failure=5), threading.Event()
-    first.behave = lambda name: cast(None, stuck.wait(30))
+    first.hangs, first.behave = True, lambda name: cast(None, stuck.wait(120))
     first.until(lambda: bool(first.runs))
     first.die()
     second = lives(same_failure=5)
@@ -186,7 +199,7 @@ def test_an_interrupted_action_is_an_attempt_and_repeated(lives: Callable[..., L
 def test_a_unit_that_recovered_meanwhile_is_not_acted_on(lives: Callable[..., Life]) -> None:
     """The first new result decides: the interrupted action did work, and gets the credit."""
     first, stuck = lives(), threading.Event()
-    first.behave = lambda name: cast(None, stuck.wait(30))
+    first.hangs, first.behave = True, lambda name: cast(None, stuck.wait(120))
     first.until(lambda: bool(first.runs))
     first.die()
     second = lives()

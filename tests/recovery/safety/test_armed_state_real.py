@@ -17,8 +17,11 @@ from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.wire import control
 from tests.fakes.mavlink import Sender, free_port, heartbeat
+from tests.fakes.measured_clock import measured_clock
 from tests.fakes.until import until
+from tests.probes.docker.conftest import printed
 from tests.proxy.haproxy import EngineAccess
+from tests.recovery.test_recovery_real import TIMEOUT_S
 
 pytestmark = pytest.mark.engine
 
@@ -83,20 +86,21 @@ class Vehicle:
         made = settings(
             agent={"id": 7},
             interval=2,
-            docker=self._engine_access.section,
+            docker={"timeout": TIMEOUT_S, **self._engine_access.section},
             containers=containers,
             mavlink={"endpoints": endpoints},
-            recovery={"ladders": {"file_missing": ["restart"]}, "stop_timeout": "2s", "verify": "10s"},
+            recovery={"ladders": {"file_missing": ["restart"]}, "stop_timeout": "2s", "verify": "60s"},
             state_dir=str(folder / "state"),
             run_dir=str(folder / "run"),
             log={"directory": str(folder / "log")},
-            checks={"host": {"enabled": False}},
+            # A busy machine starves its containers, which is a fault and postpones actions.
+            checks={"host": {"enabled": False}, "pressure": {"enabled": False}},
         )
         self.events = []
         if not self._opened:
             self._engine_access.open(made)
             self._opened = True
-        self.daemon = build_daemon(made)
+        self.daemon = build_daemon(made, measured_clock())
         self.daemon.components.bus.subscribe("test", self.events.append)
         self.daemon.start()
 
@@ -191,8 +195,8 @@ def test_an_action_approved_in_flight_is_done_completely(vehicle: Vehicle) -> No
     assert vehicle.owner.exec_run(["rm", NEEDED]).exit_code == 0
     until(lambda: vehicle.advised("would take down pilot, which is flight-critical"), "the advice")
     assert vehicle.daemon is not None
-    (fault,) = vehicle.daemon.pipeline.open_faults()
-    said = control.ask(str(vehicle.folder / "run"), {"do": "approve", "fault": fault.id}, timeout_s=30.0)
+    fault = next(fault for fault in vehicle.daemon.pipeline.open_faults() if fault.unit == "files/owner")
+    said = control.ask(str(vehicle.folder / "run"), {"do": "approve", "fault": fault.id}, timeout_s=60.0)
     assert said == "approved: restart owner for files/owner"
     until(lambda: any(phase is Phase.VERIFIED for phase, _ in vehicle.actions()), "the repair")
     after = vehicle.started()
@@ -201,5 +205,5 @@ def test_an_action_approved_in_flight_is_done_completely(vehicle: Vehicle) -> No
 
 
 def share_network(vehicle: Vehicle) -> None:
-    spaces = {str(made.exec_run(["readlink", "/proc/1/ns/net"]).output) for made in (vehicle.owner, vehicle.pilot)}
+    spaces = {printed(made, "readlink", "/proc/1/ns/net") for made in (vehicle.owner, vehicle.pilot)}
     assert len(spaces) == 1

@@ -7,6 +7,7 @@ event's number through a pipe; after each tick, at which it is armed, it sends t
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import signal
 import struct
@@ -26,6 +27,8 @@ from tests.fakes.until import until
 
 _WORD = struct.Struct("=cI")
 EVENTS_PER_TICK = 20
+PIPE_BYTES = 8192
+"""How far it writes while the test does not read: all of a run must fit into its files, however late the test is."""
 
 
 class Writer:
@@ -36,6 +39,7 @@ class Writer:
         self.written = self.kept = 0
         self._rest = b""
         self._reader, writer = os.pipe()
+        fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         os.set_blocking(self._reader, False)
         self.pid = os.fork()
         if not self.pid:

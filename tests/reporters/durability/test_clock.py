@@ -210,8 +210,9 @@ for number, _ in enumerate(sys.stdin, 1):
 """Writes one event for each line that it gets."""
 
 
-def test_the_clock_of_a_process_that_writes_is_set(tmp_path: Path) -> None:
+def test_the_clock_of_a_process_that_writes_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a real process, by hours ahead and back, while it writes and rotates; the clocks of the machine stay unchanged."""
+    monkeypatch.setattr(_wall_clock, "LIMIT_S", 60.0)  # a process that waits for a CPU is not asleep
     writer = subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stdin=subprocess.PIPE)
     assert writer.stdin is not None
 
@@ -243,6 +244,8 @@ def test_the_clock_of_a_process_that_writes_is_set(tmp_path: Path) -> None:
             _wall_clock.shift(writer.pid, moved_s)
             write()
             until(lambda moved_s=moved_s: abs(offset_s() - real_s - moved_s) < 60, f"lines {moved_s} s ahead")  # type: ignore[misc]
+        writer.stdin.close()
+        writer.wait(60)  # killed between the record of an event and its line of text, it would leave only one of them
     finally:
         writer.stdin.close()
         writer.kill()

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from sitl.application import received
 from sitl.application.behaviour import SIGNALS
 from sitl.application.reading import ends
-from sitl.application.received import Reception, Record, Sample
+from sitl.application.received import WRITE_S, Reception, Record, Sample
 from sitl.faults import _application, all_faults
 from sitl.faults._node_signal import NodeSignal
 
+NOW_S = 1000.0
 STEADY = {"rate_hz": 10.0, "age_s": 0.05, "same": 0, "lost": 0, "stamp_s": 0.0}
 
 
@@ -54,15 +55,19 @@ def test_no_message_and_one_message_have_no_rate() -> None:
     assert reception(Sample(9.0, "a"))["rate_hz"] == 0.0
 
 
-def test_a_record_is_written_into_an_existing_folder(tmp_path: Path) -> None:
+def test_a_record_is_written_into_an_existing_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice a second at most; nodes outside of the application's image have no such folder and write nothing."""
+    now = [NOW_S]
+    monkeypatch.setattr(received, "time", SimpleNamespace(monotonic=lambda: now[0]))
     record = Record("node_2", tmp_path)
     record.listener("topic_1")(SimpleNamespace(data="node_1 1"))
+    assert [record.due(), record.due()] == [True, False]
+    now[0] += WRITE_S
     assert [record.due(), record.due()] == [True, False]
     (file,) = tmp_path.iterdir()
     found = json.loads(file.read_text())
     assert file.name == "node_2.json"
-    assert 0 <= time.monotonic() - found["at"] < 60
+    assert found["at"] == now[0]
     assert set(found["topics"]["topic_1"]) == set(STEADY)
     assert Record("node_2", tmp_path / "none").due()
 
@@ -107,7 +112,7 @@ class World:
         return SimpleNamespace(app=SimpleNamespace(attrs={"State": self.state, "Config": {"Cmd": command}}))
 
     def write(self, node: str, topics: dict[str, Any], age_s: float = 0.0) -> None:
-        record = {"at": time.monotonic() - age_s, "topics": topics}
+        record = {"at": NOW_S - age_s, "topics": topics}
         (self.folder / f"{node}.json").write_text(json.dumps(record))
 
     def works(self) -> bool:
@@ -115,7 +120,8 @@ class World:
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> World:
+def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
+    monkeypatch.setattr(_application, "time", SimpleNamespace(monotonic=lambda: NOW_S))
     return World(tmp_path)
 
 

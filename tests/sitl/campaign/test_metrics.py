@@ -106,7 +106,7 @@ def test_uptime_of_a_killed_phm() -> None:
 
 
 def test_a_cut_radio_does_not_count_as_a_dead_phm() -> None:
-    """While the injector cuts an agent from the ground, its uptime is not measured; `heard` counts it as silence."""
+    """While the injector cuts an agent from the ground, its uptime is not measured; `received` counts it as silence."""
     made = quiet(blind=[(3, 40.5, 60.0)])
     made.heartbeats[3] = [heartbeat for heartbeat in made.heartbeats[3] if not 40 < heartbeat < 61]
     assert uptime.of_agent(made, 3) == (pytest.approx(100 - 21.5), pytest.approx(0))

@@ -137,6 +137,7 @@ def test_a_browser_draws_every_plot(tmp_path: Path) -> None:
     with sync_playwright() as programs:
         browser = programs.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
         page = browser.new_page()
+        page.set_default_timeout(120_000)
         page.on("console", lambda message: said.append(message.text))
         page.on("pageerror", lambda error: said.append(str(error)))
         page.goto(file.as_uri())

@@ -126,7 +126,7 @@ def test_a_trial_has_what_was_recorded_only_after_the_fault(runner: Runner, monk
     def wait(wanted: Callable[[], bool], limit_s: float) -> bool:
         if limit_s == campaign_runner.RECORD_LIMIT_S:
             late.append(wanted())
-            levels.take({"event": "heard", "mono": time.monotonic()})
+            levels.take({"event": "received", "mono": time.monotonic()})
             late.append(wanted())
         return True
 

@@ -45,7 +45,8 @@ def agent() -> Iterator[Agent]:
         until(lambda: works(found), "the application's start")
         yield found
     finally:
-        for container in client.containers.list(all=True, filters={"label": f"com.docker.compose.project={project}"}):
+        own = {"label": f"com.docker.compose.project={project}"}
+        for container in client.containers.list(all=True, filters=own, ignore_removed=True):
             container.remove(force=True)
         network.remove()
         client.close()

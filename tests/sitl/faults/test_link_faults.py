@@ -15,6 +15,7 @@ from sitl.faults import all_faults
 from sitl.faults.base import Agent
 from sitl.simulation.link_emulator import LinkEmulator
 from sitl.simulation.ports import Ports
+from sitl.swarm import control
 from sitl.swarm.control import LinkEmulatorClient
 
 LINKED = sorted(name for name, fault in all_faults().items() if "air" in fault.needs and name != "router_killed")
@@ -32,12 +33,25 @@ TOUCHED = {
 AGENTS = 5
 
 
+class Client(LinkEmulatorClient):
+    """A reboot lasts until it is cleared: its usual six seconds may be over before a busy machine has looked at it."""
+
+    def autopilot(self, agent: int, what: str, **how: float) -> None:
+        super().autopilot(agent, what, **({"boot_s": 600.0} if what == "reboot" else {}), **how)
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine an answer takes a while."""
+    monkeypatch.setattr(control, "LIMIT_S", 60.0)
+
+
 @pytest.fixture(scope="module")
 def emulator() -> Iterator[LinkEmulatorClient]:
     process = LinkEmulator(AGENTS, host="127.0.0.1", ports=Ports())
     thread = threading.Thread(target=process.run, name="air", daemon=True)
     thread.start()
-    yield LinkEmulatorClient(("127.0.0.1", process.control_port))
+    yield Client(("127.0.0.1", process.control_port))
     process.stop()
     thread.join(60)
 

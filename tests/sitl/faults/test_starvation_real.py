@@ -16,6 +16,7 @@ from docker.errors import APIError
 from docker.models.containers import Container
 
 from sitl.faults import (
+    _container_process,
     _overload,
     all_faults,
     cpu_limited,
@@ -40,8 +41,13 @@ LIMITS = {
 
 
 @pytest.fixture
-def made() -> Iterator[Callable[..., Agent]]:
+def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Agent]]:
     """Create agents whose application is one small container with the given limits; remove all at the end."""
+    # What starves it must not end by itself before a busy machine has looked at it.
+    lasts = str(_container_process.LASTS_S)
+    monkeypatch.setattr(_container_process, "LASTS_S", 300)
+    # This one has it since the import.
+    monkeypatch.setattr(pids_exhausted, "HOLD", pids_exhausted.HOLD.replace(lasts, "300"))
     client = DockerClient.from_env(timeout=60)
     agents: list[Agent] = []
 
@@ -216,7 +222,7 @@ def test_an_interrupted_injection_is_undone(
 def test_an_overload_runs_the_requested_loops(made: Callable[..., Agent]) -> None:
     """As many loops run as requested, in separate containers."""
     agent = made()
-    _overload.overload(agent, loops_per_core=2, hogs=2)
+    _overload.overload(agent, lasts_s=180.0, loops_per_core=2, hogs=2)
     loops = 2 * (os.cpu_count() or 1)
     until(lambda: _loops(agent) == loops, "the loops")
     assert agent.app.name not in [each.name for each in hogs(agent)]
@@ -266,7 +272,7 @@ def light(monkeypatch: pytest.MonkeyPatch) -> None:
     """An overload of one loop, since these tests are about events during the load and not about the load."""
     for module in (overload_node_killed, overload_container_killed, overload_ends):
         monkeypatch.setattr(
-            module, "overload", lambda agent, **more: _overload.overload(agent, loops_per_core=0, hogs=1)
+            module, "overload", lambda agent, **more: _overload.overload(agent, lasts_s=180.0, loops_per_core=0, hogs=1)
         )
         monkeypatch.setattr(module, "BEFORE_S", 0.1)
 

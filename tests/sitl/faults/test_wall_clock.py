@@ -33,6 +33,7 @@ class Reader:
     def __init__(self) -> None:
         argv = [sys.executable, "-c", READER]
         self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.ahead_s()  # its threads have begun: a program that starts does not sleep
 
     def ahead_s(self) -> tuple[float, float]:
         """The wall clock and the monotonic clock of the process, ahead of those of this one."""
@@ -44,7 +45,8 @@ class Reader:
 
 
 @pytest.fixture
-def reader() -> Iterator[Reader]:
+def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
+    monkeypatch.setattr(_wall_clock, "LIMIT_S", CLOSE_S)  # threads that wait for a CPU are not asleep
     made = Reader()
     yield made
     made.process.kill()

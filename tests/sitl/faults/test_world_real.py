@@ -81,7 +81,8 @@ def agent() -> Iterator[Agent]:
         until(lambda: agent.app.exec_run(["test", "-x", CRITICAL]).exit_code == 0, "the critical file")
         yield agent
     finally:
-        for container in client.containers.list(all=True, filters={"label": f"com.docker.compose.project={project}"}):
+        own = {"label": f"com.docker.compose.project={project}"}
+        for container in client.containers.list(all=True, filters=own, ignore_removed=True):
             container.remove(force=True, v=True)
         client.networks.get(f"{project}_net").remove()
         for volume in volumes:
@@ -117,6 +118,8 @@ def test_the_world_is_observed_to_be_broken_and_restored(agent: Agent, name: str
 def test_a_container_that_is_only_connected_again_is_not_restored(agent: Agent) -> None:
     """Its programs are not members of their multicast groups on the new interface until they are restarted."""
     fault = all_faults()["network_disconnected"]
+    # One that starts late would join on the new interface.
+    until(lambda: _world.found_by_others(agent.app), "the member of the group")
     fault.inject(agent)
     agent.docker.networks.get(f"{agent.project}_net").connect(agent.app)
     assert _world.attached(agent, agent.app, f"{agent.project}_net")

@@ -69,7 +69,7 @@ def test_waiting_considers_only_later_events(tmp_path: Path) -> None:
     assert record.wait(lambda event: event["number"] == 1, 0.0, since=1) is None
     writer = threading.Thread(target=lambda: file.write_text(line(1) + line(7)), daemon=True)
     writer.start()
-    found = record.wait(lambda event: event["number"] == 7, 10.0, since=1)
+    found = record.wait(lambda event: event["number"] == 7, 60.0, since=1)
     writer.join()
     assert found is not None
 

@@ -132,8 +132,13 @@ def test_radio_status_stays_with_the_autopilot(flight: Flight) -> None:
     radio = Port(f"tcp:127.0.0.1:{flight.ground_port}")
     sender = Sender(51, 68)
     radio.send(sender.frame(mavlink.MAVLink_radio_status_message(180, 170, 98, 40, 50, 0, 0)))
-    radio.send(sender.frame(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
-    until(lambda: (gcs := flight.links.gcs()) is not None and gcs.system == 51)
+
+    def received() -> bool:
+        """The newest ground station, which the other one is again after its next heartbeat."""
+        radio.send(sender.frame(heartbeat(kind=mavlink.MAV_TYPE_GCS)))
+        return (gcs := flight.links.gcs()) is not None and gcs.system == 51
+
+    until(received)
     assert flight.links.radios() == ()
     radio.close()
 

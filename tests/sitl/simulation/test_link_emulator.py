@@ -18,6 +18,7 @@ from sitl.simulation.link_emulator import LinkEmulator
 from sitl.simulation.mesh import Mesh
 from sitl.simulation.ports import Ports
 from sitl.simulation.vehicle import Vehicle
+from sitl.swarm import control as control_client
 from sitl.swarm.control import LinkEmulatorClient
 from tests.fakes.until import until
 
@@ -333,7 +334,8 @@ def test_a_cut_or_split_acts_both_ways() -> None:
 
 
 @pytest.fixture
-def process() -> Iterator[LinkEmulator]:
+def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[LinkEmulator]:
+    monkeypatch.setattr(control_client, "LIMIT_S", 60.0)  # on a busy machine an answer takes a while
     air = LinkEmulator(2, host="127.0.0.1", ports=Ports())
     thread = threading.Thread(target=air.run, name="air", daemon=True)
     thread.start()

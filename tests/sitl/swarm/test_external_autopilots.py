@@ -86,7 +86,7 @@ def test_the_emulator_boots_it_by_connecting_and_forwards_its_session(air: LinkE
         phm.send(heartbeat)
         for sock in phm.sockets():
             seen.update(message.get_type() for _, message in phm.receive(sock))
-        received = {(message.get_type(), message.get_srcSystem()) for message in vehicle.heard[0]}
+        received = {(message.get_type(), message.get_srcSystem()) for message in vehicle.received[0]}
         return (
             {"HEARTBEAT", "STATUSTEXT", "SYSTEM_TIME", "RADIO_STATUS", "UNKNOWN_152"} <= seen
             and (1, 1) in ground.heartbeats
@@ -111,7 +111,7 @@ def test_a_command_from_the_ground_reaches_only_the_autopilot(air: LinkEmulator,
         ground.arm(1, armed=True)
         for sock in phm.sockets():
             seen.extend(message for _, message in phm.receive(sock))
-        return any(message.get_type() == "COMMAND_LONG" for message in vehicle.heard[0])
+        return any(message.get_type() == "COMMAND_LONG" for message in vehicle.received[0])
 
     until(executed, "the command to reach the autopilot")
     assert not [message for message in seen if message.get_type() == "COMMAND_LONG"]

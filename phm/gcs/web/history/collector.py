@@ -30,7 +30,7 @@ class Collector:
 
     def __init__(self, store: HistoryStore, book: FaultList) -> None:
         self._store, self._book = store, book
-        self._heard: dict[str, float] = {}
+        self._received: dict[str, float] = {}
         self._levels: dict[str, tuple[int, float]] = {}
         self._frames: dict[int, int] = {}
         self._agents: dict[int, set[str]] = {}
@@ -46,7 +46,7 @@ class Collector:
         self._count(frame.system, at.mono, at.utc)
         if isinstance(frame, Heartbeat) and received.of_agent:
             self._beat(frame, at.mono, at.utc)
-        elif isinstance(frame, ComputerStatus) and sender_name(frame.system, frame.component) in self._heard:
+        elif isinstance(frame, ComputerStatus) and sender_name(frame.system, frame.component) in self._received:
             for kind, value in frame.values().items():
                 self._store.put(HistorySample(sender_name(frame.system, frame.component), kind, at.utc, float(value)))
         elif isinstance(frame, NamedValue):
@@ -80,13 +80,13 @@ class Collector:
 
     def _beat(self, beat: Heartbeat, mono: float, utc: float) -> None:
         name = sender_name(beat.system, beat.component)
-        if name not in self._heard and len(self._heard) >= MAX_SENDERS:
+        if name not in self._received and len(self._received) >= MAX_SENDERS:
             return
         self._agents.setdefault(beat.system, set()).add(name)
-        gap_s = mono - self._heard.get(name, mono)
+        gap_s = mono - self._received.get(name, mono)
         if gap_s > COPY_S:
             self._store.put(HistorySample(name, GAP, utc, round(gap_s, 3)))
-        self._heard[name] = mono
+        self._received[name] = mono
         self.level(name, beat.custom_mode, mono, utc)
 
     def level(self, name: str, word: int, mono: float, utc: float) -> None:
@@ -104,7 +104,7 @@ class Collector:
     def _topic(self, frame: NamedValue, utc: float) -> None:
         """Store the rate of a topic, of which an agent has MAX_TOPICS at most."""
         name = sender_name(frame.system, frame.component)
-        if name not in self._heard or not frame.name or frame.value is None:
+        if name not in self._received or not frame.name or frame.value is None:
             return
         known = self._topics.setdefault(name, set())
         if frame.name in known or len(known) < MAX_TOPICS:

@@ -195,7 +195,7 @@ class Player:
         stamp = Stamp(self._record.utc(entry.at), entry.at)
         try:
             for frame, link in entry.frames:
-                self._store.hear(frame, link, stamp)
+                self._store.receive(frame, link, stamp)
         except Exception:  # frames are made from a file that anybody may have changed: a jump must end all the same
             logger.exception("a line of the record cannot be replayed")
         if entry.links is not None:

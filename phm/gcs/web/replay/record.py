@@ -100,7 +100,7 @@ def load(path: str | Path) -> GroundRecord:
     entries, runs, ids = list[Entry](), list[RecordedRun](), (254, 190)
     run, zero, samples = "", 0.0, 0
     for line in json_log.read(path):
-        if not _sound(line) or line["event"] == "heard":
+        if not _sound(line) or line["event"] == "received":
             continue  # of the report alone: it has no number of its own
         if line["run"] != run:
             run, at = str(line["run"]), entries[-1].at + BETWEEN_RUNS_S if entries else 0.0

@@ -211,7 +211,7 @@ class RateEstimator:
         track.window_s = self._wide_s if self._uneven else self._narrow_s
         last, hz = track.last, track.hz
         self._samples += not self._again(sample, last)
-        self._restarts.hear(sample, last)
+        self._restarts.receive(sample, last)
         continues = track.add(sample)
         if track.turned:
             self._spread.forget()  # a change of the rate is not jitter

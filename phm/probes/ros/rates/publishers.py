@@ -175,7 +175,7 @@ class PublisherRestarts:
         """A lower number followed `last`, of a publisher of this rate: a restart, or another publisher."""
         self._ends.append(_End(last, min(hz or self._expected_hz, self._expected_hz)))
 
-    def hear(self, sample: Sample, last: Sample | None) -> None:
+    def receive(self, sample: Sample, last: Sample | None) -> None:
         """A sample, and the previous one of its apparent publisher: does a sequence that ended continue?"""
         for end in list(self._ends):
             off = _off(end.last, sample, end.hz)

@@ -32,6 +32,12 @@ SWITCHES = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
+PATIENT = """
+from phm.cli import main
+from phm.gcs import operator
+operator.RESEND_S, operator.REPLY_S = 15.0, 5.0  # on a busy machine an answer takes a while
+main()
+"""
 ERROR, WARN, STALE = Level.ERROR, Level.WARN, Level.STALE
 Levels = Mapping[Slot, Level]
 
@@ -56,7 +62,7 @@ class GroundProcess:
 
     def start(self) -> None:
         """Returns when the page is served and MAVLink is received: a line that is sent once must arrive."""
-        words = [sys.executable, "-m", "phm.cli", "gcs", "--web", f"127.0.0.1:{self.port}"]
+        words = [sys.executable, "-c", PATIENT, "gcs", "--web", f"127.0.0.1:{self.port}"]
         if "--replay" not in self._options:
             words += [f"udpin:127.0.0.1:{self.mavlink}", "--history", str(self._folder / "history.db")]
         self._process = subprocess.Popen(
@@ -80,7 +86,7 @@ class GroundProcess:
     def kill(self) -> None:
         if self._process is not None:
             self._process.kill()
-            self._process.wait(30)
+            self._process.wait(120)
             self._process = None
 
     def close(self) -> None:
@@ -121,7 +127,7 @@ class Fleet:
                     return
                 if number not in self.silent:
                     levels = self.levels.get(number, {})
-                    vehicle.beat(levels, 6 if ERROR in levels.values() else 4)
+                    vehicle.heartbeat(levels, 6 if ERROR in levels.values() else 4)
                     if number in self.armed:
                         vehicle.autopilot(armed=self.armed[number])
                     if number in self.views:

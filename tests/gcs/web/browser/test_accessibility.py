@@ -83,7 +83,7 @@ def test_the_log_in(browser: Browser, locked: GroundProcess, theme: Theme, place
 
 def test_without_a_connection(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> None:
     """The message about it has contrast, too."""
-    with ground(tmp_path_factory.mktemp("gone")) as made, tab(browser, made.url) as page:
+    with ground(tmp_path_factory.mktemp("gone")) as made, tab(browser, made.url, reduced_motion="reduce") as page:
         expect(page.locator("#link")).to_contain_text("Live")
         made.kill()
         expect(page.locator("#banner")).to_be_visible()

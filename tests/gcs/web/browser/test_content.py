@@ -10,6 +10,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from phm.core.model import Slot
 from phm.transport.dialect import mavlink
+from tests.fakes.until import until
 from tests.gcs.web.browser.scene import ERROR, Fleet, GroundProcess, a_bad_day, fleet, ground, tab
 
 pytestmark = pytest.mark.browser
@@ -37,10 +38,6 @@ def page(browser: Browser, station: GroundProcess, agents: Fleet) -> Iterator[Pa
         yield made
 
 
-def cells(page: Page, name: str) -> str:
-    return ",".join(page.locator(f".row[data-name={name}] .slot").all_inner_texts())
-
-
 def test_the_worst_agents_are_first(page: Page) -> None:
     """Rows are in the order of their state, and then of their names."""
     expect(page.locator(".rows .row").nth(0)).to_have_attribute("data-name", "A02")
@@ -51,12 +48,17 @@ def test_the_worst_agents_are_first(page: Page) -> None:
 def test_a_level_has_a_text_and_a_form_besides_its_colour(page: Page) -> None:
     """Each cell has a word or a sign, and the forms of OK, WARN and ERROR differ."""
     expect(page.locator(".row[data-name=A07] .s-2")).to_have_text("ERROR")
-    assert cells(page, "A07") == "OK,ERROR,OK,OK,OK,\u2013,\u2013,OK,OK,\u2013,\u2013,\u2013,\u2013,\u2013,\u2013"
-    shape = "name => getComputedStyle(document.querySelector(name), '::before').clipPath"
-    names = [("A07", 2), ("A05", 9), ("A01", 1)]
-    shapes = {page.evaluate(shape, f".row[data-name={name}] .s-{slot}") for name, slot in names}
-    assert len(shapes) == 3
-    assert "none" not in shapes
+    words = ["OK", "ERROR", "OK", "OK", "OK", "\u2013", "\u2013", "OK", "OK", *["\u2013"] * 6]
+    expect(page.locator(".row[data-name=A07] .slot")).to_have_text(words)
+    shape = "names => names.map((name) => getComputedStyle(document.querySelector(name), '::before').clipPath)"
+    names = [f".row[data-name={name}] .s-{slot}" for name, slot in (("A07", 2), ("A05", 9), ("A01", 1))]
+
+    def differ() -> bool:
+        """In one look, and again on a busy machine, where an agent may be late."""
+        shapes = set(page.evaluate(shape, names))
+        return len(shapes) == 3 and "none" not in shapes
+
+    until(differ, "three forms", lambda: page.evaluate(shape, names), step=lambda: page.wait_for_timeout(50))
 
 
 def test_a_silent_agent_is_lost_and_its_age_counts_up(page: Page, agents: Fleet) -> None:
@@ -64,7 +66,7 @@ def test_a_silent_agent_is_lost_and_its_age_counts_up(page: Page, agents: Fleet)
     agents.silent.add(11)
     row = page.locator(".row[data-name=A11]")
     expect(row.locator(".how")).to_have_text("LOST")
-    assert cells(page, "A11") == ",".join("?" * 15)
+    expect(page.locator(".row[data-name=A11] .slot")).to_have_text(["?"] * 15)
     first = row.locator(".age").inner_text()
     expect(row.locator(".age")).not_to_have_text(first)
     agents.silent.discard(11)
@@ -77,7 +79,7 @@ def test_the_details_say_where_the_path_is_broken_and_why(page: Page) -> None:
     panel = page.locator("#panel")
     expect(panel.get_by_role("heading", level=2)).to_have_text("A07")
     expect(panel.get_by_role("img", name="Container BROKEN?")).to_be_visible()
-    assert panel.locator("svg.path .cut").count() == 1
+    expect(panel.locator("svg.path .cut")).to_have_count(1)
     expect(panel.locator(".hops")).to_contain_text("ros_app exited (137)")
     expect(panel.locator(".layers")).to_contain_text("ros_app exited (137)")
     expect(panel.locator(".advice")).to_contain_text("restart ros_app")
@@ -89,7 +91,7 @@ def test_the_history_is_plotted(page: Page) -> None:
     gap = page.locator("figure", has_text="heartbeat gap")
     expect(gap.locator("strong")).to_contain_text(" s")
     drawn = "node => node.getContext('2d').getImageData(0, 0, node.width, node.height).data.some((value) => value)"
-    assert gap.locator("canvas").evaluate(drawn)
+    until(lambda: gap.locator("canvas").evaluate(drawn), "the curve", step=lambda: page.wait_for_timeout(50))
     page.get_by_role("button", name="since arming").click()
     expect(page.get_by_role("button", name="since arming")).to_have_attribute("aria-pressed", "true")
     expect(page.locator("#panel")).to_contain_text(re.compile(r"Armed since (before )?\d\d:\d\d:\d\d UTC\."))
@@ -109,6 +111,7 @@ def test_the_plots_of_a_flight_stay_after_it(page: Page, station: GroundProcess,
     """Until the next one; without an arming, the page says so."""
     page.locator(".row[data-name=A11]").click()
     page.get_by_role("button", name="since arming").click()
+    expect(page.locator("#panel")).to_contain_text("Armed since")
     agents.armed[11] = False
     expect(page.locator("#panel")).to_contain_text(re.compile(r"Armed .*\d\d:\d\d:\d\d to \d\d:\d\d:\d\d UTC\."))
     expect(page.locator("figure", has_text="heartbeat gap").locator("strong")).to_contain_text(" s")

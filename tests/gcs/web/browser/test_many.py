@@ -15,9 +15,12 @@ pytestmark = pytest.mark.browser
 COUNT = 100
 ELEMENTS = "document.querySelectorAll('.rows *').length"
 """Of the rows alone: on a busy machine agents are late, and the log of events grows beside them."""
-WATCH = """() => { window.changed = new Set();
+WATCH = """() => { window.changed = new Set(); window.lost = new Set();
+  const look = (row) => row.querySelector(".how").textContent === "LOST" && window.lost.add(row.dataset.name);
+  document.querySelectorAll(".rows .row").forEach(look);
   new MutationObserver((found) => { for (const one of found) {
-    const row = one.target.parentElement?.closest(".row"); if (row) window.changed.add(row.dataset.name + " " + one.target.className); } })
+    const row = one.target.parentElement?.closest(".row");
+    if (row) { look(row); window.changed.add(row.dataset.name + " " + one.target.className); } } })
   .observe(document.querySelector(".rows"), { subtree: true, childList: true, attributes: true, attributeFilter: ["class"] }); }"""
 
 
@@ -36,7 +39,9 @@ def test_a_hundred_agents(browser: Browser, tmp_path: Path) -> None:
         expect(page.locator(".row[data-name=A57] .s-6")).to_have_text("ERROR")
         expect(page.locator(".rows .row").first).to_have_attribute("data-name", "A57")
         touched = page.evaluate("[...window.changed].filter((one) => one.includes('slot'))")
-        assert {one.split()[0] for one in touched} == {"A57"}
+        # On a busy machine an agent may be lost for a while: its cells change, too.
+        lost = set(page.evaluate("[...window.lost]")) - {"A57"}
+        assert {one.split()[0] for one in touched} - lost == {"A57"}
         assert page.evaluate(ELEMENTS) <= nodes + 40
 
 

@@ -73,17 +73,18 @@ def test_an_approval_is_confirmed_and_the_answer_is_shown(page: Page, station: G
 
     def approvals() -> list[Any]:
         """The station sends all commands on its one link: those to other agents arrive here, too."""
-        heard = [one for one in vehicle.hear() if one.get_type() == "COMMAND_LONG"]
-        return [one for one in heard if (one.target_system, one.command) == (3, 31010)]
+        received = [one for one in vehicle.receive() if one.get_type() == "COMMAND_LONG"]
+        return [one for one in received if (one.target_system, one.command) == (3, 31010)]
 
     agents.levels[3] = {Slot.CONTAINER: Level.ERROR}
     try:
-        vehicle.beat(agents.levels[3])
+        vehicle.heartbeat(agents.levels[3])
         agents.say(3, "A03 ADVISE 2 restart ros_app #17 60s", 4)
         page.goto(f"{station.url}#/agent/A03")
         page.get_by_role("button", name="approve restart ros_app (#17)").click()
         dialog = page.get_by_role("dialog")
         expect(dialog).to_contain_text("does what it advises for fault #17: restart ros_app. The approval is valid for")
+        expect(dialog.get_by_role("button", name="Cancel")).to_be_focused()
         assert not approvals()
         page.keyboard.press("Tab")
         expect(dialog.get_by_role("button", name="Yes, approve")).to_be_focused()
@@ -151,7 +152,7 @@ def test_requests_appear_when_a_busy_server_answers_again(page: Page) -> None:
     expect(page.get_by_role("button", name="run all checks")).to_be_visible()
 
 
-def test_a_new_critical_is_seen_and_heard_until_it_is_acknowledged(page: Page, agents: Fleet) -> None:
+def test_a_new_critical_is_shown_and_rings_until_it_is_acknowledged(page: Page, agents: Fleet) -> None:
     """It rings, flashes and marks its agent; silence ends the bell alone; to acknowledge ends the mark."""
     page.evaluate(
         """() => { window.tones = 0; const real = AudioContext.prototype.createOscillator;

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
+from tests.fakes.until import until
 from tests.gcs.web.browser.scene import fleet, ground, tab
 
 pytestmark = pytest.mark.browser
@@ -27,6 +28,7 @@ def test_many_alarms_leave_room_for_the_agents(browser: Browser, tmp_path: Path)
         expect(page.locator("#alarms button").first).to_be_in_viewport()
         expect(page.locator(".rows .row .name").first).to_be_in_viewport(ratio=1)
         page.goto(f"{station.url}#/events")
-        words = page.locator(".log li .air").first.bounding_box()
-        assert words is not None and words["width"] > 300
+        # None while the page puts a new line in its place.
+        words = until(page.locator(".log li .air").first.bounding_box, "a line", step=lambda: page.wait_for_timeout(50))
+        assert words["width"] > 300
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

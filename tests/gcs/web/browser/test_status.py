@@ -69,11 +69,11 @@ class Computer:
 
     def end_page(self) -> None:
         self._process.kill()
-        self._process.wait(30)
+        self._process.wait(120)
 
     def close(self) -> None:
         self._stop.set()
-        self._thread.join(30)
+        self._thread.join(120)
         self.end_page()
 
 

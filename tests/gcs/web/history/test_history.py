@@ -47,19 +47,19 @@ def test_samples_events_and_open_faults_survive_a_restart(tmp_path: Path) -> Non
         vehicle, client = first.vehicle(), first.client()
         until(lambda: path.exists(), "the file")
         for _ in range(3):
-            vehicle.beat(FAILED)
+            vehicle.heartbeat(FAILED)
             end = time.monotonic() + COPY_S * 1.5  # a shorter gap would count as a copy
             until(lambda end=end: time.monotonic() > end, "time to pass")  # type: ignore[misc]
         vehicle.say("A07 FAIL 2 ros_app exited 1")
         vehicle.say("A07 ADVISE 2 restart ros_app #17 60s", 4)
         until(lambda: steps(client) == ["confirmed", "advised"], "the fault")
         gaps = until(lambda: client.get("/api/history/series?agent=A07&kind=gap")["points"], "the gaps")
-        assert all(0.1 < value < 30 for _, value, _ in gaps)
+        assert all(0.1 < value < 600 for _, value, _ in gaps)
     assert path.stat().st_mode & 0o077 == 0
     with ground(history=path) as second:
         vehicle, client = second.vehicle(), second.client()
         until(lambda: events(client, "agent=A07&q=exited"), "the event of the first run")
-        vehicle.beat()
+        vehicle.heartbeat()
         vehicle.say("A07 OK 2 ros_app restarted", 5)
         until(lambda: steps(client)[-2:] == ["action", "proof"], "the end", lambda: steps(client))
         assert [fault["open"] for fault in faults(client)] == [False]
@@ -71,7 +71,7 @@ def test_a_fault_that_has_ended_is_listed_since_a_moment() -> None:
     """Open faults, and those that ended after it; with the time of their end."""
     with ground() as here:
         vehicle, client = here.vehicle(), here.client()
-        vehicle.beat()
+        vehicle.heartbeat()
         before = here.clock.utc()
         vehicle.say("A07 FAIL 2 ros_app exited 1")
         vehicle.say("A07 FAIL 6 planner dead")
@@ -98,18 +98,19 @@ def test_the_time_since_arming_survives_a_restart_and_the_landing(tmp_path: Path
     path = tmp_path / "history.db"
     with ground(history=path) as first:
         vehicle, client = first.vehicle(), first.client()
-        vehicle.beat()
+        vehicle.heartbeat()
         vehicle.autopilot(armed=False)
         until(lambda: events(client, "agent=A07&event=autopilot"), "the autopilot")
         assert first_since_arming(client) is None
         vehicle.autopilot(armed=True)
-        vehicle.beat(FAILED)
+        vehicle.heartbeat(FAILED)
         begin = until(lambda: first_since_arming(client), "a sample after the arming")
     with ground(history=path) as second:
         vehicle, client = second.vehicle(), second.client()
-        vehicle.beat()
+        known = len(events(client, "agent=A07&event=autopilot"))
+        vehicle.heartbeat()
         vehicle.autopilot(armed=True)
-        until(lambda: len(events(client, "agent=A07&event=autopilot")) == 3, "the autopilot in flight")
+        until(lambda: len(events(client, "agent=A07&event=autopilot")) > known, "the autopilot in flight")
         assert first_since_arming(client) == begin
         flight = client.get("/api/history/flight?agent=A07")
         assert round(flight["since"], 3) <= begin and flight["seen"] and flight["until"] is None
@@ -144,7 +145,7 @@ def test_a_flight_does_not_continue_over_a_time_without_the_ground(tmp_path: Pat
     autopilot(5000, armed=True)
     autopilot(5100, armed=False)
     autopilot(5200, armed=False)
-    assert store.flush(30)
+    assert store.flush(120)
     until(lambda: flight(6000)[0], "the flight")
     store.close()
     assert flight(1) == flight(10) == (None, None, False)
@@ -158,8 +159,8 @@ def test_events_are_found_by_text_grade_agent_and_page(tmp_path: Path) -> None:
     """Newest first; what is asked for is a value, never part of the query."""
     with ground() as here:
         one, two, client = here.vehicle(7), here.vehicle(8), here.client()
-        one.beat()
-        two.beat()
+        one.heartbeat()
+        two.heartbeat()
         one.say("A07 FAIL 2 ros_app exited 1")
         two.say("A08 WARN 9 disk / 88%", 4)
         until(lambda: len(events(client, "event=text")) == 2, "both lines", lambda: events(client, "event=text"))
@@ -194,7 +195,7 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
     path.write_bytes(b"not a database at all" * 1000)
     with ground(history=path) as here:
-        here.vehicle().beat()
+        here.vehicle().heartbeat()
         client = here.client()
         until(lambda: events_or_none(client), "the new history")
         problem = until(lambda: client.get("/api/state")["ground"]["history"]["problem"], "the note")
@@ -215,7 +216,7 @@ def test_a_database_of_another_program_is_left_alone(tmp_path: Path, numbers: tu
     other.close()
     before = path.read_bytes()
     with ground(history=path) as here:
-        here.vehicle().beat()
+        here.vehicle().heartbeat()
         client = here.client()
         problem = until(lambda: client.get("/api/state")["ground"]["history"]["problem"], "the note")
         assert "another program" in problem and str(path) in problem
@@ -250,7 +251,7 @@ def test_damaged_entries_do_not_stop_the_page(tmp_path: Path) -> None:
     for key, body in (("1", "{torn"), ("2", "[]"), ("3", '{"key": "3"}'), ("4", '{"steps": [{}]}')):
         store.put(HistoryRow(FAULT, (key, "A07", time.time(), time.time(), 1, body)))
         store.put(HistoryRow(EVENT, (time.time(), "A07", 1, "text", "exited", body)))
-    assert store.flush(30)
+    assert store.flush(120)
     store.close()
     with ground(history=path) as made:
         client = made.client()
@@ -311,7 +312,7 @@ def test_slow_queries_delay_no_request_of_an_operator(monkeypatch: pytest.Monkey
         finally:
             go_on.set()
             for one in ask:
-                one.join(30)
+                one.join(120)
         assert found.count(200) >= 64
 
 
@@ -320,7 +321,7 @@ def test_a_folder_that_cannot_be_written_does_not_stop_the_page(tmp_path: Path) 
     (tmp_path / "file").write_text("x")
     with ground(history=tmp_path / "file" / "history.db") as here:
         live = here.live()
-        here.vehicle().beat()
+        here.vehicle().heartbeat()
         until(lambda: live.agent("A07"), "the agent")
         until(lambda: "cannot be written" in live.state["ground"]["history"]["problem"], "the note")
         assert "error" in here.client().get("/api/history/events", 503)
@@ -359,7 +360,7 @@ def test_a_series_is_reduced_and_keeps_its_gaps(tmp_path: Path) -> None:
     for number in range(1000):
         at = begin + number + (500 if number >= 500 else 0)
         store.put(HistorySample("A07", "cpu", at, 99.0 if number == 5 else 10.0))
-    assert store.flush(30)
+    assert store.flush(120)
     reader = HistoryReader(path)
     until(lambda: reader.kinds("A07"), "the series")
     store.close()
@@ -379,7 +380,7 @@ def test_the_rates_of_topics_are_kept(tmp_path: Path) -> None:
     with ground(history=tmp_path / "history.db") as here:
         live, vehicle, client = here.live(), here.vehicle(), here.client()
         vehicle.send(named("early", 1.0))
-        vehicle.beat()
+        vehicle.heartbeat()
         until(lambda: live.agent("A07"), "the agent")
         vehicle.send(named("<scan>", 9.5))
         vehicle.send(named("broken", math.nan))

@@ -219,11 +219,11 @@ function stages(steps) {
 
 function viewKey(agent) {
   const view = agent.view ? { ...agent.view, at: null } : null;
-  return [agent.how, agent.swarm_says, agent.heard_by, agent.not_heard_by, agent.hears_ground, view, agent.view?.at];
+  return [agent.how, agent.swarm_says, agent.received_by, agent.not_received_by, agent.receives_ground, view, agent.view?.at];
 }
 
 function views(agent) {
-  const heard = { true: "yes", false: "NO", null: "not reported" };
+  const answers = { true: "yes", false: "NO", null: "not reported" };
   const list = (names) => (names?.length ? names.map((number) => `A${String(number).padStart(2, "0")}`).join(" ") : "none");
   const peers = Object.entries(agent.view?.peers ?? {}).filter(([, seen]) => seen !== "alive");
   const differs = agent.swarm_says && agent.swarm_says !== agent.how;
@@ -232,8 +232,8 @@ function views(agent) {
     ...line("The ground says", el("span", { class: `state ${stateClass(agent.how)}`, text: agent.how })),
     ...line("The swarm says", el("span", { class: `state ${stateClass(agent.swarm_says)}`, text: agent.swarm_says ?? "nothing" }),
       differs ? el("strong", { class: "differs", text: " ≠ they differ" }) : ""),
-    ...line("Received by", list(agent.heard_by)), ...line("Not received by", list(agent.not_heard_by)),
-    ...line("It receives the ground", heard[String(agent.hears_ground)] ?? "not reported"),
+    ...line("Received by", list(agent.received_by)), ...line("Not received by", list(agent.not_received_by)),
+    ...line("It receives the ground", answers[String(agent.receives_ground)] ?? "not reported"),
     ...(agent.view ? line("Its own view", `autopilot ${agent.view.autopilot ? "received" : "NOT received"}, radio ${agent.view.radio ? "works" : "does NOT work"}, `,
       peers.length ? `peers not alive: ${peers.map(([number, seen]) => `A${number.padStart(2, "0")} ${seen}`).join(", ")}, ` : "all peers alive, ",
       since(agent.view.at)) : line("Its own view", "not received")));

@@ -9,7 +9,7 @@ const LONGEST_MS = 5000;
 
 let source = null;
 let pause = FIRST_MS;
-let heard = 0;
+let receivedAt = 0;
 let timer = 0;
 
 /** Open a session and follow the state; again after each failure. */
@@ -22,12 +22,12 @@ export async function connect() {
     return lost();
   }
   if (!session.role) return setLink("login");
-  heard = performance.now();
+  receivedAt = performance.now();
   const opened = new EventSource("api/live");
   source = opened;
   const take = (kind, use) =>
     opened.addEventListener(kind, (event) => {
-      heard = performance.now();
+      receivedAt = performance.now();
       if (source === opened) use(JSON.parse(event.data));
     });
   take("full", (message) => {
@@ -61,5 +61,5 @@ function lost() {
   pause = Math.min(pause * 2, LONGEST_MS);
 }
 
-setInterval(() => source && performance.now() - heard > SILENT_MS && lost(), 1000);
+setInterval(() => source && performance.now() - receivedAt > SILENT_MS && lost(), 1000);
 addEventListener("online", () => !source && connect());

@@ -26,7 +26,7 @@ function show() {
   const agents = [...store.agents.values()].sort(order);
   const ground = store.ground;
   render(byId("v-head"), [ground.swarm, ground.links, ground.stations, ground.problems, ground.radios, ground.refused, ground.frames_refused], () => head(ground));
-  render(byId("v-table"), agents.map((agent) => [agent.name, agent.how, agent.swarm_says, agent.heard_by, agent.not_heard_by, agent.hears_ground]), () => table(agents));
+  render(byId("v-table"), agents.map((agent) => [agent.name, agent.how, agent.swarm_says, agent.received_by, agent.not_received_by, agent.receives_ground]), () => table(agents));
   render(byId("v-matrix"), agents.map((agent) => [agent.agent, agent.view?.peers]), () => matrix(agents));
   ages();
 }
@@ -54,11 +54,11 @@ function head(ground) {
 
 /** How the two views of an agent differ, in words; empty: they agree, or one of them is not there. */
 function difference(agent) {
-  if (!received(agent) && agent.heard_by?.length) return "the swarm receives it, the ground does not";
+  if (!received(agent) && agent.received_by?.length) return "the swarm receives it, the ground does not";
   if (!received(agent) && agent.swarm_says) return `the ground does not receive it, the swarm says ${agent.swarm_says}`;
-  if (received(agent) && !agent.heard_by?.length && agent.not_heard_by?.length) return "the ground receives it, the swarm does not";
+  if (received(agent) && !agent.received_by?.length && agent.not_received_by?.length) return "the ground receives it, the swarm does not";
   if (received(agent) && agent.swarm_says && agent.swarm_says !== agent.how) return "the levels differ";
-  if (received(agent) && agent.hears_ground === false) return "it does not receive the ground";
+  if (received(agent) && agent.receives_ground === false) return "it does not receive the ground";
   return "";
 }
 
@@ -75,7 +75,7 @@ function table(agents) {
       return el("tr", { class: words ? "differs" : "" }, el("th", { scope: "row" }, el("a", { href: `#/agent/${encodeURIComponent(agent.name)}`, text: agent.name })),
         el("td", {}, el("span", { class: `state ${stateClass(agent.how)}`, text: agent.how })),
         el("td", {}, agent.swarm_says ? el("span", { class: `state ${stateClass(agent.swarm_says)}`, text: agent.swarm_says }) : "–"),
-        el("td", {}, words ? el("strong", { text: `≠ ${words}` }) : "–"), el("td", { text: names(agent.heard_by) }), el("td", { text: names(agent.not_heard_by) }));
+        el("td", {}, words ? el("strong", { text: `≠ ${words}` }) : "–"), el("td", { text: names(agent.received_by) }), el("td", { text: names(agent.not_received_by) }));
     })));
 }
 

@@ -15,7 +15,7 @@ from phm.gcs import station as station_module
 from phm.gcs.recorder import Recorder
 from phm.gcs.station import COMPONENT, GroundStation
 from phm.gcs.web.replay import record
-from phm.reporters import heard_heartbeats
+from phm.reporters import received_heartbeats
 from phm.review import record_reader
 from phm.wire import json_log
 from tests.fakes.mavlink import Sender, free_port, heartbeat
@@ -32,8 +32,8 @@ def links(*ports: int) -> MavlinkSettings:
 @pytest.fixture
 def ground(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[GroundStation, list[Wire]]]:
     """A station with two links that records each heartbeat immediately, and a program at each link."""
-    monkeypatch.setattr(heard_heartbeats, "EACH", 1)
-    monkeypatch.setattr(heard_heartbeats, "WRITE_S", 0.0)
+    monkeypatch.setattr(received_heartbeats, "EACH", 1)
+    monkeypatch.setattr(received_heartbeats, "WRITE_S", 0.0)
     monkeypatch.setattr(station_module, "HEARTBEAT_S", 0.05)
     ports = [free_port(socket.SOCK_DGRAM) for _ in range(2)]
     station, wires = GroundStation(links(*ports), 254, SystemClock()), [Wire(port) for port in ports]
@@ -47,7 +47,7 @@ def ground(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[GroundStation, lis
 
 def frames(path: Path) -> set[tuple[int, int, int]]:
     """System, component and frame number of the heartbeats in the record."""
-    lines = [line for line in json_log.read(path) if line["event"] == "heard"]
+    lines = [line for line in json_log.read(path) if line["event"] == "received"]
     return {(system, component, number) for line in lines for system, component, number, _ in line["frames"]}
 
 
@@ -56,7 +56,7 @@ def five(wire: Wire) -> list[Any]:
     found = list[Any]()
 
     def enough() -> bool:
-        found.extend(wire.hear())
+        found.extend(wire.receive())
         return len(found) >= 5
 
     until(enough, "heartbeats")
@@ -84,14 +84,14 @@ def test_heartbeats_that_the_ground_sends_and_receives_are_in_its_record(
     until(lambda: len([one for one in frames(path) if one[:2] == (7, 193)]) == 5, "what was received")
     book.close()
     (run,) = record_reader.read(record_reader.find([str(path)])).grounds.values()
-    assert run.heard.keys() >= sent and all(times == sorted(times) for times in run.heard.values())
+    assert run.received.keys() >= sent and all(times == sorted(times) for times in run.received.values())
     assert len(run.numbers.spans) == 1, "these lines do not count"
-    assert "heard" not in {entry.line["event"] for entry in record.load(path).entries if entry.line}
+    assert "received" not in {entry.line["event"] for entry in record.load(path).entries if entry.line}
 
 
 def test_a_silent_station_records_what_it_receives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It sends nothing, so it records nothing that it sent."""
-    monkeypatch.setattr(heard_heartbeats, "WRITE_S", 0.0)
+    monkeypatch.setattr(received_heartbeats, "WRITE_S", 0.0)
     port = free_port(socket.SOCK_DGRAM)
     station = GroundStation(links(port), 254, SystemClock(), silent=True)
     book = Recorder(str(tmp_path / "ground.jsonl"), station, SystemClock())

@@ -6,7 +6,15 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from phm.reporters.base import MavlinkSender
-from phm.reporters.heard_heartbeats import AGAIN_S, EACH, HEARTBEAT_ID, MOST, MOST_SENDERS, WRITE_S, HeardHeartbeats
+from phm.reporters.received_heartbeats import (
+    AGAIN_S,
+    EACH,
+    HEARTBEAT_ID,
+    MOST,
+    MOST_SENDERS,
+    WRITE_S,
+    ReceivedHeartbeats,
+)
 from phm.testing import FakeClock
 
 
@@ -14,9 +22,9 @@ class Bench:
     def __init__(self) -> None:
         self.clock, self.listeners = FakeClock(), list[Any]()
         listen = SimpleNamespace(listen=lambda callback, ids: self.listeners.append((callback, tuple(ids))))
-        self.heard = HeardHeartbeats(cast(MavlinkSender, listen), self.clock)
+        self.received = ReceivedHeartbeats(cast(MavlinkSender, listen), self.clock)
 
-    def hear(self, number: int, system: int = 255, component: int = 190, link: str = "ground") -> None:
+    def receive(self, number: int, system: int = 255, component: int = 190, link: str = "ground") -> None:
         ((callback, _),) = self.listeners
         callback(
             SimpleNamespace(get_srcSystem=lambda: system, get_srcComponent=lambda: component, get_seq=lambda: number),
@@ -25,7 +33,7 @@ class Bench:
 
     def take(self, after_s: float = WRITE_S) -> list[tuple[int, int, int, float]]:
         self.clock.advance(after_s)
-        return self.heard.take()
+        return self.received.take()
 
 
 def test_every_agent_logs_the_same_frames() -> None:
@@ -34,7 +42,7 @@ def test_every_agent_logs_the_same_frames() -> None:
     assert bench.listeners[0][1] == (HEARTBEAT_ID,)
     start_s = bench.clock.mono()
     for number in range(3 * EACH):
-        bench.hear(number)
+        bench.receive(number)
         bench.clock.advance(0.1)
     assert [(frame[:3], round(frame[3] - start_s, 3)) for frame in bench.take()] == [
         ((255, 190, 0), 0.0),
@@ -46,7 +54,7 @@ def test_every_agent_logs_the_same_frames() -> None:
 def test_a_line_is_written_seldom_and_only_with_frames() -> None:
     """At most one every 10 s."""
     bench = Bench()
-    bench.hear(0)
+    bench.receive(0)
     assert bench.take(WRITE_S - 1) == [] and len(bench.take(1.0)) == 1
     assert bench.take() == []
 
@@ -54,11 +62,11 @@ def test_a_line_is_written_seldom_and_only_with_frames() -> None:
 def test_the_first_reception_of_a_frame_counts() -> None:
     """It may arrive again by another link; 256 frames later the number is that of another one."""
     bench = Bench()
-    bench.hear(8)
+    bench.receive(8)
     bench.clock.advance(AGAIN_S - 1)
-    bench.hear(8, link="peers")
+    bench.receive(8, link="peers")
     bench.clock.advance(300.0)
-    bench.hear(8)
+    bench.receive(8)
     assert len(bench.take()) == 2
 
 
@@ -67,13 +75,13 @@ def test_forged_senders_fill_neither_memory_nor_the_log() -> None:
     bench = Bench()
     for system in range(256):
         for component in range(8):
-            bench.hear(0, system, component)
-    assert len(bench.heard._newest) == MOST_SENDERS and len(bench.take()) == MOST
+            bench.receive(0, system, component)
+    assert len(bench.received._newest) == MOST_SENDERS and len(bench.take()) == MOST
 
 
-def test_without_links_nothing_is_heard() -> None:
+def test_without_links_nothing_is_received() -> None:
     """An agent without MAVLink."""
     clock = FakeClock()
-    heard = HeardHeartbeats(None, clock)
+    received = ReceivedHeartbeats(None, clock)
     clock.advance(WRITE_S)
-    assert heard.take() == []
+    assert received.take() == []

@@ -24,8 +24,9 @@ AGAIN_S = 5.0
 """The same frame that arrives later than the first one, by another link, does not count."""
 
 
-class HeardHeartbeats:
-    """Collects received heartbeats of other senders between two lines of the log. `take` is called by the log's thread, `hear` by the links'."""
+class ReceivedHeartbeats:
+    """Collects received heartbeats of other senders between two lines of the log. `take` is called by the log's thread,
+    `receive` by the links'."""
 
     def __init__(self, mavlink: MavlinkSender | None, clock: Clock) -> None:
         self._clock = clock
@@ -47,9 +48,9 @@ class HeardHeartbeats:
         return frames
 
     def _receive(self, message: Any, link: str) -> None:
-        self.hear(message.get_srcSystem(), message.get_srcComponent(), message.get_seq())
+        self.receive(message.get_srcSystem(), message.get_srcComponent(), message.get_seq())
 
-    def hear(self, system: int, component: int, number: int) -> None:
+    def receive(self, system: int, component: int, number: int) -> None:
         """A heartbeat with this frame number arrived now, or was sent."""
         if number % EACH:
             return

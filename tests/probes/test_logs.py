@@ -1,0 +1,95 @@
+"""A line of a log is searched once, also if the machine was too busy for reading or searching it in time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.facts import CannotTell
+from phm.probes.logs import Logs
+from phm.probes.pattern_matcher import PatternMatcher
+from phm.transport.docker import DockerEngine
+from tests.fakes.until import until
+
+
+class Matcher:
+    """Finds words; `late` times it takes too long."""
+
+    late = 0
+
+    def search(self, patterns: Sequence[str], lines: Sequence[str]) -> list[tuple[int, int]]:
+        if self.late and lines:
+            self.late -= 1
+            raise CannotTell("searching the patterns took longer than 2 s: simplify them")
+        return [(sum(one in line for line in lines), -1) for one in patterns]
+
+
+class Place:
+    def __init__(self, path: Path) -> None:
+        self.path, self.matcher = path, Matcher()
+        matcher: PatternMatcher = self.matcher  # type: ignore[assignment]
+        self.logs = Logs(DockerEngine("unix:///nothing"), lambda key: None, testing.FakeClock(), matcher)
+
+    def follow(self, timeout_s: float = 60.0) -> tuple[int, int]:
+        """How many lines match, and how many bytes were left out."""
+        fact = self.logs.follow("app", patterns=["FATAL"], timeout_s=timeout_s, path=str(self.path))
+        return fact.counts[0], fact.skipped
+
+    def write(self, text: str) -> None:
+        with self.path.open("a") as log:
+            log.write(text)
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    (tmp_path / "app.log").write_text("")
+    made = Place(tmp_path / "app.log")
+    assert made.follow() == (0, 0)
+    yield made
+    made.logs.close()
+
+
+def test_lines_whose_search_took_too_long_are_searched_again(place: Place) -> None:
+    """With the newer ones, and once."""
+    place.matcher.late = 1
+    place.write("FATAL 1\n")
+    with pytest.raises(CannotTell, match="took longer"):
+        place.follow()
+    place.write("FATAL 2\n")
+    assert place.follow() == (2, 0)
+    assert place.follow() == (0, 0)
+
+
+def test_lines_that_are_always_too_slow_are_left_out(place: Place) -> None:
+    """After two attempts: newer lines are searched, and the bytes are counted."""
+    place.matcher.late = 2
+    place.write("FATAL 1\n")
+    for _ in range(2):
+        with pytest.raises(CannotTell, match="took longer"):
+            place.follow()
+    place.write("FATAL 2\n")
+    assert place.follow() == (1, len("FATAL 1\n"))
+
+
+def test_lines_of_a_read_that_was_given_up_are_searched_later(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The read goes on after its deadline, and its position moves."""
+    reader: Any = place.logs._readers["app"]
+    read, go = reader.file.read, threading.Event()
+
+    def slow() -> tuple[bytes, int]:
+        go.wait(60)
+        return read()
+
+    place.write("FATAL 1\n")
+    with monkeypatch.context() as patched:
+        patched.setattr(reader.file, "read", slow)
+        with pytest.raises(CannotTell, match="did not answer"):
+            place.follow(0.1)
+        go.set()
+        until(reader.worker._hanging.done.is_set, "the end of the read")
+    assert place.follow() == (1, 0)
