@@ -11,6 +11,7 @@ import pytest
 
 from phm import testing
 from phm.facts import CannotTell
+from phm.probes import logs
 from phm.probes.logs import Logs
 from phm.probes.pattern_matcher import PatternMatcher
 from phm.transport.docker import DockerEngine
@@ -22,7 +23,14 @@ class Matcher:
 
     late = 0
 
+    def __init__(self) -> None:
+        self.began, self.go = threading.Event(), threading.Event()
+        self.go.set()
+
     def search(self, patterns: Sequence[str], lines: Sequence[str]) -> list[tuple[int, int]]:
+        if lines:
+            self.began.set()
+            self.go.wait(60)
         if self.late and lines:
             self.late -= 1
             raise CannotTell("searching the patterns took longer than 2 s: simplify them")
@@ -32,8 +40,11 @@ class Matcher:
 class Place:
     def __init__(self, path: Path) -> None:
         self.path, self.matcher = path, Matcher()
+        self.logs = self.new()
+
+    def new(self) -> Logs:
         matcher: PatternMatcher = self.matcher  # type: ignore[assignment]
-        self.logs = Logs(DockerEngine("unix:///nothing"), lambda key: None, testing.FakeClock(), matcher)
+        return Logs(DockerEngine("unix:///nothing"), lambda key: None, testing.FakeClock(), matcher)
 
     def follow(self, timeout_s: float = 60.0) -> tuple[int, int]:
         """How many lines match, and how many bytes were left out."""
@@ -92,4 +103,21 @@ def test_lines_of_a_read_that_was_given_up_are_searched_later(place: Place, monk
             place.follow(0.1)
         go.set()
         until(reader.worker._hanging.done.is_set, "the end of the read")
+    assert place.follow() == (1, 0)
+
+
+def test_a_reload_waits_for_a_search_in_progress(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The position in the log is handed over: lines that are written after it are found."""
+    monkeypatch.setattr(logs, "HAND_OVER_S", 60.0)
+    place.matcher.go.clear()
+    place.write("FATAL 1\n")
+    busy = threading.Thread(target=place.follow)
+    busy.start()
+    assert place.matcher.began.wait(60)
+    threading.Timer(0.5, place.matcher.go.set).start()
+    before, after = place.logs.hand_over(), place.new()
+    busy.join()
+    after.resume(before)
+    place.logs = after
+    place.write("FATAL 2\n")
     assert place.follow() == (1, 0)
