@@ -229,7 +229,7 @@ def test_other_periods_are_reported_and_respected(bench: Bench) -> None:
     probe = bench.probe(nodes=NODES)
     fact = seen(probe, lambda fact: A in fact.beacons and fact.beacons[A].heartbeats > 3 and fact, "the node")
     assert fact.beacons[A].period_s == 1.0
-    seen(probe, lambda fact: fact.beacons[A].age_s > 0.6 and fact.beacons[A].missed < 2, "a pause that is no silence")
+    seen(probe, lambda fact: fact.beacons[A].age_s > 0.6 and fact.beacons[A].missed < 2, "a pause between its messages")
 
 
 STANDALONE = """
