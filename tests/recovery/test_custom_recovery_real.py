@@ -32,7 +32,8 @@ def test_a_failed_check_restarts_its_container_only_on_request(
     app = real.container(RUN)
     containers = [{"name": app.name, "alias": "app", "recover": True, "address": False}]
     alone = entry(name="alone", command=[*CHECK[:2], CHECK[2].replace("healthy", "alone")])
-    recovered = entry(recovery={"container": "app"})
+    # A busy machine may start the container and its program seconds apart.
+    recovered = entry(recovery={"container": "app"}, grace="15s")
     app.exec_run(["touch", "/tmp/alone"])
     phm = Phm(tmp_path, engine_access, containers, custom=[alone, recovered], verify="60s", limit_s=180.0)
     try:

@@ -155,7 +155,7 @@ def test_a_killed_node_is_detected_by_its_process(agent: Agent) -> None:
 def test_a_killed_node_is_detected_by_its_beacon(agent: Agent) -> None:
     """Without a list of processes, after three missed beacons, while it is still listed. One alarm."""
     agent.docker.permitted = False
-    node = agent.start(before=LONG_LEASE)
+    node = agent.start()
     agent.wait_ok()
     seen(agent.probe, lambda fact: fact.beacons, "its beacon")
     node.kill()

@@ -22,6 +22,7 @@ from phm.gcs.web.routes.checks import DELIVERY, EXTRA
 from phm.runtime.configuration import plan_of
 from phm.wire.delivery import DeliveryAnswer, version_of
 from tests.commands.test_delivery_server import KEY, Bench
+from tests.fakes.until import until
 from tests.gcs.web.browser.scene import LIMIT_MS, chromium, tab
 from tests.gcs.web.swarm import ground
 
@@ -273,7 +274,12 @@ def test_a_configuration_with_problems_is_saved_after_a_question(page: Page, fil
     assert file.read_text() == TEXT
     page.locator("#save").click()
     dialog.get_by_role("button", name="Yes, save").click()
-    expect(page.locator("#state")).to_contain_text("a7.yaml: saved")
+    until(
+        lambda: "a7.yaml: saved" in page.locator("#state").inner_text(),
+        "the file to be saved",
+        lambda: (page.locator("#notice").inner_text(), page.locator("#dialog").inner_text()),
+        step=lambda: page.wait_for_timeout(50),
+    )
     assert "interval: never" in file.read_text()
 
 
