@@ -40,17 +40,17 @@ def address(directory: str, name: str = NAME) -> Iterator[str]:
         os.close(folder)
 
 
-def ask(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) -> str:
-    """The daemon's answer as a sentence. Raises NoAnswer and Refused."""
+def ask(run_dir: str, request: dict[str, Any], timeout_s: float | None = None) -> str:
+    """The daemon's answer as a sentence, within DEADLINE_S if no other time is given. Raises NoAnswer and Refused."""
     return str(ask_all(run_dir, request, timeout_s).get("text"))
 
 
-def ask_all(run_dir: str, request: dict[str, Any], timeout_s: float = DEADLINE_S) -> dict[str, Any]:
-    """The daemon's complete answer, `text` and data. Raises NoAnswer and Refused."""
+def ask_all(run_dir: str, request: dict[str, Any], timeout_s: float | None = None) -> dict[str, Any]:
+    """The daemon's complete answer, `text` and data. As `ask`."""
     where = os.path.join(run_dir, NAME)
     try:
         with address(run_dir) as path, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as stream:
-            stream.settimeout(timeout_s)
+            stream.settimeout(DEADLINE_S if timeout_s is None else timeout_s)
             stream.connect(path)
             with contextlib.suppress(
                 ConnectionError

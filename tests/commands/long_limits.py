@@ -14,8 +14,7 @@ LIMIT_S = 60.0
 def lengthen_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Long limits at both ends of the control socket, and of the port for configurations."""
     monkeypatch.setattr(control_clients, "DEADLINE_S", LIMIT_S)
-    for ask in (control.ask, control.ask_all):
-        monkeypatch.setattr(ask, "__defaults__", (LIMIT_S,))
+    monkeypatch.setattr(control, "DEADLINE_S", LIMIT_S)
     for name in ("REQUEST_S", "BODY_S", "ANSWER_S"):
         monkeypatch.setattr(delivery_server, name, LIMIT_S)
     monkeypatch.setattr(delivery_client, "CONNECT_S", LIMIT_S)
