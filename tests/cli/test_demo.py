@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from phm.cli import demo as demo_verb
 from phm.simulation import demo as demo_module
 from phm.simulation.demo import Demo, DemoPorts
 
@@ -79,6 +80,34 @@ def test_the_demo_ends_after_its_time(tmp_path: Path, monkeypatch: pytest.Monkey
     done = subprocess.run(words(base, 1), capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert done.returncode == 0, done.stderr
     assert_nothing_left(base, tmp_path)
+
+
+class SlowToEnd:
+    """A ground station that needs ten seconds to end, in a time that the test makes up."""
+
+    def __init__(self) -> None:
+        self.left_s, self.killed = 10.0, False
+
+    def poll(self) -> None:
+        pass
+
+    terminate = poll
+
+    def kill(self) -> None:
+        self.killed = True
+
+    def wait(self, timeout: float | None = None) -> int:
+        if timeout is not None and timeout < self.left_s:
+            self.left_s -= timeout
+            raise subprocess.TimeoutExpired("phm gcs", timeout)
+        return -9 if self.killed else 0
+
+
+def test_a_ground_station_on_a_busy_machine_is_not_killed() -> None:
+    """It may take seconds to end: killed, it would make the demonstration fail."""
+    station = SlowToEnd()
+    assert demo_verb._stop(station) == 0  # type: ignore[arg-type]
+    assert not station.killed
 
 
 def test_faults_are_injected_once_and_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

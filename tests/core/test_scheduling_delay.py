@@ -78,13 +78,13 @@ def test_the_longest_pause_counts_in_full_and_all_others_up_to_the_deadline_itse
 
 
 PAUSED = """
-import sys, time
+import sys
 from phm.core.clock import SystemClock
+from tests.fakes.until import until
 clock = SystemClock()
 clock.measure()
 began = clock.mono()
-while clock.lateness._due is None:  # the thread that measures has begun
-    time.sleep(0.01)
+until(lambda: clock.lateness._due is not None, "the thread that measures to begin")
 print("runs", flush=True)
 sys.stdin.readline()
 print(clock.late_s(began), flush=True)

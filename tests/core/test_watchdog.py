@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import psutil
 import pytest
 
 from phm.core import watchdog as watchdog_module
-from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, DaemonWatchdog, watch
+from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, DaemonWatchdog, state_in, watch
 from phm.runtime.shutdown_marker import ShutdownMarker
 from tests.fakes.until import until
 
@@ -71,30 +70,27 @@ def test_a_daemon_without_heartbeats_is_killed(watched: Watched) -> None:
     assert watched.kills == [signal.SIGKILL]
 
 
-def test_a_daemon_with_heartbeats_is_left_alone() -> None:
-    """As long as bytes arrive nothing is done, for longer than the tolerated silence."""
-    look_s = 0.2
+def test_a_daemon_with_heartbeats_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long as bytes arrive nothing is done, for more looks than the tolerated silence. The test sets the pace of the looks."""
+    turns, looks = threading.Semaphore(0), 0
 
-    def in_time() -> bool:
-        """Whether the machine let the test send each heartbeat within the tolerated silence: otherwise the watchdog is right to act."""
-        sent_s, longest_s = time.monotonic(), 0.0
-        watched = Watched(look_s)
-        try:
-            for _ in range(SILENT_LOOKS + 2):
-                now_s = time.monotonic()
-                os.write(watched.pipe, b".")
-                longest_s, sent_s = max(longest_s, time.monotonic() - sent_s), now_s
-                time.sleep(look_s)
-            kills = list(watched.kills)
-            longest_s = max(longest_s, time.monotonic() - sent_s)
-        finally:
-            watched.close()
-        if longest_s >= (SILENT_LOOKS - 2) * look_s:  # the looks are not at the moments of the heartbeats
-            return False
-        assert kills == []
-        return True
+    def look(stat: int) -> str:
+        nonlocal looks
+        turns.acquire()
+        looks += 1
+        return state_in(stat)
 
-    until(in_time, "heartbeats in time")
+    monkeypatch.setattr(watchdog_module, "state_in", look)
+    watched = Watched()
+    try:
+        for number in range(1, SILENT_LOOKS + 3):
+            os.write(watched.pipe, b".")
+            turns.release(GLANCES)
+            until(lambda number=number: looks == number * GLANCES, "the looks", lambda: watched.kills)  # type: ignore[misc]
+        assert watched.kills == []
+    finally:
+        turns.release(1000)
+        watched.close()
 
 
 def simulate(

@@ -18,7 +18,7 @@ Ask = Callable[..., Result]
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine an answer takes a while."""
     for module, limit in ((gcs_requests, "FOUND_S"), (gcs_requests, "ADVICE_S"), (operator, "REPLY_S")):
         monkeypatch.setattr(module, limit, 60.0)

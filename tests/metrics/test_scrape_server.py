@@ -73,7 +73,7 @@ class Bench:
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client, and a thread of the server, that the machine delays is not slow; a test of a slow one sets the limit. The time of a
     client is longer than `until` waits: where a newer one must have replaced it, it is not enough that its time is over."""
     monkeypatch.setattr(scrape_server, "CLIENT_S", 600.0)

@@ -18,7 +18,7 @@ from tests.fakes.until import until
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A busy machine may need longer to look at a disk than PHM waits for it."""
     monkeypatch.setattr("phm.probes.host.DISK_S", 60.0)
 

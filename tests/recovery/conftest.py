@@ -11,7 +11,7 @@ from phm.transport.docker import DockerEngine
 from phm.wire import status_file
 from tests.commands.long_limits import lengthen_limits
 from tests.fakes.engine import FakeEngine
-from tests.probes.docker.conftest import PATIENT_S, SOCKET, fake, real
+from tests.probes.docker.conftest import LONG_S, SOCKET, fake, real
 from tests.proxy.conftest import proxies
 from tests.proxy.haproxy import BehindProxy, EngineAccess
 
@@ -23,14 +23,14 @@ def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also for a status, which is valid for 5 s usually, and for an action that is asked what else may have helped."""
     lengthen_limits(monkeypatch)
     monkeypatch.setattr(status_file, "MAX_AGE_S", 600.0)
-    monkeypatch.setattr("phm.recovery.verification.OTHER_CAUSE_S", PATIENT_S)
+    monkeypatch.setattr("phm.recovery.verification.OTHER_CAUSE_S", LONG_S)
 
 
 @pytest.fixture(params=["engine", "proxy"])
 def engine(request: pytest.FixtureRequest) -> Iterator[DockerEngine]:
     """PHM's own client of the real engine: direct, and behind a proxy with the rules of the test's settings."""
     behind = request.param == "proxy"
-    made = BehindProxy(request.getfixturevalue("proxies")) if behind else DockerEngine(SOCKET, timeout_s=PATIENT_S)
+    made = BehindProxy(request.getfixturevalue("proxies")) if behind else DockerEngine(SOCKET, timeout_s=LONG_S)
     yield made
     made.close()
 
@@ -47,6 +47,6 @@ def engine_access(request: pytest.FixtureRequest) -> EngineAccess:
 @pytest.fixture
 def ask(fake: FakeEngine) -> Iterator[DockerEngine]:
     """A client on the fake engine with a timeout that a busy machine does not reach."""
-    engine = DockerEngine(fake.url, timeout_s=PATIENT_S)
+    engine = DockerEngine(fake.url, timeout_s=LONG_S)
     yield engine
     engine.close()

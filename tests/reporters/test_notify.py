@@ -64,7 +64,7 @@ class Hook:
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A command that a busy machine starts late is not killed."""
     monkeypatch.setattr(notify, "COMMAND_S", 60.0)
 

@@ -19,8 +19,8 @@ from phm.probes.ros.wanted import uses_ros, wanted
 from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
 
 FAST = SupervisorLimits(start_s=60.0, silent_s=60.0, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)
-"""Quick, but patient with a child that, on a busy machine, gets no CPU for seconds, as this process does."""
-IMPATIENT = replace(FAST, start_s=2.0, silent_s=0.5)
+"""Quick, but with long limits for a child that, on a busy machine, gets no CPU for seconds, as this process does."""
+SHORT_LIMITS = replace(FAST, start_s=2.0, silent_s=0.5)
 
 
 def sent_after_s(fact: RosFact) -> float:
@@ -51,7 +51,7 @@ def fake(behaviour: str, folder: Path | str = "") -> tuple[str, ...]:
 )
 def test_a_failed_child_is_replaced_and_reported(bench: Bench, behaviour: str, words: str) -> None:
     """However a child fails, the probe reports how, counts it, and starts another."""
-    probe = bench.probe(command=fake(behaviour), limits=IMPATIENT)
+    probe = bench.probe(command=fake(behaviour), limits=SHORT_LIMITS)
     until(lambda: probe.restarts >= 2, "two replacements")
     # On a busy machine some children fail otherwise before: they start too late, or for seconds could not run, as is noted then.
     until(lambda: any(words in note for note in bench.notes), "the sentence in the log")

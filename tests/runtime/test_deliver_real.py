@@ -21,7 +21,7 @@ from tests.fakes.mavlink import free_port
 from tests.fakes.until import until
 from tests.runtime.test_service import LIMIT_S, ROOT
 
-PATIENT = """
+LONG_LIMITS = """
 import sys
 from phm.commands import delivery_server
 from phm.gcs import delivery_client
@@ -61,7 +61,7 @@ class Agent:
         self.flying = threading.Thread(target=self.pilot.run, daemon=True)
         self.flying.start()
         self.process = subprocess.Popen(
-            [sys.executable, "-c", PATIENT, "run", "-c", str(self.file)],
+            [sys.executable, "-c", LONG_LIMITS, "run", "-c", str(self.file)],
             text=True,
             stderr=subprocess.PIPE,
             env=ENVIRON,
@@ -87,7 +87,17 @@ class Agent:
         where = f"127.0.0.1:{self.port}"
         chosen = more or ("--base", str(self.original))
         return subprocess.run(
-            [sys.executable, "-c", PATIENT, "deliver", str(self.mine), where, "--key", str(key or self.key), *chosen],
+            [
+                sys.executable,
+                "-c",
+                LONG_LIMITS,
+                "deliver",
+                str(self.mine),
+                where,
+                "--key",
+                str(key or self.key),
+                *chosen,
+            ],
             text=True,
             env=ENVIRON,
             capture_output=True,

@@ -22,7 +22,7 @@ from tests.fakes.until import until
 from tests.runtime.test_service import LIMIT_S, ROOT
 
 HEARTBEAT, POWEROFF = 0, 8
-PATIENT = """
+LONG_LIMITS = """
 import sys
 from phm.probes.pattern_matcher import PatternMatcher
 PatternMatcher.__init__.__defaults__ = (60.0,)
@@ -43,7 +43,7 @@ class Agent:
         self.ground.setblocking(False)
         self.write()
         self.process = subprocess.Popen(
-            [sys.executable, "-c", PATIENT, "run", "-c", str(self.file)],
+            [sys.executable, "-c", LONG_LIMITS, "run", "-c", str(self.file)],
             text=True,
             stderr=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_WATCHDOG": "off"},

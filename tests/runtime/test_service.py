@@ -270,11 +270,11 @@ def test_an_intended_shutdown_is_marked_before_anything_can_hang(
     """
     step = ShutdownSequence.step
 
-    def patient(closing: ShutdownSequence, name: str, call: Callable[[], object], limit_s: float) -> None:
+    def lengthened(closing: ShutdownSequence, name: str, call: Callable[[], object], limit_s: float) -> None:
         """On a busy machine a step that does not hang may take longer than its limit."""
         step(closing, name, call, limit_s if name == "state" else LIMIT_S)
 
-    monkeypatch.setattr(ShutdownSequence, "step", patient)
+    monkeypatch.setattr(ShutdownSequence, "step", lengthened)
     monkeypatch.setattr("phm.runtime.daemon.STOP_S", 20 * LIMIT_S)
     daemon = build_daemon(
         settings(

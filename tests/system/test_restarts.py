@@ -42,7 +42,7 @@ def observe(phm: Phm, seconds: float) -> None:
     phm.wait(lambda event: event["mono"] >= until, "the log going on", since=mark)
 
 
-def patient(app: AppContainer, **more: Any) -> dict[str, Any]:
+def with_long_limits(app: AppContainer, **more: Any) -> dict[str, Any]:
     """On a busy machine, whose load is not observed here, nodes may need longer to start than the default allows."""
     config = config_for(app, **more)
     config["ros"]["grace"] = "30s"
@@ -54,7 +54,7 @@ def test_a_crash_that_docker_recovers_raises_no_alarm_inside(
 ) -> None:
     """The policy restarts it within a tenth of a second: a warning at the container, and nothing for nodes or topics."""
     app.container.update(restart_policy={"Name": "always"})
-    phm = start_phm(patient(app), app.domain)
+    phm = start_phm(with_long_limits(app), app.domain)
     phm.wait_all_ok()
     mark, before = phm.mark(), state(app.container)
     kill_first_process(docker_client, app.container)
@@ -79,7 +79,7 @@ def test_a_crash_that_docker_recovers_raises_no_alarm_inside(
 @pytest.mark.long
 def test_a_restart_by_the_operator_raises_no_alarm_inside(app: AppContainer, start_phm: Callable[..., Phm]) -> None:
     """`docker restart`, twice, with a stop timeout of zero; only the container itself may be reported down."""
-    phm = start_phm(patient(app, recovery={"mode": "off"}), app.domain)
+    phm = start_phm(with_long_limits(app, recovery={"mode": "off"}), app.domain)
     phm.wait_all_ok()
     mark = phm.mark()
     for _ in range(2):

@@ -155,7 +155,7 @@ def test_a_serial_port_is_reopened_without_a_reset() -> None:
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """An action is asked what else may have helped; a busy machine may delay its answer."""
     monkeypatch.setattr("phm.recovery.verification.OTHER_CAUSE_S", 60.0)
 

@@ -26,7 +26,7 @@ LIMIT_S = 120.0
 """Bounds a failing test. On a machine with a load of 100 a daemon takes more than 30 s to start."""
 LEASE_S = 120.0
 """Of the router, and of an agent whose connections are counted: a busy machine must not end one."""
-PATIENT = """
+LONG_LIMITS = """
 import sys
 from phm.core.closing import ShutdownSequence
 from phm.runtime import daemon
@@ -253,7 +253,7 @@ def run_daemon(bench: Bench, folder: Path) -> subprocess.Popen[bytes]:
         f"log: {{directory: {folder}/log}}\nfleet: {{enabled: true, name: {FLEET}, connect: [{bench.endpoint}], deadline: 1s}}\n"
     )
     folder.joinpath("phm.yaml").write_text(text)
-    process = subprocess.Popen((sys.executable, "-c", PATIENT, "run", "-c", str(folder / "phm.yaml")))
+    process = subprocess.Popen((sys.executable, "-c", LONG_LIMITS, "run", "-c", str(folder / "phm.yaml")))
     bench.later(process.wait)
     bench.later(process.kill)
     return process

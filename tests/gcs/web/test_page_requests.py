@@ -32,7 +32,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ground]:
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine an answer takes a while."""
     monkeypatch.setattr(operator, "RESEND_S", 15.0)
     monkeypatch.setattr(operator, "REPLY_S", 60.0)

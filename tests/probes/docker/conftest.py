@@ -18,7 +18,7 @@ from tests.fakes.until import until
 
 SOCKET = "unix:///var/run/docker.sock"
 LABEL = "phm.test.docker"
-PATIENT_S, HUNG_S = 60.0, 4.0
+LONG_S, HUNG_S = 60.0, 4.0
 """Deadlines of requests: where an answer is expected, however busy the machine is; and in a test of an engine that never answers."""
 
 
@@ -31,7 +31,7 @@ def fake(tmp_path: Path) -> Iterator[FakeEngine]:
 @pytest.fixture
 def ask(fake: FakeEngine) -> Iterator[DockerEngine]:
     """A client of the fake engine. A test of a hung engine sets its `timeout_s` to HUNG_S."""
-    engine = DockerEngine(fake.url, timeout_s=PATIENT_S)
+    engine = DockerEngine(fake.url, timeout_s=LONG_S)
     yield engine
     engine.close()
 
@@ -123,7 +123,7 @@ def printed(made: Any, *argv: str) -> str:
 @pytest.fixture
 def engine(monkeypatch: pytest.MonkeyPatch) -> Iterator[DockerEngine]:
     """PHM's own client of the real engine. Its deadlines, also that of lists of processes, are long: the machine may be busy."""
-    monkeypatch.setattr("phm.probes.docker_processes.LIMIT_S", PATIENT_S)
-    engine = DockerEngine(SOCKET, timeout_s=PATIENT_S)
+    monkeypatch.setattr("phm.probes.docker_processes.LIMIT_S", LONG_S)
+    engine = DockerEngine(SOCKET, timeout_s=LONG_S)
     yield engine
     engine.close()

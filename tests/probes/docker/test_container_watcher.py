@@ -18,7 +18,7 @@ from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import DropStream, Hang, Status
 from tests.fakes.until import until
-from tests.probes.docker.conftest import HUNG_S, PATIENT_S
+from tests.probes.docker.conftest import HUNG_S, LONG_S
 
 
 class EventList(list[DockerEvent]):
@@ -46,7 +46,7 @@ def watch(
 
     def start(*containers: dict[str, Any], compare: float = 60.0) -> tuple[ContainerWatcher, EventList]:
         events = EventList()
-        engine = DockerEngine(fake.url, timeout_s=PATIENT_S)
+        engine = DockerEngine(fake.url, timeout_s=LONG_S)
         chosen = settings(containers=list(containers), docker={"compare": compare})
         made = ContainerWatcher(engine, chosen.containers, chosen.docker, SystemClock(), events.append)
         started.append((made, engine))
@@ -93,7 +93,7 @@ def test_a_start_or_end_of_an_unconfigured_container_is_reported_without_an_even
     """Only that something happened: PHM publishes no events of containers that it does not know."""
     fake.containers["db"] = container("db")
     events, happened = EventList(), threading.Event()
-    engine = DockerEngine(fake.url, timeout_s=PATIENT_S)
+    engine = DockerEngine(fake.url, timeout_s=LONG_S)
     chosen = settings()
     made = ContainerWatcher(
         engine, chosen.containers, chosen.docker, SystemClock(), events.append, on_other=happened.set
@@ -328,7 +328,7 @@ def test_a_listener_that_raises_does_not_end_the_watcher(fake: FakeEngine) -> No
         events.append(event.action)
         raise RuntimeError("injected")
 
-    engine = DockerEngine(fake.url, timeout_s=PATIENT_S)
+    engine = DockerEngine(fake.url, timeout_s=LONG_S)
     made = ContainerWatcher(
         engine, settings(containers=[{"name": "app"}]).containers, settings().docker, SystemClock(), listen
     )
@@ -379,7 +379,7 @@ def test_a_start_begins_a_generation_once(
 def test_a_broken_or_reopened_stream_is_published(fake: FakeEngine) -> None:
     """Usually the engine stopped or started: its check runs immediately, and again when it cannot connect."""
     turns: list[int] = []
-    engine = DockerEngine(fake.url, timeout_s=PATIENT_S)
+    engine = DockerEngine(fake.url, timeout_s=LONG_S)
     made = ContainerWatcher(
         engine,
         settings(containers=[{"name": "app"}]).containers,

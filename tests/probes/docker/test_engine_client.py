@@ -27,7 +27,7 @@ from phm.transport.docker import (
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import DropStream, Fault, Garbage, Hang, NoHttp, Oversize, Status, Trickle, Truncate
 from tests.fakes.until import until
-from tests.probes.docker.conftest import HUNG_S, PATIENT_S
+from tests.probes.docker.conftest import HUNG_S, LONG_S
 
 
 @pytest.mark.parametrize("fault", [Hang(), Trickle(), Trickle(route="/json")])
@@ -54,18 +54,18 @@ def test_an_engine_with_an_aborted_request_can_be_asked_again(fake: FakeEngine, 
 def test_only_the_overdue_request_is_aborted(fake: FakeEngine) -> None:
     """The deadline of one request does not affect a request of another thread with a later deadline."""
     fake.containers["app"] = container("app")
-    patient = DockerEngine(fake.url, timeout_s=PATIENT_S)
-    patient.version()
+    engine = DockerEngine(fake.url, timeout_s=LONG_S)
+    engine.version()
     fake.fault = Trickle(every_s=0.005, endless=False, route="/app/")
     seen: list[object] = []
-    thread = threading.Thread(target=lambda: seen.append(patient.inspect("app")["Name"]))
+    thread = threading.Thread(target=lambda: seen.append(engine.inspect("app")["Name"]))
     thread.start()
     assert fake.wait(lambda engine: "GET /containers/app/json" in engine.calls)
     with pytest.raises(EngineTimeout):
-        patient.call(lambda client: client.inspect_container("app"), deadline_s=0.2)
-    thread.join(PATIENT_S)
+        engine.call(lambda client: client.inspect_container("app"), deadline_s=0.2)
+    thread.join(LONG_S)
     assert seen == ["/app"]
-    patient.close()
+    engine.close()
 
 
 def test_requests_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine, ask: DockerEngine) -> None:
@@ -110,7 +110,7 @@ def test_each_failure_of_the_engine_has_a_kind_and_a_text(
     ask.ping()
     fake.fault = fault
     with pytest.raises(kind, match=words):
-        ask.inspect("app", deadline_s=PATIENT_S)
+        ask.inspect("app", deadline_s=LONG_S)
 
 
 def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
@@ -156,7 +156,7 @@ def test_a_tcp_engine_without_a_server_is_unreachable() -> None:
         with pytest.raises(EngineTimeout):
             DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=0.3).ping()
     with pytest.raises(EngineNotConnected, match=f"127.0.0.1:{port}"):
-        DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=PATIENT_S).ping()
+        DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=LONG_S).ping()
 
 
 def test_creating_the_client_sends_no_request(fake: FakeEngine) -> None:
@@ -171,7 +171,7 @@ def test_creating_the_client_sends_no_request(fake: FakeEngine) -> None:
 def test_the_api_version_suits_the_engine(tmp_path: Path, newest: str, oldest: str, spoken: str) -> None:
     """Requests to an old engine use its version, to a new one the newest that PHM knows and the engine supports."""
     with FakeEngine(tmp_path / "e.sock", api=newest, minimum=oldest) as fake:
-        engine = DockerEngine(fake.url, timeout_s=PATIENT_S)
+        engine = DockerEngine(fake.url, timeout_s=LONG_S)
         assert engine.call(lambda client: client.api_version) == spoken
 
 
@@ -291,9 +291,9 @@ def test_a_socket_is_closed_at_its_deadline_and_not_before() -> None:
         early.attach(done)
     with watchdog.watch(5.0) as call:
         call.attach(ours)
-        clock.wait_for_sleepers(1, PATIENT_S)
+        clock.wait_for_sleepers(1, LONG_S)
         clock.advance(4.9)
-        clock.wait_for_sleepers(1, PATIENT_S)
+        clock.wait_for_sleepers(1, LONG_S)
         assert not call.expired
         clock.advance(0.2)
         assert theirs.recv(1) == b""

@@ -20,14 +20,14 @@ from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import DropStream
 from tests.fakes.measured_clock import measured_clock
 from tests.fakes.until import until
-from tests.probes.docker.conftest import PATIENT_S
+from tests.probes.docker.conftest import LONG_S
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine the tests themselves may take longer than PHM waits for a reader that is behind, or for an event."""
     for name in ("BEHIND_S", "CONFIRM_S"):
-        monkeypatch.setattr(f"phm.probes.container_watcher.{name}", 10 * PATIENT_S)
+        monkeypatch.setattr(f"phm.probes.container_watcher.{name}", 10 * LONG_S)
 
 
 class Late:
@@ -40,14 +40,14 @@ class Late:
 
     def __call__(self, event: DockerEvent) -> None:
         self.taken.append(event)
-        self.go.wait(2 * PATIENT_S)
+        self.go.wait(2 * LONG_S)
         self.applied.append(event)
 
 
 @pytest.fixture
 def late(fake: FakeEngine) -> Iterator[tuple[ContainerWatcher, Late]]:
     fake.containers["app"] = container("app")
-    engine, listener = DockerEngine(fake.url, timeout_s=PATIENT_S), Late()
+    engine, listener = DockerEngine(fake.url, timeout_s=LONG_S), Late()
     chosen = settings(containers=[{"name": "app"}], docker={"compare": 60.0})
     watch = ContainerWatcher(engine, chosen.containers, chosen.docker, SystemClock(), listener)
     watch.start()
@@ -105,7 +105,7 @@ def daemon(fake: FakeEngine, tmp_path: Path) -> Iterator[Daemon]:
         log={"directory": str(tmp_path / "log")},
         checks={"host": {"enabled": False}},
         containers=[{"name": "app", "healthcheck": "ignore"}],
-        docker={"socket": fake.url, "timeout": PATIENT_S},
+        docker={"socket": fake.url, "timeout": LONG_S},
         ros={"nodes": [], "topics": []},
         recovery={"mode": "off"},
     )
@@ -124,7 +124,7 @@ def test_results_and_timers_wait_for_earlier_events(
 
     def late(*event: str) -> None:
         taken.set()
-        go.wait(2 * PATIENT_S)
+        go.wait(2 * LONG_S)
         order.append("event")
 
     def result(units: object, started: float, *more: object, **others: object) -> None:
@@ -133,7 +133,7 @@ def test_results_and_timers_wait_for_earlier_events(
 
     monkeypatch.setattr(daemon.components.holds, "happened", late)
     fake.set("app", status="exited", exit_code=1)
-    assert taken.wait(PATIENT_S)
+    assert taken.wait(LONG_S)
     for _ in range(2):  # an iteration in progress when the event came is over after the second
         last = daemon.components.loop.last_iteration
         daemon.wake()

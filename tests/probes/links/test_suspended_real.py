@@ -23,7 +23,7 @@ from tests.fakes.mavlink import Sender, free_port, heartbeat
 from tests.fakes.until import until
 
 ROOT = Path(__file__).parents[3]
-TIMEOUT_S, STOPPED_S = 4.0, 9.0
+TIMEOUT_S, STOPPED_S, PERIOD_S = 4.0, 9.0, 0.5
 """Stopped for more than twice the timeouts: the bound for a PHM that is starved for good must not apply."""
 UNITS = ("autopilot", "gcs", "peers/A02")
 
@@ -35,8 +35,8 @@ class Senders:
         self._sock, self._port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), port
         self.speaks, self._ends = threading.Event(), threading.Event()
         self.speaks.set()
-        self.paused_s, self._sent_at = 0.0, time.monotonic()
-        """The longest pause between two rounds: how late a busy machine made them."""
+        self.rounds, self.paused_s, self._sent_at = 0, 0.0, time.monotonic()
+        """How often it had its turn, and the longest pause between two turns: how late a busy machine made them."""
         word = status_word.encode({Slot.COMPANION: Level.OK})
         self._senders: list[tuple[Sender, Any]] = [
             (Sender(1, 1), heartbeat(5, kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=3)),
@@ -47,11 +47,12 @@ class Senders:
         self._thread.start()
 
     def _loop(self) -> None:
-        while not self._ends.wait(0.5):
+        while not self._ends.wait(PERIOD_S):
             self.paused_s, self._sent_at = max(self.paused_s, time.monotonic() - self._sent_at), time.monotonic()
             if self.speaks.is_set():
                 for sender, message in self._senders:
                     self._sock.sendto(sender.frame(message), ("127.0.0.1", self._port))
+            self.rounds += 1
 
     def close(self) -> None:
         self._ends.set()
@@ -137,7 +138,8 @@ def test_a_suspended_phm_reports_no_false_loss_and_detects_a_real_one(
         agent.process.send_signal(signal.SIGSTOP)
         if frozen == "the machine":
             sender.speaks.clear()
-        time.sleep(STOPPED_S)
+        rounds = sender.rounds + STOPPED_S / PERIOD_S
+        until(lambda: sender.rounds >= rounds, "the suspension to last")  # noqa: B023
         sender.speaks.set()
         agent.process.send_signal(signal.SIGCONT)
         passes = agent.passes()

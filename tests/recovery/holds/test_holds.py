@@ -12,7 +12,7 @@ from phm.recovery.executor import NotApprovable, NotNow
 from phm.recovery.holds.hold_registry import ALL
 from phm.recovery.holds.hold_service import LABELS_S, HoldRefused
 from phm.recovery.safety.armed_state import ArmedState as ArmedState
-from tests.recovery.holds.scene import BY, PATIENT, Scene, stopped
+from tests.recovery.holds.scene import BY, LONG_BACKOFF, Scene, stopped
 
 
 def test_a_bad_unit_on_hold_is_stale_without_an_alarm(scene: Scene) -> None:
@@ -63,7 +63,7 @@ def test_a_hold_expires_with_a_message(scene: Scene) -> None:
 
 def test_an_open_fault_stays_open_without_an_action(scenes: Any) -> None:
     """It is listed while on hold, its attempts stay unchanged, and it is recovered after a new result."""
-    scene = scenes(**PATIENT)
+    scene = scenes(**LONG_BACKOFF)
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
     scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
@@ -80,7 +80,7 @@ def test_an_open_fault_stays_open_without_an_action(scenes: Any) -> None:
 
 def test_a_fault_that_ends_on_hold_is_resolved(scenes: Any) -> None:
     """Without credit for an action."""
-    scene = scenes(**PATIENT)
+    scene = scenes(**LONG_BACKOFF)
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
     scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
@@ -94,7 +94,7 @@ def test_a_fault_that_ends_on_hold_is_resolved(scenes: Any) -> None:
 
 def test_no_action_follows_an_old_result_after_a_hold(scenes: Any) -> None:
     """The operator has fixed it at the last moment: no action follows."""
-    scene = scenes(**PATIENT)
+    scene = scenes(**LONG_BACKOFF)
     scene.agent.behave = lambda key, context, fault: None
     scene.agent.bad = {"container/app": "broken"}
     scene.agent.until(lambda: scene.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")

@@ -18,7 +18,7 @@ from phm.recovery.persistence.state_codec import InvalidState, decode, encode
 from phm.recovery.safety.armed_state import ArmedState as ArmedState, ArmedStatus, LastArmedState
 from phm.runtime.wiring import build_daemon
 from phm.testing import settings
-from tests.recovery.holds.scene import BY, PATIENT, Scene, stopped
+from tests.recovery.holds.scene import BY, LONG_BACKOFF, Scene, stopped
 
 
 def test_a_hold_survives_a_restart_of_phm(scenes: Any, tmp_path: Path) -> None:
@@ -41,14 +41,14 @@ def test_recovery_requests_no_checks_while_on_hold(
     scenes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fault from before a restart of PHM: results on hold do not count, and a new run is requested afterwards."""
-    first = scenes(tmp_path, **PATIENT)
+    first = scenes(tmp_path, **LONG_BACKOFF)
     first.agent.behave = lambda key, context, fault: None
     first.agent.bad = {"container/app": "broken"}
     first.agent.until(lambda: first.agent.steps().count(Phase.FAILED) == 1, "a failed attempt")
     first.hold(for_s=100)
     first.agent.rest(5)
     first.agent.stop()
-    second = scenes(tmp_path, first.clock, bad={"container/app": "broken"}, **PATIENT)
+    second = scenes(tmp_path, first.clock, bad={"container/app": "broken"}, **LONG_BACKOFF)
     looks: list[str] = []
     monkeypatch.setattr(second.agent.pipeline, "recheck", lambda *units: looks.extend(units))
     second.agent.rest(60)

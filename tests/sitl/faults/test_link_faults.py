@@ -41,7 +41,7 @@ class Client(LinkEmulatorClient):
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine an answer takes a while."""
     monkeypatch.setattr(control, "LIMIT_S", 60.0)
 

@@ -32,7 +32,7 @@ SWITCHES = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
-PATIENT = """
+LONG_LIMITS = """
 from phm.cli import main
 from phm.gcs import operator
 operator.RESEND_S, operator.REPLY_S = 15.0, 5.0  # on a busy machine an answer takes a while
@@ -62,7 +62,7 @@ class GroundProcess:
 
     def start(self) -> None:
         """Returns when the page is served and MAVLink is received: a line that is sent once must arrive."""
-        words = [sys.executable, "-c", PATIENT, "gcs", "--web", f"127.0.0.1:{self.port}"]
+        words = [sys.executable, "-c", LONG_LIMITS, "gcs", "--web", f"127.0.0.1:{self.port}"]
         if "--replay" not in self._options:
             words += [f"udpin:127.0.0.1:{self.mavlink}", "--history", str(self._folder / "history.db")]
         self._process = subprocess.Popen(
