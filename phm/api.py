@@ -200,6 +200,8 @@ class Unit:
             Grace ends early for a unit that has been OK, but not before it has been for longer than this.
     suspect: while this unit is ERROR, each fault that opens names it as a possible cause. It blocks nothing:
             for what can be behind anything but need not be (a full disk, memory used up).
+    node:   full name of the ROS node that the action `relaunch` starts for this unit, or empty. Of a topic, its first
+            publisher.
     """
 
     id: str
@@ -209,6 +211,7 @@ class Unit:
     grace_s: float = 0.0
     memory_s: float = 0.0
     suspect: bool = False
+    node: str = ""
 
 
 class Check(ABC):

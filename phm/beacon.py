@@ -61,7 +61,7 @@ NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 MAX_NAME = 255
 MAX_LATE_S = 1e6
 QUEUE = 64
-"""More greetings than come between two looks."""
+"""More greetings than come between two polls."""
 
 
 class Beacon:
@@ -125,7 +125,7 @@ class _NodeBeacon:
         except Exception:
             return True
 
-    def forgive(self, seconds: float) -> None:
+    def exclude_suspension(self, seconds: float) -> None:
         """The entire process was suspended for this long, which is not its executor's fault."""
         self._turned_s += seconds
 
@@ -228,7 +228,7 @@ class _Hub:
         self._period_s = PERIODS_S[1]
         self._next_hello_s = self._listened_s = 0.0
         self._has_news = False
-        # Nothing spins this node: what arrives waits in a short queue until the thread looks, and wakes no executor.
+        # Nothing spins this node: what arrives waits in a short queue until the thread polls, and wakes no executor.
         self._node: Any = Node(
             f"_phm_beacon_{self._witness}",
             context=context,
@@ -286,7 +286,7 @@ class _Hub:
         beacons = self._beacons
         if overslept_s > TURN_S / 2:
             for beacon in beacons:
-                beacon.forgive(overslept_s)
+                beacon.exclude_suspension(overslept_s)
         views = {"views": self._neighbours.views(now_s)} if self._has_news else {}
         self._has_news = False
         for some in _portions(beacons):
@@ -307,7 +307,7 @@ class _Hub:
             self._hello.say(said)
 
     def _listen(self, now_s: float) -> None:
-        """Take what has come since the last look, oldest first."""
+        """Take what has come since the last poll, oldest first."""
         longest_s, self._listened_s = now_s - self._listened_s, now_s
         self._has_news = True
         wall_ns = time.time_ns()

@@ -12,7 +12,7 @@ NAME = "application"
 OLD_S = 5.0
 """Older snapshots of the graph are not evaluated."""
 HANG_S = 5.0
-LOOK_S = 5.0
+POLL_S = 5.0
 """While its nodes are there, the engine is asked about the container this often; its own check reports it sooner."""
 
 
@@ -48,7 +48,7 @@ class ApplicationHop:
             *(f"nodes/{api.topic_id(node)}" for node in self._nodes if certain),
         )
 
-    def look(self, world: api.World) -> Hop:
+    def evaluate(self, world: api.World) -> Hop:
         """The hop, from the graph, the beacons and the engine."""
         nodes = self._nodes_hop(world) if self._nodes else Hop(NAME, HopState.OK)
         stopped = self._stopped(world, doubt=nodes.state is not HopState.OK) if self.container else None
@@ -57,7 +57,7 @@ class ApplicationHop:
     def _stopped(self, world: api.World, *, doubt: bool) -> Hop | None:
         """The hop if the container does not run, or if that is unknown."""
         now = world.clock.mono()
-        if doubt or now - self._asked_at >= LOOK_S or self._fact is None or not self._fact.running:
+        if doubt or now - self._asked_at >= POLL_S or self._fact is None or not self._fact.running:
             self._asked_at = now
             try:
                 self._fact = world.docker.container(self.container)
@@ -71,7 +71,7 @@ class ApplicationHop:
     def _nodes_hop(self, world: api.World) -> Hop:
         """Other faults of the nodes are reported by the check `nodes`."""
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell:
             return Hop(NAME, HopState.UNKNOWN, "the ROS graph is unknown")
         if fact.age_s > OLD_S:

@@ -166,7 +166,7 @@ def routed(world: api.World, entry: api.EndpointSettings) -> bool:
 
 def starting(world: api.World) -> bool:
     """Whether PHM started only recently, so that other parts of the vehicle may still be starting."""
-    return world.myself.look().uptime_s < START_S
+    return world.daemon.snapshot().uptime_s < START_S
 
 
 def all_closed(world: api.World, entries: Sequence[api.EndpointSettings]) -> bool:

@@ -75,7 +75,7 @@ class DataPath:
     def _received(self, world: api.World, now: float) -> bool:
         """Whether any node has given a sign of life in this generation."""
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell:
             return False
         ages = (self._silent_s(node, fact) for node in self._wanted)
@@ -88,7 +88,7 @@ class DataPath:
         if generation != self._generation:
             self._generation, self._met_at = generation, now
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell:
             return ""
         if fact.age_s > OLD_SNAPSHOT_S:
@@ -128,7 +128,7 @@ class DataPath:
             return 0.0
         world.clock.wait(threading.Event(), max(CONFIRM_S, limit_s - min(silent)))
         try:
-            again = world.ros.look()
+            again = world.ros.snapshot()
         except api.CannotTell:
             return 0.0
         passed_s = world.clock.mono() - now
@@ -145,7 +145,7 @@ class DataPath:
         if len(self._wanted) < WITNESSES or now - self._met_at < self._grace_s:
             return ""
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell:
             return ""
         received = [age_s for node in self._wanted for age_s in self._signs(node, fact)]

@@ -56,7 +56,7 @@ class EndpointHistory:
         end.lost_at = now if end.lost_at is None else end.lost_at
         return True
 
-    def young(self, topic: str, now: float) -> bool:
+    def being_recreated(self, topic: str, now: float) -> bool:
         """Whether all lost endpoints of the topic may currently be being recreated."""
         lost = [end.lost_at for key, end in self._had.items() if key[0] == topic and end.lost_at is not None]
         return bool(lost) and now - min(lost) < SETTLE_S

@@ -86,7 +86,7 @@ def level_of(topic: api.TopicSettings, seen: api.TopicFact, pairs: Sequence[Pair
     return Level.ERROR if any(needed(topic, seen, pair) for pair in pairs) else Level.WARN
 
 
-def unfit(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
+def mismatch_text(seen: api.TopicFact, pair: Pair, mismatch: Mismatch) -> str:
     """Text for one policy of one pair and what to change: at the endpoint that matches no other, if there is one."""
     out, into = pair
     at_publisher = f"{mismatch.raise_offer} at the publisher"

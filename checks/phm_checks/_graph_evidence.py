@@ -73,7 +73,7 @@ class GraphEvidence:
         self.blind = True
         """The graph is the only source: the node has neither a beacon nor a topic with a rate."""
 
-    def look(self, fact: api.RosFact | None, now: float, began_at: float) -> list[Evidence]:
+    def observe(self, fact: api.RosFact | None, now: float, began_at: float) -> list[Evidence]:
         """Evidence from the newest snapshot; None if there is none. began_at: older data belongs to an earlier node of this name."""
         if fact is None:
             self.suspicions, self.blind = {"no snapshot"}, True

@@ -43,7 +43,7 @@ class _Reading:
 
 
 class GrowingProcess:
-    """Asks the engine for process lists, only between the first `look` and `forget`."""
+    """Asks the engine for process lists, only between the first `observe` and `forget`."""
 
     def __init__(self, key: str, settings: api.Settings) -> None:
         self._key = key
@@ -57,7 +57,7 @@ class GrowingProcess:
         self._found: Grower | None = None
         self._due_at, self._wait_s = float("-inf"), 0.0
 
-    def look(self, world: api.World, used: int, slope: float) -> Grower | None:
+    def observe(self, world: api.World, used: int, slope: float) -> Grower | None:
         """The process that has most of the container's growth; None if no process has, or that is not known yet.
 
         used: the container's memory in bytes without the page cache. slope: its growth in bytes per second.

@@ -14,9 +14,9 @@ UNSURE = 2.0
 
 
 class LimitForecast:
-    """The forecast of one measurement. `LOOKS` of them are made in the shortest time that a trend is observed for."""
+    """The forecast of one measurement. `POLLS` of them are made in the shortest time that a trend is observed for."""
 
-    LOOKS = 12
+    POLLS = 12
 
     def __init__(
         self,
@@ -29,9 +29,9 @@ class LimitForecast:
     ) -> None:
         """horizon_s: how far ahead to look; 0: never. falls: the limit is one to fall below, else one to rise above."""
         self._falls = falls
-        self._horizon_s, self._percent, self._every_s = horizon_s, confidence_percent, least_s / self.LOOKS
+        self._horizon_s, self._percent, self._every_s = horizon_s, confidence_percent, least_s / self.POLLS
         self._trend = api.Trend(window_s, least_s=least_s, confidence=confidence_percent / 100)
-        self._looked_s = float("-inf")
+        self._polled_s = float("-inf")
         self._soon: api.Forecast | None = None
         self._shown = StableNumber(share=0.3)
 
@@ -40,8 +40,8 @@ class LimitForecast:
         if not self._horizon_s or value is None:
             return None
         self._trend.add(now_s, value)
-        if now_s - self._looked_s >= self._every_s:
-            self._looked_s = now_s
+        if now_s - self._polled_s >= self._every_s:
+            self._polled_s = now_s
             self._soon = self._reported(self._trend.reaches(limit))
             if self._soon is None:
                 self._shown.forget("")

@@ -58,7 +58,7 @@ CERTAIN_HANG_S = 15.0
 ran more than twice a second."""
 LOST_S = 10.0
 """PHM waits this long for a node that left the graph while its process runs: on a machine short of CPU, leases expire, and the ROS child
-then needs up to 10 s to rediscover it with a second participant (`phm.probes.ros.second_look`)."""
+then needs up to 10 s to rediscover it with a second participant (`phm.probes.ros.graph_comparison`)."""
 GOODBYE_S = 0.3
 """Nodes that shut down cleanly leave the graph a moment before PHM sees that their container has exited."""
 BARE_S = 2.0
@@ -116,13 +116,16 @@ class Findings:
     of: Mapping[Kind, Evidence]
     past: NodeHistory
 
-    def says(self, kind: Kind, *what: Observation) -> Evidence | None:
+    def evidence(self, kind: Kind, *what: Observation) -> Evidence | None:
         found = self.of.get(kind)
         return found if found is not None and found.says in what else None
 
     def alive_since(self, then: Evidence) -> bool:
         """Whether the node sent a beacon or published after `then` was observed."""
-        signs = (self.says(Kind.BEACON, Observation.ALIVE, Observation.LATE), self.says(Kind.TOPICS, Observation.ALIVE))
+        signs = (
+            self.evidence(Kind.BEACON, Observation.ALIVE, Observation.LATE),
+            self.evidence(Kind.TOPICS, Observation.ALIVE),
+        )
         return any(sign is not None and sign.age_s + NEWER_S < then.age_s for sign in signs)
 
 
@@ -130,13 +133,13 @@ RuleResult = tuple[NodeState, Kind | None] | None
 """The state and the kind of evidence that decided, or None."""
 
 
-def fuse(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
+def judge_node(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
     """Determine the state of one node."""
     case = Findings({piece.kind: piece for piece in evidence}, past)
     verdicts = (rule(case) for rule in RULES)
     state, decisive = next((verdict for verdict in verdicts if verdict is not None), (NodeState.UNKNOWN, None))
-    busy = case.says(Kind.PROCESS, Observation.BUSY)
-    unanswered = case.says(Kind.BEACON, Observation.SILENT, Observation.LATE)
+    busy = case.evidence(Kind.PROCESS, Observation.BUSY)
+    unanswered = case.evidence(Kind.BEACON, Observation.SILENT, Observation.LATE)
     busy_s = unanswered.lasted_s if state is NodeState.ALIVE and busy is not None and unanswered is not None else 0.0
     pieces = sorted(case.of.values(), key=lambda piece: (piece.kind is not decisive, piece.kind))
     bad = state in (NodeState.DEAD, NodeState.HUNG)
@@ -148,11 +151,11 @@ def fuse(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
 def container(case: Findings) -> RuleResult:
     """1. Nothing is alive in a container that is not running, and nothing runs in a paused one. A node that is missing from a
     terminating container ends with it: the engine will report that."""
-    if case.says(Kind.CONTAINER, Observation.ENDING):
+    if case.evidence(Kind.CONTAINER, Observation.ENDING):
         return NodeState.UNKNOWN, Kind.CONTAINER
-    if case.says(Kind.CONTAINER, Observation.GONE):
+    if case.evidence(Kind.CONTAINER, Observation.GONE):
         return NodeState.DEAD, Kind.CONTAINER
-    return (NodeState.HUNG, Kind.CONTAINER) if case.says(Kind.CONTAINER, Observation.STOPPED) else None
+    return (NodeState.HUNG, Kind.CONTAINER) if case.evidence(Kind.CONTAINER, Observation.STOPPED) else None
 
 
 def process(case: Findings) -> RuleResult:
@@ -160,7 +163,7 @@ def process(case: Findings) -> RuleResult:
 
     A node that has just left the graph may be terminating with its container: PHM waits for that.
     """
-    found = case.says(Kind.PROCESS, Observation.GONE, Observation.STOPPED)
+    found = case.evidence(Kind.PROCESS, Observation.GONE, Observation.STOPPED)
     if found is None or case.alive_since(found):
         return None
     if found.says is Observation.STOPPED:
@@ -173,7 +176,7 @@ def _missing(case: Findings) -> NodeState:
 
 
 def _just_left(case: Findings) -> bool:
-    name = case.says(Kind.NAME, Observation.GONE)
+    name = case.evidence(Kind.NAME, Observation.GONE)
     return case.past.alive and name is not None and name.lasted_s < GOODBYE_S
 
 
@@ -182,34 +185,34 @@ def silent_beacon(case: Findings) -> RuleResult:
 
     Data on topics, or a process that uses the CPU, proves the last case; a process that sleeps gets more time.
     """
-    beacon = case.says(Kind.BEACON, Observation.SILENT)
-    if beacon is None or case.says(Kind.NAME, Observation.GONE):
+    beacon = case.evidence(Kind.BEACON, Observation.SILENT)
+    if beacon is None or case.evidence(Kind.NAME, Observation.GONE):
         return None
-    if case.says(Kind.TOPICS, Observation.ALIVE):
+    if case.evidence(Kind.TOPICS, Observation.ALIVE):
         return NodeState.ALIVE, Kind.TOPICS
-    if case.says(Kind.PROCESS, Observation.BUSY):
+    if case.evidence(Kind.PROCESS, Observation.BUSY):
         return NodeState.ALIVE, Kind.PROCESS
-    if case.says(Kind.PROCESS, Observation.ALIVE) or case.past.unlisted:
+    if case.evidence(Kind.PROCESS, Observation.ALIVE) or case.past.unlisted:
         return _unanswering(case, beacon), Kind.BEACON
     return NodeState.DEAD, Kind.BEACON
 
 
 def late_beacon(case: Findings) -> RuleResult:
     """4. An executor that does not run is hung, unless the process uses the CPU or publishes from another thread."""
-    beacon = case.says(Kind.BEACON, Observation.LATE)
+    beacon = case.evidence(Kind.BEACON, Observation.LATE)
     if beacon is None:
         return None
-    if case.says(Kind.PROCESS, Observation.BUSY):
+    if case.evidence(Kind.PROCESS, Observation.BUSY):
         return NodeState.ALIVE, Kind.PROCESS
-    if case.says(Kind.TOPICS, Observation.ALIVE):
+    if case.evidence(Kind.TOPICS, Observation.ALIVE):
         return NodeState.ALIVE, Kind.TOPICS
     return _unanswering(case, beacon), Kind.BEACON
 
 
 def _certainly_blocked(case: Findings) -> bool:
     """The process sends its beacons in time and uses no CPU, and its executor has neither run nor published for CERTAIN_HANG_S."""
-    late, process = case.says(Kind.BEACON, Observation.LATE), case.says(Kind.PROCESS, Observation.ALIVE)
-    silent = case.says(Kind.TOPICS, Observation.SILENT)
+    late, process = case.evidence(Kind.BEACON, Observation.LATE), case.evidence(Kind.PROCESS, Observation.ALIVE)
+    silent = case.evidence(Kind.TOPICS, Observation.SILENT)
     if silent is not None and silent.lasted_s < CERTAIN_HANG_S:
         return False  # it has published since then: it is slow, as on a disk that is
     return late is not None and late.lasted_s >= CERTAIN_HANG_S and process is not None and process.measured
@@ -218,7 +221,7 @@ def _certainly_blocked(case: Findings) -> bool:
 def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
     """A process known not to use the CPU is hung. If that is unknown, a node in a container does not count as hung: recovery would
     restart a node that is only busy."""
-    process = case.says(Kind.PROCESS, Observation.ALIVE)
+    process = case.evidence(Kind.PROCESS, Observation.ALIVE)
     if process is not None and process.measured:
         return NodeState.HUNG if beacon.lasted_s >= HANG_S else NodeState.UNKNOWN
     if beacon.lasted_s < BLIND_HANG_S:
@@ -229,28 +232,28 @@ def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
 def sign_of_life(case: Findings) -> RuleResult:
     """5. A node that sends beacons or publishes is alive, whatever the graph says."""
     for kind in (Kind.BEACON, Kind.TOPICS):
-        if case.says(kind, Observation.ALIVE):
+        if case.evidence(kind, Observation.ALIVE):
             return (NodeState.DUPLICATE, Kind.NAME) if case.past.twice else (NodeState.ALIVE, kind)
     return None
 
 
 def left_the_graph(case: Findings) -> RuleResult:
     """6. If its name is gone, the node is dead; while its process runs, only after LOST_S, and never while it uses the CPU."""
-    name = case.says(Kind.NAME, Observation.GONE)
+    name = case.evidence(Kind.NAME, Observation.GONE)
     if name is None:
         return None
     if _just_left(case):
         return NodeState.ALIVE, Kind.NAME
-    runs = case.says(Kind.PROCESS, Observation.ALIVE) and name.lasted_s < LOST_S
-    if case.past.starting or runs or case.says(Kind.PROCESS, Observation.BUSY):
+    runs = case.evidence(Kind.PROCESS, Observation.ALIVE) and name.lasted_s < LOST_S
+    if case.past.starting or runs or case.evidence(Kind.PROCESS, Observation.BUSY):
         return NodeState.UNKNOWN, Kind.NAME
     return _missing(case), Kind.NAME
 
 
 def bare_name(case: Findings) -> RuleResult:
     """7. A name without its endpoints is not alive, unless its process is: then its topics are at fault."""
-    ends = case.says(Kind.ENDPOINTS, Observation.GONE)
-    if ends is None or case.says(Kind.PROCESS, Observation.ALIVE, Observation.BUSY):
+    ends = case.evidence(Kind.ENDPOINTS, Observation.GONE)
+    if ends is None or case.evidence(Kind.PROCESS, Observation.ALIVE, Observation.BUSY):
         return None
     sure = ends.lasted_s >= BARE_S and not case.past.starting
     return (NodeState.DEAD if sure else NodeState.UNKNOWN), Kind.ENDPOINTS
@@ -258,7 +261,7 @@ def bare_name(case: Findings) -> RuleResult:
 
 def listed(case: Findings) -> RuleResult:
     """8. Otherwise the graph decides. A silent topic alone is not evidence of death: it is a separate fault."""
-    if case.says(Kind.NAME, Observation.ALIVE) is None:
+    if case.evidence(Kind.NAME, Observation.ALIVE) is None:
         return None
     return (NodeState.DUPLICATE if case.past.twice else NodeState.ALIVE), Kind.NAME
 

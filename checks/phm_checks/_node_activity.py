@@ -12,7 +12,7 @@ from phm import api
 BEAT_S = 0.2
 """A beacon message that is this much newer than the end of something came after it: PHM sees the end immediately, or at a poll that
 may be late."""
-LOOK_S = 0.3
+POLL_S = 0.3
 """Topics are polled every 0.25 s: data that a poll finds arrived up to this much earlier."""
 TURN_S = 1.0
 """How often a beacon asks its executor to run (`phm.beacon`). An executor that was late ran that much earlier."""
@@ -33,7 +33,7 @@ def all_alive(ends: Iterable[api.EndpointFact], fact: api.RosFact) -> bool:
 
 def sign_s(node: str, fact: api.RosFact) -> float:
     """Upper bound of the time since the node's newest sign of life; infinite if it gives none."""
-    ages = [silent_s + LOOK_S for silent_s in _flows(node, fact)]
+    ages = [silent_s + POLL_S for silent_s in _flows(node, fact)]
     beacon = fact.beacons.get(node)
     if beacon is not None:
         ages.append(beacon.age_s + BEAT_S)
@@ -42,7 +42,7 @@ def sign_s(node: str, fact: api.RosFact) -> float:
 
 def turned_s(node: str, fact: api.RosFact) -> float:
     """Upper bound of the time since the node's executor last ran; infinite if unknown."""
-    ages = [silent_s + LOOK_S for silent_s in _flows(node, fact)]
+    ages = [silent_s + POLL_S for silent_s in _flows(node, fact)]
     beacon = fact.beacons.get(node)
     if beacon is not None and beacon.turns:
         ages.append(beacon.age_s + beacon.late_s + TURN_S)
@@ -55,7 +55,7 @@ def ran_s(node: str, fact: api.RosFact, now_s: float) -> float:
 
     Its own report of how late it is does not count a time in which the entire process got no CPU, so it does not prove that it ran.
     """
-    ages = [silent_s + LOOK_S for silent_s in _flows(node, fact)]
+    ages = [silent_s + POLL_S for silent_s in _flows(node, fact)]
     beacon = fact.beacons.get(node)
     if beacon is not None and beacon.ran_since is not None:
         ages.append(max(0.0, now_s - beacon.ran_since))

@@ -62,7 +62,7 @@ class KnownProcess:
     def there(self) -> bool:
         return self.ended_at == float("inf")
 
-    def look(self, now: float, process: api.ProcessFact | None) -> None:
+    def observe(self, now: float, process: api.ProcessFact | None) -> None:
         if process is None:
             self.ended_at = min(self.ended_at, now)
             return
@@ -121,7 +121,7 @@ class ProcessTable:
 
     # ------------------------------------------------------------ queries
 
-    def look(self, world: api.World, suspicions: Collection[Hashable], *, blind: bool) -> None:
+    def observe(self, world: api.World, suspicions: Collection[Hashable], *, blind: bool) -> None:
         """Query the engine if there is a reason. suspicions: a new one causes an immediate query."""
         now = world.clock.mono()
         if not self._due(now, suspicions, blind):
@@ -192,7 +192,7 @@ class ProcessTable:
                 known = self._renew(node.name, known, matched, now)
             if known is None:
                 continue
-            known.look(now, by_pid.get(known.pid))
+            known.observe(now, by_pid.get(known.pid))
 
     def _renew(self, name: str, known: KnownProcess | None, matched: Match, now: float) -> KnownProcess:
         """Assign another process to the node: it is the first in this generation, or the old one has ended, or the old match was wrong:

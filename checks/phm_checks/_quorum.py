@@ -40,7 +40,7 @@ class DeadNodes:
         self._counts: Mapping[str, int] | None = None
         self._appeared: dict[str, float] = {}
         self.reported: frozenset[str] = frozenset()
-        """The dead nodes of the last `look`."""
+        """The dead nodes of the last `observe`."""
 
     def clear(self) -> None:
         """Forget all verdicts: the consensus is unknown."""
@@ -58,7 +58,7 @@ class DeadNodes:
         """Whether the node appeared in the graph after its last heartbeat: its new process has no beacon."""
         return self._appeared.get(node, float("-inf")) > now - beacon.age_s
 
-    def look(self, agreement: Agreement, beacons: Mapping[str, api.BeaconFact], now: float) -> Sequence[Opinion]:
+    def observe(self, agreement: Agreement, beacons: Mapping[str, api.BeaconFact], now: float) -> Sequence[Opinion]:
         """Take a consensus; return the opinions on the nodes that are dead now."""
         dead = {
             _Death(item.node, beacons[item.node].birth, PHM in item.received_by): item
@@ -86,7 +86,7 @@ class ReceivedNodes:
         self._received: dict[str, str] = {}
         """The generation of each node's container when the node was received."""
 
-    def look(self, world: api.World, agreement: Agreement) -> None:
+    def observe(self, world: api.World, agreement: Agreement) -> None:
         """Take over a consensus."""
         now = world.clock.mono()
         for container in set(filter(None, self._containers.values())):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from phm import api
 from phm.api import Level
+from phm_checks._endpoint_matching import full
 from phm_checks._text import brief, clean, last, listed, span
 
 OLD_SNAPSHOT_S = 5.0
@@ -153,12 +154,7 @@ class Requirements:
 
 def snapshot(world: api.World) -> api.RosFact:
     """The newest snapshot. Raises CannotTell without a recent one."""
-    fact = world.ros.look()
+    fact = world.ros.snapshot()
     if fact.age_s > OLD_SNAPSHOT_S:
         raise api.CannotTell(f"the ROS child process has sent nothing for {span(fact.age_s)}, too old to evaluate")
     return fact
-
-
-def full(name: str) -> str:
-    """A ROS name with its first slash."""
-    return f"/{api.topic_id(name)}"

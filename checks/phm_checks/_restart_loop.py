@@ -40,7 +40,7 @@ class RestartLoop:
     def looping(self) -> bool:
         return self.by_engine >= ENGINE_RESTARTS or self.by_hand >= self._limit_by_hand or self._waited_long
 
-    def look(self, fact: api.ContainerFact, now: float) -> None:
+    def observe(self, fact: api.ContainerFact, now: float) -> None:
         """Process the container's state at `now` (monotonic seconds)."""
         if self._seen is not None:
             self._count(fact, self._seen)

@@ -24,7 +24,7 @@ class RestartTrend:
         self._generation = ""
         self._restarts: deque[float] = deque(maxlen=MOST)
 
-    def look(self, fact: api.ContainerFact, now_s: float) -> None:
+    def observe(self, fact: api.ContainerFact, now_s: float) -> None:
         """Take the container's state at `now_s` (monotonic seconds)."""
         if self._since_s is None:
             self._since_s = now_s

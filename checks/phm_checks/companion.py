@@ -21,11 +21,11 @@ class Companion(api.Check):
 
     @property
     def wakes(self) -> frozenset[str]:
-        return frozenset({"link", "myself"})
+        return frozenset({"link", "daemon"})
 
     def run(self, world: api.World) -> api.Result:
         """All problems in one summary."""
-        facts = world.myself.look()
+        facts = world.daemon.snapshot()
         bad = self._own(facts)
         values: dict[str, api.Value] = {"uptime_s": round(facts.uptime_s, 1), "ros_restarts": facts.ros_restarts}
         if not bad:

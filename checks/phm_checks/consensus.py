@@ -68,7 +68,7 @@ class Consensus(api.Check):
     def run(self, world: api.World) -> api.Result:
         now = world.clock.mono()
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell as reason:
             self._dead.clear()
             return api.stale(str(reason))
@@ -88,8 +88,8 @@ class Consensus(api.Check):
             del beacons[name]
         others = {name: receives(fact, name, self._nodes) for name in self._nodes if name not in beacons}
         agreement = agree(beacons, others, fact.age_s)
-        self._received.look(world, agreement)
-        dead = self._dead.look(agreement, beacons, now)
+        self._received.observe(world, agreement)
+        dead = self._dead.observe(agreement, beacons, now)
         result = None if dead and self._open_faults else _copied(fact, beacons)
         return replace(result or self._judge(agreement, dead, fact, beacons), votes=_votes(agreement))
 

@@ -79,8 +79,8 @@ class Container(PerContainer):
                 "missing",
             )
         now_s = world.clock.mono()
-        self._restarts.look(fact, now_s)
-        self._trend.look(fact, now_s)
+        self._restarts.observe(fact, now_s)
+        self._trend.observe(fact, now_s)
         values: dict[str, api.Value] = {"restart_count": fact.restart_count}
         if fact.running:
             return self._running(fact, {"pid": fact.pid, **values}, more_often=self._trend.rising(now_s))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._endpoint_matching import full
 from phm_checks._text import StableNumber, brief, clean, joined, last, span
 
 SETTLE_S = 2.0
@@ -47,6 +48,7 @@ class Data(api.Check):
                 target=settings.container_of_topic(topic),
                 grace_s=settings.ros.grace,
                 memory_s=(settings.ros.silence if topic.silence is None else topic.silence) + MEASURED_S,
+                node=next(map(full, topic.publishers), ""),
             )
             for topic in topics
         ]
@@ -64,7 +66,7 @@ class Data(api.Check):
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         """A result for each topic; STALE for all without data from the ROS child process."""
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell as reason:
             return {_unit(topic): api.stale(str(reason)) for topic, _ in self._topics}
         return {_unit(topic): self._judge(topic, data, fact) for topic, data in self._topics}

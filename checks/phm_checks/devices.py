@@ -87,9 +87,9 @@ class Devices(PerContainer):
     ) -> api.Result:
         path = wanted.path
         try:
-            fact = world.devices.look(path, open_it=wanted.open == "always")
+            fact = world.devices.inspect(path, open_it=wanted.open == "always")
             if fact is not None and wanted.open == "auto" and fact.character and not is_serial(fact):
-                fact = world.devices.look(path, open_it=True)
+                fact = world.devices.inspect(path, open_it=True)
         except api.CannotTell as reason:
             return api.stale(f"device {path} cannot be checked: {clean(str(reason))}")
         if container is not None:
@@ -154,7 +154,7 @@ class Devices(PerContainer):
         if host in (path, fact.path) or path.startswith(f"{host}/") or fact.path.startswith(f"{host}/"):
             return True
         try:
-            other = world.devices.look(host, open_it=False) if host.startswith("/dev/") else None
+            other = world.devices.inspect(host, open_it=False) if host.startswith("/dev/") else None
         except api.CannotTell:
             return False
         return other is not None and other.character and (other.major, other.minor) == (fact.major, fact.minor)

@@ -90,7 +90,7 @@ class Diagnostics(api.Check):
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         """A result for each unit; STALE for all without recent data from the ROS child process."""
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell as reason:
             return {item.unit: api.stale(str(reason)) for item in self._watched}
         if fact.age_s > OLD_SNAPSHOT_S:
@@ -109,6 +109,7 @@ class Diagnostics(api.Check):
             settle_s=SETTLE_S,
             grace_s=self._grace_s,
             memory_s=item.entry.timeout,
+            node=item.node,
         )
 
     def _judge(self, world: api.World, item: Watched, fact: api.RosFact) -> api.Result:

@@ -58,7 +58,7 @@ class Files(PerContainer):
         if wanted.manifest is not None:
             return self._folder(world, wanted, wanted.manifest, where)
         try:
-            fact = world.files.look(self.key, wanted.path, digest=wanted.sha256 is not None)
+            fact = world.files.inspect(self.key, wanted.path, digest=wanted.sha256 is not None)
             if fact is None and wanted.present and world.docker.container(self.key) is None:
                 return api.stale(f"{where} cannot be checked: container {self.key} does not exist")
         except api.CannotTell as reason:

@@ -23,7 +23,7 @@ class Health(PerContainer):
     def __init__(self, entry: api.ContainerSettings) -> None:
         super().__init__(entry)
         self._probed: object = None
-        self._looked_at = self._shown_from = float("-inf")
+        self._polled_at = self._shown_from = float("-inf")
 
     @classmethod
     def wanted(cls, entry: api.ContainerSettings) -> bool:
@@ -64,15 +64,15 @@ class Health(PerContainer):
 
     def _note_probe(self, fact: api.ContainerFact | None, now: float) -> float:
         """From when on the engine's newest probe shows the state of the container, at the earliest: the last UNDISTURBED_S of the
-        probe, in monotonic seconds; -inf if that is before PHM's first look.
+        probe, in monotonic seconds; -inf if that is before PHM's first observation.
 
-        A failed probe increases the streak. It ended after PHM's previous look and may have taken its entire timeout.
+        A failed probe increases the streak. It ended after PHM's previous observation and may have taken its entire timeout.
         """
         probed = None if fact is None else (fact.generation, fact.health, fact.health_streak)
         if probed != self._probed:
             timeout_s = fact.healthcheck.timeout_s if fact is not None and fact.healthcheck is not None else 0.0
-            self._probed, self._shown_from = probed, self._looked_at - min(timeout_s, UNDISTURBED_S)
-        self._looked_at = now
+            self._probed, self._shown_from = probed, self._polled_at - min(timeout_s, UNDISTURBED_S)
+        self._polled_at = now
         return self._shown_from
 
     def _none(self, values: dict[str, api.Value]) -> api.Result:

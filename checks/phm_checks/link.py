@@ -125,7 +125,7 @@ class Link(api.Check):
 
     def _there(self, world: api.World, link: api.LinkFact) -> bool:
         try:
-            return world.devices.look(self.entry.url, open_it=False) is not None
+            return world.devices.inspect(self.entry.url, open_it=False) is not None
         except api.CannotTell:
             return link.code != errno.ENOENT
 

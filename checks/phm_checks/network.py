@@ -137,7 +137,7 @@ class Network(PerContainer):
 
     def _sidecar(self, world: api.World, attached: api.Attachment, name: str, network_id: str) -> api.Result:
         """PHM and the container can reach each other. On the host's network PHM reaches every bridge network."""
-        me = world.docker.myself()
+        me = world.docker.own_container()
         beside = me is None or me.network_mode == "host" or any(one.network_id == network_id for one in me.networks)
         if not beside:
             return self._bad(

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._readiness import Requirements, Subject, full, snapshot
+from phm_checks._endpoint_matching import full
+from phm_checks._readiness import Requirements, Subject, snapshot
 from phm_checks._text import clean
 
 STARTING = frozenset({"unconfigured", "configuring"})
@@ -21,7 +22,7 @@ class _Start:
     was_ready: bool = False
     again: bool = False
 
-    def look(self, state: str, *, ready: bool) -> bool:
+    def observe(self, state: str, *, ready: bool) -> bool:
         if ready:
             self.was_ready, self.again = True, False
         elif self.was_ready and state in STARTING:
@@ -53,7 +54,10 @@ class NodeReady(api.Check):
 
     @property
     def units(self) -> Sequence[api.Unit]:
-        return [one.as_unit([f"nodes/{api.topic_id(node)}"], self._settings) for node, one in self._subjects.items()]
+        units = {
+            node: one.as_unit([f"nodes/{api.topic_id(node)}"], self._settings) for node, one in self._subjects.items()
+        }
+        return [replace(unit, node=node) for node, unit in units.items()]
 
     @property
     def wakes(self) -> frozenset[str]:
@@ -78,5 +82,5 @@ class NodeReady(api.Check):
         result = subject.result(
             found, f"Check its log, and what activates it; `ros2 lifecycle get {node}` shows the state", lifecycle=state
         )
-        starts = self._starts[node].look(state, ready=result.level is Level.OK)
+        starts = self._starts[node].observe(state, ready=result.level is Level.OK)
         return replace(result, settle_s=subject.ready.within) if starts and result.level.bad else result

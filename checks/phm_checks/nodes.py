@@ -8,7 +8,7 @@ from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
 from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
-from phm_checks._liveness import Evidence, Kind, NodeHistory, NodeState, NodeVerdict, Observation, fuse
+from phm_checks._liveness import Evidence, Kind, NodeHistory, NodeState, NodeVerdict, Observation, judge_node
 from phm_checks._process_matching import Wanted, wanted_nodes
 from phm_checks._process_table import NEVER, ProcessTable
 from phm_checks._text import brief, did_you_mean, last, span
@@ -71,7 +71,7 @@ class _Node:
             contained=bool(self.wanted.container),
             unlisted=unlisted,
         )
-        judgement = fuse(evidence, past)
+        judgement = judge_node(evidence, past)
         self.state = judgement.state
         return judgement
 
@@ -126,6 +126,7 @@ class Nodes(api.Check):
                 needs=(f"container/{key}", f"network/{key}") if key else (),
                 target=key,
                 grace_s=self._grace_s,
+                node=node.wanted.name,
             )
             for node in self._nodes
             for key in (node.wanted.container,)
@@ -145,7 +146,7 @@ class Nodes(api.Check):
                 break  # each call to a hung engine takes its full deadline: the next run asks for the other containers
             own = [node for node in self._nodes if node.wanted.container == table.key]
             suspicions = set().union(*(node.suspicions for node in own))
-            table.look(world, suspicions, blind=any(node.graph.blind for node in own))
+            table.observe(world, suspicions, blind=any(node.graph.blind for node in own))
         now = world.clock.mono()
         evidence = {node.wanted.name: self._evidence(node, signs[node.wanted.name], now) for node in self._nodes}
         cut_off = self._cut_off(evidence)
@@ -169,7 +170,7 @@ class Nodes(api.Check):
 
     def _from_graph(self, node: _Node, fact: api.RosFact | None, now: float) -> list[Evidence]:
         table, name = self._tables.get(node.wanted.container), node.wanted.name
-        found = node.graph.look(fact, now, table.began_at(name) if table is not None else NEVER)
+        found = node.graph.observe(fact, now, table.began_at(name) if table is not None else NEVER)
         if table is not None:
             table.forget(name, node.graph.appeared_at)
         return found
@@ -317,7 +318,7 @@ def _network_result(
 def _snapshot(world: api.World) -> tuple[api.RosFact | None, str]:
     """The newest graph snapshot, or None and the reason why there is no usable one."""
     try:
-        fact = world.ros.look()
+        fact = world.ros.snapshot()
     except api.CannotTell as reason:
         return None, str(reason)
     if fact.age_s > OLD_SNAPSHOT_S:

@@ -97,7 +97,7 @@ class CommandPath(api.Check):
             *(hop(radios[one.key], self._radio[one.key].run(world), [self._name(one)]) for one in self._radios),
             *(self._link(world, entry) for entry in self._ground),
             Hop("companion", HopState.OK),
-            *([self._application.look(world)] if self._application.exists else []),
+            *([self._application.evaluate(world)] if self._application.exists else []),
             *(self._link(world, entry) for entry in beyond),
             hop("autopilot", self._autopilot.run(world), [self._name(entry) for entry in self._flight]),
         ]

@@ -46,7 +46,7 @@ class Peers(api.Check):
         return frozenset({"swarm"})
 
     def run(self, world: api.World) -> Mapping[str, api.Result]:
-        fact = world.swarm.look()
+        fact = world.swarm.snapshot()
         results = {_unit(agent): _agent(agent, fact) for agent in self._agents}
         return {SWARM: self._swarm(fact), **results}
 

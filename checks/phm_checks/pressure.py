@@ -23,7 +23,7 @@ KILL_REPORT_S = 10.0
 """A process killed for lack of memory shows in one reading; it is reported for this long so that operators see it."""
 NEAR_LIMIT = 0.9
 """A container that uses less than this share of its memory limit waits for another reason."""
-LOOK_FROM = 0.5
+SEARCH_FROM = 0.5
 """From this share of the waiting limit on, the top CPU consumer is determined: that takes two readings."""
 
 
@@ -186,7 +186,7 @@ class Pressure(PerContainer):
         if soon is None or used is None or limit is None:
             self._grower.forget()
             return None
-        by = self._grower.look(world, used, soon.slope)
+        by = self._grower.observe(world, used, soon.slope)
         words = (
             f"{self.key} uses {_size(used)} and reaches its memory limit of {_size(limit)} {self._growing.words(soon)}, growing "
             f"by {_size(round(soon.slope * 60))} a minute{f', most of it {by.words}' if by else ''}: find the leak, or raise the "
@@ -229,7 +229,7 @@ class Pressure(PerContainer):
     def _judge_waiting(self, world: api.World, over: PressureDelta, newest: PressureDelta) -> api.Result | None:
         level = self._waiting.level(over.waiting, newest.waiting)
         by = None
-        if newest.waiting is not None and newest.waiting >= LOOK_FROM * self._limits.waiting.warn:
+        if newest.waiting is not None and newest.waiting >= SEARCH_FROM * self._limits.waiting.warn:
             by = top_consumer(world, self.key)
         if level is Level.OK or over.waiting is None:
             self._steady.forget("waiting")

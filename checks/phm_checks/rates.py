@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._endpoint_matching import full
 from phm_checks._environment_advice import advice
 from phm_checks._limit_forecast import LimitForecast
 from phm_checks._node_activity import FRESH_S, ran_s, turned_s
@@ -94,6 +95,7 @@ class Rates(api.Check):
                 settle_s=SETTLE_S,
                 grace_s=settings.ros.grace,
                 memory_s=_limit_s(topic, settings.ros.silence) + MEASURED_S,
+                node=next(map(full, topic.publishers), ""),
             )
             for topic in topics
         ]
@@ -110,7 +112,7 @@ class Rates(api.Check):
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         """A result for each topic; STALE for all without data from the ROS child process."""
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell as reason:
             return {_unit(topic): api.stale(str(reason)) for topic in self._topics}
         results = {}

@@ -14,6 +14,7 @@ from phm_checks._endpoint_matching import (
     all_ends,
     full,
     level_of,
+    mismatch_text,
     named_sides,
     needed,
     needed_end,
@@ -22,7 +23,6 @@ from phm_checks._endpoint_matching import (
     same_type,
     sides,
     some,
-    unfit,
     who,
 )
 from phm_checks._graph_gaps import GraphGaps
@@ -82,7 +82,14 @@ class Topics(api.Check):
             # A lifecycle node may have endpoints, and publish, only while it is active.
             needs += [f"node_ready/{node}" for node in nodes if node in lifecycle]
             units.append(
-                api.Unit(_unit(topic), needs=tuple(needs), target=key, settle_s=SETTLE_S, grace_s=settings.ros.grace)
+                api.Unit(
+                    _unit(topic),
+                    needs=tuple(needs),
+                    target=key,
+                    settle_s=SETTLE_S,
+                    grace_s=settings.ros.grace,
+                    node=next(map(full, topic.publishers), ""),
+                )
             )
         named = {full(node) for topic in topics for node in (*topic.publishers, *topic.subscribers)}
         homes = {node: settings.container_of_node(node) for node in named}
@@ -99,7 +106,7 @@ class Topics(api.Check):
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         """A result for each topic; STALE for all without a recent graph snapshot."""
         try:
-            fact = world.ros.look()
+            fact = world.ros.snapshot()
         except api.CannotTell as reason:
             return {_unit(topic): api.stale(str(reason)) for topic in self._topics}
         if fact.age_s > OLD_SNAPSHOT_S:
@@ -121,7 +128,7 @@ class Topics(api.Check):
                     f"not seen yet, PHM has observed the graph for only {span(fact.up_s)}: {missing.summary}"
                 )
             before = self._mismatches.get(topic.name)
-            return before if before is not None and self._ends.young(full(topic.name), now) else missing
+            return before if before is not None and self._ends.being_recreated(full(topic.name), now) else missing
         self._mismatches.pop(topic.name, None)
         found = [*self._audit(topic, seen), *self._unfed(topic, seen, fact, now)]
         if found:
@@ -278,7 +285,7 @@ class Topics(api.Check):
         if not found:
             return None
         configured = [entry for entry in found if needed(topic, seen, entry[0])]
-        words = [unfit(seen, pair, mismatch) for pair, wrong in configured or found for mismatch in wrong]
+        words = [mismatch_text(seen, pair, mismatch) for pair, wrong in configured or found for mismatch in wrong]
         return self._bad(
             topic,
             seen,

@@ -61,5 +61,5 @@ class UnexpectedDevices(api.Check):
 
     def _real_paths(self, world: api.World) -> set[str]:
         """Paths of the configured devices, also those behind links such as /dev/serial/by-id/..."""
-        looks = (world.devices.look(path, open_it=False) for path in self._configured)
+        looks = (world.devices.inspect(path, open_it=False) for path in self._configured)
         return {*self._configured, *(fact.path for fact in looks if fact is not None)}

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     help="File with the agent's `delivery.key`.",
 )
 @click.option("--base", type=click.Path(dir_okay=False), help="The configuration that FILE was made from.")
-@click.option("--any", "whatever", is_flag=True, help="Replace the agent's configuration, whatever it is now.")
+@click.option("--any", "whatever", is_flag=True, help="Replace the agent's configuration without comparing it.")
 @json_option
 @click.pass_context
 def command(

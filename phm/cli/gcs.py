@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from phm.gcs.station import GroundStation
 
 ONCE_S = 5.0
-LOOK_S = 0.2
+POLL_S = 0.2
 
 
 def _agents(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[int, ...]:
@@ -219,7 +219,7 @@ def _patient(stop: threading.Event) -> Callable[[str], None]:
         # Windows cannot ask whether output is read.
         with suppress(OSError, ValueError):  # not a file: tests of the command line
             while (
-                sys.platform != "win32" and not select.select([], [sys.stdout], [], 0.0 if stop.is_set() else LOOK_S)[1]
+                sys.platform != "win32" and not select.select([], [sys.stdout], [], 0.0 if stop.is_set() else POLL_S)[1]
             ):
                 if stop.is_set():
                     return
@@ -256,7 +256,7 @@ def _ending() -> Iterator[threading.Event]:
 
     def follow(signals: Signals) -> None:
         while not over.is_set():
-            if signals.wait(LOOK_S):
+            if signals.wait(POLL_S):
                 stop.set()
 
     with Signals(signal.SIGTERM, signal.SIGINT, handler=end) as signals:
@@ -266,4 +266,4 @@ def _ending() -> Iterator[threading.Event]:
             yield stop
         finally:
             over.set()
-            threads.join(thread, 2 * LOOK_S)
+            threads.join(thread, 2 * POLL_S)

@@ -23,7 +23,7 @@ FOUND_S = 10.0
 ADVICE_S = 8.0
 """An agent sends its full state to a new ground station within this time."""
 AFTER_S = 2.0
-LOOK_S = 0.1
+POLL_S = 0.1
 _AGENT = re.compile(r"[Aa]?0*([1-9][0-9]{0,2})")
 _FAULT = re.compile(r"(?:#|\S+-)?([0-9]{1,9})")
 
@@ -194,7 +194,7 @@ class _Client:
             self._take()
 
     def _take(self, exchange: Exchange | None = None) -> None:
-        for item in self._queue.take(LOOK_S):
+        for item in self._queue.take(POLL_S):
             body = item.event.body
             if exchange is not None:
                 exchange.receive(item.event, self._clock.mono())

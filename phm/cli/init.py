@@ -57,7 +57,7 @@ def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, 
 
     engine = DockerEngine(socket, ENGINE_S)
     try:
-        machine = discovery.look(engine, Path(os.environ.get("PHM_DEV_ROOT", "/dev")))
+        machine = discovery.inspect_machine(engine, Path(os.environ.get("PHM_DEV_ROOT", "/dev")))
     except CannotTell as error:
         _fail(_remedy(socket) or str(error))
     _show(machine)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from phm.logs.line_filter import LineFilter, TakeOff
     from phm.logs.reader import LogReader
 
-LOOK_S = 0.25
+POLL_S = 0.25
 TAKE_OFF = "take-off"
 KINDS = (
     *("ACTION", "BYPASS", "COMMAND", "DOCKER", "ESCALATED", "FAILURE", "FLIGHT", "HOLD"),
@@ -90,7 +90,7 @@ class WithTasks(click.Command):
 @click.argument("paths", metavar="[PATH]...", nargs=-1, type=click.Path(path_type=Path))
 @config_option
 @click.option("-f", "--follow", is_flag=True, help="Show new lines as they are written, until Ctrl-C.")
-@click.option("--unit", "units", metavar="GLOB", multiple=True, help="Only units like this, e.g. 'nodes*'; repeatable.")
+@click.option("--unit", "units", metavar="GLOB", multiple=True, help="Only matching units, e.g. 'nodes*'; repeatable.")
 @click.option(
     "--kind",
     "kinds",
@@ -148,7 +148,7 @@ def command(
     try:
         count = _print(logs, gates, criteria, show, follow=follow)
         while follow:
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
             _print(logs, gates, criteria, show, follow=True)
     except KeyboardInterrupt:
         return

@@ -62,7 +62,7 @@ def bundle(file: Path, config: str | None, run_dir: str, timeout_s: float) -> No
 
     deadline = Deadline(timeout_s)
     known = _Known(_doctor_context(config, deadline), run_dir, Secrets(), deadline)
-    known.look(config)
+    known.learn(config)
     try:
         done = made.write(file, known.fill, known.secrets, deadline)
     except OSError as error:
@@ -95,7 +95,7 @@ class _Known:
     containers: dict[str, tuple[str, Any]] = field(default_factory=dict)
     missing: list[tuple[str, str]] = field(default_factory=list)
 
-    def look(self, config: str | None) -> None:
+    def learn(self, config: str | None) -> None:
         settings = self.doctor_context.settings
         self.secrets.learn_environment((f"{name}={value}" for name, value in os.environ.items()), "environment")
         for url in settings.notify.urls:

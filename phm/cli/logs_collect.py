@@ -66,7 +66,7 @@ class _Engine(click.ParamType):  # type: ignore[type-arg]
     "computer's, unless a PATH is given]",
 )
 @click.option(
-    "--container", "patterns", metavar="GLOB", multiple=True, help="Only containers with such a name; repeatable."
+    "--container", "patterns", metavar="GLOB", multiple=True, help="Only containers with a matching name; repeatable."
 )
 @click.option("--path", "place", default="/var/log/phm", show_default=True, help="Folder of the log in the containers.")
 @json_option
@@ -126,7 +126,7 @@ def _run(
         return [collection.take(source, bar) for source in result.found]
 
     def of_engine(url: str) -> list[CollectedLogs]:
-        engine = DockerEngine(url, log_sources.LOOK_S)
+        engine = DockerEngine(url, log_sources.ANSWER_S)
         opened.append(engine)
         try:
             return copied(log_sources.of_engine(engine, place, patterns))
@@ -173,7 +173,7 @@ class _Bar:
             self._total += count
             self._shown.update(self._task, total=self._total)
 
-    def got(self, count: int) -> None:
+    def advance(self, count: int) -> None:
         self._shown.advance(self._task, count)
 
 

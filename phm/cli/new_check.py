@@ -18,7 +18,7 @@ import click
     "parent",
     type=click.Path(file_okay=False, path_type=Path),
     default=".",
-    help="Folder in which the folder NAME is made.  [default: the current one]",
+    help="Parent of the new folder NAME.  [default: the current one]",
 )
 @click.option(
     "--slot",

@@ -47,10 +47,10 @@ def command(config: str | None) -> None:
     except AlreadyRunning as error:
         click.echo(f"phm run: {error}", err=True)
         code = os.EX_TEMPFAIL
-    leave(code)
+    end_process(code)
 
 
-def leave(code: int) -> NoReturn:
+def end_process(code: int) -> NoReturn:
     """Exit without the interpreter's finalization: a thread that is still inside a library (Zenoh closing a session on a busy
     machine) would abort it with SIGABRT."""
     logging.shutdown()

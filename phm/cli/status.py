@@ -44,7 +44,7 @@ def command(
     if watch:
         _watch(run_dir)
         return
-    document, problem = _look(run_dir, shown=not healthy)
+    document, problem = _read(run_dir, shown=not healthy)
     if healthy:
         click.echo(problem or f"PHM is healthy: monitoring {len(document.get('checks', ()))} units.", err=bool(problem))
     elif as_json:
@@ -58,7 +58,7 @@ def command(
     ctx.exit(1 if problem else 0)
 
 
-def _look(run_dir: str, *, shown: bool = True) -> tuple[dict[str, Any], str]:
+def _read(run_dir: str, *, shown: bool = True) -> tuple[dict[str, Any], str]:
     """The status, empty when there is none, and why the daemon is not healthy, else empty. shown: the complete status is needed."""
     try:
         document = _complete(run_dir) if shown else status_file.read(run_dir)
@@ -78,7 +78,7 @@ def _watch(run_dir: str) -> None:
     from phm.cli import terminal
 
     try:
-        terminal.watch(lambda: _look(run_dir))
+        terminal.watch(lambda: _read(run_dir))
     except KeyboardInterrupt:
         return
 
@@ -98,7 +98,7 @@ def _serve(run_dir: str, where: tuple[str, int], access: dict[str, Any]) -> None
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda _number, _frame: ended.set())
-    page = web_options.listening("--web", where, lambda: AgentPage(lambda: _look(run_dir), options, SystemClock()))
+    page = web_options.listening("--web", where, lambda: AgentPage(lambda: _read(run_dir), options, SystemClock()))
     try:
         page.start()
         click.echo(f"page at {page.url}", err=True)

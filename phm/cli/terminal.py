@@ -37,17 +37,17 @@ def status(document: Json, problem: str) -> None:
     console().print(_status(document, problem))
 
 
-def watch(look: Callable[[], tuple[Json, str]]) -> None:
+def watch(read: Callable[[], tuple[Json, str]]) -> None:
     """Show the status every second until interrupted: in place on a terminal, else one after another."""
     target = console()
     if not target.is_terminal:
         while True:
-            target.print(_seen(*look()))
+            target.print(_seen(*read()))
             time.sleep(1)
-    with Live(_seen(*look()), console=target, screen=True, auto_refresh=False) as live:
+    with Live(_seen(*read()), console=target, screen=True, auto_refresh=False) as live:
         while True:
             time.sleep(1)
-            live.update(_seen(*look()), refresh=True)
+            live.update(_seen(*read()), refresh=True)
 
 
 def checks(rows: Sequence[Json]) -> None:

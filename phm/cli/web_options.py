@@ -41,7 +41,7 @@ def web_options(what: str) -> Callable[[F], F]:
         click.option(
             "--token-file",
             type=path,
-            help="Ask for a token: a file with 'view: TOKEN' and 'operate: TOKEN'. Needed beyond this machine.",
+            help="Ask for a token: a file with 'view: TOKEN' and 'operate: TOKEN'. Required unless only this machine can connect.",
         ),
         click.option("--tls-cert", type=path, help="Certificate chain of the page (PEM), with --tls-key."),
         click.option("--tls-key", type=path, help="Private key of the page (PEM), with --tls-cert."),

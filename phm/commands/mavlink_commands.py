@@ -138,13 +138,13 @@ class MavlinkCommands:
         while not self._stop.is_set():
             self._wake.clear()
             try:
-                wait_s = self.turn()
+                wait_s = self.tick()
             except Exception:  # one command must not keep the others from an answer
                 logger.exception("handling a command failed")
                 wait_s = IDLE_S
             self._clock.wait(self._wake, wait_s)
 
-    def turn(self) -> float:
+    def tick(self) -> float:
         """Answer the queued commands and send the messages that are due; seconds until the next is due."""
         while not self._stop.is_set():
             waiting = self._waiting[True].next() or self._waiting[False].next()

@@ -258,6 +258,7 @@ class Fault:
                       seconds; 0: none did since PHM started.
     generation:       the run of the target container in which the fault opened, as a check saw it last
                       (`phm.facts.ContainerFact.generation`). Empty if none is known or PHM was restarted since.
+    node:             the ROS node that the unit declares (`phm.api.Unit.node`), or empty.
     confirmed_s:      from the start of the first run that found the error until the fault opened; None: not known.
     """
 
@@ -278,6 +279,7 @@ class Fault:
     start_seen: bool = False
     pause_s: float = 0.0
     generation: str = ""
+    node: str = ""
     confirmed_s: float | None = None
 
 

@@ -48,7 +48,7 @@ class SchedulingDelay:
         with self._lock:
             self._due = due
 
-    def came(self, now: float) -> None:
+    def record_run(self, now: float) -> None:
         """Record that the measuring thread runs now."""
         with self._lock:
             self._notice(now)
@@ -89,7 +89,7 @@ class ProcessStallMeter:
         self._folder = f"{proc}/{pid}"
         self._last: tuple[float, float, float] | None = None
 
-    def turn(self, now: float) -> float:
+    def measure(self, now: float) -> float:
         """Seconds since the last call in which it was kept from running: it waited for a core, or still does, or for a
         disk. Sleeping or computing does not count. 0 in the first call, and if the kernel does not count."""
         before, self._last = self._last, self._read(now)
@@ -133,4 +133,4 @@ class DelayMonitor:
         while not self._stopping.is_set():
             self._lateness.expect(self._mono() + PERIOD_S)
             self._stopping.wait(PERIOD_S)
-            self._lateness.came(self._mono())
+            self._lateness.record_run(self._mono())

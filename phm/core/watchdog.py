@@ -21,12 +21,12 @@ import sys
 import time
 from collections.abc import Callable
 
-LOOK_S = 1.0
+POLL_S = 1.0
 GLANCES = 4
 """Checks of the daemon's process state per check of its heartbeat. Each costs 0.1 to 0.2 ms, mostly for waking up."""
-STOPPED_LOOKS = 2
+STOPPED_POLLS = 2
 """State checks in a row that find it stopped (0.25 to 0.5 s): a short stop and continue is ignored."""
-SILENT_LOOKS = 12
+SILENT_POLLS = 12
 """Heartbeat checks without a heartbeat until the daemon is killed. A starved daemon is late, but not by this much."""
 SWITCH = "PHM_WATCHDOG"
 """`off` in the environment disables the watchdog, for those who stop PHM intentionally."""
@@ -59,20 +59,20 @@ class DaemonWatchdog:
         os.set_blocking(process.stdout.fileno(), False)
         self._process = process
 
-    def revive(self) -> None:
+    def start_again(self) -> None:
         """Start it again if it could not be started or has died."""
         if self.problem and self._process is None:
             self.problem = ""
             self.start()
 
     def heartbeat(self) -> bool:
-        """Send a heartbeat, at most twice per LOOK_S. Never blocks. True if the watchdog has resumed PHM since the last call."""
+        """Send a heartbeat, at most twice per POLL_S. Never blocks. True if the watchdog has resumed PHM since the last call."""
         process, now = self._process, time.monotonic()
         if process is None:
             return False
         assert process.stdin is not None and process.stdout is not None
         try:
-            if now - self._wrote_at >= LOOK_S / 2:
+            if now - self._wrote_at >= POLL_S / 2:
                 self._wrote_at = now
                 process.stdin.write(b".")  # None while the watchdog is suspended; it counts its own checks
             return bool(process.stdout.read(256))
@@ -91,7 +91,7 @@ class DaemonWatchdog:
             with contextlib.suppress(OSError):
                 stream.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(2 * LOOK_S)
+            process.wait(2 * POLL_S)
 
 
 def state_in(stat: int) -> str:
@@ -107,7 +107,7 @@ def watch(
     pipe: int,
     pid: int,
     kill: Callable[[int, int], None] = os.kill,
-    look_s: float = LOOK_S,
+    poll_s: float = POLL_S,
     *,
     on_resume: Callable[[], None] = lambda: None,
     left_alone: str = "t",
@@ -121,10 +121,10 @@ def watch(
     end.register(pipe, 0)  # only the end of the pipe wakes it; heartbeats are counted at the next check
     silent = stopped = glances = 0
     with contextlib.suppress(FileNotFoundError), open(f"/proc/{pid}/stat", "rb", buffering=0) as stat:
-        while not end.poll(1000 * look_s / GLANCES):
+        while not end.poll(1000 * poll_s / GLANCES):
             state = state_in(stat.fileno())
             stopped = stopped + 1 if state == "T" and state not in left_alone else 0
-            if stopped >= STOPPED_LOOKS:
+            if stopped >= STOPPED_POLLS:
                 _say(f"PHM (process {pid}) was stopped by a signal; resuming it")
                 on_resume()
                 kill(pid, signal.SIGCONT)
@@ -136,9 +136,9 @@ def watch(
                 silent = 0
             elif state not in tuple(left_alone):
                 silent += 1
-            if silent >= SILENT_LOOKS:
+            if silent >= SILENT_POLLS:
                 _say(
-                    f"PHM (process {pid}) has been unresponsive for {silent * look_s:.0f} s; killing it so that it restarts"
+                    f"PHM (process {pid}) has been unresponsive for {silent * poll_s:.0f} s; killing it so that it restarts"
                 )
                 kill(pid, signal.SIGKILL)
                 return

@@ -54,7 +54,7 @@ class DoctorContext:
         with self._lock:
             if self._machine is None:
                 try:
-                    self._machine = discovery.look(self.engine, self.dev, self.proc)
+                    self._machine = discovery.inspect_machine(self.engine, self.dev, self.proc)
                 except CannotTell as error:
                     self._machine = error
         if isinstance(self._machine, CannotTell):

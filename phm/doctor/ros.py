@@ -64,14 +64,14 @@ def _own(context: DoctorContext) -> list[RosEnvironment]:
     settings, environ = context.settings.ros, context.environ
     try:
         sidecars = [one for one in context.machine().sidecars if one.running]
-        myself = context.own_container() if context.in_container else None
+        container = context.own_container() if context.in_container else None
     except CannotTell:
-        sidecars, myself = [], None
+        sidecars, container = [], None
     if not context.in_container and sidecars:
         return [replace(of_container(one, (), context.proc), name="PHM") for one in sidecars]
-    own = of_phm(settings, environ, myself)
+    own = of_phm(settings, environ, container)
     # In a container that the engine does not know, namespaces cannot be compared.
-    unknown = context.in_container and myself is None
+    unknown = context.in_container and container is None
     return [replace(own, network_namespace="", ipc_namespace="") if unknown else own]
 
 

@@ -92,7 +92,7 @@ class World:
     ros: RosProbe
     links: LinkProbe
     swarm: SwarmProbe
-    myself: SelfProbe
+    daemon: SelfProbe
     pressure: PressureProbe
     environment: EnvironmentProbe
     sockets: SocketProbe

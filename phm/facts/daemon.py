@@ -31,5 +31,5 @@ class SelfFact:
 class SelfProbe(Protocol):
     """Reads the state of PHM itself."""
 
-    def look(self) -> SelfFact:
+    def snapshot(self) -> SelfFact:
         """Return the present state."""

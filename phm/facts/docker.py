@@ -180,7 +180,7 @@ class DockerProbe(Protocol):
         container is not running, or if the engine does not answer within a second.
         """
 
-    def myself(self) -> ContainerFact | None:
+    def own_container(self) -> ContainerFact | None:
         """Return PHM's own container; None if PHM does not run in a container."""
 
     def others(self) -> tuple[OtherContainer, ...]:

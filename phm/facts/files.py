@@ -45,7 +45,7 @@ class TreeFact:
 class FileProbe(Protocol):
     """Reads configured files inside of containers, and compares folders with their manifests."""
 
-    def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
+    def inspect(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         """Return the file at `path` inside the container, or None if it does not exist.
 
         Reads a volume mounted into PHM if one contains the path, else asks the engine. With `digest`
@@ -84,7 +84,7 @@ MAX_MATCHES = 100
 class DeviceProbe(Protocol):
     """Reads the host's device files."""
 
-    def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
+    def inspect(self, path: str, *, open_it: bool) -> DeviceFact | None:
         """Return the host's device at `path`, or None if it does not exist.
 
         If `open_it` is false, only the permission bits are checked: opening an idle serial port raises

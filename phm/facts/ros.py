@@ -285,5 +285,5 @@ class RosFact:
 class RosProbe(Protocol):
     """Reads the ROS graph through the ROS child."""
 
-    def look(self) -> RosFact:
+    def snapshot(self) -> RosFact:
         """Return the newest snapshot. Raises CannotTell if rclpy is missing, or the child is being replaced or is silent."""

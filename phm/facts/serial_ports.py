@@ -23,7 +23,7 @@ class SerialFact:
 class SerialProbe(Protocol):
     """Reads serial ports."""
 
-    def look(self, path: str, *, baud: int, line: str) -> SerialFact:
+    def inspect(self, path: str, *, baud: int, line: str) -> SerialFact:
         """Return what arrived on the host's `path`. The first call opens it; it is read until PHM ends.
 
         line: a pattern with `*` and `?`; empty: lines are not compared. Raises CannotTell if too many ports are read.

@@ -61,5 +61,5 @@ class SwarmFact:
 class SwarmProbe(Protocol):
     """Reads what this agent and its peers know about the swarm."""
 
-    def look(self) -> SwarmFact:
+    def snapshot(self) -> SwarmFact:
         """Never fails: unknown values are marked as unknown."""

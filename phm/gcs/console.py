@@ -14,7 +14,7 @@ from phm.gcs.events import describe_with_time
 from phm.gcs.station import GroundStation
 from phm.gcs.subscriber_queue import SubscriberQueue
 
-LOOK_S = 0.2
+POLL_S = 0.2
 NOT_OK = frozenset(("ERROR", "LOST", "UNKNOWN"))
 
 Print = Callable[[str], None]
@@ -37,7 +37,7 @@ class ConsoleView:
     def lines(self, stop: threading.Event, end: float | None, *, as_json: bool) -> None:
         """Print a line for each event until `stop` is set, or the clock is at `end`."""
         while not self._over(stop, end):
-            self.rest(LOOK_S, as_json=as_json)
+            self.rest(POLL_S, as_json=as_json)
             self._warn_once()
 
     def rest(self, timeout_s: float, *, as_json: bool) -> None:

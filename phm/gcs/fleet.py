@@ -122,7 +122,7 @@ class Fleet:
         while len(self.radios) > MAX_RADIOS:
             self.radios.popitem(last=False)
 
-    def look(self, now: float) -> FleetSnapshot:
+    def snapshot(self, now: float) -> FleetSnapshot:
         return FleetSnapshot(self, now)
 
     def _stays(self, agent: Agent, now: float) -> bool:

@@ -91,9 +91,9 @@ class FleetState:
                 )
         for agent in self.fleet.agents.values():
             found += self._presence(agent, at)
-        look = self.fleet.look(at.mono)
+        current = self.fleet.snapshot(at.mono)
         for agent in self.fleet.agents.values():
-            hop = look.hop(agent)
+            hop = current.hop(agent)
             # The evidence counts seconds of silence: those are not events.
             key = None if hop is None else (hop.name, hop.certain)
             if key != agent.hop:

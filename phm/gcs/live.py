@@ -56,7 +56,7 @@ class LiveView:
         ):
             while not stop.is_set() and (end is None or self._clock.mono() < end):
                 keys = keyboard.read(REDRAW_S)
-                if self.turn(keys):
+                if self.handle_keys(keys):
                     return
                 if self.events():
                     console.bell()
@@ -77,7 +77,7 @@ class LiveView:
                 self._answers.append((now, exchange.answer()))
         return rings
 
-    def turn(self, keys: list[str]) -> bool:
+    def handle_keys(self, keys: list[str]) -> bool:
         """Handle the keys; whether the program is to end."""
         for key in keys:
             if key == "q":

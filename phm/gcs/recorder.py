@@ -22,7 +22,7 @@ from phm.reporters.rotating_file import RotatingFile
 MAX_SIZE, FILES = 20_000_000, 5
 """Bytes of a file, and number of rotated files: 120 MB in all."""
 SNAPSHOT_S = 60.0
-LOOK_S = 0.5
+POLL_S = 0.5
 MAX_WAITING = 20_000
 """Frames that wait for the recorder: of 300 agents those of several seconds."""
 CLOSE_LIMIT_S = 3.0
@@ -63,7 +63,7 @@ class Recorder:
         last = False
         while not last:
             last = self._stop.is_set()
-            for item in self._queue.take(0.0 if last else LOOK_S):
+            for item in self._queue.take(0.0 if last else POLL_S):
                 self._lines.write(item.line)
             if (received := self._station.received()) is not None:
                 self._lines.write(self._station.line(*received))

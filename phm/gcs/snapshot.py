@@ -111,14 +111,14 @@ def fleet_json(
     fleet: Fleet, at: Stamp, *, moments: bool = False, only: Collection[int] | None = None
 ) -> dict[str, Any]:
     """The state of all agents at one moment. moments: see Times. only: ids of the agents to include; None: all."""
-    look, times = fleet.look(at.mono), Times(at.mono, moments)
+    current, times = fleet.snapshot(at.mono), Times(at.mono, moments)
     agents = sorted(fleet.agents.values(), key=lambda agent: (agent.system, agent.component))
     return {
-        "agents": [_agent(fleet, look, agent, times) for agent in agents if only is None or agent.system in only],
+        "agents": [_agent(fleet, current, agent, times) for agent in agents if only is None or agent.system in only],
         "autopilots": {
             str(system): autopilot_fields(found, at.mono, times) for system, found in sorted(fleet.autopilots.items())
         },
-        "stations": [{"system": system, "component": component} for system, component in look.stations()],
+        "stations": [{"system": system, "component": component} for system, component in current.stations()],
         "radios": [
             {"link": link, **times.of(received), **{key: getattr(said, key) for key in _RADIO}}
             for link, (received, said) in fleet.radios.items()
@@ -133,9 +133,9 @@ def seconds(value: float | None) -> float | None:
     return None if value is None else round(value, 1)
 
 
-def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, times: Times) -> dict[str, Any]:
-    now, state = times.now, look.state(agent)
-    received_by, not_received_by = look.received_by(agent)
+def _agent(fleet: Fleet, current: FleetSnapshot, agent: Agent, times: Times) -> dict[str, Any]:
+    now, state = times.now, current.state(agent)
+    received_by, not_received_by = current.received_by(agent)
     said = fleet.swarm.digest
     level = said.levels.get(agent.system) if said is not None else None
     autopilot = fleet.autopilots.get(agent.system)
@@ -152,7 +152,7 @@ def _agent(fleet: Fleet, look: FleetSnapshot, agent: Agent, times: Times) -> dic
         "state": state_name(agent.state) or None,
         "slots": slots(agent.current) if state.there else {},
         "last_slots": slots(agent.levels),
-        "hop": hop(look.hop(agent)),
+        "hop": hop(current.hop(agent)),
         "line": _line(agent, times),
         "bad": _bad(agent, times) if state.there else [],
         "advice": _advice(agent, times) if state.there else [],

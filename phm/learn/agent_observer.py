@@ -101,7 +101,7 @@ class AgentObserver:
             self.clock.wait(tick, _TURN_S)
             for part in (ros, pilot):
                 if part is not None:
-                    part.turn()
+                    part.tick()
 
     def _observations(
         self,
@@ -148,7 +148,7 @@ class AgentObserver:
 
     def _running(self, engine: DockerEngine) -> list[str]:
         """Names of the running containers without PHM's own and other containers that run PHM."""
-        me = Docker(engine, (), self.settings.docker, self.clock).myself()
+        me = Docker(engine, (), self.settings.docker, self.clock).own_container()
         answers = [engine.inspect(str(one.get("Id"))) for one in engine.list() if one.get("State") == "running"]
         facts = [container_fact(answer) for answer in answers if not _runs_phm(answer)]
         return sorted(fact.name for fact in facts if me is None or fact.id != me.id)
@@ -182,7 +182,7 @@ class AgentObserver:
         found = []
         for mapping in fact.devices:
             try:
-                if devices.look(mapping.host_path, open_it=False) is None:
+                if devices.inspect(mapping.host_path, open_it=False) is None:
                     found.append(mapping.host_path)
             except CannotTell:
                 found.append(mapping.host_path)

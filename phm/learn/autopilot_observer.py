@@ -45,7 +45,7 @@ class AutopilotObserver:
         if self._hub is not None:
             self._hub.start()
 
-    def turn(self) -> None:
+    def tick(self) -> None:
         """Nothing to do: frames arrive in the endpoints' threads."""
 
     def into(self, seen: Observations) -> Observations:

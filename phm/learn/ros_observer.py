@@ -37,7 +37,7 @@ class _Samples:
 
 
 class RosObserver:
-    """Call `discover`, then `turn` a few times a second, then `into`."""
+    """Call `discover`, then `tick` a few times a second, then `into`."""
 
     def __init__(self, settings: RosSettings, agent: str, clock: Clock) -> None:
         """agent: its name."""
@@ -62,14 +62,14 @@ class RosObserver:
         self._start(topics, sorted(self._nodes))
         self._first()
 
-    def turn(self) -> None:
+    def tick(self) -> None:
         """Read the newest picture, once a second."""
         now_s = self._clock.mono()
         if self._probe is None or now_s < self._next_s:
             return
         self._next_s = now_s + 1.0
         try:
-            fact = self._probe.look()
+            fact = self._probe.snapshot()
         except CannotTell as reason:
             self._problem(f"ROS was not watched all the time: {reason}")
             return
@@ -141,7 +141,7 @@ class RosObserver:
         while (now_s := self._clock.mono()) < began_s + DISCOVERY_S:
             try:
                 assert self._probe is not None
-                fact = self._probe.look()
+                fact = self._probe.snapshot()
             except CannotTell as reason:
                 why = str(reason)
                 if now_s - began_s > START_S and fact is None:
@@ -167,7 +167,7 @@ class RosObserver:
         pause, end_s = threading.Event(), self._clock.mono() + START_S
         while self._clock.mono() < end_s and self._probe is not None:
             try:
-                fact = self._probe.look()
+                fact = self._probe.snapshot()
                 rates = [topic.rate for topic in fact.topics.values()]
                 waits = [rate for rate in rates if rate is None or (rate.hz is None and rate.samples)]
                 if len(rates) == len(self._topics) and not waits and fact.up_s >= self._settings.grace:

@@ -19,7 +19,7 @@ MOST_BYTES = 20_000_000_000
 """Maximum number of bytes of one log that are copied in one run."""
 MOST_FAILURES = 3
 """After this many files that could not be copied, the rest of a source is left out."""
-_LOOKS = 5
+_TRIES = 5
 _HOLE = 2
 """Numbers without a file that end a log: within a rotation one name is free for a moment."""
 
@@ -57,7 +57,7 @@ class LogSource(Protocol):
     def name(self) -> str:
         """The name of the source for people; the same in each run."""
 
-    def look(self, file: str) -> Seen | None:
+    def inspect(self, file: str) -> Seen | None:
         """A file by its name; None: no such regular file. Raises CannotTell if the source does not answer."""
 
     def copy(self, file: str, sink: Callable[[bytes], object], limit: int) -> Seen:
@@ -71,7 +71,7 @@ class Progress(Protocol):
     def expect(self, count: int) -> None:
         """Add bytes that are still to be copied."""
 
-    def got(self, count: int) -> None: ...
+    def advance(self, count: int) -> None: ...
 
 
 @dataclass
@@ -116,7 +116,7 @@ class _Fetch:
         listed = list(self._listed())
         self._made.any = bool(listed)
         try:
-            for _ in range(_LOOKS):
+            for _ in range(_TRIES):
                 if self._turn(listed) and self._newest() == _newest_of(listed, self._base):
                     break
                 listed = list(self._listed())
@@ -131,7 +131,7 @@ class _Fetch:
 
     def _listed(self) -> Iterator[Seen]:
         """The files of the log, newest first. Files only get higher numbers, so a rotation meanwhile hides none."""
-        current = self._source.look(self._base)
+        current = self._source.inspect(self._base)
         if current is not None:
             yield current
         hole = 0
@@ -146,9 +146,9 @@ class _Fetch:
     def _numbered(self, number: int) -> Seen | None:
         name = f"{self._base}.{number}"
         if self._base != RECORD:
-            return self._source.look(name)
+            return self._source.inspect(name)
         # It may be compressed between the first look and the second: then the third finds it.
-        return next(filter(None, map(self._source.look, (name + COMPRESSED, name, name + COMPRESSED))), None)
+        return next(filter(None, map(self._source.inspect, (name + COMPRESSED, name, name + COMPRESSED))), None)
 
     def _newest(self) -> str:
         found = self._numbered(1) or self._numbered(2)
@@ -191,7 +191,7 @@ class _Fetch:
                     target.write(piece)
                 except OSError as error:
                     raise _CannotWrite(str(error)) from error
-                self._progress.got(len(piece))
+                self._progress.advance(len(piece))
 
             try:
                 seen = self._source.copy(one.name, put, min(MOST_FILE_BYTES, MOST_BYTES - self._made.bytes))
@@ -220,7 +220,7 @@ class _Fetch:
         if len(self._failed) >= MOST_FAILURES:
             raise _GivenUp
         try:
-            self._source.look(self._base)
+            self._source.inspect(self._base)
         except CannotTell as error:
             self._failed.setdefault("the other files", str(error))
             raise _GivenUp from None

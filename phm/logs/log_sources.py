@@ -16,9 +16,9 @@ from phm.transport.docker import DockerEngine, EngineMissing
 
 LABEL = "phm.logs"
 """A container with this label has its logs in the folder that is the label's value."""
-LOOK_S = 10.0
+ANSWER_S = 10.0
 SLOWEST_BYTES_S = 100_000.0
-"""A copy has LOOK_S, and the time that it takes at this rate."""
+"""A copy has ANSWER_S, and the time that it takes at this rate."""
 MOST_CONTAINERS = 1000
 MOST_DEPTH = 6
 MOST_FOLDERS = 1000
@@ -38,9 +38,9 @@ class ContainerLogs:
         self._engine, self._container, self._folder = engine, container, folder.rstrip("/")
         self.name = f"container {shown} at {engine.url}"
 
-    def look(self, file: str) -> Seen | None:
+    def inspect(self, file: str) -> Seen | None:
         try:
-            found = self._engine.stat_path(self._container, f"{self._folder}/{file}", deadline_s=LOOK_S)
+            found = self._engine.stat_path(self._container, f"{self._folder}/{file}", deadline_s=ANSWER_S)
         except EngineMissing:
             return None
         seen, special = _seen(file, found)
@@ -48,10 +48,10 @@ class ContainerLogs:
 
     def copy(self, file: str, sink: Callable[[bytes], object], limit: int) -> Seen:
         path = f"{self._folder}/{file}"
-        expected = self.look(file)
+        expected = self.inspect(file)
         if expected is None:
             raise Gone
-        deadline_s = LOOK_S + min(expected.size, limit) / SLOWEST_BYTES_S
+        deadline_s = ANSWER_S + min(expected.size, limit) / SLOWEST_BYTES_S
         try:
             size, found = self._engine.copy_with_stat(self._container, path, sink, limit=limit, deadline_s=deadline_s)
         except EngineMissing:
@@ -68,7 +68,7 @@ class FolderLogs:
         self._folder = folder
         self.name = str(folder.resolve())
 
-    def look(self, file: str) -> Seen | None:
+    def inspect(self, file: str) -> Seen | None:
         try:
             about = os.lstat(self._folder / file)
         except FileNotFoundError:
@@ -144,7 +144,7 @@ def of_engine(engine: DockerEngine, folder: str, patterns: Sequence[str]) -> Log
             break
         logs = ContainerLogs(engine, container, name, place)
         try:
-            has = any(logs.look(base) is not None for base in BASES)
+            has = any(logs.inspect(base) is not None for base in BASES)
         except CannotTell as error:
             missing.append((logs.name, str(error)))
             failures += 1
@@ -166,7 +166,7 @@ def _containers(
     engine: DockerEngine, folder: str, patterns: Sequence[str], used: set[str]
 ) -> Iterator[tuple[str, str, str]]:
     """Name, id and folder of logs. Adds to `used` which patterns fit a container."""
-    for summary in engine.list(deadline_s=LOOK_S):
+    for summary in engine.list(deadline_s=ANSWER_S):
         names, labels, container = summary.get("Names"), summary.get("Labels"), summary.get("Id")
         name = str(names[0]).lstrip("/") if isinstance(names, list) and names else str(container)[:12]
         fitting = {one for one in patterns if fnmatch.fnmatchcase(name, one)}

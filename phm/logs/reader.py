@@ -15,7 +15,7 @@ from phm.wire import json_log
 
 MAX_LINE = 2_000_000
 """Bytes. The daemon writes at most 8000; a longer line than this is left out."""
-_LOOKS = 5
+_TRIES = 5
 _REMEMBERED = 4 * json_log.MOST_FILES
 _BROKEN = (OSError, EOFError, zlib.error)
 
@@ -125,7 +125,7 @@ class LogReader:
 
     def _open_next(self) -> bool:
         """Open the oldest file that was not read. A rotation meanwhile would change the order, so look again then."""
-        for _ in range(_LOOKS):
+        for _ in range(_TRIES):
             listed = self._listed()
             if listed == self._nothing:
                 return False

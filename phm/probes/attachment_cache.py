@@ -31,8 +31,8 @@ class AttachmentCache:
     def processes(self, name: str) -> tuple[ProcessFact, ...]:
         return self._inner.processes(name)
 
-    def myself(self) -> ContainerFact | None:
-        return self._inner.myself()
+    def own_container(self) -> ContainerFact | None:
+        return self._inner.own_container()
 
     def others(self) -> tuple[OtherContainer, ...]:
         return self._inner.others()

@@ -133,7 +133,7 @@ class AutopilotState:
         """How long it has been running, in seconds; None: unknown."""
         return self._boot[1] + now - self._boot[0] if self._boot is not None else None
 
-    def twins(self, now: float) -> bool:
+    def identity_shared(self, now: float) -> bool:
         """Whether two autopilots use one identity: from their times since boot, or from their armed states."""
         rebooting = len(self._seen) == TWINS and self._seen[-1] - self._seen[0] < TWINS_S
         changes = [at for at, _ in self._armed][-FLIPS:]
@@ -158,7 +158,7 @@ class AutopilotState:
             link,
             self.boot_s(now),
             self.reboots,
-            now - self._rebooted if self._rebooted is not None and not self.twins(now) else None,
+            now - self._rebooted if self._rebooted is not None and not self.identity_shared(now) else None,
             self._rebooted_armed,
             self._cadence.due_s(),
             self._overdue(read_at(link)),

@@ -31,7 +31,7 @@ CONFIRM_S = 0.2
 """A difference is checked again after this time: the event that explains it may still arrive."""
 BEHIND_S = 10.0
 """A reader behind for longer than this hangs or never catches up: `caught_up` no longer waits for it."""
-BEHIND_LOOK_S = 0.005
+BEHIND_POLL_S = 0.005
 MISSED_S = 2.0
 """The engine replays events of the time in which the stream was closed, from its last 256, including those of health
 checks. After a longer interruption some may be missing."""
@@ -107,7 +107,7 @@ class ContainerWatcher:
     def catch_up(self) -> None:
         """Wait until caught up, usually not at all, and at most BEHIND_S."""
         while not self.caught_up() and not self._stopping.is_set():
-            self._clock.wait(self._stopping, BEHIND_LOOK_S)
+            self._clock.wait(self._stopping, BEHIND_POLL_S)
 
     # ------------------------------------------------------------ the stream
 
@@ -185,17 +185,17 @@ class ContainerWatcher:
 
     def _compare_one(self, key: str) -> bool:
         """Publish what the stream missed about one container; False if the engine did not answer."""
-        seen = self._look(key)
+        seen = self._observe(key)
         if seen is not None and self._decoder.differs(key, seen[1]):
             self._clock.wait(self._stopping, CONFIRM_S)
-            seen = self._look(key)
+            seen = self._observe(key)
         if seen is None:
             return False
         for event in self._decoder.compared(key, *seen):
             self._publish(event)
         return True
 
-    def _look(self, key: str) -> tuple[int, ExpectedState] | None:
+    def _observe(self, key: str) -> tuple[int, ExpectedState] | None:
         """The number of events about the container before the inspection, and its result."""
         count = self._decoder.count(key)
         try:

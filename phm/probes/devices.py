@@ -23,8 +23,8 @@ from phm.facts.files import MAX_MATCHES
 from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.inotify import FileWatcher
 
-LOOK_S = 1.5
-"""Deadline of one look; opening a device with a stuck driver can hang."""
+INSPECT_S = 1.5
+"""Deadline of one inspection; opening a device with a stuck driver can hang."""
 DESCRIPTION_S = 10.0
 """How long the description of a port is cached."""
 _MOST_DESCRIPTIONS = 64
@@ -70,15 +70,15 @@ class Devices:
         self._lock = threading.Lock()
         self._described: dict[str, tuple[float, str]] = {}
 
-    def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
+    def inspect(self, path: str, *, open_it: bool) -> DeviceFact | None:
         """The device at the host's `path`; the fact's path is the real one, with links followed."""
-        return self._worker.call(lambda: self._look_and_watch(path, open_it), LOOK_S)
+        return self._worker.call(lambda: self._inspect_and_watch(path, open_it), INSPECT_S)
 
     def serial_ports(self) -> tuple[DeviceFact, ...]:
-        return self._worker.call(self._serial_ports, LOOK_S)
+        return self._worker.call(self._serial_ports, INSPECT_S)
 
     def matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
-        return self._worker.call(lambda: self._matching(patterns), LOOK_S)
+        return self._worker.call(lambda: self._matching(patterns), INSPECT_S)
 
     def place(self, path: str) -> Path:
         """Where PHM finds the device at the host's `path`, links followed as on the host. Raises FileNotFoundError."""
@@ -91,12 +91,14 @@ class Devices:
         self._check_root()
         fresh = [self._watch_folders(PurePosixPath(pattern)) for pattern in patterns]
         if any(fresh):
-            self._matching_changed()  # it may have changed between the start of the watch and an earlier look
+            self._matching_changed()  # it may have changed between the start of the watch and an earlier inspection
         found: dict[str, DeviceFact] = {}
         for pattern in map(PurePosixPath, patterns):
             for name in sorted(_names(self._place(pattern.parent))):
                 fact = (
-                    self._look(str(pattern.parent / name), open_it=False) if fnmatchcase(name, pattern.name) else None
+                    self._inspect(str(pattern.parent / name), open_it=False)
+                    if fnmatchcase(name, pattern.name)
+                    else None
                 )
                 if fact is not None and (fact.character or fact.block) and len(found) < MAX_MATCHES:
                     found[fact.path] = fact
@@ -113,15 +115,15 @@ class Devices:
                 f"the host's /dev is not at {self._root}: mount it there, read-only, or correct host.dev_root"
             )
 
-    def _look_and_watch(self, path: str, open_it: bool) -> DeviceFact | None:
+    def _inspect_and_watch(self, path: str, open_it: bool) -> DeviceFact | None:
         steps: list[PurePosixPath] = []
-        fact = self._look(path, open_it, steps)
+        fact = self._inspect(path, open_it, steps)
         fresh = [self._watch(str(self._place(step.parent)), step.name) for step in steps]
         if any(fresh):
-            self._changed()  # it may have changed between the look and the start of the watch
+            self._changed()  # it may have changed between the inspection and the start of the watch
         return fact
 
-    def _look(self, path: str, open_it: bool, steps: list[PurePosixPath] | None = None) -> DeviceFact | None:
+    def _inspect(self, path: str, open_it: bool, steps: list[PurePosixPath] | None = None) -> DeviceFact | None:
         """The device; each step of the path to it is added to `steps`."""
         self._check_root()
         real = self._resolve(PurePosixPath(os.path.normpath(path)), [] if steps is None else steps)
@@ -192,7 +194,7 @@ class Devices:
             for place in sorted(self._root.glob(pattern)):
                 if pattern == "ttyS*" and not _fitted(place.name):
                     continue  # the kernel creates nodes for ports that the board does not have
-                fact = self._look(f"/dev/{place.name}", open_it=False)
+                fact = self._inspect(f"/dev/{place.name}", open_it=False)
                 if fact is not None and fact.character:
                     found.append(fact)
         return tuple(found)

@@ -20,7 +20,7 @@ from phm.transport.docker import DockerEngine, EngineMissing
 
 FRESH_S = 0.2
 """A response of this age is sufficient if it only leads to another request, and for PHM's own container."""
-_MYSELF = "\0myself"  # no container can have this name
+_OWN_CONTAINER = "\0own"  # no container can have this name
 _ID = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])")
 _BY_DOCKER = ("/etc/hostname", "/etc/hosts", "/etc/resolv.conf")
 
@@ -51,7 +51,7 @@ class Docker:
         self._engine, self._clock, self._proc = engine, clock, proc
         self._containers = {entry.key: entry for entry in containers}
         self._own_container = settings.container
-        self._entries = {key: _Entry() for key in (_MYSELF, *self._containers)}
+        self._entries = {key: _Entry() for key in (_OWN_CONTAINER, *self._containers)}
         self._generations = itertools.count(1)
         self._generation = 0
         self._my_id = ""
@@ -75,13 +75,13 @@ class Docker:
         fact = self._container(name, FRESH_S)
         if fact is None or not fact.running:
             raise CannotTell(f"{name} is not running, so it has no processes")
-        return self._processes.look(fact.id)
+        return self._processes.inspect(fact.id)
 
-    def myself(self) -> ContainerFact | None:
-        return self._shared(_MYSELF, self._find_myself, FRESH_S)
+    def own_container(self) -> ContainerFact | None:
+        return self._shared(_OWN_CONTAINER, self._find_own_container, FRESH_S)
 
     def others(self) -> tuple[OtherContainer, ...]:
-        me = self.myself()
+        me = self.own_container()
         found = [
             other_container(entry)
             for entry in self._engine.running()
@@ -107,7 +107,7 @@ class Docker:
     def answering(self) -> tuple[str, ...]:
         """Addresses of configured containers that run and have responded in this run; see
         `phm.probes.reachability_monitor`."""
-        facts = [entry.fact for key, entry in self._entries.items() if key != _MYSELF and entry.fact is not None]
+        facts = [entry.fact for key, entry in self._entries.items() if key != _OWN_CONTAINER and entry.fact is not None]
         return tuple(
             one.address
             for fact in facts
@@ -165,7 +165,7 @@ class Docker:
 
     # ------------------------------------------------------------ PHM's own container
 
-    def _find_myself(self, budget: TimeBudget) -> ContainerFact | None:
+    def _find_own_container(self, budget: TimeBudget) -> ContainerFact | None:
         configured = self._own_container
         if configured:
             try:

@@ -33,7 +33,7 @@ class TimeBudget:
         self._clock, self._until = clock, clock.mono() + limit_s
 
     @property
-    def spent(self) -> bool:
+    def used_up(self) -> bool:
         return self._clock.mono() >= self._until
 
     def left_s(self) -> float:

@@ -34,7 +34,7 @@ class Processes:
         self._engine, self._clock = engine, clock
         self._best_from, self._backoff = float("-inf"), Backoff(AGAIN_S, AGAIN_MOST_S)
 
-    def look(self, container_id: str) -> tuple[ProcessFact, ...]:
+    def inspect(self, container_id: str) -> tuple[ProcessFact, ...]:
         """Raises CannotTell if the container does not run, no response came in time, or it cannot be parsed."""
         best, simple = FORMS
         if self._clock.mono() >= self._best_from:

@@ -25,15 +25,15 @@ from phm.wire.manifest import MAX_FILES
 MAX_DEPTH = 64
 MAX_ENTRIES = 2 * MAX_FILES
 """Names that are read in one walk, with those that are ignored: all of a folder are in memory together."""
-LOOK_BYTES = 64 << 20
-"""Read in one look; the rest of a large folder follows in the next looks."""
-LOOK_S = 1.5
+SCAN_BYTES = 64 << 20
+"""Read in one scan; the rest of a large folder follows in the next scans."""
+SCAN_S = 1.5
 WALK_S = 10.0
 """For finding the files, without reading them."""
 FILE_S = 10.0
 """Deadline for reading one file."""
 BUSY_S = 5.0
-"""This long a look waits for another one at the same folder. Well below the deadline of the check."""
+"""This long a scan waits for another one at the same folder. Well below the deadline of the check."""
 SHARE = 20
 """A walk is repeated after this many times its duration at the earliest, so that it takes at most 5 % of a core."""
 _PIECE = 1 << 20
@@ -75,14 +75,14 @@ class TreeReader:
             raise CannotTell("an earlier run is still reading it: check that its disk or network volume answers")
         try:
             if fresh or self._clock.mono() >= self._next_s:
-                self._look(folder, ignore)
+                self._scan(folder, ignore)
             if self._problem:
                 raise CannotTell(self._problem)
             return self._listing
         finally:
             self._lock.release()
 
-    def _look(self, folder: int, ignore: Sequence[str]) -> None:
+    def _scan(self, folder: int, ignore: Sequence[str]) -> None:
         """A failure is remembered like a listing: a walk that fails costs as much as one that does not."""
         began_s = self._clock.mono()
         walk = _Walk(self._clock, ignore, self._known, self._waiting)
@@ -109,9 +109,9 @@ class _Descriptor:
 
 
 class _Walk:
-    """One look: finds all files, then reads those that have changed, within the limits of one look.
+    """One scan: finds all files, then reads those that have changed, within the limits of one scan.
 
-    waiting: files that the last look did not get to, longest wait first. They come first, so that a large file that changes
+    waiting: files that the last scan did not get to, longest wait first. They come first, so that a large file that changes
     all the time does not keep the others from being read.
     """
 
@@ -196,8 +196,8 @@ class _Walk:
     def _read_changed(self, top: int) -> None:
         first = [path for path in self.waiting if path in self._changed]
         queue = deque([*first, *sorted(self._changed.difference(first))])
-        until_s = self._clock.mono() + LOOK_S
-        while queue and self._bytes < LOOK_BYTES and self._clock.mono() < until_s:
+        until_s = self._clock.mono() + SCAN_S
+        while queue and self._bytes < SCAN_BYTES and self._clock.mono() < until_s:
             self._try(top, queue.popleft())
         self.waiting = tuple(queue)
         self.listing.pending.update(queue)

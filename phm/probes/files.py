@@ -26,7 +26,7 @@ from phm.transport.docker import DockerEngine, EngineMissing
 
 MAX_BYTES = 1 << 30
 DIGEST_S = 15.0
-"""Deadline for reading an entire file; the rest of a look has the engine's timeout."""
+"""Deadline for reading an entire file; the rest of a scan has the engine's timeout."""
 _SUMS = 256
 _TOO_LARGE = "too large"
 """Stored instead of a checksum: the file is not read again until it has changed."""
@@ -63,11 +63,11 @@ class Files:
         self._trees_lock = threading.Lock()
         self._manifests = Manifests()
 
-    def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
+    def inspect(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         """Raises CannotTell if the container does not exist, or the file is too large or too slow to read."""
         path = normal(path)
         try:
-            fact, me = self._docker.container(container), self._docker.myself()
+            fact, me = self._docker.container(container), self._docker.own_container()
         except CannotTell as error:
             return self._without_engine(container, path, digest, error)
         if fact is None:
@@ -98,13 +98,13 @@ class Files:
         return None if found is None else compare(expected, found, ignore)
 
     def listing(self, container: str, path: str, ignore: Sequence[str], *, fresh: bool = False) -> TreeListing | None:
-        """The files of a folder of the container, with the checksums that could be calculated in this look.
+        """The files of a folder of the container, with the checksums that could be calculated in this scan.
 
-        fresh: do not use the listing of an earlier look.
+        fresh: do not use the listing of an earlier scan.
         """
         path = normal(path)
         try:
-            fact, me = self._docker.container(container), self._docker.myself()
+            fact, me = self._docker.container(container), self._docker.own_container()
         except CannotTell:
             if container not in self._last:
                 raise
@@ -148,7 +148,7 @@ class Files:
         mounts = {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts}
         number = resolve(path, mounts, passing)
         if fresh:
-            self._changed()  # it may have changed between the look and the start of the watch
+            self._changed()  # it may have changed between the inspection and the start of the watch
         if number is None:
             return None
         try:

@@ -47,7 +47,7 @@ class GroundStations:
         self.cadence.heartbeat(beat.at, late_s)
         self.left = False
 
-    def leave(self, system: int, component: int, now: float, *, signed: bool = False) -> None:
+    def announce_end(self, system: int, component: int, now: float, *, signed: bool = False) -> None:
         """A station announced its end: the newest of the others counts, also a silent one. Without others none is expected any more.
 
         signed: the farewell is. A station that has signed leaves only with a signature.

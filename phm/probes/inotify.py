@@ -195,7 +195,7 @@ class FileWatcher:
             return []
         everybody = [listener for some in directory.wanted.values() for listener in some]
         if mask & (_IGNORED | _MOVE_SELF | _UNMOUNT):
-            # Its path now names another directory, or none: the next look watches that.
+            # Its path now names another directory, or none: the next scan watches that.
             self._forget(number, directory, gone=bool(mask & _IGNORED))
             return everybody
         wanted = [

@@ -135,7 +135,7 @@ class Links:
                 "so routers hide one of the two: give one of them another component id (mavlink.component_id) or agent id"
             )
         with self._lock:
-            twins = self._pilot.twins(now)
+            twins = self._pilot.identity_shared(now)
             stray = self._strays.link(now, self._pilot.boot_s(now))
         if twins:
             found.append(
@@ -161,7 +161,7 @@ class Links:
 
     # ------------------------------------------------------------ from the endpoints' threads
 
-    def look(self) -> None:
+    def wake_if_changed(self) -> None:
         """Wake the checks if the state has changed since the last call, also because of silence."""
         with self._lock:
             picture = self._picture()
@@ -187,7 +187,7 @@ class Links:
             link, request = self._pilot.link, self._boot_time and self._boot_time.due(now, self._pilot.fact(now))
         if request is not None:
             self._hub.send(request, MessagePriority.REQUEST, key="boot time", link=link)
-        self.look()
+        self.wake_if_changed()
 
     def _picture(self) -> tuple[object, ...]:
         """The state for checks; ages only as coarse as they matter."""
@@ -227,7 +227,7 @@ class Links:
         elif message.type == mavlink.MAV_TYPE_GCS and system != self._system:
             # With our own system id it is a program on board that acts as a ground station.
             self._receive_ground(now, message, link, stalled=stalled)
-        self.look()
+        self.wake_if_changed()
 
     def _receive_ground(self, now: float, message: Any, link: str, *, stalled: bool) -> None:
         system, component = message.get_srcSystem(), message.get_srcComponent()
@@ -235,7 +235,7 @@ class Links:
         signed = bool(message.get_signed())
         with self._lock:
             if leaving:
-                self._pilots_gcs.leave(system, component, now, signed=signed)
+                self._pilots_gcs.announce_end(system, component, now, signed=signed)
                 return
             self._unreached = False
             for stations in (self._pilots_gcs, self._any_gcs):
@@ -258,7 +258,7 @@ class Links:
         asked_s = self._settings.heartbeat or default_periods(self._hub.agents)[0]
         with self._lock:
             self._radios.setdefault(link, RadioState(link)).receive(self._clock.mono(), message, asked_s)
-        self.look()
+        self.wake_if_changed()
 
     def _receive_time(self, message: Any, link: str) -> None:
         boot_ms = boot_time.boot_ms(message)
@@ -271,7 +271,7 @@ class Links:
                 self._pilot.booted(self._clock.mono(), boot_ms)
                 rebooted = self._pilot.reboots != before
             if rebooted:
-                self.look()
+                self.wake_if_changed()
 
     def _receive_reboot(self, message: Any, link: str) -> None:
         if link not in self._pilot_links or not self._is_pilot(message):
@@ -281,7 +281,7 @@ class Links:
                 self._pilot.ready(self._clock.mono())
             elif boot_time.will_reboot(message):
                 self._pilot.commanded(self._clock.mono())
-        self.look()
+        self.wake_if_changed()
 
     def _is_pilot(self, message: Any) -> bool:
         own = message.get_srcSystem() == self._system

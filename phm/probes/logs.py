@@ -1,4 +1,4 @@
-"""Searches patterns in what was written to logs since the last look: files, and Docker's logs of containers."""
+"""Searches patterns in what was written to logs since the last search: files, and Docker's logs of containers."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class Pressure:
         if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):
             raise CannotTell(f"the Docker Engine is still answering an earlier request for {name}")
         try:
-            return self._by_files(entry) or self._look_again(name, entry)
+            return self._by_files(entry) or self._find_again(name, entry)
         finally:
             entry.lock.release()
 
@@ -94,7 +94,7 @@ class Pressure:
             entry.without_cache = cgroups.without_cache(group, fact.memory_bytes)
         return replace(fact, without_cache_bytes=entry.without_cache)
 
-    def _look_again(self, name: str, entry: _Entry) -> PressureFact | None:
+    def _find_again(self, name: str, entry: _Entry) -> PressureFact | None:
         if self._clock.mono() - entry.asked_at < ENGINE_EVERY_S:
             return entry.answer
         container = self._docker.container(name)

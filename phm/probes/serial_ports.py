@@ -47,7 +47,7 @@ class SerialPorts:
         self._lock = threading.Lock()
         self._closed = False
 
-    def look(self, path: str, *, baud: int, line: str) -> SerialFact:
+    def inspect(self, path: str, *, baud: int, line: str) -> SerialFact:
         key = (path, baud, line)
         with self._lock:
             reader = self._readers.get(key)

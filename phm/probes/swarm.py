@@ -68,17 +68,17 @@ class SwarmMonitor:
         hub.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
         hub.watch(self.wake_if_changed)
 
-    def look(self) -> SwarmFact:
+    def snapshot(self) -> SwarmFact:
         """The current fact, cached until a frame brings a change or it is FRESH_S old (in a small swarm a tenth of the
         heartbeat's period): a hundred views cost milliseconds. Wakes the check when its result would change."""
         at, fact = self._fresh
         if fact is None or self._clock.mono() - at >= self._fresh_s:
-            fact = self._look()
+            fact = self._observe()
             self._fresh = (self._clock.mono(), fact)
             self._compare(fact)
         return fact
 
-    def _look(self) -> SwarmFact:
+    def _observe(self) -> SwarmFact:
         now, gcs = self._clock.mono(), self._receives_ground()
         closed = {link.name for link in self._hub.links() if not link.open}
         with self._lock:
@@ -112,7 +112,7 @@ class SwarmMonitor:
 
     def wake_if_changed(self) -> None:
         """Compute the fact. The number of agents sets the links' budgets."""
-        fact = self.look()
+        fact = self.snapshot()
         self._hub.set_agent_count(self._agents, leads=fact.leader == self._own)
 
     def _compare(self, fact: SwarmFact) -> None:

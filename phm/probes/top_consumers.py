@@ -155,7 +155,7 @@ class TopConsumers:
         begun = self._seen.keys() - self._cpus.keys()
         turn = sorted(present, key=lambda each: (each not in begun, self._asked.get(each, float("-inf"))))
         for container in turn[:MOST_ASKED]:
-            if budget.spent:
+            if budget.used_up:
                 break
             self._asked[container] = self._clock.mono()
             spent_s = self._ask(container, budget.left_s())

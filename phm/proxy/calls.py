@@ -67,7 +67,7 @@ def calls(settings: Settings) -> list[AllowedCall]:
     acted_on = [me.name]
     for number, entry in enumerate(settings.containers):
         subject = me if entry.name == me.name else CallSubject("containers", str(entry.name), f"c{number}")
-        made += [*_container(subject, entry.key), *_looks(subject, entry, settings)]
+        made += [*_container(subject, entry.key), *_reads(subject, entry, settings)]
         if entry.recover and settings.recovery.mode != "off":
             made += _actions(subject, entry, settings)
             acted_on.append(subject.name)
@@ -118,7 +118,7 @@ def _container(subject: CallSubject, title: str) -> list[AllowedCall]:
     return [AllowedCall(f"{title}: its state", "GET", "/json", subject, learns=True)]
 
 
-def _looks(subject: CallSubject, entry: ContainerSettings, settings: Settings) -> Iterator[AllowedCall]:
+def _reads(subject: CallSubject, entry: ContainerSettings, settings: Settings) -> Iterator[AllowedCall]:
     if entry.pressure != "ignore":
         # Used where the host's cgroups are not mounted into PHM, which the configuration does not show.
         yield AllowedCall(f"{entry.key}: its statistics", "GET", STATISTICS, subject)

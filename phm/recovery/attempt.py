@@ -142,7 +142,7 @@ class Attempt:
         except (CannotTell, ActionFailed):
             return ""
         except Exception:  # plug-in code
-            logger.exception("action %s failed to say what it waits for", self._type.name)
+            logger.exception("action %s failed in `waits_for`", self._type.name)
             return ""
 
     def begin(self) -> bool:

@@ -7,15 +7,15 @@ entry point's name is the name used in ladders.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 from phm.core.clock import Clock, SystemClock
 from phm.core.model import Fault
-from phm.core.settings import ContainerSettings, RecoverySettings, Settings
+from phm.core.settings import ContainerSettings, HostSettings, NodeSettings, RecoverySettings
 from phm.facts import Attachment, AutopilotFact, CannotTell, ContainerFact, LinkFact
 from phm.recovery.ladders import LADDERS
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
@@ -160,9 +160,29 @@ class CpuRelief(Protocol):
     def kept(self) -> tuple[LoweredWeight, ...]: ...
 
 
+@dataclass(frozen=True, slots=True)
+class ActionSettings:
+    """The sections of the configuration that recovery and its actions receive (`phm.runtime.sections`).
+
+    host:        limits of the disks and what may be deleted on them.
+    nodes:       the configured ROS nodes of each container, by its key.
+    start_s:     how long a start may take (`ros.grace`).
+    heartbeat_s: time between two of PHM's own heartbeats on the links (`mavlink.heartbeat`).
+    options:     `checks.NAME.options` by the name of the check: for an action that belongs to such a check.
+    """
+
+    containers: Sequence[ContainerSettings]
+    recovery: RecoverySettings
+    host: HostSettings
+    nodes: Mapping[str, Sequence[NodeSettings]]
+    start_s: float
+    heartbeat_s: float
+    options: Mapping[str, Mapping[str, Any]]
+
+
 @dataclass(frozen=True)
 class ActionContext:
-    """What an action may use. Actions are plug-ins and may read any section of the configuration, so `settings` is all of it.
+    """What an action may use.
 
     engine:     refuses calls that would disturb something flight-critical while armed (`phm.recovery.attempt.GuardedEngine`).
     container:  the engine's view of a configured container now, or None when there is none.
@@ -180,7 +200,7 @@ class ActionContext:
     """
 
     engine: DockerEngine
-    settings: Settings
+    settings: ActionSettings
     container: Callable[[str], ContainerFact | None]
     own_container: Callable[[], ContainerFact | None]
     last_attachment: Callable[[str, str], Attachment | None]
@@ -222,7 +242,7 @@ class Action(ABC):
     and is a separate fault if it does not recover."""
 
     @classmethod
-    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
+    def applies(cls, target: Target, fault: Fault, settings: ActionSettings) -> bool:
         """Whether the configuration has what this step needs; a step that does not apply is left out of the ladder."""
         return True
 
@@ -261,7 +281,7 @@ class ActionCatalog:
     container_wide: actions on an entire container, which would recover all of its faults.
     """
 
-    def __init__(self, actions: Mapping[str, type[Action]], settings: Settings) -> None:
+    def __init__(self, actions: Mapping[str, type[Action]], settings: ActionSettings) -> None:
         self._actions, self._settings = actions, settings
         self.unrestricted = frozenset(name for name, action in actions.items() if action.on_phm_itself)
         self.container_wide = frozenset(

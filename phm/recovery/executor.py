@@ -63,7 +63,7 @@ class Executor:
         if critical_containers(self._containers):
             guard = FlightCriticalGuard(self._containers, context.container, context.own_container, armed)
         self._shared = Shared(pipeline, clock, self.locks, self._generations, grace_s)
-        self._rules = ActionRules(settings.recovery, settings.ros.grace, self.catalog, self.holds, armed, guard)
+        self._rules = ActionRules(settings.recovery, settings.start_s, self.catalog, self.holds, armed, guard)
         self._new_attempt = partial(
             Attempt,
             context=replace(context, armed=armed),

@@ -13,7 +13,15 @@ from typing import Any, ClassVar, Protocol
 
 from phm.core.clock import Clock
 from phm.core.model import Event, Fault, Result, UnitState
-from phm.core.settings import Settings
+from phm.core.settings import (
+    AgentSettings,
+    FleetSettings,
+    LogSettings,
+    MavlinkSettings,
+    MetricsSettings,
+    NotifySettings,
+    RosSettings,
+)
 from phm.facts import LinkFact, LinkProbe
 from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.facts.swarm import SwarmProbe
@@ -55,9 +63,32 @@ class DiagnosticsPublisher(Protocol):
         """Publish these statuses by name; never blocks. Returns how many times in a row that failed."""
 
 
+@dataclass(frozen=True, slots=True)
+class ReporterSettings:
+    """The sections of the configuration that reporters receive (`phm.runtime.sections`).
+
+    interval_s: time between two full passes.
+    approval_s: how long an approval is valid (`recovery.approval`).
+    options:    `checks.NAME.options` by the name of the check: for a reporter that belongs to such a check.
+    """
+
+    agent: AgentSettings
+    interval_s: float
+    ros: RosSettings
+    mavlink: MavlinkSettings
+    fleet: FleetSettings
+    log: LogSettings
+    notify: NotifySettings
+    metrics: MetricsSettings
+    approval_s: float
+    state_dir: str
+    run_dir: str
+    options: Mapping[str, Mapping[str, Any]]
+
+
 @dataclass(frozen=True)
 class ReporterContext:
-    """What a reporter may use. Reporters are plug-ins and may read any section of the configuration, so `settings` is all of it.
+    """What a reporter may use.
 
     states: the units as the tracker publishes them, in configuration order.
     newest: the newest result of a unit, published or not; None: there is none, or the unit does not exist.
@@ -71,7 +102,7 @@ class ReporterContext:
     open_faults, given_up: the current faults, also of units that recovery has given up on and that have not been OK since.
     """
 
-    settings: Settings
+    settings: ReporterSettings
     clock: Clock
     boot_id: str
     states: Callable[[], tuple[UnitState, ...]]

@@ -75,7 +75,7 @@ class LogReporter(Reporter):
             compress=True,
         )
         self._received = ReceivedHeartbeats(context.mavlink, clock)
-        start = {"version": __version__, "pid": os.getpid(), "interval_s": settings.interval}
+        start = {"version": __version__, "pid": os.getpid(), "interval_s": settings.interval_s}
         start["machine_boot"] = context.machine_boot
         self._put(clock.stamp(), "start", "PHM", start)
 

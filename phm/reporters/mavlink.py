@@ -50,9 +50,9 @@ class MavlinkReporter(Reporter):
         self._context, self._port = context, port
         self._settings, self._agent = context.settings.mavlink, context.settings.agent.id
         now = context.clock.mono()
-        self._builder, self._damper = StatusTextBuilder(self._agent, context.settings.recovery.approval), FlapDamper()
+        self._builder, self._damper = StatusTextBuilder(self._agent, context.settings.approval_s), FlapDamper()
         open_before = {fault.unit for fault in context.restored}
-        self._builder.knows([state for state in context.states() if state.unit in open_before])
+        self._builder.restore_reported([state for state in context.states() if state.unit in open_before])
         self._heartbeat_at = now
         self._refresh_at: float | None = None
         self._again: tuple[float, ...] = ()
@@ -131,7 +131,7 @@ class MavlinkReporter(Reporter):
     def _leads(self) -> bool:
         """Whether this agent is the leader of the swarm: each agent detects a lost peer, and the leader reports it."""
         swarm = self._context.swarm
-        return swarm is None or swarm.look().leader == self._agent
+        return swarm is None or swarm.snapshot().leader == self._agent
 
     def _say(self, lines: list[StatusTextLine]) -> None:
         for line in lines:

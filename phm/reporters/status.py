@@ -46,7 +46,7 @@ class StatusReporter(Reporter):
     kinds = (Transition, FaultOpened, FaultClosed, ActionEvent, HoldChanged, Report)
 
     def __init__(self, context: ReporterContext) -> None:
-        self._context, self._agent, self._interval_s = context, context.settings.agent, context.settings.interval
+        self._context, self._agent, self._interval_s = context, context.settings.agent, context.settings.interval_s
         self._path = os.path.join(context.settings.run_dir, NAME)
         self._place = place()
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}

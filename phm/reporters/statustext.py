@@ -51,7 +51,7 @@ class StatusTextBuilder:
         self._asks: dict[str, StatusTextLine] = {}
         """By unit, the request to the operator that is not answered."""
 
-    def knows(self, states: Sequence[UnitState]) -> None:
+    def restore_reported(self, states: Sequence[UnitState]) -> None:
         """The ground received the failures of these units from an earlier run of PHM."""
         for state in states:
             self._open.add(state.unit)

@@ -66,7 +66,7 @@ class SwarmReporter(Reporter):
     def tick(self) -> None:
         if not self._context.alive():
             return
-        fact, now = self._probe.look(), self._context.clock.mono()
+        fact, now = self._probe.snapshot(), self._context.clock.mono()
         if not fact.peers:
             return
         self._view(fact, now)

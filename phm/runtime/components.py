@@ -40,6 +40,7 @@ from phm.runtime.health import DaemonHealth
 from phm.runtime.main_loop import MainLoop
 from phm.runtime.network_join import join_all_networks
 from phm.runtime.probe_set import ProbeSet, build_probes
+from phm.runtime.sections import action_settings, reporter_settings
 from phm.tracker import Tracker
 from phm.wire.status_file import place
 
@@ -98,7 +99,7 @@ class Components:
             self.scheduler,
             self.pipeline,
             self.probes.caught_up,
-            lambda: self._wake("myself"),
+            lambda: self._wake("daemon"),
             watchdog,
         )
         self.pipeline.attach(self.scheduler.wake_units, self.loop.wake)
@@ -143,11 +144,11 @@ class Components:
         )
         self.action_context = ActionContext(
             self.probes.engine,
-            settings,
+            action_settings(settings),
             docker.container,
-            docker.myself,
+            docker.own_container,
             self.probes.remembered,
-            listed_nodes=lambda: self.probes.world.ros.look().nodes,
+            listed_nodes=lambda: self.probes.world.ros.snapshot().nodes,
             link=self.probes.link,
             autopilot=self.probes.world.links.autopilot,
             clock=clock,
@@ -209,7 +210,7 @@ class Components:
             return any(radio.silent_s <= max(mavlink.radio_timeout, 2.5 * radio.due_s) for radio in links.radios())
 
         return ReporterContext(
-            settings,
+            reporter_settings(settings),
             self.clock,
             self.boot_id,
             pipeline.states,

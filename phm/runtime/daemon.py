@@ -106,7 +106,7 @@ class Daemon:
         self._stalled = 0 if self.components.health.alive() else self._stalled + 1
         threads.retry()
         if self._watchdog is not None and self._supervised % WATCHDOG_EVERY == 0:
-            self._watchdog.revive()
+            self._watchdog.start_again()
         return self._stalled * SUPERVISE_S < STALLED_END_S
 
     @property

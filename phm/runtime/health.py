@@ -60,7 +60,7 @@ class DaemonHealth:
 
     def document(self) -> dict[str, Any]:
         """PHM's own condition for `phm status`, as JSON values."""
-        fact, armed, ros = self._probes.world.myself.look(), self._armed.now(), self._probes.ros
+        fact, armed, ros = self._probes.world.daemon.snapshot(), self._armed.now(), self._probes.ros
         critical = {"containers": self._critical, "armed": armed.state.value, "why": armed.why}
         return {
             "started_utc": self.since.utc,

@@ -43,7 +43,7 @@ ReadSelf = Callable[[], SelfFact]
 class RosNotConfigured:
     """Used when no node and no topic is configured: no child process is needed."""
 
-    def look(self) -> RosFact:
+    def snapshot(self) -> RosFact:
         raise CannotTell("no ROS node or topic is configured")
 
 
@@ -55,7 +55,7 @@ class DaemonSelfProbe:
     ros: RosSupervisor | None
     links: Links
 
-    def look(self) -> SelfFact:
+    def snapshot(self) -> SelfFact:
         fact = self.read_self()
         if self.ros is not None:
             fact = replace(fact, problems=(*fact.problems, *self.ros.problems()), ros_restarts=self.ros.restarts)
@@ -236,7 +236,7 @@ def build_probes(
         ros=probe,
         links=links,
         swarm=swarm,
-        myself=DaemonSelfProbe(read_self, ros, links),
+        daemon=DaemonSelfProbe(read_self, ros, links),
         pressure=Pressure(engine, docker, settings.containers, settings.pressure, clock),
         environment=RosEnvironments(docker, settings.ros, clock),
         sockets=sockets,

@@ -25,7 +25,7 @@ _ENTRYPOINT = ["ros-entrypoint", "phm"]
 _SERIAL = ("serial/by-id/*", "ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*")
 
 
-def look(engine: DockerEngine, dev: Path = Path("/dev"), proc: Path = Path("/proc")) -> Machine:
+def inspect_machine(engine: DockerEngine, dev: Path = Path("/dev"), proc: Path = Path("/proc")) -> Machine:
     """Raises CannotTell, with the remedy, when the engine does not answer. dev: where the host's /dev is."""
     version = str(engine.version().get("Version") or "of unknown version")
     answers = [answer for entry in engine.list()[:MAX_CONTAINERS] if (answer := _inspect(engine, entry))]
@@ -83,7 +83,7 @@ def _application(engine: DockerEngine, answer: Mapping[str, Any], names: Mapping
 
 def _processes(engine: DockerEngine, fact: ContainerFact) -> Sequence[ProcessFact]:
     try:
-        return Processes(engine, SystemClock()).look(fact.id) if fact.running else ()
+        return Processes(engine, SystemClock()).inspect(fact.id) if fact.running else ()
     except CannotTell:
         return ()
 

@@ -126,7 +126,7 @@ class SimulatedAutopilot:
                 other.send(frame, spoken_only=True, but=peer if other is port else None)
 
     def _obey(self, port: Port, message: Any) -> None:
-        for answer in self._pilot.obey(time.monotonic(), message, port):
+        for answer in self._pilot.handle(time.monotonic(), message, port):
             if answer.everyone:
                 self._send([answer.frame])
             else:

@@ -92,12 +92,12 @@ class AutopilotModel:
         return self._boot_until is not None
 
     @property
-    def dumb(self) -> bool:
+    def unresponsive(self) -> bool:
         return self.hung or self.rebooting
 
     def due(self, now: float) -> list[bytes]:
         """The frames that are due at `now` on all ports."""
-        if self.dumb:
+        if self.unresponsive:
             return []
         found = []
         while self._texts and now >= self._texts[0][0]:
@@ -110,7 +110,7 @@ class AutopilotModel:
 
     def due_on(self, now: float, port: Hashable = None) -> list[bytes]:
         """The frames of the port's streams that are due at `now`."""
-        if self.dumb:
+        if self.unresponsive:
             return []
         found = []
         for message_id, stream in self._streams_of(port).items():
@@ -126,9 +126,9 @@ class AutopilotModel:
         streams = (stream.due for port in self._streams.values() for stream in port.values())
         return min([*(due for due, _ in self._due.values()), *(at for at, _ in self._texts), *streams])
 
-    def obey(self, now: float, message: Any, port: Hashable = None) -> list[Answer]:
+    def handle(self, now: float, message: Any, port: Hashable = None) -> list[Answer]:
         """The answer to a message for the autopilot that arrived on `port`: an acknowledgement, and its new state."""
-        if self.dumb:
+        if self.unresponsive:
             return []
         if message.get_type() == "REQUEST_DATA_STREAM":
             hertz = message.req_message_rate if message.start_stop else 0

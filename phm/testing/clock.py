@@ -12,7 +12,7 @@ from phm.core.model import Stamp
 from phm.core.scheduling_delay import SchedulingDelay
 
 # An event may be set by any thread without notice to the clock, so sleepers look at it this often (real seconds).
-_LOOK_S = 0.002
+_POLL_S = 0.002
 
 
 @dataclasses.dataclass(eq=False)
@@ -67,7 +67,7 @@ class FakeClock:
         """Move both clocks as `advance` does, while PHM does not run: time that `late_s` reports."""
         self._lateness.expect(self.mono())
         self.advance(seconds)
-        self._lateness.came(self.mono())
+        self._lateness.record_run(self.mono())
 
     def late_s(self, since: float, most_s: float | None = None) -> float:
         return self._lateness.late_s(since, self.mono(), most_s)
@@ -94,7 +94,7 @@ class FakeClock:
             while self._count() < (expected := count() if callable(count) else count):
                 if time.monotonic() >= limit:
                     raise TimeoutError(f"{self._count()} threads wait on the fake clock, expected {expected}")
-                self._slept.wait(_LOOK_S)
+                self._slept.wait(_POLL_S)
 
     def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
         """As `phm.core.clock.Clock.wait`, in the time of this clock."""
@@ -104,7 +104,7 @@ class FakeClock:
             self._slept.notify_all()
             try:
                 while self._asleep(sleeper):
-                    self._moved.wait(_LOOK_S)
+                    self._moved.wait(_POLL_S)
                 return event.is_set()
             finally:
                 self._sleepers.remove(sleeper)

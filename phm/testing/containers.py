@@ -86,7 +86,7 @@ class FakeDocker(Fake):
             raise CannotTell(f"the processes of {name} are unknown")
         return self.lists[name]
 
-    def myself(self) -> ContainerFact | None:
+    def own_container(self) -> ContainerFact | None:
         self._asked()
         return self.me
 
@@ -118,7 +118,7 @@ class FakeFiles(Fake):
         plain = FileFact(path, "file", 100, 0o644, executable=False, seen_through="volume")
         self.files[container, path] = dataclasses.replace(plain, **fields)
 
-    def look(self, container: str, path: str, *, digest: bool) -> FileFact | None:
+    def inspect(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         self._asked()
         if (container, path) in self.problems:
             raise self.problems[container, path]

@@ -19,7 +19,7 @@ class FakeRos(Fake):
     def change(self, **fields: Any) -> None:
         self.fact = dataclasses.replace(self.fact, **fields)
 
-    def look(self) -> RosFact:
+    def snapshot(self) -> RosFact:
         self._asked()
         return self.fact
 
@@ -94,6 +94,6 @@ class FakeSwarm(Fake):
     def change(self, **fields: Any) -> None:
         self.fact = dataclasses.replace(self.fact, **fields)
 
-    def look(self) -> SwarmFact:
+    def snapshot(self) -> SwarmFact:
         self._asked()
         return self.fact

@@ -52,7 +52,7 @@ class FakeDevices(Fake):
         plain = DeviceFact(path, character=True, major=188, minor=0, openable=True)
         self.devices[path] = dataclasses.replace(plain, **fields)
 
-    def look(self, path: str, *, open_it: bool) -> DeviceFact | None:
+    def inspect(self, path: str, *, open_it: bool) -> DeviceFact | None:
         self._asked()
         if open_it:
             self.opened.append(path)
@@ -75,7 +75,7 @@ class FakeSerial(Fake):
         super().__init__()
         self.ports: dict[str, SerialFact] = {}
 
-    def look(self, path: str, *, baud: int, line: str) -> SerialFact:
+    def inspect(self, path: str, *, baud: int, line: str) -> SerialFact:
         self._asked()
         return self.ports.get(path, SerialFact(problem="it has not been opened yet"))
 
@@ -108,6 +108,6 @@ class FakeSelf(Fake):
     def change(self, **fields: Any) -> None:
         self.fact = dataclasses.replace(self.fact, **fields)
 
-    def look(self) -> SelfFact:
+    def snapshot(self) -> SelfFact:
         self._asked()
         return self.fact

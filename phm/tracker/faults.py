@@ -33,7 +33,9 @@ class FaultRecords:
                 closed = replace(fault, closed=now, outcome=Outcome.RESOLVED, by=CONFIGURATION)
                 effects.events.append(FaultClosed(now, closed))
             elif record.fault is None:
-                record.fault = replace(fault, slot=record.spec.slot, layer=record.spec.layer)
+                record.fault = replace(
+                    fault, slot=record.spec.slot, layer=record.spec.layer, node=record.spec.unit.node
+                )
                 record.conditions.add(fault.result.condition)
                 _restored(record, fault, fault.id)
         for fault in given_up:
@@ -66,6 +68,7 @@ class FaultRecords:
             start_seen=record.container_started != NEVER,
             pause_s=record.pause_s,
             generation=self._starts.newest(result.target) if result.target else "",
+            node=spec.unit.node,
             confirmed_s=None if record.error_since is None else max(0.0, now.mono - record.error_since),
         )
         effects.events.append(FaultOpened(now, record.fault))

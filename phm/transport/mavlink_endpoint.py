@@ -65,7 +65,7 @@ class Endpoint:
         self._line: SerialErrorCount | None = None
         self._again = threading.Event()
         self._opened = 0
-        self._received = self._looked = 0.0
+        self._received = self._polled = 0.0
         self._read_at: float | None = None
         self._thread = threading.Thread(target=self._loop, name=f"phm-mavlink-{self.name}"[:60], daemon=True)
 
@@ -188,9 +188,9 @@ class Endpoint:
                 self._deliver(message, self.name)
         self._read_at = self._clock.mono()
         self._write(channel)
-        if self._clock.mono() - self._looked >= IDLE_S:
+        if self._clock.mono() - self._polled >= IDLE_S:
             self._line = channel.line()
-            self._look()
+            self._observe()
 
     def _write(self, channel: Channel) -> None:
         while channel.ready and (item := self._queue.take()) is not None:
@@ -218,10 +218,10 @@ class Endpoint:
         if (old is None or old.open) and not is_open:
             logger.info("MAVLink endpoint %s is closed: %s", self.name, error)
         if old is None or not (old.open and is_open):
-            self._look()
+            self._observe()
 
-    def _look(self) -> None:
-        self._looked = self._clock.mono()
+    def _observe(self) -> None:
+        self._polled = self._clock.mono()
         self._changed()
 
     def _ring(self) -> None:

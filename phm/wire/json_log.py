@@ -25,7 +25,7 @@ MOST_FILES = 100
 """The highest number of a rotated file."""
 COMPRESSED = ".gz"
 _NUMBER = re.compile(r"[1-9][0-9]{0,2}")
-_LOOKS = 5
+_TRIES = 5
 """How often a log is opened again because it was rotated meanwhile."""
 
 
@@ -65,7 +65,7 @@ def read(path: Path | str) -> Iterator[dict[str, Any]]:
     """
     with ExitStack() as stack:
         streams: list[IO[bytes]] = []
-        for _ in range(_LOOKS):
+        for _ in range(_TRIES):
             stack.close()
             found = files(path)
             streams = _open(found, stack)

@@ -35,7 +35,7 @@ from sitl.application.received import Record
 DEPTH = 10
 OPTIONS_VARIABLE = "SITL_NODE"
 """Environment variable with the options, a list in JSON, for a node that is started without any."""
-LOOK_S = 0.5
+POLL_S = 0.5
 """How often an idle node checks for a request to end."""
 
 
@@ -130,7 +130,7 @@ def _work(options: argparse.Namespace) -> None:
         # In one write: others write to the same pipe, and `print` would put its newline after theirs.
         os.write(sys.stdout.fileno(), f"node: {options.name} is up\n".encode())
         while rclpy.ok():
-            executor.spin_once(timeout_sec=LOOK_S)
+            executor.spin_once(timeout_sec=POLL_S)
             ends.follow()
             if record.due():
                 reading.follow()

@@ -26,7 +26,7 @@ from phm_checks.pressure import Pressure
 ROOT = Path("/sys/fs/cgroup")
 DISK = "/dev/vda"
 LIMIT_S = 90.0
-LOOK_S = 0.5
+POLL_S = 0.5
 MIB = 1 << 20
 IDS = ("ab" * 32, "cd" * 32)
 """As of a container that is watched and of another one."""
@@ -72,15 +72,15 @@ class Rows:
         def wanted(result: api.Result) -> bool:
             return result.level is level and condition in ("", result.condition)
 
-        end_s, result = time.monotonic() + LIMIT_S, self.look()
+        end_s, result = time.monotonic() + LIMIT_S, self.run_check()
         while not wanted(result) and time.monotonic() < end_s:
-            time.sleep(LOOK_S)
-            result = self.look()
+            time.sleep(POLL_S)
+            result = self.run_check()
         self.bad += not wanted(result)
         verdict = "as expected" if wanted(result) else f"NOT {condition or 'OK'}"
         print(f"{title}: {verdict}: {result.level.name} {result.summary}", flush=True)
 
-    def look(self) -> api.Result:
+    def run_check(self) -> api.Result:
         result = self.check.run(self.world)
         assert isinstance(result, api.Result)
         return result
@@ -118,7 +118,7 @@ class GroupRows(Rows):
         while (used := int((self.group / "memory.current").read_text())) < size:
             if time.monotonic() > end_s:
                 raise TimeoutError(f"{used} bytes are used after {LIMIT_S:g} s, expected {size}")
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
 
     @contextmanager
     def running(self, *programs: str, others: bool = False) -> Iterator[None]:

@@ -126,13 +126,13 @@ class Bench:
         few = CHANGES // PROCESSES
         self._latencies.clear()
         for crowd in self._crowds:
-            crowd.turn(range(few), SPACING_S)
+            crowd.tick(range(few), SPACING_S)
         self._wait_for(PROCESSES * few)
         yield from self._quantiles("one change", 0.5)
         self._latencies.clear()
         rest = [range(few, len(crowd.names)) for crowd in self._crowds]
         for crowd, numbers in zip(self._crowds, rest, strict=True):
-            crowd.turn(numbers)
+            crowd.tick(numbers)
         count = sum(map(len, rest))
         self._wait_for(count)
         yield from self._quantiles(f"{count} changes together", 5.0)

@@ -72,7 +72,7 @@ class Swarm:
         numbers = list(self.fleet.agents)
         self.failing = set(numbers[:: max(1, len(numbers) // count)][:count])
         for number in self.failing:
-            self.fleet.agents[number].turn(self._bad)
+            self.fleet.agents[number].tick(self._bad)
 
     def measure(self, seconds: float) -> Row:
         """Of the next `seconds` of the fleet's clock."""

@@ -33,6 +33,7 @@ from phm.core.model import (
 from phm.core.settings import AgentSettings, LogSettings, Settings
 from phm.reporters.base import ReporterContext
 from phm.reporters.log import LogReporter
+from phm.runtime.sections import reporter_settings
 from phm.testing import FakeClock
 from phm.wire import json_log
 from phm.wire.report import iso
@@ -80,7 +81,9 @@ def _write(folder: Path, seconds: float, draw: random.Random) -> None:
         log=LogSettings(directory=str(folder), max_size=1e9),
         state_dir=str(folder / "state"),
     )
-    context = ReporterContext(settings, clock, _BOOT, tuple, lambda: True, dict, armed=lambda: armed[0])
+    context = ReporterContext(
+        reporter_settings(settings), clock, _BOOT, tuple, lambda: True, dict, armed=lambda: armed[0]
+    )
     log = LogReporter.build(context)
     states = [_state(name, slot, values, draw) for name, slot, values in _UNITS]
     for number in range(1, int(seconds / EVERY_S) + 1):

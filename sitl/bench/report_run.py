@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 
 LIMIT_S = 7200.0
-LOOK_S = 0.2
+POLL_S = 0.2
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -29,7 +29,7 @@ def run(arguments: Sequence[str], output: int) -> tuple[float, int]:
             if time.monotonic() - began > LIMIT_S:
                 raise SystemExit(f"phm report took more than {LIMIT_S:g} s")
             try:
-                process.wait(LOOK_S)
+                process.wait(POLL_S)
             except subprocess.TimeoutExpired:
                 continue
     finally:

@@ -17,6 +17,7 @@ from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
 from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.reporters.base import ReporterContext
 from phm.reporters.diagnostics import DiagnosticsReporter
+from phm.runtime.sections import reporter_settings
 from phm.testing import settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
@@ -101,7 +102,13 @@ def _diagnostics(units: Sequence[UnitState]) -> dict[str, object]:
     """What PHM's own reporter would have published."""
     pipe = _Pipe()
     context = ReporterContext(
-        settings(agent={"name": "agent_1"}), SystemClock(), "boot", lambda: tuple(units), lambda: True, dict, None
+        reporter_settings(settings(agent={"name": "agent_1"})),
+        SystemClock(),
+        "boot",
+        lambda: tuple(units),
+        lambda: True,
+        dict,
+        None,
     )
     DiagnosticsReporter(context, pipe).tick()
     return {name: asdict(fact) for name, fact in pipe.statuses.items()}

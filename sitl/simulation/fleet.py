@@ -15,6 +15,7 @@ from phm.probes.swarm import SwarmMonitor as Probe
 from phm.reporters.base import ReporterContext
 from phm.reporters.mavlink import MavlinkReporter
 from phm.reporters.swarm import SwarmReporter
+from phm.runtime.sections import reporter_settings
 from phm.testing import FakeClock, settings
 from phm.transport.mavlink_codec import Codec
 from phm.transport.priority import MessagePriority
@@ -102,7 +103,7 @@ class Agent:
             lambda: None,
         )
         self.context = context = ReporterContext(
-            self.settings,
+            reporter_settings(self.settings),
             clock,
             "boot",
             lambda: tuple(self.units.values()),
@@ -125,7 +126,7 @@ class Agent:
             unit, unit, old.slot, old.layer, level, Result(level, "", brief), self.clock.stamp()
         )
 
-    def turn(self, units: Sequence[UnitState]) -> None:
+    def tick(self, units: Sequence[UnitState]) -> None:
         """Set the units; changes are published as by the tracker."""
         before, self.units = self.units, {state.unit: state for state in units}
         for state in units:

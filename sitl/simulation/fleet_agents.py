@@ -19,7 +19,7 @@ from typing import Any
 
 import psutil
 
-from phm.cli.run import leave
+from phm.cli.run import end_process
 from phm.core.clock import SystemClock
 from phm.core.model import (
     Fault,
@@ -37,6 +37,7 @@ from phm.core.model import (
 from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
 from phm.reporters.fleet import TICK_S, FleetReporter
+from phm.runtime.sections import reporter_settings
 
 NODE = "nodes/agent/node_1"
 UNITS = (
@@ -53,11 +54,12 @@ UNITS = (
     ("radio/ground", Slot.RADIO),
     ("peers/swarm", Slot.PEERS),
 )
+
 LIMIT_S = 60.0
 
 
 class Agent:
-    """One agent's reporter, as run by a daemon; its units are set by `turn`."""
+    """One agent's reporter, as run by a daemon; its units are set by `tick`."""
 
     def __init__(self, name: str, endpoint: str, fleet: str, **options: Any) -> None:
         section = {"enabled": True, "name": fleet, "connect": [endpoint], **options}
@@ -72,14 +74,19 @@ class Agent:
         }
         self._fault: Fault | None = None
         context = ReporterContext(
-            self.settings, self.clock, self.boot_id, lambda: tuple(self._units.values()), lambda: self.alive, dict
+            reporter_settings(self.settings),
+            self.clock,
+            self.boot_id,
+            lambda: tuple(self._units.values()),
+            lambda: self.alive,
+            dict,
         )
         reporter = FleetReporter.build(context)
         assert reporter is not None
         self.reporter = reporter
         reporter.handle(Report(at, 1, at, ()))
 
-    def turn(self) -> None:
+    def tick(self) -> None:
         """Break or repair the node. The fault's brief has the time, on the machine's monotonic clock."""
         at = self.clock.stamp()
         old, broken = self._units[NODE], self._fault is None
@@ -135,7 +142,7 @@ class Crowd:
         """Wait until all agents have started."""
         self._line()
 
-    def turn(self, numbers: Iterable[int], spacing_s: float = 0.0) -> None:
+    def tick(self, numbers: Iterable[int], spacing_s: float = 0.0) -> None:
         """Break or repair these agents, counted from 0 within this process."""
         self._ask({"turn": list(numbers), "spacing_s": spacing_s})
 
@@ -203,7 +210,7 @@ def main(endpoint: str, fleet: str, first: str, count: str, options: str) -> Non
     for line in sys.stdin:
         asked = json.loads(line)
         for number in asked.get("turn", ()):
-            agents[number].turn()
+            agents[number].tick()
             time.sleep(asked["spacing_s"])
         if asked.get("report"):
             print(json.dumps({**report(agents), "rss_before": rss}), flush=True)
@@ -217,4 +224,4 @@ def main(endpoint: str, fleet: str, first: str, count: str, options: str) -> Non
 
 if __name__ == "__main__":
     main(*sys.argv[1:])
-    leave(0)  # as the daemon does: Zenoh's threads may outlast their sessions
+    end_process(0)  # as the daemon does: Zenoh's threads may outlast their sessions

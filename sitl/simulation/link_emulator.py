@@ -95,9 +95,9 @@ class LinkEmulator:
         now = time.monotonic()
         self._call_pilots(now)
         for vehicle in self.vehicles.values():
-            vehicle.turn(now)
+            vehicle.tick(now)
             self._emit(vehicle)
-        for agent, data in self.mesh.turn(now):
+        for agent, data in self.mesh.tick(now):
             if agent in self._received_at:
                 with contextlib.suppress(OSError):
                     self._peers[agent].sendto(data, self._received_at[agent])

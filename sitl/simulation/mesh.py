@@ -22,7 +22,7 @@ class _Radio:
 
 
 class Mesh:
-    """`take` an agent's datagram, advance the time with `turn`, which returns (receiving agent, bytes)."""
+    """`take` an agent's datagram, advance the time with `tick`, which returns (receiving agent, bytes)."""
 
     def __init__(self, agents: Iterable[int], chance: random.Random) -> None:
         self._radios = {agent: _Radio(chance) for agent in agents}
@@ -34,7 +34,7 @@ class Mesh:
         if not (radio.air.off or radio.air.cut) and radio.pipe.offer(now, len(data), data):
             radio.counts["to_peers"] += len(data)
 
-    def turn(self, now: float) -> list[tuple[int, bytes]]:
+    def tick(self, now: float) -> list[tuple[int, bytes]]:
         """The frames that arrive by `now`, with their receivers. Losses are drawn twice: at the sender and at the
         receiver.
         """

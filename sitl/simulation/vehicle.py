@@ -58,7 +58,7 @@ class _End:
 
 
 class Vehicle:
-    """`take` a frame from a place, advance the time with `turn`, and read the results from `out`: (place, bytes).
+    """`take` a frame from a place, advance the time with `tick`, and read the results from `out`: (place, bytes).
 
     pilot: the simulated autopilot; None: a real one is at the place "pilot".
     """
@@ -79,14 +79,14 @@ class Vehicle:
 
     def take(self, now: float, place: Place, frame: Frame) -> None:
         """A frame from PHM, from the ground station or from a real autopilot."""
-        self.turn(now)
+        self.tick(now)
         if place == "ground":
             self._from_station(frame)
         elif place == "phm" or not self.pilot_off:
             self._route(place, frame)
-        self.turn(now)
+        self.tick(now)
 
-    def turn(self, now: float) -> None:
+    def tick(self, now: float) -> None:
         """Advance the time: the autopilot's own frames, and arrivals over the radio link."""
         self._now = now
         if not self.ground.cut and not self.ground.off:
@@ -193,7 +193,7 @@ class Vehicle:
             self._into_air(frame)
         elif place == "pilot" and self.pilot is not None:
             if not self.pilot_off and frame.target_system == self.number and frame.target_component in (0, AUTOPILOT):
-                for answer in self.pilot.obey(self._now, frame.message):
+                for answer in self.pilot.handle(self._now, frame.message):
                     self._from_pilot(answer.frame)
         elif place == "phm" or not self.pilot_off:
             self.out.append((place, frame.raw))

@@ -37,9 +37,9 @@ def measure(name: str, seconds: float) -> list[Cost]:
         services = {str(one.name): str(one.labels.get("com.docker.compose.service")) for one in found}
     finally:
         client.close()
-    before = _look(services)
+    before = _measure(services)
     time.sleep(seconds)
-    after = _look(services)
+    after = _measure(services)
     both = sorted(before.keys() & after.keys())
     return [between(one, services[one], before[one], after[one]) for one in both]
 
@@ -55,7 +55,7 @@ def between(name: str, service: str, before: tuple[float, Any], after: tuple[flo
     return Cost(name, service, percent, used_s[1], (memory["usage"] - idle) / 1e6)
 
 
-def _look(services: Mapping[str, str]) -> dict[str, tuple[float, Any]]:
+def _measure(services: Mapping[str, str]) -> dict[str, tuple[float, Any]]:
     with ThreadPoolExecutor(AT_ONCE) as pool:
         answers = zip(services, pool.map(_stats, services), strict=True)
         return {name: answer for name, answer in answers if answer is not None}

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks._application_hop import LOOK_S, ApplicationHop
+from phm_checks._application_hop import POLL_S, ApplicationHop
 from phm_checks._command_path import HopState
 from tests.fakes.path_world import PathWorld
 
@@ -78,39 +78,39 @@ class Scene:
         self.clock, self.docker = testing.FakeClock(), testing.FakeDocker(testing.container("app"))
         self.ros = testing.FakeRos(nodes=dict.fromkeys(nodes, 1))
 
-    def look(self, seconds: float = 0.0) -> tuple[HopState, str]:
+    def evaluate(self, seconds: float = 0.0) -> tuple[HopState, str]:
         self.clock.advance(seconds)
-        hop = self.hop.look(testing.world(clock=self.clock, docker=self.docker, ros=self.ros))
+        hop = self.hop.evaluate(testing.world(clock=self.clock, docker=self.docker, ros=self.ros))
         return hop.state, hop.evidence
 
 
 def test_a_container_that_does_not_run_breaks_the_path() -> None:
     """It is seen within a few seconds, or as soon as its nodes are missing; a running one is not asked about all the time."""
     scene = Scene("/a", "/b")
-    assert scene.look() == (HopState.OK, "")
+    assert scene.evaluate() == (HopState.OK, "")
     scene.docker.change("app", status="exited")
-    assert scene.look(1.0)[0] is HopState.OK
-    assert scene.look(LOOK_S) == (HopState.BROKEN, "app is exited")
+    assert scene.evaluate(1.0)[0] is HopState.OK
+    assert scene.evaluate(POLL_S) == (HopState.BROKEN, "app is exited")
     scene.docker.change("app", status="running")
-    assert scene.look(0.5) == (HopState.OK, "")
+    assert scene.evaluate(0.5) == (HopState.OK, "")
     scene.docker.change("app", status="paused")
     scene.ros.change(nodes={"/a": 1})
-    assert scene.look(0.5) == (HopState.BROKEN, "app is paused")
+    assert scene.evaluate(0.5) == (HopState.BROKEN, "app is paused")
     scene.docker.remove("app")
-    assert scene.look(0.5) == (HopState.BROKEN, "app does not exist")
+    assert scene.evaluate(0.5) == (HopState.BROKEN, "app does not exist")
     scene.docker.fail("no answer")
-    assert scene.look(0.5) == (HopState.UNKNOWN, "the Docker Engine does not answer")
+    assert scene.evaluate(0.5) == (HopState.UNKNOWN, "the Docker Engine does not answer")
 
 
 def test_one_of_several_nodes_makes_the_hop_weak_and_all_of_them_break_it() -> None:
     """The text names the first three."""
     scene = Scene("/a", "/b")
     scene.ros.change(nodes={"/a": 1})
-    assert scene.look() == (HopState.WEAK, "b not in the graph")
+    assert scene.evaluate() == (HopState.WEAK, "b not in the graph")
     scene.ros.change(nodes={})
-    assert scene.look() == (HopState.BROKEN, "a, b not in the graph")
+    assert scene.evaluate() == (HopState.BROKEN, "a, b not in the graph")
     scene.ros.change(up_s=1.0)
-    assert scene.look()[0] is HopState.UNKNOWN
+    assert scene.evaluate()[0] is HopState.UNKNOWN
 
 
 def test_the_first_broken_hop_is_the_application_by_default() -> None:

@@ -50,7 +50,7 @@ def test_an_autopilot_that_was_never_received_is_a_fault_only_when_it_is_expecte
 
 def test_an_autopilot_may_start_after_phm() -> None:
     """It gets its power together with the companion, so PHM waits for it."""
-    just_begun = testing.world(links=testing.FakeLinks(links=(OPEN,)), myself=testing.FakeSelf(uptime_s=10.0))
+    just_begun = testing.world(links=testing.FakeLinks(links=(OPEN,)), daemon=testing.FakeSelf(uptime_s=10.0))
     result = check(autopilot=True).run(just_begun)
     assert isinstance(result, api.Result)
     assert result.level is api.Level.STALE

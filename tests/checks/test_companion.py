@@ -26,10 +26,10 @@ def test_a_phm_without_problems_is_ok() -> None:
 
 def test_problems_of_phm_itself_are_warnings() -> None:
     """One summary lists overdue checks, lost events and problems."""
-    myself = testing.FakeSelf(
+    daemon = testing.FakeSelf(
         overdue=("files/ros_app",), dropped={"mavlink": 3, "log": 0}, problems=("log: no space left",)
     )
-    result = run(check(), testing.world(myself=myself))
+    result = run(check(), testing.world(daemon=daemon))
     assert (result.level, result.condition) == (api.Level.WARN, "check_overdue")
     for part in ("files/ros_app", "mavlink 3", "no space left"):
         assert part in result.summary
@@ -44,22 +44,22 @@ def test_lost_links_are_not_reported_here() -> None:
 
 def test_a_crash_is_reported_for_a_limited_time() -> None:
     """PHM was killed and restarted: a warning, only for as long as a ground station needs to receive it."""
-    myself = testing.FakeSelf(uptime_s=2.0, ended_badly=True)
-    result = run(check(), testing.world(myself=myself))
+    daemon = testing.FakeSelf(uptime_s=2.0, ended_badly=True)
+    result = run(check(), testing.world(daemon=daemon))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_restarted", "PHM was restarted")
-    myself.change(uptime_s=60.0)
-    assert run(check(), testing.world(myself=myself)).level is api.Level.OK
+    daemon.change(uptime_s=60.0)
+    assert run(check(), testing.world(daemon=daemon)).level is api.Level.OK
 
 
 def test_a_suspension_is_reported_for_a_limited_time() -> None:
     """PHM was suspended and resumed: the text has the time without monitoring."""
-    myself = testing.FakeSelf(suspended_s=4.2, suspended_ago_s=1.0)
-    result = run(check(), testing.world(myself=myself))
+    daemon = testing.FakeSelf(suspended_s=4.2, suspended_ago_s=1.0)
+    result = run(check(), testing.world(daemon=daemon))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "phm_suspended", "PHM suspended 4 s")
     assert "was it stopped or paused" in result.summary
-    myself.change(suspended_s=0.42, was_stopped=True)
-    result = run(check(), testing.world(myself=myself))
+    daemon.change(suspended_s=0.42, was_stopped=True)
+    result = run(check(), testing.world(daemon=daemon))
     assert (result.condition, result.brief) == ("phm_suspended", "PHM suspended 0.4 s")
     assert "SIGSTOP" in result.summary
-    myself.change(suspended_ago_s=40.0)
-    assert run(check(), testing.world(myself=myself)).level is api.Level.OK
+    daemon.change(suspended_ago_s=40.0)
+    assert run(check(), testing.world(daemon=daemon)).level is api.Level.OK

@@ -146,7 +146,7 @@ class Loop:
         self.world = testing.world(clock=self.clock, docker=self.docker)
         self.count, self.life = 0, 1
 
-    def look(self, **fields: Any) -> api.Result:
+    def observe(self, **fields: Any) -> api.Result:
         if fields:
             self.docker.change("ros_app", **fields)
         result = self.check.run(self.world)
@@ -156,17 +156,17 @@ class Loop:
     def waits(self) -> api.Result:
         """Its process terminated and the engine waits before it restarts it."""
         self.count += 1
-        return self.look(status="restarting", restart_count=self.count, exit_code=139)
+        return self.observe(status="restarting", restart_count=self.count, exit_code=139)
 
     def runs(self, *, by_hand: bool = False) -> api.Result:
         """It has been restarted."""
         self.life += 1
         self.count = 0 if by_hand else self.count
-        return self.look(status="running", started_at=f"t{self.life}", restart_count=self.count)
+        return self.observe(status="running", started_at=f"t{self.life}", restart_count=self.count)
 
     def stays(self, seconds: float) -> api.Result:
         self.clock.advance(seconds)
-        return self.look()
+        return self.observe()
 
 
 def level_and_condition(*results: api.Result) -> list[tuple[str, str]]:
@@ -176,18 +176,18 @@ def level_and_condition(*results: api.Result) -> list[tuple[str, str]]:
 def test_each_result_has_the_start_time_of_the_container() -> None:
     """It shows the tracker that the container was restarted between two checks."""
     loop = Loop()
-    first, second = loop.look(), loop.runs(by_hand=True)
+    first, second = loop.observe(), loop.runs(by_hand=True)
     assert first.level is second.level is api.Level.OK
     assert first.evidence.generation == "id-of-ros_app@2026-01-01T00:00:00.000000001Z"
     assert second.evidence.generation == "id-of-ros_app@t2"
-    assert loop.look(status="exited").evidence.generation == "id-of-ros_app@t2"
+    assert loop.observe(status="exited").evidence.generation == "id-of-ros_app@t2"
 
 
 def test_one_restart_by_the_engine_is_a_warning_until_the_container_is_stable() -> None:
     """The process did terminate: this is reported even if no check ran in between, and it is not a fault."""
     seen, unseen = Loop(), Loop()
-    seen.look()
-    unseen.look()
+    seen.observe()
+    unseen.observe()
     waiting = seen.waits()
     unseen.count += 1
     assert waiting.level is api.Level.STALE and "exit code 139: segmentation fault" in waiting.summary
@@ -199,7 +199,7 @@ def test_one_restart_by_the_engine_is_a_warning_until_the_container_is_stable() 
 def test_a_container_that_keeps_terminating_is_one_lasting_error() -> None:
     """From the third short run on, with the same text whether it runs or waits during a check."""
     loop = Loop()
-    loop.look()
+    loop.observe()
     early = [result for _ in range(2) for result in (loop.stays(2.0), loop.waits(), loop.runs())]
     assert api.Level.ERROR not in {result.level for result in early}
     for _ in range(6):
@@ -213,7 +213,7 @@ def test_a_container_that_keeps_terminating_is_one_lasting_error() -> None:
 def test_restarts_between_two_checks_are_all_counted() -> None:
     """The engine's restart counter includes those that no check observed."""
     loop = Loop()
-    loop.look()
+    loop.observe()
     loop.count = 4
     assert level_and_condition(loop.runs()) == [("ERROR", "restarting")]
 
@@ -231,7 +231,7 @@ def test_a_restart_loop_from_before_the_start_of_phm_is_reported_by_the_first_ch
 def test_stale_turns_into_an_error_while_the_engine_backs_off() -> None:
     """The engine waits long only after several restarts, and a lasting STALE would hide a container that is down."""
     loop = Loop()
-    loop.look()
+    loop.observe()
     loop.waits()
     assert level_and_condition(loop.stays(WAIT_S)) == [("ERROR", "restarting")]
 
@@ -239,7 +239,7 @@ def test_stale_turns_into_an_error_while_the_engine_backs_off() -> None:
 def test_long_runs_are_no_restart_loop() -> None:
     """A process that terminates once an hour is restarted by the engine, with one warning each time."""
     loop = Loop()
-    loop.look()
+    loop.observe()
     for _ in range(10):
         loop.stays(3600.0)
         loop.waits()
@@ -249,7 +249,7 @@ def test_long_runs_are_no_restart_loop() -> None:
 def test_manual_starts_are_a_loop_only_above_the_limit_for_restarts_by_phm() -> None:
     """Each start grants grace to what runs inside: a tool that restarts all the time would hide a fault permanently."""
     loop = Loop()
-    loop.look()
+    loop.observe()
     results = []
     for _ in range(OTHER_STARTS):
         loop.clock.advance(4.0)
@@ -257,7 +257,7 @@ def test_manual_starts_are_a_loop_only_above_the_limit_for_restarts_by_phm() -> 
     assert level_and_condition(*results) == [("OK", "")] * (OTHER_STARTS - 1) + [("ERROR", "restarting")]
     assert "6 times" in results[-1].summary
     generous = Loop(recovery={"budget": 8})
-    generous.look()
+    generous.observe()
     results = [generous.runs(by_hand=True) for _ in range(9)]
     assert level_and_condition(*results) == [("OK", "")] * 8 + [("ERROR", "restarting")]
 
@@ -265,7 +265,7 @@ def test_manual_starts_are_a_loop_only_above_the_limit_for_restarts_by_phm() -> 
 def test_a_manual_start_ends_the_restart_loop() -> None:
     """The operator has intervened, so the count starts from zero."""
     loop = Loop()
-    loop.look()
+    loop.observe()
     loop.count = 5
     assert level_and_condition(loop.runs()) == [("ERROR", "restarting")]
     assert level_and_condition(loop.runs(by_hand=True)) == [("OK", "")]
@@ -274,7 +274,7 @@ def test_a_manual_start_ends_the_restart_loop() -> None:
 def test_a_run_shorter_than_the_grace_of_its_nodes_is_short() -> None:
     """With a long `ros.grace` a slow loop would otherwise be hidden by repeated grace."""
     loop = Loop(ros={"grace": "60s"})
-    loop.look()
+    loop.observe()
     for _ in range(3):
         loop.stays(50.0)
         loop.waits()
@@ -358,17 +358,17 @@ def test_a_probe_that_hung_for_long_is_evidence_of_its_last_seconds() -> None:
     clock, docker = testing.FakeClock(), testing.FakeDocker()
     slow = HealthcheckFact(interval_s=3.0, timeout_s=30.0, retries=1)
 
-    def look(**fields: Any) -> api.Result:
+    def observe(**fields: Any) -> api.Result:
         docker.put(testing.container("ros_app", healthcheck=slow, **fields))
         result = check.run(testing.world(docker=docker, clock=clock))
         assert isinstance(result, api.Result)
         return result
 
-    look(health="healthy")
+    observe(health="healthy")
     clock.advance(20.0)
-    look(health="healthy")
+    observe(health="healthy")
     clock.advance(10.0)
-    assert look(health="unhealthy", health_streak=1).age_s == 10.0 + UNDISTURBED_S
+    assert observe(health="unhealthy", health_streak=1).age_s == 10.0 + UNDISTURBED_S
 
 
 def test_unhealthy_has_streak_and_last_output() -> None:

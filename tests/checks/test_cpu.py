@@ -25,9 +25,9 @@ class Bench:
         self.clock, self.host = testing.FakeClock(), testing.FakeHost()
         self.docker = testing.FakeDocker(testing.container("ros_app", started_at="2023-11-01T00:00:00.5Z"))
         self.pressure = testing.FakePressure()
-        self.looks(20.0, **CALM)
+        self.observations(20.0, **CALM)
 
-    def look(self, **fields: Any) -> api.Result:
+    def observe(self, **fields: Any) -> api.Result:
         self.clock.advance(STEP_S)
         self.host.change(**fields)
         world = testing.world(clock=self.clock, host=self.host, docker=self.docker, pressure=self.pressure)
@@ -35,8 +35,8 @@ class Bench:
         assert not isinstance(results, api.Result)
         return results["host/cpu"]
 
-    def looks(self, seconds: float, **fields: Any) -> list[api.Result]:
-        return [self.look(**fields) for _ in range(round(seconds / STEP_S))]
+    def observations(self, seconds: float, **fields: Any) -> list[api.Result]:
+        return [self.observe(**fields) for _ in range(round(seconds / STEP_S))]
 
     def started(self) -> None:
         """The container was started a second ago."""
@@ -50,12 +50,12 @@ def test_a_start_is_recognized_despite_clock_steps(step_s: float) -> None:
     bench = Bench()
     bench.started()
     bench.clock.jump_utc(step_s)
-    assert "ERROR" not in [result.level.name for result in bench.looks(2.0, **BUSY)]
+    assert "ERROR" not in [result.level.name for result in bench.observations(2.0, **BUSY)]
 
 
 def test_a_full_cpu_with_waiting_tasks_is_reported_fast() -> None:
     """After `cpu_quick`, with the kernel's evidence in the text; nothing before."""
-    results = Bench().looks(2.0, **BUSY)
+    results = Bench().observations(2.0, **BUSY)
     assert [result.level.name for result in results] == ["OK"] * 3 + ["ERROR"]
     assert (results[-1].condition, results[-1].brief) == ("cpu_high", "CPU 100 %")
     assert "waited for a core in 90 %" in results[-1].summary and "`top`" in results[-1].summary
@@ -64,21 +64,21 @@ def test_a_full_cpu_with_waiting_tasks_is_reported_fast() -> None:
 def test_use_that_does_not_last_yet_is_reported_to_the_tracker_as_rising() -> None:
     """Symptoms that it may explain wait for it."""
     bench = Bench()
-    assert not bench.look(**CALM).evidence.rising
-    assert [result.evidence.rising for result in bench.looks(1.5, **BUSY)] == [True] * 3
-    assert not bench.look(cpu_percent=100.0, waiting_percent=WAITING_PERCENT - 1).evidence.rising
+    assert not bench.observe(**CALM).evidence.rising
+    assert [result.evidence.rising for result in bench.observations(1.5, **BUSY)] == [True] * 3
+    assert not bench.observe(cpu_percent=100.0, waiting_percent=WAITING_PERCENT - 1).evidence.rising
 
 
 def test_an_alarm_that_only_has_not_ended_yet_is_reported_to_the_tracker_as_falling() -> None:
     """It goes on for STAYS_S after the last burst, and explains symptoms no longer than these need."""
     bench = Bench()
-    bench.looks(2.0, **BUSY)
-    damped = bench.looks(STAYS_S - 2.0, **CALM)
+    bench.observations(2.0, **BUSY)
+    damped = bench.observations(STAYS_S - 2.0, **CALM)
     assert {result.level for result in damped} == {api.Level.ERROR}
     assert all(result.evidence.falling for result in damped)
-    burst = bench.look(**BUSY)
+    burst = bench.observe(**BUSY)
     assert (burst.level, burst.evidence.falling) == (api.Level.ERROR, False)
-    ended = bench.looks(STAYS_S + 1.0, **CALM)[-1]
+    ended = bench.observations(STAYS_S + 1.0, **CALM)[-1]
     assert (ended.level, ended.evidence.falling) == (api.Level.OK, False)
 
 
@@ -92,22 +92,22 @@ def test_an_alarm_that_only_has_not_ended_yet_is_reported_to_the_tracker_as_fall
 )
 def test_load_without_cpu_pressure_is_left_to_the_mean(fields: dict[str, Any]) -> None:
     """All cores busy without waiting tasks, a kernel without PSI, and waiting tasks beside idle cores."""
-    assert {result.level for result in Bench().looks(5.0, **fields)} == {api.Level.OK}
+    assert {result.level for result in Bench().observations(5.0, **fields)} == {api.Level.OK}
 
 
 def test_one_idle_sample_restarts_the_fast_window() -> None:
     """A burst with a pause is not sustained."""
     bench = Bench()
     for _ in range(5):
-        assert {result.level for result in [*bench.looks(1.5, **BUSY), bench.look(**CALM)]} == {api.Level.OK}
-        bench.looks(3.0, **CALM)
+        assert {result.level for result in [*bench.observations(1.5, **BUSY), bench.observe(**CALM)]} == {api.Level.OK}
+        bench.observations(3.0, **CALM)
 
 
 def test_a_starting_container_may_use_the_cpu_for_a_while() -> None:
     """Within `ros.grace` (8 s) of its start only the mean counts; then the fast detection reports it."""
     bench = Bench()
     bench.started()
-    levels = [result.level.name for result in bench.looks(8.0, **BUSY)]
+    levels = [result.level.name for result in bench.observations(8.0, **BUSY)]
     assert levels[: round(6.5 / STEP_S)] == ["OK"] * round(6.5 / STEP_S)
     assert levels[-1] != "OK"
 
@@ -116,16 +116,16 @@ def test_the_fast_detection_is_off_shortly_after_the_start_of_phm() -> None:
     """A booting machine is busy."""
     bench = Bench()
     (bench.check,) = Host.build(testing.settings())
-    assert "ERROR" not in {result.level.name for result in bench.looks(7.5, **BUSY)}
+    assert "ERROR" not in {result.level.name for result in bench.observations(7.5, **BUSY)}
 
 
 def test_with_a_silent_engine_only_the_mean_decides_and_the_engine_is_not_polled() -> None:
     """Each request may take as long as the engine's timeout."""
     bench = Bench()
     bench.docker.fail()
-    bench.looks(2.0, **BUSY)
+    bench.observations(2.0, **BUSY)
     asked = bench.docker.calls
-    assert bench.looks(8.0, **BUSY)[-1].level is not api.Level.OK
+    assert bench.observations(8.0, **BUSY)[-1].level is not api.Level.OK
     assert bench.docker.calls == asked == 1
 
 
@@ -134,21 +134,21 @@ def test_bursts_with_short_pauses_are_one_fault() -> None:
     bench = Bench()
     levels = []
     for _ in range(4):
-        levels += [result.level for result in bench.looks(3.0, **BUSY) + bench.looks(2.0, **CALM)]
+        levels += [result.level for result in bench.observations(3.0, **BUSY) + bench.observations(2.0, **CALM)]
     assert set(levels[5:]) == {api.Level.ERROR}
-    assert bench.looks(STAYS_S + 1.0, **CALM)[-1].level is api.Level.OK
+    assert bench.observations(STAYS_S + 1.0, **CALM)[-1].level is api.Level.OK
 
 
 def test_the_fast_detection_can_be_disabled() -> None:
     """Then only the mean decides."""
-    assert {result.level for result in Bench(cpu_quick="0s").looks(6.0, **BUSY)} == {api.Level.OK}
+    assert {result.level for result in Bench(cpu_quick="0s").observations(6.0, **BUSY)} == {api.Level.OK}
 
 
 def test_a_warning_of_the_fast_detection_becomes_an_error_of_the_mean() -> None:
     """The worse of the two is reported."""
     bench = Bench()
-    assert bench.looks(3.0, cpu_percent=95.0, waiting_percent=90.0)[-1].level is api.Level.WARN
-    assert bench.looks(12.0, cpu_percent=100.0, waiting_percent=90.0)[-1].level is api.Level.ERROR
+    assert bench.observations(3.0, cpu_percent=95.0, waiting_percent=90.0)[-1].level is api.Level.WARN
+    assert bench.observations(12.0, cpu_percent=100.0, waiting_percent=90.0)[-1].level is api.Level.ERROR
 
 
 # ------------------------------------------------------------ the probe
@@ -239,4 +239,4 @@ def test_an_overload_names_the_processes_that_use_the_cpu() -> None:
     pressure.taken = (api.ConsumerFact("slam", 1.83), api.ConsumerFact("ros_app", 0.1))
     bench.pressure = pressure
     assert pressure.consumers_asked == 0
-    assert "slam uses 1.8 CPUs" in bench.looks(2.0, **BUSY)[-1].summary
+    assert "slam uses 1.8 CPUs" in bench.observations(2.0, **BUSY)[-1].summary

@@ -46,13 +46,13 @@ class DataPath:
             containers=[{"name": "ros_app", "networks": [NET]}], ros={"nodes": [{"name": name} for name in NODES]}
         )
         (self.check,) = Network.build(made)
-        assert self.look().level is api.Level.OK
+        assert self.observe().level is api.Level.OK
 
     def receive(self, *ages_s: float) -> None:
         beacons = {name: api.BeaconFact(age_s, 0.2) for name, age_s in zip(NODES, ages_s, strict=False)}
         self.ros.change(nodes=dict.fromkeys(NODES, 1), beacons=beacons)
 
-    def look(self) -> api.Result:
+    def observe(self) -> api.Result:
         result = self.check.run(testing.world(docker=self.docker, ros=self.ros, clock=self.clock))
         assert isinstance(result, api.Result)
         return result
@@ -60,7 +60,7 @@ class DataPath:
     def later(self, seconds: float, *ages_s: float) -> api.Result:
         self.clock.advance(seconds)
         self.receive(*ages_s)
-        return self.look()
+        return self.observe()
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def test_without_an_address_check_nothing_is_restarted(path: DataPath) -> None:
         ros={"nodes": [{"name": name} for name in NODES]},
     )
     (path.check,) = Network.build(made)
-    path.look()
+    path.observe()
     result = path.later(10.0, 4.0, 4.4)
     assert (result.condition, result.target) == ("transport_blocked", "")
 
@@ -110,9 +110,9 @@ def test_after_a_restart_the_wait_for_data_is_limited(path: DataPath) -> None:
     path.later(10.0, 4.0, 4.4)
     path.docker.change("ros_app", started_at="later")
     path.ros.change(nodes={}, beacons={})
-    assert path.look().level is api.Level.STALE
+    assert path.observe().level is api.Level.STALE
     path.clock.advance(17.0)
-    assert path.look().level is api.Level.OK
+    assert path.observe().level is api.Level.OK
 
 
 @pytest.mark.parametrize("ages_s", [(0.1, 5.0), (0.5, 0.6), (4.0, 8.0), (5.0,)])
@@ -133,7 +133,7 @@ def test_a_restarted_container_has_other_processes(path: DataPath) -> None:
     path.clock.advance(10.0)
     path.docker.change("ros_app", started_at="later")
     path.receive(4.0, 4.0)
-    assert path.look().level is api.Level.OK
+    assert path.observe().level is api.Level.OK
 
 
 def test_publishers_without_names_are_a_blocked_transport_from_the_start(path: DataPath) -> None:
@@ -148,9 +148,9 @@ def test_publishers_without_names_are_a_blocked_transport_from_the_start(path: D
     (path.check,) = Network.build(made)
     topics = {f"{name}_out": api.TopicFact(publishers=(api.EndpointFact("", "std_msgs/msg/String"),)) for name in NODES}
     path.ros.change(nodes={}, beacons={}, topics=topics)
-    assert path.look().level is api.Level.OK
+    assert path.observe().level is api.Level.OK
     path.clock.advance(20.0)
-    result = path.look()
+    result = path.observe()
     assert (result.condition, result.evidence.never_ok) == ("transport_blocked", True)
     assert "nothing has been received since it was started" in result.summary
 
@@ -220,7 +220,7 @@ def test_a_silence_with_another_cause_needs_the_full_time(path: DataPath, why: s
         "child lost": lambda seconds: path.ros.fail(),
     }
     path.clock.meanwhile = later.get(why, lambda seconds: path.receive(0.9 + seconds, 1.0 + seconds))
-    assert path.look().level is api.Level.OK
+    assert path.observe().level is api.Level.OK
 
 
 def test_a_silence_that_ended_by_itself_raises_the_limit(path: DataPath) -> None:
@@ -228,7 +228,7 @@ def test_a_silence_that_ended_by_itself_raises_the_limit(path: DataPath) -> None
     path.receive(1.0, 1.0)
     path.clock.advance(10.0)
     path.clock.meanwhile = lambda _: path.receive(0.1, 0.1)
-    assert path.look().level is api.Level.OK
+    assert path.observe().level is api.Level.OK
     assert silent(path, 1.5, 1.6).level is api.Level.OK
     assert silent(path, 2.5, 2.6).condition == "transport_blocked"
     path.later(600.0, 0.1, 0.1)
@@ -242,7 +242,7 @@ def test_nodes_that_are_neither_listed_nor_received_are_one_fault(path: DataPath
     """The network reports it before the nodes would; nothing is restarted for it."""
     path.later(20.0, 4.5, 4.6)
     path.ros.change(nodes={})
-    result = path.look()
+    result = path.observe()
     assert (result.level, result.condition) == (api.Level.ERROR, "nodes_unreachable")
     assert "none of its 2 nodes is listed" in result.summary
 
@@ -258,4 +258,4 @@ def test_nodes_that_are_missing_for_another_reason_are_their_own_faults(path: Da
         path.docker.lists["ros_app"] = (
             ROWS[:1] if why == "one process ended" else (ROWS[0], replace(ROWS[1], state="R"))
         )
-    assert path.look().level is api.Level.OK
+    assert path.observe().level is api.Level.OK

@@ -17,7 +17,7 @@ class Bench:
         (self.check,) = Host.build(testing.settings(host=limits))
         self.clock, self.host = testing.FakeClock(), testing.FakeHost()
 
-    def look(self, part: str, **fields: Any) -> api.Result:
+    def observe(self, part: str, **fields: Any) -> api.Result:
         self.host.change(**fields)
         results = self.check.run(testing.world(clock=self.clock, host=self.host))
         assert not isinstance(results, api.Result)
@@ -30,13 +30,13 @@ def test_an_idle_machine_is_ok() -> None:
     """Each part has a unit and a reading."""
     bench = Bench()
     for part in ("cpu", "memory", "disk", "temperature", "clock"):
-        assert bench.look(part).level is api.Level.OK
+        assert bench.observe(part).level is api.Level.OK
 
 
 def test_a_burst_of_cpu_load_is_not_a_fault() -> None:
     """CPU usage is averaged over `cpu_window`, and high usage is reported only when the window is full."""
     bench = Bench(cpu_window="10s")
-    levels = [bench.look("cpu", cpu_percent=100.0).level for _ in range(6)]
+    levels = [bench.observe("cpu", cpu_percent=100.0).level for _ in range(6)]
     assert levels == [api.Level.STALE] * 5 + [api.Level.ERROR]
 
 
@@ -44,17 +44,17 @@ def test_one_busy_sample_vanishes_in_the_mean() -> None:
     """One sample of five does not reach the limit."""
     bench = Bench(cpu_window="10s")
     for _ in range(6):
-        bench.look("cpu", cpu_percent=50.0)
-    assert bench.look("cpu", cpu_percent=100.0).level is api.Level.OK
+        bench.observe("cpu", cpu_percent=50.0)
+    assert bench.observe("cpu", cpu_percent=100.0).level is api.Level.OK
 
 
 def test_samples_before_the_window_do_not_count() -> None:
     """Only the window determines the mean."""
     bench = Bench(cpu_window="10s")
     for _ in range(10):
-        bench.look("cpu", cpu_percent=100.0)
+        bench.observe("cpu", cpu_percent=100.0)
     for _ in range(5):
-        result = bench.look("cpu", cpu_percent=0.0)
+        result = bench.observe("cpu", cpu_percent=0.0)
     assert result.values["cpu_percent"] == 0.0
 
 
@@ -73,7 +73,7 @@ def test_samples_before_the_window_do_not_count() -> None:
 )
 def test_each_limit_has_its_condition(part: str, fields: dict[str, Any], level: api.Level, condition: str) -> None:
     """WARN at the first limit, ERROR at the second, advice in the summary."""
-    result = Bench().look(part, **fields)
+    result = Bench().observe(part, **fields)
     assert (result.level, result.condition) == (level, condition)
     assert result.brief and result.brief.isascii() and ":" in result.summary
 
@@ -81,8 +81,8 @@ def test_each_limit_has_its_condition(part: str, fields: dict[str, Any], level: 
 def test_the_worst_disk_counts_and_a_hung_one_is_stale() -> None:
     """A dead mount does not hide a full disk."""
     hung = api.DiskFact("/mnt/nas", 0.0, 0, problem="the kernel did not answer within 1 s")
-    assert Bench().look("disk", disks=(api.DiskFact("/", 50.0, 10**9), hung)).level is api.Level.STALE
-    result = Bench().look("disk", disks=(hung, api.DiskFact("/", 99.0, 10**6)))
+    assert Bench().observe("disk", disks=(api.DiskFact("/", 50.0, 10**9), hung)).level is api.Level.STALE
+    result = Bench().observe("disk", disks=(hung, api.DiskFact("/", 99.0, 10**6)))
     assert result.level is api.Level.ERROR
     assert "/mnt/nas" in result.summary
 
@@ -97,13 +97,13 @@ def test_a_value_at_the_limit_does_not_flap() -> None:
 
 def test_a_machine_without_temperature_sensors_is_a_bypass() -> None:
     """The text says so; it is not a fault."""
-    result = Bench().look("temperature", temperature_c=None, throttled=None)
+    result = Bench().observe("temperature", temperature_c=None, throttled=None)
     assert result.bypass and "does not report" in result.summary
 
 
 def test_past_throttling_is_a_note() -> None:
     """It is over; the text remains for readers of the log."""
-    result = Bench().look("temperature", throttled=("under-voltage since boot",))
+    result = Bench().observe("temperature", throttled=("under-voltage since boot",))
     assert result.level is api.Level.OK
     assert "under-voltage since boot" in result.summary
 
@@ -111,16 +111,16 @@ def test_past_throttling_is_a_note() -> None:
 def test_a_clock_step_is_reported_for_a_limited_time() -> None:
     """It is visible in one sample only, which would be easy to miss."""
     bench = Bench()
-    bench.look("clock", clock_step_s=10.0)
-    assert bench.look("clock", clock_step_s=0.0).brief == "clock jumped +10 s"
+    bench.observe("clock", clock_step_s=10.0)
+    assert bench.observe("clock", clock_step_s=0.0).brief == "clock jumped +10 s"
     bench.clock.advance(STEP_REPORT_S)
-    assert bench.look("clock").level is api.Level.OK
+    assert bench.observe("clock").level is api.Level.OK
 
 
 @pytest.mark.parametrize("synchronized", [True, False, None])
 def test_a_clock_without_time_source_is_a_note(synchronized: bool | None) -> None:
     """Vehicles in the field often have none."""
-    result = Bench().look("clock", clock_synchronized=synchronized)
+    result = Bench().observe("clock", clock_synchronized=synchronized)
     assert result.level is api.Level.OK
     assert result.values["clock_synchronized"] is synchronized
 
@@ -130,7 +130,7 @@ def test_an_unreadable_machine_is_not_a_fault() -> None:
     bench = Bench()
     bench.host.fail("/proc is not mounted")
     with pytest.raises(api.CannotTell):
-        bench.look("cpu")
+        bench.observe("cpu")
 
 
 class Stalled:
@@ -140,7 +140,7 @@ class Stalled:
         (self.check,) = Host.build(testing.settings())
         self.clock, self.host = testing.FakeClock(), testing.FakeHost()
 
-    def looks(self, count: int, unit: str, **fields: float | None) -> list[api.Result]:
+    def observations(self, count: int, unit: str, **fields: float | None) -> list[api.Result]:
         self.host.change(**fields)
         found = []
         for _ in range(count):
@@ -154,17 +154,17 @@ class Stalled:
 def test_disks_that_stall_the_machine_are_reported_after_a_while() -> None:
     """With the share, its limit and advice; a burst of writes is not reported, and an idle window ends the fault."""
     bench = Stalled()
-    assert {result.level for result in bench.looks(12, "host/io", io_stalled_percent=10.0)} == {api.Level.OK}
-    assert {result.level for result in bench.looks(5, "host/io", io_stalled_percent=99.0)} == {api.Level.OK}
-    bench.looks(10, "host/io", io_stalled_percent=10.0)
-    result = bench.looks(12, "host/io", io_stalled_percent=98.0)[-1]
+    assert {result.level for result in bench.observations(12, "host/io", io_stalled_percent=10.0)} == {api.Level.OK}
+    assert {result.level for result in bench.observations(5, "host/io", io_stalled_percent=99.0)} == {api.Level.OK}
+    bench.observations(10, "host/io", io_stalled_percent=10.0)
+    result = bench.observations(12, "host/io", io_stalled_percent=98.0)[-1]
     assert (result.level, result.condition, result.brief) == (
         api.Level.ERROR,
         "io_pressure",
         "host waits for disk 98 %",
     )
     assert "all tasks waited for disks during 98 % of the last 10 s" in result.summary and "SD card" in result.summary
-    assert bench.looks(12, "host/io", io_stalled_percent=1.0)[-1].level is api.Level.OK
+    assert bench.observations(12, "host/io", io_stalled_percent=1.0)[-1].level is api.Level.OK
 
 
 @pytest.mark.parametrize(
@@ -174,29 +174,31 @@ def test_disks_that_stall_the_machine_are_reported_after_a_while() -> None:
 def test_stalls_that_do_not_last_yet_are_reported_to_the_tracker_as_rising(unit: str, key: str, percent: float) -> None:
     """Containers that wait for the same wait for that; once it is reported, and afterwards, it is not rising."""
     bench = Stalled()
-    assert not bench.looks(12, unit, **{key: 1.0})[-1].evidence.rising
-    rising = bench.looks(3, unit, **{key: percent})[-1]
+    assert not bench.observations(12, unit, **{key: 1.0})[-1].evidence.rising
+    rising = bench.observations(3, unit, **{key: percent})[-1]
     assert (rising.level, rising.evidence.rising) == (api.Level.OK, True)
-    reported = bench.looks(12, unit, **{key: percent})[-1]
+    reported = bench.observations(12, unit, **{key: percent})[-1]
     assert (reported.level.bad, reported.evidence.rising) == (True, False)
-    assert not bench.looks(12, unit, **{key: 1.0})[-1].evidence.rising
+    assert not bench.observations(12, unit, **{key: 1.0})[-1].evidence.rising
 
 
 def test_a_kernel_without_psi_is_a_bypass() -> None:
     """Raspberry Pi OS without `psi=1`: the slot is not yellow."""
-    result = Stalled().looks(12, "host/io", io_stalled_percent=None)[-1]
+    result = Stalled().observations(12, "host/io", io_stalled_percent=None)[-1]
     assert result.bypass and result.level is api.Level.OK and "psi=1" in result.summary
 
 
 def test_memory_stalls_are_reported_together_with_memory_usage() -> None:
     """A machine can have memory available and still lack room for the working set of its programs."""
     bench = Stalled()
-    result = bench.looks(12, "host/memory", memory_stalled_percent=45.0)[-1]
+    result = bench.observations(12, "host/memory", memory_stalled_percent=45.0)[-1]
     assert (result.level, result.condition, result.brief) == (
         api.Level.ERROR,
         "memory_pressure",
         "host waits for memory 45 %",
     )
-    result = bench.looks(1, "host/memory", memory_percent=99.0)[-1]
+    result = bench.observations(1, "host/memory", memory_percent=99.0)[-1]
     assert "waited for memory during 45 %" in result.summary and "memory at 99 %" in result.summary
-    assert bench.looks(12, "host/memory", memory_percent=40.0, memory_stalled_percent=1.0)[-1].level is api.Level.OK
+    assert (
+        bench.observations(12, "host/memory", memory_percent=40.0, memory_stalled_percent=1.0)[-1].level is api.Level.OK
+    )

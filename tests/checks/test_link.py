@@ -29,7 +29,7 @@ def run(
 ) -> api.Result:
     links = links or testing.FakeLinks()
     links.endpoints = (link,) if link is not None else ()
-    result = link_check.run(testing.world(links=links, myself=testing.FakeSelf(uptime_s=uptime_s)))
+    result = link_check.run(testing.world(links=links, daemon=testing.FakeSelf(uptime_s=uptime_s)))
     assert isinstance(result, api.Result)
     return result
 
@@ -185,18 +185,18 @@ def test_a_reconnected_router_gets_time_to_send() -> None:
     senders = tuple(api.SenderFact(system, 1, 20.0, 350, 0.0) for system in (1, 255))
     links = testing.FakeLinks()
 
-    def look(link: api.LinkFact) -> str:
+    def observe(link: api.LinkFact) -> str:
         links.endpoints = (link,)
         result = link_check.run(testing.world(links=links, clock=clock))
         assert isinstance(result, api.Result)
         return result.condition
 
     silent = changed(rx_age_s=20.0, senders=senders)
-    assert look(HEALTHY) == ""
-    assert look(CLOSED) == "link_closed"
-    assert look(silent) == ""
+    assert observe(HEALTHY) == ""
+    assert observe(CLOSED) == "link_closed"
+    assert observe(silent) == ""
     clock.advance(4.0)
-    assert look(silent) == "link_silent"
+    assert observe(silent) == "link_silent"
 
 
 def refused(times: int) -> api.LinkFact:

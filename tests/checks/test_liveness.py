@@ -19,7 +19,7 @@ from phm_checks._liveness import (
     NodeHistory,
     NodeState,
     Observation,
-    fuse,
+    judge_node,
 )
 
 
@@ -42,7 +42,7 @@ NO_HISTORY = NodeHistory()
 
 
 def state(*evidence: Evidence, past: NodeHistory = NO_HISTORY) -> NodeState:
-    return fuse(evidence, past).state
+    return judge_node(evidence, past).state
 
 
 def test_without_evidence_the_state_is_unknown() -> None:
@@ -74,7 +74,7 @@ def test_a_stopped_process_is_a_hung_node() -> None:
 def test_a_sign_of_life_newer_than_the_process_list_contradicts_it(sign: Evidence, says: Observation) -> None:
     """The node was restarted as another process, or resumed since."""
     older, same = piece(Kind.PROCESS, says, age_s=1.0), piece(Kind.PROCESS, says, age_s=0.2)
-    assert state(older, sign, LISTED) is not fuse([same, sign, LISTED], NodeHistory()).state
+    assert state(older, sign, LISTED) is not judge_node([same, sign, LISTED], NodeHistory()).state
     assert state(same, sign, LISTED) in (NodeState.DEAD, NodeState.HUNG)
 
 
@@ -91,7 +91,7 @@ def test_a_node_that_unregisters_may_stop_with_its_container() -> None:
 @pytest.mark.parametrize("lasted_s", [0.7, HANG_S * 4])
 def test_a_silent_beacon_of_a_computing_node_does_not_prove_it_dead(lasted_s: float) -> None:
     """A busy node is not dead, however long it takes."""
-    judged = fuse([piece(Kind.BEACON, Observation.SILENT, lasted_s), COMPUTES, LISTED, SILENT], NodeHistory())
+    judged = judge_node([piece(Kind.BEACON, Observation.SILENT, lasted_s), COMPUTES, LISTED, SILENT], NodeHistory())
     assert (judged.state, judged.busy_s) == (NodeState.ALIVE, lasted_s)
 
 
@@ -199,8 +199,8 @@ def test_a_name_listed_twice_for_long_is_a_duplicate(sign: tuple[Evidence, ...])
 
 def test_the_decisive_evidence_comes_first() -> None:
     """Then the others, strongest first."""
-    assert fuse([LISTED, SILENT, ENDED], NodeHistory()).words == "process gone; topics silent; name alive"
-    assert fuse([SILENT, RUNS, UNLISTED], NodeHistory(alive=False, seen=False)).words.startswith(
+    assert judge_node([LISTED, SILENT, ENDED], NodeHistory()).words == "process gone; topics silent; name alive"
+    assert judge_node([SILENT, RUNS, UNLISTED], NodeHistory(alive=False, seen=False)).words.startswith(
         "name gone; process alive"
     )
 
@@ -229,7 +229,7 @@ def test_the_decisive_evidence_comes_first() -> None:
 def test_the_text_begins_with_the_decisive_evidence(evidence: list[Evidence], past: NodeHistory, decisive: str) -> None:
     """An operator reads the first words only."""
     for order in (evidence, evidence[::-1]):
-        assert fuse(order, past).words.partition("; ")[0] == decisive
+        assert judge_node(order, past).words.partition("; ")[0] == decisive
 
 
 def test_a_node_that_unregistered_recently_is_not_reported_for_its_silent_beacon() -> None:
@@ -266,7 +266,7 @@ def test_a_node_that_unregistered_recently_is_not_reported_for_its_silent_beacon
 def test_starvation_does_not_block_an_executor_whose_beacon_is_in_time(evidence: list[Evidence], certain: bool) -> None:
     """For long: its process gets the CPU and does not use it. If the beacon is silent too, its CPU use unknown, or it published
     meanwhile, it may be starved."""
-    verdict = fuse([SILENT, *evidence, LISTED], NO_HISTORY)
+    verdict = judge_node([SILENT, *evidence, LISTED], NO_HISTORY)
     assert verdict.state is NodeState.HUNG
     assert verdict.witnessed is certain
 
@@ -274,9 +274,9 @@ def test_starvation_does_not_block_an_executor_whose_beacon_is_in_time(evidence:
 def test_the_text_has_how_long_a_busy_node_has_not_responded() -> None:
     """Also when the beacon is alive while the executor is blocked; never for a node that does not compute."""
     late = piece(Kind.BEACON, Observation.LATE, 12.0)
-    assert fuse([late, COMPUTES, LISTED], NodeHistory()).busy_s == 12.0
-    assert fuse([late, RUNS, TOPICS_ACTIVE, LISTED], NodeHistory()).busy_s == 0.0
-    assert fuse([BEACON_ALIVE, COMPUTES, LISTED], NodeHistory()).busy_s == 0.0
+    assert judge_node([late, COMPUTES, LISTED], NodeHistory()).busy_s == 12.0
+    assert judge_node([late, RUNS, TOPICS_ACTIVE, LISTED], NodeHistory()).busy_s == 0.0
+    assert judge_node([BEACON_ALIVE, COMPUTES, LISTED], NodeHistory()).busy_s == 0.0
 
 
 def test_a_bare_name_of_a_computing_node_does_not_prove_it_dead() -> None:
@@ -293,7 +293,7 @@ def test_the_order_of_evidence_does_not_change_the_verdict() -> None:
             piece(kind, random.choice(list(Observation)), random.uniform(0, 20), random.uniform(0, 5)) for kind in kinds
         ]
         past = NodeHistory(*(random.random() < 0.5 for _ in range(4)))
-        assert len({fuse(order, past) for order in itertools.permutations(evidence)}) == 1
+        assert len({judge_node(order, past) for order in itertools.permutations(evidence)}) == 1
 
 
 def test_a_node_with_a_timely_beacon_is_never_dead_or_hung() -> None:

@@ -36,14 +36,16 @@ def test_a_listed_node_is_ok() -> None:
     assert (result.level, result.summary) == (api.Level.OK, "Node agent_1/node_1 is running")
     assert result.values == {"listed": 1, "process": "71 S"}
     (unit,) = bench.check.units
-    assert unit == api.Unit(NODE, ("container/ros_app", "network/ros_app"), target="ros_app", grace_s=GRACE_S)
+    assert unit == api.Unit(
+        NODE, ("container/ros_app", "network/ros_app"), target="ros_app", grace_s=GRACE_S, node="/agent_1/node_1"
+    )
 
 
 def test_a_node_without_a_known_container_depends_on_none() -> None:
     """With two containers and no assignment there is no container to blame or restart, and no process list."""
     settings = testing.settings(containers=[{"name": "a"}, {"name": "b"}], ros={"nodes": [{"name": "/n"}]})
     (check,) = Nodes.build(settings)
-    assert check.units == [api.Unit("nodes/n", grace_s=GRACE_S)]
+    assert check.units == [api.Unit("nodes/n", grace_s=GRACE_S, node="/n")]
     docker = testing.FakeDocker()
     check.run(testing.world(docker=docker, ros=testing.FakeRos(nodes={"/n": 1})))
     assert docker.calls == docker.listings == 0

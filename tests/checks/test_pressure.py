@@ -44,7 +44,7 @@ class Bench:
         self.fact = fact
         self.world = testing.world(clock=self.clock, pressure=self.pressure)
 
-    def look(self, after_s: float = 1.0, **more: float) -> api.Result:
+    def observe(self, after_s: float = 1.0, **more: float) -> api.Result:
         """Advance by `after_s`, during which counters rise by `more` per second (stalls: by their full time), and check."""
         self.clock.advance(after_s)
         fields: dict[str, Any] = {"at": self.clock.mono()}
@@ -64,11 +64,11 @@ class Bench:
         assert isinstance(result, api.Result)
         return result
 
-    def looks(self, count: int, **more: float) -> list[api.Result]:
-        return [self.look(**more) for _ in range(count)]
+    def observations(self, count: int, **more: float) -> list[api.Result]:
+        return [self.observe(**more) for _ in range(count)]
 
     def calm(self, count: int = 3) -> None:
-        assert self.looks(count)[-1].level is api.Level.OK
+        assert self.observations(count)[-1].level is api.Level.OK
 
 
 def names(results: list[api.Result]) -> list[str]:
@@ -79,7 +79,7 @@ def test_a_container_throttled_by_its_cpu_limit_is_reported_within_two_checks() 
     """The text has the resource, the limit and the measured value; the operator's line, too."""
     bench = Bench()
     bench.calm()
-    results = bench.looks(2, **STARVED)
+    results = bench.observations(2, **STARVED)
     assert results[-1].level is api.Level.ERROR and results[-1].condition == "cpu_throttled"
     assert results[-1].summary.startswith("ros_app throttled 97 % of the time by its limit of 0.03 CPUs: raise it")
     assert results[-1].brief == "ros_app throttled 97%, limit 0.03 CPU" and len(results[-1].brief) <= BRIEF_MAX
@@ -90,17 +90,17 @@ def test_a_removed_limit_ends_the_fault_within_three_checks_and_without_a_warnin
     """The level ends when the entire window is calm."""
     bench = Bench()
     bench.calm()
-    bench.looks(5, **STARVED)
-    assert names(bench.looks(3, cpu_used_s=0.07)) == ["ERROR", "OK", "OK"]
+    bench.observations(5, **STARVED)
+    assert names(bench.observations(3, cpu_used_s=0.07)) == ["ERROR", "OK", "OK"]
 
 
 def test_one_calm_second_does_not_end_a_fault() -> None:
     """A container throttled in bursts has one fault, not several."""
     bench = Bench()
     bench.calm()
-    bench.looks(3, **STARVED)
+    bench.observations(3, **STARVED)
     for _ in range(4):
-        assert names([bench.look(), bench.look(**STARVED)]) == ["ERROR", "ERROR"]
+        assert names([bench.observe(), bench.observe(**STARVED)]) == ["ERROR", "ERROR"]
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_the_normal_load_of_a_busy_container_is_not_pressure(more: dict[str, flo
     """Measured on containers that worked properly."""
     bench = Bench()
     bench.calm()
-    assert set(names(bench.looks(8, **more))) == {"OK"}
+    assert set(names(bench.observations(8, **more))) == {"OK"}
 
 
 def test_one_second_of_throttling_is_not_a_fault() -> None:
@@ -131,23 +131,23 @@ def test_one_second_of_throttling_is_not_a_fault() -> None:
     bench = Bench()
     bench.calm()
     for _ in range(3):
-        assert "ERROR" not in names([bench.look(0.4, **STARVED), *bench.looks(3)])
+        assert "ERROR" not in names([bench.observe(0.4, **STARVED), *bench.observations(3)])
 
 
 def test_a_second_above_a_limit_is_reported_to_the_tracker_as_rising() -> None:
     """Symptoms that it may explain wait for it."""
     bench = Bench()
     bench.calm()
-    rising = bench.look(0.4, **STARVED)
+    rising = bench.observe(0.4, **STARVED)
     assert (rising.level, rising.evidence.rising) == (api.Level.OK, True)
-    assert [result.evidence.rising for result in bench.looks(3)][1:] == [False, False]
+    assert [result.evidence.rising for result in bench.observations(3)][1:] == [False, False]
 
 
 def test_the_throttled_share_is_correct_for_any_number_of_cpus() -> None:
     """Throttled time is summed over the CPUs: four threads with 1.5 CPUs are throttled 62 % of the time, not 250 %."""
     bench = Bench(replace(FACT, cpu_limit=1.5))
     bench.calm()
-    result = bench.looks(3, cpu_used_s=1.5, throttled_periods=10, throttled_s=2.5)[-1]
+    result = bench.observations(3, cpu_used_s=1.5, throttled_periods=10, throttled_s=2.5)[-1]
     assert "throttled 62 % of the time by its limit of 1.5 CPUs" in result.summary
 
 
@@ -157,7 +157,7 @@ def test_a_container_without_cpu_time_names_the_processes_that_use_it() -> None:
     bench.calm()
     assert bench.pressure.consumers_asked == 0
     bench.pressure.taken = (api.ConsumerFact("slam", 1.83), api.ConsumerFact("ros_app", 0.1))
-    result = bench.looks(3, cpu=0.96, cpu_used_s=0.02)[-1]
+    result = bench.observations(3, cpu=0.96, cpu_used_s=0.02)[-1]
     assert (result.level, result.condition) == (api.Level.ERROR, "cpu_starved")
     assert "waits 96 % of the time for a CPU that others use; slam uses 1.8 CPUs" in result.summary
     assert result.brief == "ros_app waits 96% for CPU (slam)"
@@ -167,7 +167,7 @@ def test_programs_outside_of_containers_are_named_as_such() -> None:
     """The probe has no container name for them."""
     bench = Bench(replace(FACT, cpu_limit=None))
     bench.pressure.taken = (api.ConsumerFact("", 1.83),)
-    result = bench.looks(4, cpu=0.96)[-1]
+    result = bench.observations(4, cpu=0.96)[-1]
     assert "a process outside containers uses 1.8 CPUs" in result.summary
     assert result.brief == "ros_app waits 96% for CPU"
 
@@ -177,21 +177,21 @@ def test_the_users_of_the_cpu_may_be_unknown() -> None:
     bench = Bench(replace(FACT, cpu_limit=None))
     bench.calm()
     bench.pressure.consumers = lambda: (_ for _ in ()).throw(api.CannotTell("refused"))  # type: ignore[method-assign]
-    assert bench.looks(3, cpu=0.96)[-1].condition == "cpu_starved"
+    assert bench.observations(3, cpu=0.96)[-1].condition == "cpu_starved"
 
 
 def test_throttled_time_does_not_count_as_waiting_for_others() -> None:
     """The kernel counts it as both."""
     bench = Bench()
     bench.calm()
-    assert {result.condition for result in bench.looks(4, **STARVED)[1:]} == {"cpu_throttled"}
+    assert {result.condition for result in bench.observations(4, **STARVED)[1:]} == {"cpu_throttled"}
 
 
 def test_memory_that_is_read_back_from_disk_is_pressure() -> None:
     """The limit is slightly above usage: the kernel drops pages of the program and reads them again."""
     bench = Bench(replace(FACT, memory_bytes=64 * MIB))
     bench.calm()
-    result = bench.looks(3, reread_pages=4000, io=0.25)[-1]
+    result = bench.observations(3, reread_pages=4000, io=0.25)[-1]
     assert (result.level, result.condition) == (api.Level.ERROR, "memory_pressure")
     assert "reads back 4000 pages a second" in result.summary and "limit of 64 MB" in result.summary
     assert result.brief == "ros_app memory limit 64 MB too small"
@@ -201,14 +201,14 @@ def test_pages_that_a_slow_disk_reads_back_are_pressure() -> None:
     """An SD card: few pages a second, and the container does nothing but wait for them."""
     bench = Bench(replace(FACT, memory_bytes=64 * MIB))
     bench.calm()
-    assert bench.looks(3, memory=0.9, io=0.9, reread_pages=90)[-1].condition == "memory_pressure"
+    assert bench.observations(3, memory=0.9, io=0.9, reread_pages=90)[-1].condition == "memory_pressure"
 
 
 def test_waiting_for_memory_is_pressure() -> None:
     """The kernel's own measure, for containers that read nothing back."""
     bench = Bench()
     bench.calm()
-    assert bench.looks(3, memory=0.7)[-1].condition == "memory_pressure"
+    assert bench.observations(3, memory=0.7)[-1].condition == "memory_pressure"
 
 
 @pytest.mark.parametrize("fact", [FACT, replace(FACT, memory_limit=None)], ids=["below its limit", "without a limit"])
@@ -216,7 +216,7 @@ def test_memory_that_the_computer_lacks_is_not_blamed_on_a_limit(fact: api.Press
     """A raised limit would not help."""
     bench = Bench(fact)
     bench.calm()
-    result = bench.looks(3, memory=0.7)[-1]
+    result = bench.observations(3, memory=0.7)[-1]
     assert (result.level, result.condition, result.brief) == (
         api.Level.ERROR,
         "memory_pressure",
@@ -229,7 +229,7 @@ def test_a_kill_without_a_memory_limit_is_blamed_on_the_computer() -> None:
     """The kernel counts it in the same place."""
     bench = Bench(replace(FACT, memory_limit=None))
     bench.calm()
-    result = bench.look(oom_kills=2)
+    result = bench.observe(oom_kills=2)
     assert result.summary.startswith(
         "the computer ran out of memory, and the kernel killed 2 of the processes of ros_app"
     )
@@ -240,16 +240,16 @@ def test_an_oom_kill_inside_the_container_is_reported_for_a_while() -> None:
     """The container keeps running without that process."""
     bench = Bench()
     bench.calm()
-    result = bench.look(oom_kills=1)
+    result = bench.observe(oom_kills=1)
     assert result.level is api.Level.ERROR and "killed 1 of its processes" in result.summary
-    assert names(bench.looks(int(KILL_REPORT_S)))[-1] == "OK"
+    assert names(bench.observations(int(KILL_REPORT_S)))[-1] == "OK"
 
 
 def test_a_container_that_only_waits_for_the_disk_has_pressure_after_five_seconds() -> None:
     """A slow SD card; one long write is not reported."""
     bench = Bench()
     bench.calm(7)
-    results = bench.looks(7, io=0.97)
+    results = bench.observations(7, io=0.97)
     assert results[-1].condition == "io_pressure" and results[-1].level is api.Level.ERROR
     assert "waits for the disk 97 % of the time" in results[-1].summary
     assert names(results[:2]) == ["OK", "OK"]
@@ -258,18 +258,18 @@ def test_a_container_that_only_waits_for_the_disk_has_pressure_after_five_second
 def test_a_reached_limit_of_processes_is_reported_immediately() -> None:
     """With the limit; a count just below it is a warning."""
     bench = Bench(replace(FACT, pids=20))
-    result = bench.looks(2)[-1]
+    result = bench.observations(2)[-1]
     assert (result.level, result.condition) == (api.Level.ERROR, "pids_limit")
     assert "20 processes and threads at its limit of 20" in result.summary
-    assert bench.look(pids=-1).level is api.Level.WARN
-    assert bench.look(pids=-10).level is api.Level.OK
-    assert "and 3 more were refused" in bench.look(pids_refused=3).summary
+    assert bench.observe(pids=-1).level is api.Level.WARN
+    assert bench.observe(pids=-10).level is api.Level.OK
+    assert "and 3 more were refused" in bench.observe(pids_refused=3).summary
 
 
 def test_several_shortages_are_one_result_with_the_worst_first() -> None:
     """One unit, one alarm."""
     bench = Bench(replace(FACT, pids=19))
-    result = bench.looks(4, **STARVED)[-1]
+    result = bench.observations(4, **STARVED)[-1]
     assert result.condition == "cpu_throttled" and "19 processes" in result.summary
 
 
@@ -277,25 +277,25 @@ def test_counters_of_a_restarted_container_are_not_compared_with_earlier_ones() 
     """They start at 0."""
     bench = Bench()
     bench.calm()
-    bench.looks(3, **STARVED)
+    bench.observations(3, **STARVED)
     bench.fact = replace(FACT, generation="another", at=0.0)
-    assert bench.look().level is api.Level.STALE
-    assert bench.look().level is api.Level.OK
+    assert bench.observe().level is api.Level.STALE
+    assert bench.observe().level is api.Level.OK
 
 
 def test_decreasing_counters_mean_a_restart() -> None:
     """For a source that does not report the container's generation."""
     bench = Bench()
-    bench.looks(3, **STARVED)
+    bench.observations(3, **STARVED)
     bench.fact = replace(FACT, generation="life", cpu_used_s=0.0)
-    assert bench.look().level is api.Level.STALE
+    assert bench.observe().level is api.Level.STALE
 
 
 def test_a_repeated_sample_counts_once() -> None:
     """The engine is asked every 2 s, and the check runs every second."""
     bench = Bench()
     bench.calm()
-    bench.looks(3, **STARVED)
+    bench.observations(3, **STARVED)
     assert bench.again().level is api.Level.ERROR
 
 
@@ -318,7 +318,7 @@ def test_the_text_names_the_source_and_its_missing_values() -> None:
     bench = Bench(
         replace(FACT, source="engine statistics", not_seen=("waiting for CPU", "refused processes"), cpu=None)
     )
-    assert bench.looks(3)[-1].summary == (
+    assert bench.observations(3)[-1].summary == (
         "ros_app has enough CPU, memory and I/O (engine statistics; not available: waiting for CPU, refused processes)"
     )
 
@@ -339,4 +339,4 @@ def test_each_configured_container_has_a_unit_unless_it_is_ignored() -> None:
 def test_limits_are_configurable() -> None:
     """In `pressure:`."""
     bench = Bench(pressure={"throttled": {"warn": "98%", "error": "99%"}, "waiting": {"warn": 99, "error": 100}})
-    assert set(names(bench.looks(5, **STARVED)[2:])) == {"OK"}
+    assert set(names(bench.observations(5, **STARVED)[2:])) == {"OK"}

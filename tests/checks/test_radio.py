@@ -56,7 +56,7 @@ def test_a_radio_that_was_never_received_is_a_fault_only_if_required() -> None:
     assert run(check()).bypass
     result = run(check("required"))
     assert (result.level, result.condition, result.brief) == (api.Level.ERROR, "radio_silent", "radio: no RADIO_STATUS")
-    just_begun = testing.world(links=testing.FakeLinks(links=(OPEN,)), myself=testing.FakeSelf(uptime_s=10.0))
+    just_begun = testing.world(links=testing.FakeLinks(links=(OPEN,)), daemon=testing.FakeSelf(uptime_s=10.0))
     waited = check("required").run(just_begun)
     assert isinstance(waited, api.Result)
     assert waited.level is api.Level.STALE

@@ -343,10 +343,11 @@ DAEMON = """
 import sys, time
 from phm.core.clock import SystemClock
 from phm.reporters.base import ReporterContext
+from phm.runtime.sections import reporter_settings
 from phm.reporters.status import StatusReporter
 from phm.core.settings import Settings
 status = StatusReporter.build(
-    ReporterContext(Settings(run_dir=sys.argv[1]), SystemClock(), "b", tuple, lambda: True, dict))
+    ReporterContext(reporter_settings(Settings(run_dir=sys.argv[1])), SystemClock(), "b", tuple, lambda: True, dict))
 status.tick()
 print("written", flush=True)
 sys.stdin.readline()

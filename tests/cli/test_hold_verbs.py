@@ -16,6 +16,7 @@ from phm.core.clock import SystemClock
 from phm.core.settings import Settings
 from phm.reporters.base import ReporterContext
 from phm.reporters.status import StatusReporter
+from phm.runtime.sections import reporter_settings
 from phm.wire import control as wire
 from tests.fakes.commands import execute
 from tests.fakes.until import until
@@ -130,7 +131,9 @@ def test_status_shows_what_is_on_hold(tmp_path: Path) -> None:
         "left_s": 543.0,
     }
     settings = Settings.model_validate({"run_dir": str(tmp_path)})
-    context = ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict, holds=lambda: [hold])
+    context = ReporterContext(
+        reporter_settings(settings), SystemClock(), "b", tuple, lambda: True, dict, holds=lambda: [hold]
+    )
     StatusReporter.build(context).tick()
     shown = phm(tmp_path, "status")[1]
     assert "on hold: app until 12:34:05 UTC (9 min 3 s left) by operator (uid 0): new firmware" in shown

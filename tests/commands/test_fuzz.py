@@ -77,7 +77,7 @@ class Scene:
             self.message_received += 1
             if message.get_msgId() in (75, 76):
                 self.callback(message, "radio")
-        self.handler.turn()
+        self.handler.tick()
 
     def state(self) -> tuple[object, ...]:
         """The state that hostile bytes must not change."""

@@ -109,7 +109,7 @@ class Scene:
         received._signed = signed
         self.sent.clear()
         self.handler.receive(received, link)
-        self.handler.turn()
+        self.handler.tick()
         assert {on for _message, on in self.sent} <= {link}
         return [message for message, _link in self.sent]
 
@@ -340,7 +340,7 @@ def test_a_message_is_sent_periodically_until_it_is_disabled() -> None:
         scene.sent.clear()
         for _ in range(seconds):
             scene.clock.advance(1.0)
-            scene.handler.turn()
+            scene.handler.tick()
         return len([m for m, link in scene.sent if m.get_type() == "STATUSTEXT" and link == "radio"])
 
     assert scene.result(long(511, 253, 5e6)) is CommandResult.ACCEPTED
@@ -363,7 +363,7 @@ def test_the_details_of_the_newest_fault_may_be_sent_periodically() -> None:
         scene.sent.clear()
         for _ in range(seconds):
             scene.clock.advance(1.0)
-            scene.handler.turn()
+            scene.handler.tick()
         sent = [m for m, link in scene.sent if m.get_type() == "TUNNEL" and link == "radio"]
         assert {(m.target_system, m.target_component) for m in sent} <= {(255, 190)}
         return [tunnel.decode(bytes(m.payload[: m.payload_length])).fault for m in sent]  # type: ignore[union-attr]
@@ -381,7 +381,7 @@ def test_a_flood_is_bounded_and_reported_once() -> None:
     for n in range(1000):
         scene.handler.receive(scene.ground.received(long(512, 253, n)), "radio")
     assert len(scene.handler._waiting[False]) == SENDER_BURST <= MAX_WAITING
-    scene.handler.turn()
+    scene.handler.tick()
     assert [note for note in scene.notes if "rate limit exceeded" in note] == [
         "COMMAND: 990 commands dropped: rate limit exceeded"
     ]
@@ -394,7 +394,7 @@ def test_a_flood_of_refused_commands_does_not_fill_the_log() -> None:
         scene.clock.advance(0.1)
         scene.ask(long(512, 253) if n % 2 else long(31010, 3, 1), by=Sender(1 + n % 250, n // 250))
     scene.clock.advance(PERIOD_S)
-    scene.handler.turn()
+    scene.handler.tick()
     assert len(scene.notes) <= LOGGED_PER_PERIOD + 3
     counted = [note for note in scene.notes if "not logged individually" in note]
     assert sum(int(note.split()[1]) for note in counted) + LOGGED_PER_PERIOD == 600
@@ -426,7 +426,7 @@ def test_a_signed_command_is_answered_before_unsigned_ones() -> None:
     received = scene.ground.received(long(31010, 3, 1))
     received._signed = True
     scene.handler.receive(received, "radio")
-    scene.handler.turn()
+    scene.handler.tick()
     acks = [message.result for message, _link in scene.sent if message.get_type() == "COMMAND_ACK"]
     assert acks[0] == CommandResult.ACCEPTED
     assert set(acks[1:]) == {CommandResult.DENIED}

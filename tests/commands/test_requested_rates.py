@@ -36,12 +36,12 @@ def test_rates_are_repeated_and_stopped() -> None:
     assert scene.result(long(511, 251, 5e6)) is CommandResult.ACCEPTED
     scene.sent.clear()
     scene.clock.advance(5.0)
-    scene.handler.turn()
+    scene.handler.tick()
     assert len(scene.sent) == responses.MOST_RATES
     assert scene.result(long(511, 251, -1)) is CommandResult.ACCEPTED
     scene.sent.clear()
     scene.clock.advance(10.0)
-    scene.handler.turn()
+    scene.handler.tick()
     assert scene.sent == []
 
 

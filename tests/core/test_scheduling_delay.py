@@ -41,10 +41,10 @@ def test_lateness_is_the_delay_of_the_measuring_thread() -> None:
     """Sleeping is not late; time beyond the announced moment is, except timer noise."""
     lateness = SchedulingDelay()
     lateness.expect(10.0)
-    lateness.came(10.0 + NOISE_S / 2)
+    lateness.record_run(10.0 + NOISE_S / 2)
     assert lateness.late_s(0.0, 11.0) == 0.0
     lateness.expect(11.0)
-    lateness.came(14.0)
+    lateness.record_run(14.0)
     assert lateness.late_s(0.0, 20.0) == pytest.approx(3.0)
     assert lateness.late_s(12.0, 20.0) == pytest.approx(2.0)
     assert lateness.late_s(15.0, 20.0) == 0.0
@@ -55,7 +55,7 @@ def test_any_thread_knows_a_pause_before_the_measuring_thread_does() -> None:
     lateness = SchedulingDelay()
     lateness.expect(10.0)
     assert lateness.late_s(0.0, 15.0) == pytest.approx(5.0)
-    lateness.came(15.01)
+    lateness.record_run(15.01)
     assert lateness.late_s(0.0, 15.02) == pytest.approx(5.0)
 
 

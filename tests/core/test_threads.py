@@ -161,10 +161,10 @@ def test_a_watchdog_that_could_not_be_started_is_retried() -> None:
     guard = DaemonWatchdog(("/nonexistent",))
     guard.start()
     assert guard.problem
-    guard.revive()
+    guard.start_again()
     assert guard.problem
     guard._command = ("cat",)
-    guard.revive()
+    guard.start_again()
     assert not guard.problem
     guard.close()
 

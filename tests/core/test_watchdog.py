@@ -14,22 +14,22 @@ import psutil
 import pytest
 
 from phm.core import watchdog as watchdog_module
-from phm.core.watchdog import GLANCES, SILENT_LOOKS, STOPPED_LOOKS, DaemonWatchdog, state_in, watch
+from phm.core.watchdog import GLANCES, SILENT_POLLS, STOPPED_POLLS, DaemonWatchdog, state_in, watch
 from phm.runtime.shutdown_marker import ShutdownMarker
 from tests.fakes.until import until
 
-LOOK_S = 0.02
+POLL_S = 0.02
 LIMIT_S = 60.0
 
 
 class Watched:
     """A sleeping process with a watchdog; `kills` has the sent signals. Only the test writes heartbeats."""
 
-    def __init__(self, look_s: float = LOOK_S) -> None:
+    def __init__(self, poll_s: float = POLL_S) -> None:
         self.process = subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)"])
         self.kills: list[int] = []
         far, self.pipe = os.pipe()
-        self.thread = threading.Thread(target=watch, args=(far, self.process.pid, self._kill, look_s), daemon=True)
+        self.thread = threading.Thread(target=watch, args=(far, self.process.pid, self._kill, poll_s), daemon=True)
         self.thread.start()
 
     def _kill(self, pid: int, number: int) -> None:
@@ -52,7 +52,7 @@ def watched() -> Iterator[Watched]:
 
 def test_a_stopped_daemon_is_resumed_and_not_killed() -> None:
     """SIGSTOP: SIGCONT after a few samples, so that it loses none of its state."""
-    assert STOPPED_LOOKS < SILENT_LOOKS
+    assert STOPPED_POLLS < SILENT_POLLS
     watched = Watched(2.0)  # this test sends no heartbeat for so long, and may have to wait for a CPU
     try:
         os.kill(watched.process.pid, signal.SIGSTOP)
@@ -74,16 +74,16 @@ def test_a_daemon_with_heartbeats_is_left_alone(monkeypatch: pytest.MonkeyPatch)
     """As long as bytes arrive nothing is done, for more looks than the tolerated silence. The test sets the pace of the looks."""
     turns, looks = threading.Semaphore(0), 0
 
-    def look(stat: int) -> str:
+    def observe(stat: int) -> str:
         nonlocal looks
         turns.acquire()
         looks += 1
         return state_in(stat)
 
-    monkeypatch.setattr(watchdog_module, "state_in", look)
+    monkeypatch.setattr(watchdog_module, "state_in", observe)
     watched = Watched()
     try:
-        for number in range(1, SILENT_LOOKS + 3):
+        for number in range(1, SILENT_POLLS + 3):
             os.write(watched.pipe, b".")
             turns.release(GLANCES)
             until(lambda number=number: looks == number * GLANCES, "the looks", lambda: watched.kills)  # type: ignore[misc]
@@ -101,7 +101,7 @@ def simulate(
     seen: list[str] = []
     done: list[tuple[int, str]] = []
 
-    def look(stat: int) -> str:
+    def observe(stat: int) -> str:
         if len(seen) == len(states):
             os.close(pipe)
             return ""
@@ -110,7 +110,7 @@ def simulate(
             os.write(pipe, b".")
         return seen[-1]
 
-    monkeypatch.setattr(watchdog_module, "state_in", look)
+    monkeypatch.setattr(watchdog_module, "state_in", observe)
     watch(
         far,
         os.getpid(),
@@ -127,8 +127,8 @@ def test_a_stop_is_detected_in_a_fraction_of_a_second_and_reported_before_the_re
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Before the next heartbeat check, so that no heartbeat of 2 s is missed; reported first, so that the daemon knows."""
-    assert STOPPED_LOOKS < GLANCES
-    assert simulate(monkeypatch, "SS" + "T" * STOPPED_LOOKS + "SS", heartbeat_every=GLANCES) == [
+    assert STOPPED_POLLS < GLANCES
+    assert simulate(monkeypatch, "SS" + "T" * STOPPED_POLLS + "SS", heartbeat_every=GLANCES) == [
         (4, "reported"),
         (4, "SIGCONT"),
     ]
@@ -144,12 +144,12 @@ def test_a_daemon_under_other_control_is_left_alone(
     monkeypatch: pytest.MonkeyPatch, states: str, left_alone: str
 ) -> None:
     """A debugger, or the shell in a terminal: neither resumed nor killed, at any time."""
-    assert simulate(monkeypatch, states * 3 * SILENT_LOOKS * GLANCES, left_alone=left_alone) == []
+    assert simulate(monkeypatch, states * 3 * SILENT_POLLS * GLANCES, left_alone=left_alone) == []
 
 
 def test_a_starved_daemon_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """One heartbeat in almost the tolerated silence; without any it is killed, and not a sample earlier."""
-    most = SILENT_LOOKS * GLANCES
+    most = SILENT_POLLS * GLANCES
     assert simulate(monkeypatch, "R" * 5 * most, heartbeat_every=most - GLANCES) == []
     assert simulate(monkeypatch, "D" * 5 * most) == [(most, "SIGKILL")]
 

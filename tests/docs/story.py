@@ -25,6 +25,7 @@ from phm.facts import Attachment, DeviceMapping, LinkFact, PressureFact, Process
 from phm.reporters.base import ReporterContext
 from phm.reporters.log import LogReporter
 from phm.reporters.status import StatusReporter
+from phm.runtime.sections import reporter_settings
 from phm.tracker import Tracker
 from phm.wire import json_log
 
@@ -99,7 +100,12 @@ class _Agent:
         tracker = Tracker(made.tracked, made.graph, self.clock.stamp(), fault_prefix="ab12-")
         self.pipeline = Pipeline(tracker, cast(Bus, self.events), self.clock)
         context = ReporterContext(
-            self.settings, self.clock, "ab12c34d56ef", self.pipeline.states, lambda: True, self._health
+            reporter_settings(self.settings),
+            self.clock,
+            "ab12c34d56ef",
+            self.pipeline.states,
+            lambda: True,
+            self._health,
         )
         self.status, self.log = StatusReporter.build(context), LogReporter.build(context)
         self.events.reporters = [self.log, self.status]

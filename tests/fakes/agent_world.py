@@ -366,8 +366,8 @@ class Sim:
                     self._deliver()
             self.now = tick
             self.take(self.tracker.tick(self.stamp()))
-            for look in self.watch:
-                look()
+            for observe in self.watch:
+                observe()
             self._assert_visible()
 
     def _assert_visible(self) -> None:

@@ -25,6 +25,7 @@ from phm.core.model import (
 from phm.core.settings import Settings
 from phm.reporters import log, own_cost
 from phm.reporters.base import ReporterContext
+from phm.runtime.sections import reporter_settings
 from phm.testing import FakeClock
 
 T0 = 1_772_366_400.123
@@ -75,4 +76,4 @@ def context(
     alive: Callable[[], bool] = lambda: True,
     health: Callable[[], dict[str, Any]] = dict,
 ) -> ReporterContext:
-    return ReporterContext(settings, clock or FakeClock(), "boot12345678", states, alive, health)
+    return ReporterContext(reporter_settings(settings), clock or FakeClock(), "boot12345678", states, alive, health)

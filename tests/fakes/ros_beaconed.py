@@ -24,7 +24,7 @@ from rclpy.parameter import Parameter
 
 from phm import beacon
 
-LOOK_S = 0.05
+POLL_S = 0.05
 
 
 class Nodes:
@@ -49,9 +49,9 @@ class Nodes:
             self._nodes[0].destroy_node()
             self._nodes[0] = self._make(self._options.names[0])
         if self._options.spin:
-            self.executor.spin_once(timeout_sec=LOOK_S)
+            self.executor.spin_once(timeout_sec=POLL_S)
         else:
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
 
     def _make(self, name: str) -> Any:
         kind = LifecycleNode if self._options.lifecycle else rclpy.create_node
@@ -59,7 +59,7 @@ class Nodes:
         node = kind(name, namespace=self._options.namespace, parameter_overrides=simulated)
         group = MutuallyExclusiveCallbackGroup() if self._options.hang == "own" else None
         beacon.Beacon(node, period_s=self._options.period, watch_executor=self._options.watch)
-        node.create_timer(LOOK_S, self._perhaps_hang, callback_group=group, clock=_steady())
+        node.create_timer(POLL_S, self._perhaps_hang, callback_group=group, clock=_steady())
         self.executor.add_node(node)
         return node
 

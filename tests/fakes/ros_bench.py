@@ -121,7 +121,7 @@ class Bench:
             child = f"runs as {probe.pid}" if probe.pid and not gone(probe.pid) else "does not run"
             lines.append(f"a probe, whose child {child}, after {probe.restarts} restarts; problems: {probe.problems()}")
             try:
-                lines.append(f"    its picture: {probe.look()}")
+                lines.append(f"    its picture: {probe.snapshot()}")
             except CannotTell as error:
                 lines.append(f"    it cannot tell: {error}")
         return "\n".join(lines)
@@ -160,19 +160,19 @@ class Listener:
 def seen(probe: RosSupervisor, condition: Callable[[RosFact], Any], what: str, limit_s: float = 60.0) -> Any:
     """Wait until a snapshot satisfies `condition`; ignores STALE moments."""
 
-    def look() -> Any:
+    def observe() -> Any:
         try:
-            return condition(probe.look())
+            return condition(probe.snapshot())
         except CannotTell:
             return None
 
-    return until(look, what, limit_s)
+    return until(observe, what, limit_s)
 
 
 def stale(probe: RosSupervisor) -> str:
     """The reason why the probe cannot tell, or an empty string when it can."""
     try:
-        probe.look()
+        probe.snapshot()
     except CannotTell as error:
         return str(error)
     return ""

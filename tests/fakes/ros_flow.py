@@ -78,7 +78,7 @@ def even(
     ]
 
 
-def looks(
+def polls(
     publications: Iterable[Publication], start_s: float, end_s: float, depth: int = 1, tick_s: float = TICK_S
 ) -> Iterator[tuple[float, list[Sample]]]:
     """Each poll and the contents of a queue of `depth` at that time."""
@@ -103,8 +103,8 @@ def feed(
 ) -> RateFact:
     """The estimator after all polls."""
     facts = [
-        meter.look(now_s, samples, replace(listening, complete=len(samples) < depth))
-        for now_s, samples in looks(publications, start_s, end_s, depth, tick_s)
+        meter.update(now_s, samples, replace(listening, complete=len(samples) < depth))
+        for now_s, samples in polls(publications, start_s, end_s, depth, tick_s)
     ]
     return facts[-1]
 
@@ -117,8 +117,8 @@ def quiet(meter: RateEstimator, start_s: float, seconds: float, listening: Liste
 def silent_from(meter: RateEstimator, publications: Sequence[Publication], start_s: float, end_s: float) -> list[float]:
     """The times at which the verdict of silence began."""
     began, before = [], False
-    for now_s, samples in looks(publications, start_s, end_s):
-        silent = meter.look(now_s, samples).hz == 0.0
+    for now_s, samples in polls(publications, start_s, end_s):
+        silent = meter.update(now_s, samples).hz == 0.0
         if silent and not before:
             began.append(now_s)
         before = silent

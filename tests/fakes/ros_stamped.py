@@ -26,7 +26,7 @@ class Source:
         self.wrong: frozenset[str] = frozenset()
         self._x, self._counter = 0.0, 0
 
-    def obey(self) -> None:
+    def execute(self) -> None:
         for line in sys.stdin:
             self.wrong = frozenset(line.split()) - {"healthy"}
 
@@ -50,7 +50,7 @@ def main(name: str, hz: float) -> None:
     node = rclpy.create_node(name, namespace="/agent_1")
     publisher = node.create_publisher(PointStamped, "odom", 10)
     source = Source()
-    threading.Thread(target=source.obey, daemon=True).start()
+    threading.Thread(target=source.execute, daemon=True).start()
     began_s = time.monotonic()
     for number in count(1):
         publisher.publish(source.message())

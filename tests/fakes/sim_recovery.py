@@ -25,6 +25,7 @@ from phm.recovery.actions.unpause import Unpause
 from phm.recovery.base import Action, ActionContext, Target
 from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.runtime.sections import action_settings
 from phm.testing import FakeClock
 from tests.fakes.agent_world import FIXES, Sim
 
@@ -119,7 +120,11 @@ class SimRecovery:
         pipeline = SimPipeline(sim, cast(Any, SimBus(sim)), self._clock)
         pipeline.attach(self._wake)
         context = ActionContext(
-            cast(Any, None), settings, lambda key: sim.world.fact(sim.now), lambda: None, lambda a, b: None
+            cast(Any, None),
+            action_settings(settings),
+            lambda key: sim.world.fact(sim.now),
+            lambda: None,
+            lambda a, b: None,
         )
         graces = {entry.unit.id: entry.unit.grace_s for entry in sim.plan.tracked}
         kinds = {name: self._action(kind) for name, kind in KINDS.items()}

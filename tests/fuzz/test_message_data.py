@@ -55,6 +55,6 @@ def test_any_messages_are_facts(
     decoder = Numbers(counters, bits)
     monitor = DataMonitor(wanted, 10.0, lambda *_: decoder, begins_with_header=lambda _: header)
     for number, messages in enumerate(looks):
-        monitor.look(number / 4, "my_msgs/msg/Odometry", messages, mixed=number % 2 == 0)
+        monitor.update(number / 4, "my_msgs/msg/Odometry", messages, mixed=number % 2 == 0)
         graph = GraphMessage(1.0, topics={"/t": TopicFact(data=monitor.fact)})
         assert decode(encode(graph)) == graph

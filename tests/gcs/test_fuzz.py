@@ -61,7 +61,7 @@ class Link:
                 json.loads(encode(news, "run", 1))
                 assert describe_with_time(news).isprintable()
 
-    def look(self) -> None:
+    def observe(self) -> None:
         """Every output can be generated."""
         for news in self.ground.wait(1):
             assert describe_with_time(news).isprintable()
@@ -79,7 +79,7 @@ def test_any_valid_frame_is_accepted(sent: list[tuple[tuple[int, int], object]])
     for (system, component), message in sent:
         link.feed(Sender(system, component).frame(message))
         link.ground.clock.advance(0.5)
-    link.look()
+    link.observe()
 
 
 @HARD
@@ -98,7 +98,7 @@ def test_garbage_and_damaged_frames_change_nothing(pieces: list[bytes | int], se
         link.feed(agent.frame(good))
     for _ in range(20):  # the parser waits for an announced length: valid frames follow on a live link
         link.feed(agent.frame(good))
-    link.look()
+    link.observe()
     assert [one["agent"] for one in link.ground.snapshot()["agents"]] == [7]
     assert link.ground.agent(7)["slots"]["6"] == "ERROR"
 

@@ -63,7 +63,7 @@ class Bench:
 
     def press(self, *keys: str) -> list[str]:
         """The lines of the screen after these keys."""
-        self.view.turn(list(keys))
+        self.view.handle_keys(list(keys))
         self.view.events()
         target = Console(file=io.StringIO(), width=100, height=40)
         target.print(self.view.draw(target, active=True))
@@ -235,7 +235,7 @@ def test_a_new_critical_line_rings_and_is_acknowledged(bench: Bench) -> None:
     assert "1 new CRITICAL: A07   a: acknowledge" in lines
     assert any(line.startswith("A07! ") for line in lines)
     assert not any(line.startswith("A07! ") or "new CRITICAL" in line for line in bench.press("a"))
-    assert bench.view.turn(["q"])
+    assert bench.view.handle_keys(["q"])
 
 
 def test_events_have_ages(bench: Bench) -> None:

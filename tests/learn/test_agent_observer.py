@@ -149,7 +149,7 @@ class Supervisor:
 
     def close(self) -> None: ...
 
-    def look(self) -> RosFact:
+    def snapshot(self) -> RosFact:
         topic = TopicFact(
             (EndpointFact("/a/lidar", "std_msgs/msg/String"),),
             (EndpointFact("/a/planner", "std_msgs/msg/String"), EndpointFact("/_phm_a", "std_msgs/msg/String")),
@@ -174,7 +174,7 @@ def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     seen.discover(10.0)
     for _ in range(10):
         clock.advance(1.0)
-        seen.turn()
+        seen.tick()
     found = seen.into(Observations(10.0))
     assert found.nodes == {"/a/lidar": True, "/a/planner": True}
     (topic,) = found.topics

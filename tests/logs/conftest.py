@@ -6,9 +6,9 @@ import pytest
 
 from phm.logs import log_sources
 
-LOOK_S = 60.0
+ANSWER_S = 60.0
 
 
 @pytest.fixture(autouse=True)
 def long_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log_sources, "LOOK_S", LOOK_S)
+    monkeypatch.setattr(log_sources, "ANSWER_S", ANSWER_S)

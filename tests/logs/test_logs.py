@@ -22,6 +22,7 @@ from phm.logs.line_filter import utc_s
 from phm.logs.reader import LogReader
 from phm.reporters.base import ReporterContext
 from phm.reporters.log import LogReporter
+from phm.runtime.sections import reporter_settings
 from tests.fakes.records import at, closed, context, opened, transition, unit
 from tests.fakes.until import until
 
@@ -35,6 +36,7 @@ DEAD = unit(
     values={"listed": 0},
     fault="ab12-1",
 )
+
 BLOCKED = unit("topics/t1", Slot.TOPICS, Level.STALE, "topic t1 lacks its publisher", blocked_by=DEAD.unit)
 STORY: list[Event] = [
     opened(DEAD),
@@ -55,7 +57,7 @@ def flying(folder: Path, armed: list[bool]) -> LogReporter:
     made = {"log": {"directory": str(folder)}, "state_dir": str(folder / "state")}
     return LogReporter(
         ReporterContext(
-            Settings.model_validate(made),
+            reporter_settings(Settings.model_validate(made)),
             SystemClock(),
             "boot12345678",
             tuple,

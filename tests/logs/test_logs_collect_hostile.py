@@ -19,7 +19,7 @@ from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Hang, Status, Trickle, Truncate
 from tests.fakes.log_agents import PLACE, Agent, agent as agent, collect, engine as engine, texts
 from tests.fakes.until import until
-from tests.logs.conftest import LOOK_S
+from tests.logs.conftest import ANSWER_S
 
 
 def _tar(*members: tarfile.TarInfo, content: bytes = b"x" * 10) -> bytes:
@@ -115,7 +115,7 @@ def test_a_copy_that_fails_costs_only_that_file(
     tmp_path: Path, engine: FakeEngine, agent: Agent, monkeypatch: pytest.MonkeyPatch, fault: Any
 ) -> None:
     """It ends at its deadline; the next run completes it."""
-    monkeypatch.setattr(log_sources, "LOOK_S", 1.0)
+    monkeypatch.setattr(log_sources, "ANSWER_S", 1.0)
     agent.rotate()
     engine.fault = fault
     out = tmp_path / "out"
@@ -129,7 +129,7 @@ def test_a_copy_that_fails_costs_only_that_file(
     until(without_it, "the other files")
     assert texts(out / "agent_1") == texts(agent.folder)[: len(texts(out / "agent_1"))]
     engine.fault = None
-    monkeypatch.setattr(log_sources, "LOOK_S", LOOK_S)
+    monkeypatch.setattr(log_sources, "ANSWER_S", ANSWER_S)
     assert collect(out, engine=engine).exit_code == 0
     assert texts(out / "agent_1") == list(range(1, agent.count + 1))
 
@@ -173,7 +173,7 @@ def test_an_engine_that_hangs_ends_at_its_deadline(
     tmp_path: Path, engine: FakeEngine, agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The list of containers, too, has one."""
-    monkeypatch.setattr(log_sources, "LOOK_S", 0.5)
+    monkeypatch.setattr(log_sources, "ANSWER_S", 0.5)
     engine.fault = Hang("/containers/json")
     result = collect(tmp_path / "out", engine=engine)
     assert result.exit_code == 1 and "did not answer within" in result.output
@@ -185,8 +185,8 @@ def test_an_engine_that_hangs_after_its_list_is_given_up(
     """It is not asked about each of many containers."""
     listed = DockerEngine.list
     # It has answered, however busy the machine is; the deadline is that of the questions about containers.
-    monkeypatch.setattr(DockerEngine, "list", lambda self, **_: listed(self, deadline_s=LOOK_S))
-    monkeypatch.setattr(log_sources, "LOOK_S", 0.3)
+    monkeypatch.setattr(DockerEngine, "list", lambda self, **_: listed(self, deadline_s=ANSWER_S))
+    monkeypatch.setattr(log_sources, "ANSWER_S", 0.3)
     for number in range(20):
         engine.containers[f"c{number}"] = container(f"c{number}")
     engine.fault = Hang("/archive")
@@ -231,7 +231,7 @@ def test_ssh_that_hangs_ends_at_the_deadline(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "ssh").write_text("#!/bin/sh\ncat >/dev/null\n")
     (tmp_path / "ssh").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    monkeypatch.setattr(log_sources, "LOOK_S", 0.5)
+    monkeypatch.setattr(log_sources, "ANSWER_S", 0.5)
     result = collect(tmp_path / "out", "--docker", "ssh://drone5")
     assert result.exit_code == 1 and "did not answer within" in result.output
 

@@ -24,6 +24,7 @@ from phm.facts import AutopilotFact, LinkFact, RadioFact, SenderFact
 from phm.reporters.base import ReporterContext
 from phm.reporters.metrics_counts import EventCounts
 from phm.reporters.metrics_page import build_page
+from phm.runtime.sections import reporter_settings
 from phm.testing import FakeClock, FakeLinks, settings
 from phm.wire.openmetrics import MetricsText
 
@@ -95,7 +96,7 @@ def context(units: tuple[UnitState, ...] | None = None, **changes: Any) -> Repor
     found = states() if units is None else units
     made = settings(agent={"id": 5, "name": "agent_5"}, **changes)
     return ReporterContext(
-        made,
+        reporter_settings(made),
         FakeClock(),
         "boot",
         lambda: found,

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,7 @@ def published(name: str) -> dict[str, DiagnosticFact]:
     link = state("link/radio", "link", Slot.RADIO, Layer.LINK)
     port, about = Port(), context((*states(), link))
     agents = about.settings.agent.model_copy(update={"name": name})
-    object.__setattr__(about, "settings", about.settings.model_copy(update={"agent": agents}))
+    object.__setattr__(about, "settings", replace(about.settings, agent=agents))
     DiagnosticsReporter(about, port).tick()
     return port.statuses
 

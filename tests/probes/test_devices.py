@@ -50,33 +50,33 @@ def terminal() -> Iterator[str]:
 
 def test_a_character_device_has_its_numbers() -> None:
     """/dev/null is 1:3 on every Linux."""
-    fact = probe().look("/dev/null", open_it=True)
+    fact = probe().inspect("/dev/null", open_it=True)
     assert fact is not None
     assert (fact.path, fact.character, fact.major, fact.minor, fact.openable) == ("/dev/null", True, 1, 3, True)
 
 
 def test_a_device_is_opened_only_on_request() -> None:
     """Permission bits alone prove nothing about the device behind the file."""
-    fact = probe().look("/dev/null", open_it=False)
+    fact = probe().inspect("/dev/null", open_it=False)
     assert fact is not None and fact.openable is None and not fact.reason
 
 
 def test_a_real_terminal_can_be_opened(terminal: str) -> None:
     """Without making it the controlling terminal and without waiting for a carrier."""
-    fact = probe().look(terminal, open_it=True)
+    fact = probe().inspect(terminal, open_it=True)
     assert fact is not None and fact.character and fact.openable
 
 
 def test_a_missing_path_is_none() -> None:
     """Missing is a result, not an error."""
-    assert probe().look("/dev/phm-no-such-device", open_it=True) is None
-    assert probe().look("/dev/null/below", open_it=True) is None
+    assert probe().inspect("/dev/phm-no-such-device", open_it=True) is None
+    assert probe().inspect("/dev/null/below", open_it=True) is None
 
 
 def test_a_directory_or_file_is_not_a_character_device(host_dev: Path) -> None:
     """The fact has the kind of the file."""
-    folder = probe(host_dev).look("/dev/serial", open_it=True)
-    file = probe(host_dev).look("/dev/not_a_device", open_it=True)
+    folder = probe(host_dev).inspect("/dev/serial", open_it=True)
+    file = probe(host_dev).inspect("/dev/not_a_device", open_it=True)
     assert folder is not None and not folder.character and "directory" in folder.reason
     assert file is not None and not file.character and "file" in file.reason
 
@@ -84,20 +84,20 @@ def test_a_directory_or_file_is_not_a_character_device(host_dev: Path) -> None:
 @pytest.mark.parametrize("link", ["relative", "absolute"])
 def test_symlinks_are_resolved_within_the_mounted_dev(host_dev: Path, link: str) -> None:
     """An absolute target is a path of the host, not of PHM's container."""
-    fact = probe(host_dev).look(f"/dev/serial/by-id/{link}", open_it=False)
+    fact = probe(host_dev).inspect(f"/dev/serial/by-id/{link}", open_it=False)
     assert fact is not None and fact.path == "/dev/not_a_device"
 
 
 @pytest.mark.parametrize("link", ["/dev/serial/by-id/dangling", "/dev/loop_a"])
 def test_a_symlink_without_target_is_none(host_dev: Path, link: str) -> None:
     """Dangling or cyclic: the device does not exist."""
-    assert probe(host_dev).look(link, open_it=True) is None
+    assert probe(host_dev).inspect(link, open_it=True) is None
 
 
 def test_an_unmounted_dev_is_an_error(tmp_path: Path) -> None:
     """Otherwise every device would be reported missing."""
     with pytest.raises(CannotTell, match="mount it"):
-        probe(tmp_path / "nowhere").look("/dev/null", open_it=False)
+        probe(tmp_path / "nowhere").inspect("/dev/null", open_it=False)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_each_error_of_opening_has_its_result(
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "open", refuse)
-    fact = probe().look("/dev/null", open_it=True)
+    fact = probe().inspect("/dev/null", open_it=True)
     monkeypatch.undo()
     assert fact is not None and fact.openable is openable and fact.reason
 
@@ -129,7 +129,7 @@ def test_a_file_without_a_device_behind_it_is_refused() -> None:
     """The kernel's own error: a process without a controlling terminal cannot open /dev/tty."""
     code = (
         "from phm import testing; from phm.core.clock import SystemClock; from phm.probes.devices import Devices\n"
-        "fact = Devices(testing.settings().host, SystemClock()).look('/dev/tty', open_it=True)\n"
+        "fact = Devices(testing.settings().host, SystemClock()).inspect('/dev/tty', open_it=True)\n"
         "print(fact.major, fact.minor, fact.openable, fact.reason)"
     )
     folder = Path(module.__file__).parents[2]
@@ -148,7 +148,7 @@ def test_a_file_without_a_device_behind_it_is_refused() -> None:
 def test_a_file_whose_mode_denies_all_access_is_refused(terminal: str) -> None:
     """Decided by the mode bits alone, without opening."""
     os.chmod(terminal, 0)
-    fact = probe().look(terminal, open_it=False)
+    fact = probe().inspect(terminal, open_it=False)
     assert fact is not None and fact.openable is False
 
 

@@ -138,7 +138,7 @@ def test_a_file_of_a_while_ago_is_settled(tmp_path: Path, monkeypatch: pytest.Mo
 @pytest.mark.usefixtures("old")
 def test_a_large_folder_is_read_in_several_looks(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """So much in each; what was not read is pending."""
-    monkeypatch.setattr(file_tree, "LOOK_BYTES", 8)
+    monkeypatch.setattr(file_tree, "SCAN_BYTES", 8)
     for name in "abcd":
         folder.write(name)
     assert [len(folder.read().pending) for _ in range(2)] == [2, 0]
@@ -256,8 +256,8 @@ def test_a_file_that_is_too_slow_does_not_hide_the_others(folder: Folder, monkey
 def test_a_large_file_that_changes_all_the_time_does_not_starve_the_others(
     folder: Folder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files that waited longest come first in each look."""
-    monkeypatch.setattr(file_tree, "LOOK_BYTES", 8)
+    """Files that waited longest come first in each scan."""
+    monkeypatch.setattr(file_tree, "SCAN_BYTES", 8)
     for name in "bcdefg":
         folder.write(name)
     for turn in range(8):

@@ -169,7 +169,7 @@ def test_a_device_behind_a_symlink_is_followed_through_all_steps(watcher: FileWa
     """Directory, symlink and device may each come and go; the directory may be missing at first."""
     listener = Listener()
     devices = Devices(settings(host={"dev_root": str(tmp_path)}).host, SystemClock(), watcher, listener)
-    assert devices.look("/dev/serial/by-id/radio", open_it=False) is None
+    assert devices.inspect("/dev/serial/by-id/radio", open_it=False) is None
     assert listener.called(), "the watch has started, and the device is checked once more"
     for change in (
         lambda: (tmp_path / "serial").mkdir(),
@@ -179,7 +179,7 @@ def test_a_device_behind_a_symlink_is_followed_through_all_steps(watcher: FileWa
     ):
         change()
         assert listener.called()
-        devices.look("/dev/serial/by-id/radio", open_it=False)
+        devices.inspect("/dev/serial/by-id/radio", open_it=False)
         until(listener.silent, "the last change")
-    fact = devices.look("/dev/serial/by-id/radio", open_it=False)
+    fact = devices.inspect("/dev/serial/by-id/radio", open_it=False)
     assert fact is not None and fact.path == "/dev/ttyUSB0"

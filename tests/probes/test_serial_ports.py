@@ -82,40 +82,40 @@ def end(process: subprocess.Popen[bytes]) -> None:
     process.stdout.close()
 
 
-def look(ports: SerialPorts, device: Device, line: str = "") -> SerialFact:
-    return ports.look(device.path, baud=57600, line=line)
+def observe(ports: SerialPorts, device: Device, line: str = "") -> SerialFact:
+    return ports.inspect(device.path, baud=57600, line=line)
 
 
 def test_data_and_lines_are_seen(ports: SerialPorts, device: Device) -> None:
     """Any bytes are data; a line counts when it is complete and matches, however it was cut on the way."""
-    until(lambda: look(ports, device, "$GP*").problem == "", "the port to be open")
-    assert look(ports, device, "$GP*").data_s is None
+    until(lambda: observe(ports, device, "$GP*").problem == "", "the port to be open")
+    assert observe(ports, device, "$GP*").data_s is None
     device.send(b"\xff\x00noise\r\n$GLGSV,1\r\n$GPG")
-    until(lambda: look(ports, device, "$GP*").data_s is not None, "data")
-    assert look(ports, device, "$GP*").line_s is None
+    until(lambda: observe(ports, device, "$GP*").data_s is not None, "data")
+    assert observe(ports, device, "$GP*").line_s is None
     device.send(b"GA,1\r\n")
-    until(lambda: look(ports, device, "$GP*").line_s is not None, "a line")
+    until(lambda: observe(ports, device, "$GP*").line_s is not None, "a line")
 
 
 def test_a_port_in_use_is_left_alone(ports: SerialPorts, device: Device) -> None:
     """It is named who has it, and its data stay for that program; PHM reads once it is free."""
     process = other(HOLD, device.port)
     try:
-        found = until(lambda: "in use" in (fact := look(ports, device)).problem and fact, "the user")
+        found = until(lambda: "in use" in (fact := observe(ports, device)).problem and fact, "the user")
         assert f"python ({process.pid})" in found.problem.replace("python3", "python").replace("python.12", "python")
         device.send(b"for the other program\n")
-        assert look(ports, device).data_s is None
+        assert observe(ports, device).data_s is None
     finally:
         end(process)
-    until(lambda: look(ports, device).problem == "", "the port to be open")
+    until(lambda: observe(ports, device).problem == "", "the port to be open")
 
 
 def test_a_port_is_released_for_another_program(ports: SerialPorts, device: Device) -> None:
     """A program that opens it later does not share its data with PHM."""
-    until(lambda: look(ports, device).problem == "", "the port to be open")
+    until(lambda: observe(ports, device).problem == "", "the port to be open")
     process = other(HOLD, device.port)
     try:
-        until(lambda: "in use by" in look(ports, device).problem, "the user")
+        until(lambda: "in use by" in observe(ports, device).problem, "the user")
     finally:
         end(process)
 
@@ -126,7 +126,7 @@ def test_a_locked_port_is_in_use(device: Device, monkeypatch: pytest.MonkeyPatch
     ports = SerialPorts(SystemClock(), lambda path: Path(os.path.realpath(path)), lambda path: ())
     process = other(LOCK, device.port)
     try:
-        until(lambda: "another program has locked it" in look(ports, device).problem, "the lock")
+        until(lambda: "another program has locked it" in observe(ports, device).problem, "the lock")
     finally:
         end(process)
         ports.close()
@@ -135,16 +135,16 @@ def test_a_locked_port_is_in_use(device: Device, monkeypatch: pytest.MonkeyPatch
 def test_a_device_that_is_unplugged_and_back_is_read_again(ports: SerialPorts, device: Device, tmp_path: Path) -> None:
     """The link then leads to another port."""
     device.release()
-    until(lambda: look(ports, device).problem == "", "the port to be open")
+    until(lambda: observe(ports, device).problem == "", "the port to be open")
     os.close(device.near)
     device.near = -1
     os.unlink(device.path)
-    until(lambda: look(ports, device).problem, "the port to be gone")
+    until(lambda: observe(ports, device).problem, "the port to be gone")
     again = Device(tmp_path)
     try:
-        until(lambda: look(ports, device).problem == "", "the port to be open again")
+        until(lambda: observe(ports, device).problem == "", "the port to be open again")
         again.send(b"x")
-        until(lambda: look(ports, device).data_s is not None, "data")
+        until(lambda: observe(ports, device).data_s is not None, "data")
     finally:
         again.close()
 
@@ -155,11 +155,11 @@ def test_the_number_of_ports_is_limited_and_their_threads_end(device: Device) ->
     names = [f"/dev/{number}" for number in range(MOST_PORTS)]
 
     def reasons() -> set[str]:
-        return {ports.look(name, baud=9600, line="").problem for name in names}
+        return {ports.inspect(name, baud=9600, line="").problem for name in names}
 
     until(lambda: reasons() == {"no such file or directory"}, "the reason", reasons)
     with pytest.raises(CannotTell, match=f"no more than {MOST_PORTS} serial ports"):
-        ports.look(device.path, baud=9600, line="")
+        ports.inspect(device.path, baud=9600, line="")
     ports.close()
     until(lambda: not [thread for thread in threading.enumerate() if thread.name == "phm-serial"], "their end")
 

@@ -13,17 +13,18 @@ from phm.core.settings import Settings
 from phm.facts import ContainerFact
 from phm.probes.docker import Docker
 from phm.recovery.attempt import GuardedEngine
-from phm.recovery.base import Action, ActionContext, Target
+from phm.recovery.base import Action, ActionContext, ActionSettings, Target
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
+from phm.runtime.sections import action_settings
 from phm.testing import settings
 from phm.transport.docker import DockerEngine
 from tests.proxy.haproxy import BehindProxy
 
 
-def fault(unit: str, condition: str, evidence: Evidence | None = None) -> Fault:
+def fault(unit: str, condition: str, evidence: Evidence | None = None, node: str = "") -> Fault:
     result = Result(Level.ERROR, "it is broken", "broken", condition, "app", evidence=evidence or Evidence())
-    return Fault("F1", unit, Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, 0.0))
+    return Fault("F1", unit, Slot.CONTAINER, Layer.DOCKER, result, Stamp(0.0, 0.0), node=node)
 
 
 def guarded(engine: DockerEngine, guard: FlightCriticalGuard) -> DockerEngine:
@@ -51,6 +52,10 @@ class Bench:
         docker = self.probe or Docker(self.engine, self.settings.containers, self.settings.docker, SystemClock())
         return docker.container(key)
 
+    @property
+    def sections(self) -> ActionSettings:
+        return action_settings(self.settings)
+
     def target(self, key: str) -> Target:
         found = self.settings.container(key)
         assert found is not None
@@ -60,7 +65,7 @@ class Bench:
         flight_critical_guard = FlightCriticalGuard(self.settings.containers, self.fact, lambda: None, self._armed)
         return ActionContext(
             guarded(self.engine, flight_critical_guard),
-            self.settings,
+            self.sections,
             self.fact,
             lambda: None,
             lambda key, network: None,

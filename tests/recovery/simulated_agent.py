@@ -20,6 +20,7 @@ from phm.recovery.base import Action, ActionContext, NotNeeded, Target
 from phm.recovery.executor import Executor
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, ArmedStatus
+from phm.runtime.sections import action_settings
 from phm.tracker import TrackedUnit, Tracker, graph_of
 from phm.transport.docker import EngineError
 from tests.fakes.until import until
@@ -143,7 +144,11 @@ class Agent:
         self.bus.subscribe("test", self.events.append)
         self.engine = Silent()
         context = ActionContext(
-            cast(Any, self.engine), self.settings, containers.facts.get, lambda: None, lambda a, b: None
+            cast(Any, self.engine),
+            action_settings(self.settings),
+            containers.facts.get,
+            lambda: None,
+            lambda a, b: None,
         )
         plan = CheckPlan((), tracked, DependencyGraph({entry.unit.id: entry.needs for entry in tracked}))
         graces = {name: of.grace_s for name, of in units.items()}
@@ -200,7 +205,7 @@ class Agent:
 
     # ------------------------------------------------------------ time
 
-    def look(self) -> None:
+    def observe(self) -> None:
         for unit in self.units:
             condition = self.bad.get(unit)
             target = unit.partition("/")[2]
@@ -212,7 +217,7 @@ class Agent:
 
     def step(self) -> None:
         self.clock.advance(STEP_S)
-        self.look()
+        self.observe()
         self.pipeline.tick()
         self._settle()
 

@@ -14,6 +14,7 @@ from phm.core.model import ActionEvent, Fault, Layer, Level, Phase, Result, Slot
 from phm.facts import AutopilotFact, LinkFact
 from phm.recovery.actions.reopen import BEHIND_S, BOOT_S, PROMPT_S, Reopen
 from phm.recovery.base import ActionContext, NotNeeded, Target, TargetKind
+from phm.runtime.sections import action_settings
 from phm.testing import settings
 from tests.recovery.simulated_agent import Agent, Containers, Of
 
@@ -135,7 +136,7 @@ class Cable:
         fault = Fault("F1", "autopilot", Slot.AUTOPILOT, Layer.LINK, result, Stamp(0.0, 0.0))
         context = ActionContext(
             cast(Any, None),
-            settings(),
+            action_settings(settings()),
             lambda key: None,
             lambda: None,
             lambda key, net: None,

@@ -18,6 +18,7 @@ from phm.facts import NotPermitted
 from phm.recovery.base import Action, ActionContext, ActionFailed, Target
 from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.runtime.sections import action_settings
 from phm.tracker import TrackedUnit, Tracker, graph_of
 from tests.fakes.until import until
 
@@ -43,8 +44,10 @@ class World:
         tracker = Tracker(tracked, graph_of(tracked), self.clock.stamp())
         self.bus = Bus(self.clock)
         self.pipeline = Pipeline(tracker, self.bus, self.clock)
-        self.pipeline.attach(lambda units, reason: self.look())
-        context = ActionContext(cast(Any, None), self.settings, lambda key: None, lambda: None, lambda a, b: None)
+        self.pipeline.attach(lambda units, reason: self.observe())
+        context = ActionContext(
+            cast(Any, None), action_settings(self.settings), lambda key: None, lambda: None, lambda a, b: None
+        )
         state = (
             ArmedStatus(ArmedState.ARMED, "the autopilot is armed")
             if armed
@@ -84,7 +87,7 @@ class World:
     def fix(self) -> None:
         self.healthy = True
 
-    def look(self) -> None:
+    def observe(self) -> None:
         bad = error("it is bad", brief="bad", condition=self.condition, target="app")
         lost = error("no nodes", brief="no nodes", condition="node_missing", target="app")
         results = {
@@ -95,7 +98,7 @@ class World:
 
     def fail(self) -> None:
         self.healthy = False
-        self.look()
+        self.observe()
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Let fake time pass, with regular checks of the unit, until `condition` is true."""
@@ -103,7 +106,7 @@ class World:
 
     def _step(self) -> None:
         self.clock.advance(0.05)
-        self.look()
+        self.observe()
         until(self._is_idle, "all threads to be idle", poll_s=0.0002)
 
     def _is_idle(self) -> bool:
@@ -140,7 +143,7 @@ def test_a_fault_is_acted_on_and_the_result_is_verified(worlds: list[World]) -> 
     world.until(lambda: Phase.VERIFIED in world.phases() and world.closed())
     for _ in range(100):
         world.clock.advance(0.05)
-        world.look()
+        world.observe()
         until(lambda: world.clock.sleepers, "the worker to be idle")
     assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
     assert world.runs == ["restart"]
@@ -160,7 +163,7 @@ def test_an_ineffective_action_is_repeated_and_then_given_up(worlds: list[World]
     assert "docker logs" in detail
     for _ in range(200):
         world.clock.advance(1.0)
-        world.look()
+        world.observe()
     assert world.runs == ["restart"] * 3
 
 
@@ -202,7 +205,7 @@ def test_a_refusal_is_reported_once_and_not_tried_again(worlds: list[World]) -> 
     world.until(lambda: Phase.FAILED in world.phases())
     for _ in range(100):
         world.clock.advance(1.0)
-        world.look()
+        world.observe()
     assert world.runs == ["restart"]
     assert "recovery is not permitted" in [e.detail for e in world.events if isinstance(e, ActionEvent)][-1]
 
@@ -251,7 +254,7 @@ def test_modes_advise_and_off_take_no_action(worlds: list[World], recovery: dict
     world.until(lambda: any(isinstance(event, FaultOpened) for event in world.events))
     for _ in range(100):
         world.clock.advance(1.0)
-        world.look()
+        world.observe()
     assert world.runs == []
     world.until(lambda: world.phases() == ([Phase.ADVISED] if recovery["mode"] == "advise" else []))
 
@@ -282,7 +285,7 @@ def test_a_spontaneous_recovery_ends_the_attempts(worlds: list[World]) -> None:
     world.until(lambda: bool(world.closed()))
     for _ in range(100):
         world.clock.advance(1.0)
-        world.look()
+        world.observe()
     assert world.runs == ["restart"]
     assert world.closed()[0].fault.by == "itself"
 

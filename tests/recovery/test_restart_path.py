@@ -68,7 +68,7 @@ def test_one_restart_crosses_nine_files_at_most() -> None:
     with profiled() as crossed:
         containers = Containers("app")
         agent = RestartingAgent({"container/app": Of("app")}, containers, testing.FakeClock())
-        agent.look()
+        agent.observe()
         crossed.counting = True
         agent.bad["container/app"] = "broken"
         agent.until(lambda: containers.facts["app"].started_at == "start 1", "the restart")

@@ -249,10 +249,11 @@ import sys
 from phm.core.clock import SystemClock
 from phm.core.model import Note, Stamp
 from phm.reporters.base import ReporterContext
+from phm.runtime.sections import reporter_settings
 from phm.reporters.log import LogReporter
 from phm.core.settings import LogSettings, Settings
 settings = Settings(log=LogSettings(directory=sys.argv[1], max_size=20000, files=100))
-log = LogReporter.build(ReporterContext(settings, SystemClock(), "b", tuple, lambda: True, dict))
+log = LogReporter.build(ReporterContext(reporter_settings(settings), SystemClock(), "b", tuple, lambda: True, dict))
 number = 0
 while True:
     number += 1

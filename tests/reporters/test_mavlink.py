@@ -24,6 +24,7 @@ from phm.core.model import (
 )
 from phm.reporters.base import ReporterContext
 from phm.reporters.mavlink import MavlinkReporter
+from phm.runtime.sections import reporter_settings
 from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
@@ -45,7 +46,13 @@ class Scene:
             )
         self.settings = settings(agent={"id": agent}, mavlink=mavlink_settings)
         context = ReporterContext(
-            self.settings, self.clock, "boot", lambda: tuple(self.units.values()), lambda: self.alive, dict, self.port
+            reporter_settings(self.settings),
+            self.clock,
+            "boot",
+            lambda: tuple(self.units.values()),
+            lambda: self.alive,
+            dict,
+            self.port,
         )
         built = MavlinkReporter.build(context)
         assert built is not None
@@ -398,7 +405,7 @@ def test_lost_events_are_compensated_at_the_refresh() -> None:
 
 def test_no_reporter_is_built_without_endpoints() -> None:
     """An agent without MAVLink has no cost for it."""
-    context = ReporterContext(settings(), FakeClock(), "boot", tuple, lambda: True, dict, None)
+    context = ReporterContext(reporter_settings(settings()), FakeClock(), "boot", tuple, lambda: True, dict, None)
     assert MavlinkReporter.build(context) is None
 
 

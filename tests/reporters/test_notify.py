@@ -30,6 +30,7 @@ from phm.core.model import (
 from phm.reporters import notify
 from phm.reporters.base import ReporterContext
 from phm.reporters.notify import NotifyReporter
+from phm.runtime.sections import reporter_settings
 from phm.testing import FakeClock, settings
 from tests.fakes.until import until
 
@@ -79,7 +80,9 @@ def hook() -> Iterator[Hook]:
 
 def make(clock: FakeClock | None = None, **notify_settings: Any) -> NotifyReporter:
     made = settings(agent={"id": 5, "name": "agent_5"}, notify=notify_settings)
-    context = ReporterContext(made, clock or FakeClock(), "b", tuple, lambda: True, dict, open_faults=lambda: (FAULT,))
+    context = ReporterContext(
+        reporter_settings(made), clock or FakeClock(), "b", tuple, lambda: True, dict, open_faults=lambda: (FAULT,)
+    )
     reporter = NotifyReporter.build(context)
     assert reporter is not None
     return reporter
@@ -156,7 +159,8 @@ def test_alerts_are_limited_and_what_was_left_out_is_counted() -> None:
     clock, sent = FakeClock(), list[dict[str, Any]]()
     made = settings(notify={"command": ["x"], "per_minute": 2})
     reporter = NotifyReporter(
-        ReporterContext(made, clock, "b", tuple, lambda: True, dict), [lambda alert: sent.append(alert) or ""]
+        ReporterContext(reporter_settings(made), clock, "b", tuple, lambda: True, dict),
+        [lambda alert: sent.append(alert) or ""],
     )
     for _ in range(5):
         reporter.handle(FaultOpened(AT, FAULT))
@@ -178,7 +182,9 @@ def test_a_slow_service_delays_nothing_else() -> None:
         return ""
 
     made = settings(notify={"command": ["x"], "per_minute": 600})
-    reporter = NotifyReporter(ReporterContext(made, FakeClock(), "b", tuple, lambda: True, dict), [slow])
+    reporter = NotifyReporter(
+        ReporterContext(reporter_settings(made), FakeClock(), "b", tuple, lambda: True, dict), [slow]
+    )
     for _ in range(500):
         reporter.handle(FaultOpened(AT, FAULT))
     until(begun.is_set, "the first alert")
@@ -189,5 +195,5 @@ def test_a_slow_service_delays_nothing_else() -> None:
 
 def test_notifications_are_off_by_default() -> None:
     """Without urls and command there is no reporter."""
-    context = ReporterContext(settings(), FakeClock(), "b", tuple, lambda: True, dict)
+    context = ReporterContext(reporter_settings(settings()), FakeClock(), "b", tuple, lambda: True, dict)
     assert NotifyReporter.build(context) is None

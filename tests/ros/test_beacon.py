@@ -46,7 +46,7 @@ def recorded(
 
     def record() -> None:
         with contextlib.suppress(CannotTell):
-            fact = probe.look().beacons.get(name)
+            fact = probe.snapshot().beacons.get(name)
             if fact is not None:
                 into.append(value(fact))
 

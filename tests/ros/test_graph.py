@@ -219,7 +219,7 @@ def test_a_change_of_the_graph_is_seen_immediately(bench: Bench) -> None:
     poll.
 
     The node is killed: a node that shuts down may stay listed until PHM compares its view with a second participant's,
-    which needs polls (`test_second_look.py`).
+    which needs polls (`test_graph_comparison.py`).
     """
     probe = bench.probe(
         [{"name": TOPIC}], command=(sys.executable, "-c", SLEEPY), limits=SupervisorLimits(start_s=60.0, silent_s=60.0)

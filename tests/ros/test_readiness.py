@@ -185,11 +185,11 @@ class Reader:
         self.node, self.now_s, self.fact = FakeNode(), 0.0, AnswerFact()
         self._reader = ReadinessReader(self.node, Wanted("agent_1", lifecycle=(NODE,)))
 
-    def look(self, *answers: int, seconds: float = 0.25, graph_changed: bool = False) -> AnswerFact:
+    def poll(self, *answers: int, seconds: float = 0.25, graph_changed: bool = False) -> AnswerFact:
         """Let so much time pass, in looks of 0.25 s, and receive the answers in the last one."""
         self.now_s += seconds
         self.node.client.answers = list(answers)
-        for message in self._reader.look(self.now_s, graph_changed=graph_changed):
+        for message in self._reader.poll(self.now_s, graph_changed=graph_changed):
             assert isinstance(message, ReadinessUpdate)
             self.fact = message.lifecycle[NODE]
         return self.fact
@@ -198,8 +198,8 @@ class Reader:
 def test_the_newest_state_counts_and_its_text_is_not_used() -> None:
     """Texts come from other participants; a number that ROS 2 does not define is unknown."""
     reader = Reader()
-    assert reader.look(1, 2, 3).answer == "active"
-    assert reader.look(99).answer == "unknown"
+    assert reader.poll(1, 2, 3).answer == "active"
+    assert reader.poll(99).answer == "unknown"
 
 
 def test_questions_are_limited() -> None:
@@ -207,31 +207,31 @@ def test_questions_are_limited() -> None:
     reader = Reader()
     asked = []
     for answers, graph_changed in [((), False), ((3,), False), ((), False), ((), False), ((), False), ((), True)]:
-        reader.look(*answers, graph_changed=graph_changed)
+        reader.poll(*answers, graph_changed=graph_changed)
         asked.append(reader.node.client.asked)
     assert asked == [1, 1, 1, 1, 2, 2]
-    reader.look(3)
-    reader.look(graph_changed=True)
+    reader.poll(3)
+    reader.poll(graph_changed=True)
     assert reader.node.client.asked == 3
     for _ in range(8):
-        reader.look()
+        reader.poll()
     assert reader.node.client.asked == 4
 
 
 def test_time_in_which_the_child_did_not_run_is_not_silence() -> None:
     """Of a minute without a look, half a second counts."""
     reader = Reader()
-    reader.look(3)
-    reader.look(seconds=1.0)
-    assert reader.look(seconds=60.0).unanswered_s <= 1.0
-    assert reader.look(3).unanswered_s == 0.0
+    reader.poll(3)
+    reader.poll(seconds=1.0)
+    assert reader.poll(seconds=60.0).unanswered_s <= 1.0
+    assert reader.poll(3).unanswered_s == 0.0
 
 
 def test_a_new_server_has_no_state_of_the_old_one() -> None:
     """A node that was started again answers for itself."""
     reader = Reader()
-    reader.look(3)
+    reader.poll(3)
     reader.node.servers = 0
-    assert reader.look() == AnswerFact()
+    assert reader.poll() == AnswerFact()
     reader.node.servers = 1
-    assert (reader.look().served, reader.fact.answer) == (True, "")
+    assert (reader.poll().served, reader.fact.answer) == (True, "")

@@ -90,9 +90,9 @@ def test_late_polls_count_half_at_most(gap_s: float, most_s: float) -> None:
     and a poll.
     """
     meter = RateEstimator(10.0, 3.0)
-    meter.look(100.0, [sample(1, 100.0)])
+    meter.update(100.0, [sample(1, 100.0)])
     now = 100.0
-    while (fact := meter.look(now := now + gap_s, [])).hz != 0.0:
+    while (fact := meter.update(now := now + gap_s, [])).hz != 0.0:
         assert now - 100.0 < most_s
     assert fact.silent_s is not None
     assert fact.silent_s > 2 * 3.0 - gap_s
@@ -136,8 +136,8 @@ def test_a_gap_does_not_reset_the_wait_for_a_slow_topic() -> None:
 def test_polls_in_time_count_in_full() -> None:
     """On a machine with spare CPU a silent topic is found as soon as usual."""
     meter = RateEstimator(10.0, 3.0)
-    meter.look(100.0, [sample(1, 100.0)])
-    found = [step for step in range(1, 20) if meter.look(100.0 + 0.25 * step, []).hz == 0.0]
+    meter.update(100.0, [sample(1, 100.0)])
+    found = [step for step in range(1, 20) if meter.update(100.0 + 0.25 * step, []).hz == 0.0]
     assert found[0] == 13
 
 
@@ -165,18 +165,18 @@ def test_only_a_runnable_process_counts_as_starved(
 ) -> None:
     """By its state and the kernel's counters; a process that sleeps, computes or is stopped does not count as starved."""
     progress = ProcessStallMeter(7, proc(tmp_path, "S", 10.0, 20.0))
-    assert progress.turn(100.0) == 0.0
+    assert progress.measure(100.0) == 0.0
     proc(tmp_path, state, 10.0 + ran_s, 20.0 + waited_s)
-    assert progress.turn(102.0) == pytest.approx(held_s)
+    assert progress.measure(102.0) == pytest.approx(held_s)
 
 
 def test_nothing_counts_as_starved_without_the_kernels_counters(tmp_path: Path) -> None:
     """A kernel without schedstat, and a process that has ended."""
     progress = ProcessStallMeter(7, str(tmp_path))
-    assert (progress.turn(1.0), progress.turn(5.0)) == (0.0, 0.0)
+    assert (progress.measure(1.0), progress.measure(5.0)) == (0.0, 0.0)
     mine = ProcessStallMeter(os.getpid())
-    mine.turn(time.monotonic())
-    assert mine.turn(time.monotonic()) >= 0.0
+    mine.measure(time.monotonic())
+    assert mine.measure(time.monotonic()) >= 0.0
 
 
 @pytest.mark.parametrize(("share", "replaced"), [(1.0, False), (0.0, True)], ids=["starved", "hangs"])
@@ -201,7 +201,7 @@ def held(monkeypatch: pytest.MonkeyPatch, share: float) -> None:
             super().__init__(pid)
             self.last: float | None = None
 
-        def turn(self, now: float) -> float:
+        def measure(self, now: float) -> float:
             passed_s = 0.0 if self.last is None else now - self.last
             self.last = now
             return share * passed_s
@@ -217,12 +217,12 @@ def test_received_beacons_are_sent_before_the_snapshot(bench: Bench) -> None:
 
     class Looked(Observer):
         def __init__(self) -> None:
-            part = type("Part", (), {"look": lambda self, *_, **__: [SelfReportUpdate()]})()
+            part = type("Part", (), {"poll": lambda self, *_, **__: [SelfReportUpdate()]})()
             self._beacons = self._diagnostics = self._readiness = part
-            self._names = type("Names", (), {"look": lambda self, _: False})()
+            self._names = type("Names", (), {"observe": lambda self, _: False})()
 
         def _graph_message(self, *, notified: bool, late_s: float) -> GraphMessage | Tick:
             return Tick(1.0, late_s=late_s)
 
-    order += [type(message).__name__ for message in Looked().look(late_s=0.5)]
+    order += [type(message).__name__ for message in Looked().poll(late_s=0.5)]
     assert order == ["SelfReportUpdate"] * 3 + ["Tick"]

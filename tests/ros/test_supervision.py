@@ -31,7 +31,7 @@ def sent_after_s(fact: RosFact) -> float:
 def nodes_of(bench: Bench) -> object:
     """The nodes that the probe lists, or why it cannot tell. Also within `Bench.on_change`, before `Bench.probe` has returned."""
     try:
-        return bench._probes[-1].look().nodes
+        return bench._probes[-1].snapshot().nodes
     except CannotTell as reason:
         return str(reason)
 

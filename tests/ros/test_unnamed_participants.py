@@ -38,11 +38,11 @@ def test_lost_names_are_looked_up_with_a_new_participant() -> None:
     help.
     """
     unnamed = UnnamedParticipants()
-    assert unnamed.look(NAMED, 0.0) == ()
-    assert unnamed.look(NAMELESS, 1.0) == ()
-    assert unnamed.look(NAMELESS, 0.9 + UNNAMED_S) == ()
-    assert unnamed.look(NAMELESS, 1.0 + UNNAMED_S) == (TOPIC,)
-    looked = [at for at in range(10, 2000) if unnamed.look(NAMELESS, float(at))]
+    assert unnamed.observe(NAMED, 0.0) == ()
+    assert unnamed.observe(NAMELESS, 1.0) == ()
+    assert unnamed.observe(NAMELESS, 0.9 + UNNAMED_S) == ()
+    assert unnamed.observe(NAMELESS, 1.0 + UNNAMED_S) == (TOPIC,)
+    looked = [at for at in range(10, 2000) if unnamed.observe(NAMELESS, float(at))]
     assert [later - earlier for earlier, later in pairwise([6, *looked])] == [
         REST_S,
         2 * REST_S,
@@ -55,21 +55,21 @@ def test_lost_names_are_looked_up_with_a_new_participant() -> None:
 def test_an_endpoint_that_never_had_a_name_is_ignored_unless_its_data_arrive() -> None:
     """Where data are blocked no name ever arrives, and a new participant gets none either."""
     unnamed = UnnamedParticipants()
-    assert not any(unnamed.look(NAMELESS, float(at)) for at in range(100))
+    assert not any(unnamed.observe(NAMELESS, float(at)) for at in range(100))
     flowing = {TOPIC: TopicFact((EndpointFact("", STRING),), (), FLOWING)}
-    assert any(unnamed.look(flowing, float(at)) for at in range(100, 110))
+    assert any(unnamed.observe(flowing, float(at)) for at in range(100, 110))
 
 
 def test_data_of_an_unlisted_publisher_open_a_new_participant() -> None:
     """The snapshot contradicts itself: the vehicle is not at fault."""
     flowing = {TOPIC: TopicFact((), (), FLOWING)}
     unnamed = UnnamedParticipants()
-    assert any(unnamed.look(flowing, float(at)) for at in range(10))
-    assert not any(UnnamedParticipants().look({TOPIC: TopicFact()}, float(at)) for at in range(100))
+    assert any(unnamed.observe(flowing, float(at)) for at in range(10))
+    assert not any(UnnamedParticipants().observe({TOPIC: TopicFact()}, float(at)) for at in range(100))
 
 
 def test_a_beacon_of_an_unlisted_node_opens_a_new_participant() -> None:
     """Its beacon arrives through the same participant that does not list it."""
     unnamed = UnnamedParticipants()
-    assert any(unnamed.look({}, float(at), {NODE}) for at in range(10))
-    assert not any(UnnamedParticipants().look({}, float(at), {NODE} if at % 4 else set()) for at in range(100))
+    assert any(unnamed.observe({}, float(at), {NODE}) for at in range(10))
+    assert not any(UnnamedParticipants().observe({}, float(at), {NODE} if at % 4 else set()) for at in range(100))

@@ -386,12 +386,12 @@ def test_a_file_is_replaced_in_one_step(tmp_path: Path) -> None:
     )
     seen: set[bytes] = set()
 
-    def look() -> bool:
+    def observe() -> bool:
         seen.add(file.read_bytes())
         return seen >= texts
 
     try:
-        until(look, "both contents")
+        until(observe, "both contents")
     finally:
         process.kill()
         process.communicate()

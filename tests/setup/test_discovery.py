@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import CannotTell
-from phm.setup.discovery import look, serial_ports
+from phm.setup.discovery import inspect_machine, serial_ports
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine
 from tests.fakes.engine_faults import Status
@@ -27,7 +27,7 @@ def test_applications_are_found_with_what_ros_reads(fake: FakeEngine, tmp_path: 
     """Image, Compose service, network and ROS variables; nothing else of the environment."""
     labels = {"com.docker.compose.project": "agent", "com.docker.compose.service": "autonomy"}
     fake.containers["app"] = described("app", env={"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"}, labels=labels)
-    found = look(DockerEngine(fake.url, LIMIT_S), tmp_path)
+    found = inspect_machine(DockerEngine(fake.url, LIMIT_S), tmp_path)
     (app,) = found.applications
     assert (app.name, app.image, app.service, app.networks) == ("app", "app:1", "autonomy", ("swarm",))
     assert app.ros.variables == {"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"}
@@ -40,7 +40,10 @@ def test_a_fast_dds_profile_is_read_from_the_container(fake: FakeEngine, tmp_pat
     profile = {"FASTDDS_DEFAULT_PROFILES_FILE": "/opt/dds.xml"}
     fake.containers["a"] = described("a", env=profile, files={"/opt/dds.xml": b"<dds/>"})
     fake.containers["b"] = described("b", env=profile)
-    assert [one.profile for one in look(DockerEngine(fake.url, LIMIT_S), tmp_path).applications] == ["<dds/>", ""]
+    assert [one.profile for one in inspect_machine(DockerEngine(fake.url, LIMIT_S), tmp_path).applications] == [
+        "<dds/>",
+        "",
+    ]
 
 
 def test_phm_and_finished_jobs_are_not_applications(fake: FakeEngine, tmp_path: Path) -> None:
@@ -49,7 +52,7 @@ def test_phm_and_finished_jobs_are_not_applications(fake: FakeEngine, tmp_path: 
     fake.containers["job"] = described("job", status="exited")
     fake.containers["kept"] = described("kept", status="exited")
     fake.containers["kept"]["HostConfig"]["RestartPolicy"] = {"Name": "unless-stopped"}
-    found = look(DockerEngine(fake.url, LIMIT_S), tmp_path)
+    found = inspect_machine(DockerEngine(fake.url, LIMIT_S), tmp_path)
     assert [one.name for one in found.applications] == ["kept"]
     assert [one.name for one in found.sidecars] == ["phm"]
 
@@ -58,7 +61,7 @@ def test_the_owner_of_a_shared_network_is_found_by_id(fake: FakeEngine, tmp_path
     """The engine names it by id, the configuration by name."""
     fake.containers["pod"] = described("pod")
     fake.containers["app"] = described("app", mode=f"container:{fake.containers['pod']['Id']}")
-    found = look(DockerEngine(fake.url, LIMIT_S), tmp_path)
+    found = inspect_machine(DockerEngine(fake.url, LIMIT_S), tmp_path)
     assert [one.owner for one in found.applications] == ["pod", ""]
 
 
@@ -66,9 +69,9 @@ def test_an_engine_that_refuses_is_named(fake: FakeEngine, tmp_path: Path) -> No
     """The error says what to do, also where nothing listens."""
     fake.fault = Status(403, "no")
     with pytest.raises(CannotTell, match="socket proxy"):
-        look(DockerEngine(fake.url, LIMIT_S), tmp_path)
+        inspect_machine(DockerEngine(fake.url, LIMIT_S), tmp_path)
     with pytest.raises(CannotTell, match="start the Docker Engine"):
-        look(DockerEngine(f"unix://{tmp_path}/none.sock"), tmp_path)
+        inspect_machine(DockerEngine(f"unix://{tmp_path}/none.sock"), tmp_path)
 
 
 def test_each_serial_port_is_listed_once_by_its_stable_name(tmp_path: Path) -> None:

@@ -94,15 +94,15 @@ def test_a_reboot_is_as_recorded() -> None:
 def test_streams_can_be_requested_on_one_port() -> None:
     """By interval or by the older stream request; a reboot ends them."""
     model = AutopilotModel(3, 0.0)
-    accepted = model.obey(0.0, command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 2, 1e6), "companion")
+    accepted = model.handle(0.0, command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 2, 1e6), "companion")
     assert messages(parser(), accepted[0].frame)[0].result == mavlink.MAV_RESULT_ACCEPTED
     counts = Counter(kind for _, kind, _ in run(model, 1.0, 11.0))
     assert counts["SYSTEM_TIME"] == 10
     assert not STREAMS & {kind for _, kind, _ in run(model, 11.0, 15.0, "ground")}
     request = mavlink.MAVLink_request_data_stream_message(3, 1, mavlink.MAV_DATA_STREAM_ALL, 2, 1)
-    model.obey(15.0, Sender(255, 190).received(request), "ground")
+    model.handle(15.0, Sender(255, 190).received(request), "ground")
     assert {kind for _, kind, _ in run(model, 15.0, 17.0, "ground")} >= STREAMS
-    model.obey(17.0, command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 2, -1), "companion")
+    model.handle(17.0, command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 2, -1), "companion")
     assert not STREAMS & {kind for _, kind, _ in run(model, 17.0, 19.0)}
     model.reboot(19.0)
     assert not STREAMS & {kind for _, kind, _ in run(model, 19.0, 30.0, "ground")}
@@ -110,7 +110,7 @@ def test_streams_can_be_requested_on_one_port() -> None:
 
 def test_one_message_can_be_requested() -> None:
     """The simulated autopilot acknowledges MAV_CMD_REQUEST_MESSAGE and sends the message to the sender alone."""
-    answers = AutopilotModel(3, 0.0).obey(5.0, command(mavlink.MAV_CMD_REQUEST_MESSAGE, 2))
+    answers = AutopilotModel(3, 0.0).handle(5.0, command(mavlink.MAV_CMD_REQUEST_MESSAGE, 2))
     assert [messages(parser(), answer.frame)[0].get_type() for answer in answers] == ["COMMAND_ACK", "SYSTEM_TIME"]
     assert not any(answer.everyone for answer in answers)
 

@@ -62,7 +62,7 @@ class Fleet:
         self.mesh.close()
 
     def sees(self, name: str) -> SwarmFact:
-        return self.daemons[name].components.probes.world.swarm.look()
+        return self.daemons[name].components.probes.world.swarm.snapshot()
 
     def states(self, name: str) -> dict[int, str]:
         return {agent: peer.state for agent, peer in self.sees(name).peers.items()}

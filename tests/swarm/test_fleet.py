@@ -15,7 +15,7 @@ def test_one_agent_leads_and_its_line_is_not_repeated() -> None:
     """All agents agree on the lowest one, and its line is no more than INFO while all are OK."""
     fleet = Fleet(8)
     fleet.run(60)
-    assert {agent.probe.look().leader for agent in fleet.agents.values()} == {1}
+    assert {agent.probe.snapshot().leader for agent in fleet.agents.values()} == {1}
     assert fleet.lines(5) == []
     fleet.run(20)
     assert {text for text in fleet.lines() if text.startswith("SWARM")} == {"SWARM 8/8 OK"}
@@ -28,7 +28,7 @@ def test_a_lost_leader_is_replaced_and_reported() -> None:
     fleet.lines()
     fleet.down = {1}
     fleet.run(40)
-    assert {fleet.agents[number].probe.look().leader for number in range(2, 9)} == {2}
+    assert {fleet.agents[number].probe.snapshot().leader for number in range(2, 9)} == {2}
     assert "SWARM 7/8 FAIL A01:lost" in fleet.lines()
 
 
@@ -53,7 +53,7 @@ def test_a_new_leader_repeats_no_alarm() -> None:
     fleet.lines()
     fleet.down = {1}
     fleet.run(60)
-    assert fleet.agents[2].probe.look().leader == 2
+    assert fleet.agents[2].probe.snapshot().leader == 2
     assert fleet.lines(4) == []
 
 
@@ -124,7 +124,7 @@ def test_the_leader_stops_relaying_when_a_radio_returns() -> None:
     fleet.run(60)
     fleet.no_gcs = set()
     fleet.run(30)
-    assert fleet.agents[1].probe.look().no_gcs == ()
+    assert fleet.agents[1].probe.snapshot().no_gcs == ()
     fleet.lines()
     fleet.run(20)
     assert "SWARM 4/4 OK" in fleet.lines()
@@ -136,13 +136,13 @@ def test_both_sides_of_a_split_have_their_own_leader() -> None:
     fleet.run(60)
     fleet.cut = {pair for a in (1, 2) for b in (3, 4, 5, 6) for pair in ((a, b), (b, a))}
     fleet.run(60)
-    assert fleet.agents[1].probe.look().split == (3, 4, 5, 6)
-    assert fleet.agents[6].probe.look().split == (1, 2)
-    assert (fleet.agents[2].probe.look().leader, fleet.agents[6].probe.look().leader) == (1, 3)
+    assert fleet.agents[1].probe.snapshot().split == (3, 4, 5, 6)
+    assert fleet.agents[6].probe.snapshot().split == (1, 2)
+    assert (fleet.agents[2].probe.snapshot().leader, fleet.agents[6].probe.snapshot().leader) == (1, 3)
     fleet.cut = set()
     fleet.run(60)
-    assert {agent.probe.look().leader for agent in fleet.agents.values()} == {1}
-    assert {agent.probe.look().living for agent in fleet.agents.values()} == {6}
+    assert {agent.probe.snapshot().leader for agent in fleet.agents.values()} == {1}
+    assert {agent.probe.snapshot().living for agent in fleet.agents.values()} == {6}
 
 
 def test_a_split_is_detected_before_single_agents_are_lost() -> None:
@@ -161,17 +161,17 @@ def test_a_split_is_detected_before_single_agents_are_lost() -> None:
             fleet.run(0.25)
             for number, agent in fleet.agents.items():
                 away = next(other for other in groups if number not in other)
-                lost = {other for other, peer in agent.probe.look().peers.items() if peer.state == "lost"}
+                lost = {other for other, peer in agent.probe.snapshot().peers.items() if peer.state == "lost"}
                 assert lost in (set(), away)
         for side in sides:
             for number in side:
-                fact = fleet.agents[number].probe.look()
+                fact = fleet.agents[number].probe.snapshot()
                 assert set(fact.split) == set(fleet.agents) - side
                 assert fact.leader == min(side)
         fleet.run(20)  # as long as no fade lasts
         fleet.cut = set()
         fleet.run(60)
-        assert {agent.probe.look().living for agent in fleet.agents.values()} == {8}
+        assert {agent.probe.snapshot().living for agent in fleet.agents.values()} == {8}
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.1])
@@ -184,7 +184,7 @@ def test_no_agent_is_lost_in_a_lossy_network(loss: float) -> None:
         lost |= {
             number
             for agent in fleet.agents.values()
-            for number, peer in agent.probe.look().peers.items()
+            for number, peer in agent.probe.snapshot().peers.items()
             if peer.state == "lost"
         }
     assert lost == set()
@@ -203,12 +203,12 @@ def test_a_hundred_agents_agree_and_stay_within_six_percent() -> None:
     """A hundred agents, three die, one loses its radio: all live ones agree, the ground gets it in one line."""
     fleet = Fleet(100, step_s=1.0)
     fleet.run(80)
-    assert {agent.probe.look().living for agent in fleet.agents.values()} == {100}
+    assert {agent.probe.snapshot().living for agent in fleet.agents.values()} == {100}
     assert bytes_s(fleet, 60) <= 0.06 * RADIO_BYTES_S
     fleet.down, fleet.no_gcs = {5, 50, 95}, {7}
     fleet.lines()
     fleet.run(105)
-    living = {agent.probe.look().living for number, agent in fleet.agents.items() if number not in fleet.down}
+    living = {agent.probe.snapshot().living for number, agent in fleet.agents.items() if number not in fleet.down}
     assert living == {97}
     lines = fleet.lines()
     assert "SWARM 96/100 FAIL A05:lost A50:lost A95:lost +1" in lines

@@ -101,7 +101,7 @@ def view(gcs: bool, peers: dict[int, PeerState]) -> Any:
 
 
 def states(agent: Agent) -> dict[int, str]:
-    return {number: peer.state for number, peer in agent.swarm.look().peers.items()}
+    return {number: peer.state for number, peer in agent.swarm.snapshot().peers.items()}
 
 
 LOST = view(True, {2: PeerState.LOST, 3: PeerState.LOST})
@@ -125,7 +125,7 @@ def test_invented_agents_have_no_effect_where_the_agents_are_listed(start: Start
         agent.read()
 
     until(lambda: states(agent) == {2: "alive", 3: "alive"}, "our agents", lambda: states(agent), step=refresh)
-    fact = agent.swarm.look()
+    fact = agent.swarm.snapshot()
     assert agent.hub.agents == 3
     assert default_periods(agent.hub.agents) == SIZES[0][1:]
     assert (fact.members, fact.leader, len(fact.unlisted)) == (3, None, 247)

@@ -72,7 +72,7 @@ class Pair:
         self.air.close()
 
     def see(self) -> tuple[SwarmFact, SwarmFact]:
-        first, second = (daemon.components.probes.world.swarm.look() for daemon in self.daemons)
+        first, second = (daemon.components.probes.world.swarm.snapshot() for daemon in self.daemons)
         return first, second
 
     def states(self) -> list[str]:

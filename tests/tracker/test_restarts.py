@@ -94,7 +94,7 @@ def report_starts(sim: Sim, world: LivingWorld, arrives_s: Callable[[], float | 
     """Let the Docker Engine report each start after a delay, or never."""
     due: dict[Span, float | None] = {}
 
-    def look() -> None:
+    def observe() -> None:
         for span in world.spans:
             delay_s = due.setdefault(span, arrives_s())
             if delay_s is not None and sim.now >= span.up + delay_s:
@@ -102,7 +102,7 @@ def report_starts(sim: Sim, world: LivingWorld, arrives_s: Callable[[], float | 
                 sim.take(sim.tracker.container_started(TARGET, sim.stamp()))
                 sim.ask(UNIT)
 
-    sim.watch.append(look)
+    sim.watch.append(observe)
 
 
 EVENTS = st.sampled_from(["quick", "late", "some", "none"])

@@ -96,11 +96,11 @@ def test_a_change_reaches_the_ground(bench: Bench) -> None:
     ground, agent = bench.ground(), bench.agent()
     ground.wait(lambda g: "agent_1" in g.statuses and len(g.tokens) == 1)
     assert list(ground.tokens) == [("agent_1", agent.boot_id)]
-    agent.turn()
+    agent.tick()
     ground.wait(
         lambda g: g.statuses["agent_1"].levels[Slot.NODES] is Level.ERROR and g.statuses["agent_1"].open_faults == 1
     )
-    agent.turn()
+    agent.tick()
     ground.wait(
         lambda g: g.statuses["agent_1"].levels[Slot.NODES] is Level.OK and not g.statuses["agent_1"].open_faults
     )
@@ -139,7 +139,7 @@ def test_an_agent_connects_whenever_the_router_appears(bench: Bench) -> None:
     router.kill()
     until(lambda: not agent.reporter.report()["connected"], "the connection to be lost")
     ground.wait(lambda g: not g.tokens)
-    agent.turn()
+    agent.tick()
     until(agent.reporter.problem, "a problem to be reported")
     bench.router()
     # Changes made meanwhile are published after the reconnect, without waiting for a refresh. A reader that reconnected
@@ -225,7 +225,7 @@ def test_a_reader_follows_a_fleet_of_fifty(bench: Bench) -> None:
     crowds = [bench.crowd(25), bench.crowd(25, first=25)]
     ground.wait(lambda g: len(g.tokens) == len(g.statuses) == 50)
     for crowd in crowds:
-        crowd.turn(range(25))
+        crowd.tick(range(25))
     ground.wait(lambda g: sum(status.open_faults for status in list(g.statuses.values())) == 50)
     late = bench.ground()
     late.wait(lambda g: len(g.tokens) == 50 and sum(status.open_faults for status in list(g.statuses.values())) == 50)
@@ -243,7 +243,7 @@ def test_queries_of_others_cannot_fill_the_memory(bench: Bench) -> None:
     ground.wait(lambda g: "agent_1" in g.statuses)
     for _ in range(3000):
         ground.session.get(f"phm/{FLEET}/agent_1/status", lambda reply: None, timeout=1.0)
-    agent.turn()
+    agent.tick()
     ground.wait(lambda g: g.statuses["agent_1"].open_faults == 1)
 
 
@@ -360,7 +360,7 @@ def test_tls_restricts_a_fleet(bench: Bench, tmp_path: Path) -> None:
     for agent in (anonymous, misled, missing):
         until(agent.reporter.problem, "a problem to be reported")
     until(lambda: impostor.reporter.report()["published"], "the publication by the impostor")
-    good.turn()
+    good.tick()
     ground.wait(lambda g: g.statuses["good"].open_faults == 1)
     late = bench.ground()
     late.wait(lambda g: "good" in g.statuses and bool(g.tokens))
@@ -391,6 +391,6 @@ def test_a_stranger_cannot_crash_a_reader_or_an_agent(bench: Bench) -> None:
     token = stranger.liveliness().declare_token(f"phm/{FLEET}/agent_1/alive/x")
     ground.wait(lambda g: len(g.tokens) == 2)
     token.undeclare()  # type: ignore[no-untyped-call]
-    agent.turn()
+    agent.tick()
     # The agent may have published its first status before the router knew of this reader.
     ground.wait(lambda g: "agent_1" in g.statuses and g.statuses["agent_1"].open_faults == 1)

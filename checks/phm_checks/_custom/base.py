@@ -42,9 +42,9 @@ def bad(text: str, short: str, **values: api.Value) -> Finding:
 
 
 class CustomCheck(api.Check):
-    """Base of the types. A type overrides `look`, and `container` if it concerns one.
+    """Base of the types. A type overrides `observe`, and `container` if it concerns one.
 
-    `look` returns what it found, or raises CannotTell. Text from outside may be passed on unchanged: it is cleaned here.
+    `observe` returns what it found, or raises CannotTell. Text from outside may be passed on unchanged: it is cleaned here.
     """
 
     name, slot, layer = "custom", Slot.USER_1, Layer.CUSTOM
@@ -77,12 +77,12 @@ class CustomCheck(api.Check):
         return frozenset(f"container:{key}" for key in {self._acts_on, self.container} if key)
 
     @abstractmethod
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         """Ask the probe once and judge the answer."""
 
     def run(self, world: api.World) -> api.Result:
         try:
-            found = self.look(world)
+            found = self.observe(world)
         except api.CannotTell as reason:
             raise api.CannotTell(clean(str(reason), 300)) from reason
         text = f"{self.subject}: {clean(found.text, 300)}"

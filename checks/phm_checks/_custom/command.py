@@ -22,10 +22,10 @@ _UNITS = {"%": "percent"}
 class Command(CustomCheck):
     """Runs the program; its first line is the text, its performance data are values."""
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         entry = self.entry
         fact = world.programs.run(entry.command, timeout_s=entry.timeout, container=entry.container or "")
-        line, data = parted(fact.output)
+        line, data = split_output(fact.output)
         level = _LEVELS.get(fact.exit_code)
         if level is None:
             raise api.CannotTell(f"{self.subject}: exit code {fact.exit_code}: {clean(line) or 'no output'}")
@@ -33,7 +33,7 @@ class Command(CustomCheck):
         return Finding(level, text, clean(line, 30) or f"exit code {fact.exit_code}", performance(data))
 
 
-def parted(output: str) -> tuple[str, str]:
+def split_output(output: str) -> tuple[str, str]:
     """The first line without performance data, and all performance data."""
     first, _, rest = output.strip().partition("\n")
     line, _, data = first.partition("|")

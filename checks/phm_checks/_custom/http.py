@@ -14,7 +14,7 @@ _MISSING = object()
 class Http(CustomCheck):
     """Compares status, body, and a field of a JSON body."""
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         entry = self.entry
         url = entry.url.partition("?")[0]  # what follows may be a key
         fact = world.sockets.get(

@@ -8,7 +8,8 @@ from dataclasses import replace
 from phm import api
 from phm_checks._custom.base import Finding, bad, good
 from phm_checks._custom.ros import RosCheck
-from phm_checks._readiness import Requirements, full, snapshot
+from phm_checks._endpoint_matching import full
+from phm_checks._readiness import Requirements, snapshot
 
 
 class Lifecycle(RosCheck):
@@ -23,7 +24,7 @@ class Lifecycle(RosCheck):
         (unit,) = super().units
         return (replace(unit, needs=(*unit.needs, f"nodes/{api.topic_id(self.node)}")),)
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         fact, node, state = snapshot(world), full(self.entry.node), self.entry.state
         found = Requirements(fact, self.settings.ros).lifecycle(node, state)
         if found is None:

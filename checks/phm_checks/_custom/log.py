@@ -18,7 +18,7 @@ class Log(CustomCheck):
         if "failures" not in entry.model_fields_set:
             self.failures = 1  # the line is there; a second look finds nothing new
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         entry, memory = self.entry, world.logs.memory(self.entry.name)
         fact = world.logs.follow(
             entry.name,

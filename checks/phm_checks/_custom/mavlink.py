@@ -30,7 +30,7 @@ class Mavlink(CustomCheck):
         links = tuple(link_id(entry) for entry in to_autopilot(self.settings))
         return (replace(unit, needs=(*unit.needs, *links, "autopilot")),)
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         entry, name = self.entry, self.entry.message
         self._since = world.clock.mono() if self._since is None else self._since
         values = world.messages.values(name, entry.field, component=entry.component, instance=entry.instance)

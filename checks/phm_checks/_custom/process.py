@@ -10,7 +10,7 @@ from phm_checks._text import listed
 class Process(CustomCheck):
     """Counts the processes whose command line has all words."""
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         entry, words = self.entry, " ".join(self.entry.process)
         listing = world.docker.processes(entry.container) if entry.container else world.programs.processes()
         found = [fact for fact in listing if all(word in fact.command for word in entry.process)]

@@ -14,9 +14,9 @@ class Serial(CustomCheck):
     def wakes(self) -> frozenset[str]:
         return super().wakes | {"device"}
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         entry, path = self.entry, self.entry.device
-        fact = world.devices.look(path, open_it=False)
+        fact = world.devices.inspect(path, open_it=False)
         if fact is None:
             return bad(f"{path} does not exist: check the cable and the power of the device", "missing")
         if not fact.character:
@@ -27,7 +27,7 @@ class Serial(CustomCheck):
 
     def _data(self, world: api.World, path: str) -> Finding:
         entry = self.entry
-        fact = world.serial.look(path, baud=entry.baud, line=entry.line or "")
+        fact = world.serial.inspect(path, baud=entry.baud, line=entry.line or "")
         if fact.problem:
             raise api.CannotTell(f"{path} is not read: {fact.problem}")
         age_s = fact.data_s if entry.line is None else fact.line_s

@@ -5,17 +5,18 @@ from __future__ import annotations
 from phm import api
 from phm_checks._custom.base import Finding, bad, good
 from phm_checks._custom.ros import RosCheck
-from phm_checks._readiness import full, snapshot
+from phm_checks._endpoint_matching import full
+from phm_checks._readiness import snapshot
 from phm_checks._text import clean, last, span
 
-LOOKS_S = 1.0
+POLL_S = 1.0
 """The ROS child process looks for answers four times a second: a shorter limit would be exceeded by good ones."""
 
 
 class Service(RosCheck):
     """The ROS child process counts its servers and calls it."""
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         fact, name = snapshot(world), full(self.entry.service)
         called = fact.calls.get(name, api.AnswerFact())
         if self.entry.call is not None and called.problem:
@@ -27,7 +28,7 @@ class Service(RosCheck):
         return good(f"service {name} has a server") if self.entry.call is None else self._answer(name, called)
 
     def _answer(self, name: str, called: api.AnswerFact) -> Finding:
-        unanswered_s, limit_s = round(called.unanswered_s, 1), max(self.entry.timeout, LOOKS_S)
+        unanswered_s, limit_s = round(called.unanswered_s, 1), max(self.entry.timeout, POLL_S)
         if called.unanswered_s >= limit_s:
             words = f"service {name} has not answered for {span(unanswered_s)}, expected within {span(limit_s)}"
             return bad(words, "no answer", unanswered_s=unanswered_s)

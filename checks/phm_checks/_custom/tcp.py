@@ -9,7 +9,7 @@ from phm_checks._custom.base import CustomCheck, Finding, bad, good
 class Tcp(CustomCheck):
     """Connects, and compares what the server sends first."""
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         entry = self.entry
         where = f"{entry.host} port {entry.port}"
         wanted = entry.expect or ""

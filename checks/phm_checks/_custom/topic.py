@@ -9,7 +9,8 @@ from phm import api
 from phm_checks._custom.base import Finding, bad, good
 from phm_checks._custom.limits import Reading, judge
 from phm_checks._custom.ros import RosCheck
-from phm_checks._readiness import LARGE_BPS, LARGE_PAUSE_S, full, snapshot
+from phm_checks._endpoint_matching import full
+from phm_checks._readiness import LARGE_BPS, LARGE_PAUSE_S, snapshot
 from phm_checks._text import clean, span
 
 REMEDY = "install the package of its type where rclpy comes from, or name the application's workspace in ros.installs"
@@ -23,7 +24,7 @@ class Topic(RosCheck):
         (unit,) = super().units
         return (replace(unit, needs=(*unit.needs, f"topics/{api.topic_id(self.entry.topic)}")),)
 
-    def look(self, world: api.World) -> Finding:
+    def observe(self, world: api.World) -> Finding:
         entry, fact = self.entry, snapshot(world)
         name = full(entry.topic)
         seen = fact.topics.get(name, api.TopicFact())

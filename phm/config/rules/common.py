@@ -11,7 +11,7 @@ from phm.core.message_fields import UnknownField
 from phm.core.settings import ContainerSettings
 
 
-def bare(name: str) -> str:
+def without_slash(name: str) -> str:
     """A ROS name without its first slash: both forms name the same node."""
     return name.lstrip("/")
 

@@ -7,7 +7,7 @@ from functools import partial
 
 from phm.config.node import ConfigNode
 from phm.config.problems import shown
-from phm.config.rules.common import bare, demand_field_of_type
+from phm.config.rules.common import demand_field_of_type, without_slash
 from phm.core import mavlink_fields
 from phm.core.mavlink_fields import UnknownMavlinkField
 from phm.core.message_fields import demand_value
@@ -48,9 +48,9 @@ def custom_services_have_one_type(root: ConfigNode) -> None:
     for owner in (*root.get("containers").records(), *root.get("ros", "nodes").records()):
         place = owner.get("ready", "call")
         if place.text:
-            types[bare(place.text)] = ("std_srvs/srv/Trigger", place.line)
+            types[without_slash(place.text)] = ("std_srvs/srv/Trigger", place.line)
     for entry in _of_type(root, "service"):
-        call, name = entry.get("call"), bare(entry.get("service").text)
+        call, name = entry.get("call"), without_slash(entry.get("service").text)
         if "/" in call.text and (known := types.setdefault(name, (call.text, call.line)))[0] != call.text:
             call.add_problem(f"is {shown(call.text)}, but the same service is {known[0]} in line {known[1]}")
 
@@ -83,7 +83,7 @@ def own_topics_are_not_custom(root: ConfigNode) -> None:
         if root.get("ros", key, "publish").value is not False
     ]
     for entry in _of_type(root, "topic"):
-        if bare(entry.get("topic").text) in own:
+        if without_slash(entry.get("topic").text) in own:
             entry.get("topic").add_problem(
                 f"is {shown(entry.get('topic').text)}, on which PHM publishes itself: use ros.diagnostics.watch"
             )

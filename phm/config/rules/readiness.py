@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from phm.config.node import ConfigNode
-from phm.config.rules.common import bare, in_order, report_duplicates
+from phm.config.rules.common import in_order, report_duplicates, without_slash
 from phm.core.settings import ReadySettings, RecoverySettings, RosSettings, Seconds
 
 
@@ -15,15 +15,15 @@ def ready_names_something(root: ConfigNode) -> None:
         if isinstance(ready.value, dict) and not any(ready.get(key).value for key in keys):
             ready.add_problem(f"names nothing that must be there: add one of {', '.join(keys)}, or remove 'ready'")
         for key, what in (("topics", "topic"), ("services", "service")):
-            report_duplicates(what, ((bare(place.text), place) for place in ready.get(key).texts))
+            report_duplicates(what, ((without_slash(place.text), place) for place in ready.get(key).texts))
 
 
 def ready_topics_are_not_monitored(root: ConfigNode) -> None:
     """The silence of a topic with a rate is a fault already; a second one would have the same cause."""
-    monitored = {bare(topic.get("name").text) for topic in root.get("ros", "topics").records()}
+    monitored = {without_slash(topic.get("name").text) for topic in root.get("ros", "topics").records()}
     for ready, _ in _sections(root):
         for place in ready.get("topics").texts:
-            if bare(place.text) in monitored:
+            if without_slash(place.text) in monitored:
                 place.add_problem(
                     "is in 'ros.topics', which reports its silence if it has a 'rate': remove it from one of them"
                 )

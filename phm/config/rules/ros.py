@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from phm.config.node import ConfigNode
 from phm.config.problems import unknown
-from phm.config.rules.common import bare, configured, container_key, demand_field_of_type, report_duplicates
+from phm.config.rules.common import configured, container_key, demand_field_of_type, report_duplicates, without_slash
 from phm.core.message_fields import demand_counter, demand_number, has_header
 from phm.core.settings import Hertz
 
@@ -29,20 +29,20 @@ def relaunch_has_a_container(root: ConfigNode) -> None:
 def ros_names_are_unique(root: ConfigNode) -> None:
     for key, what in (("nodes", "node"), ("topics", "topic")):
         entries = (entry.get("name") for entry in root.get("ros", key).records())
-        report_duplicates(what, ((bare(place.text), place) for place in entries))
+        report_duplicates(what, ((without_slash(place.text), place) for place in entries))
     for topic in root.get("ros", "topics").records():
         for key in ("publishers", "subscribers"):
-            report_duplicates("node", ((bare(place.text), place) for place in topic.get(key).texts))
+            report_duplicates("node", ((without_slash(place.text), place) for place in topic.get(key).texts))
 
 
 def topic_nodes_exist(root: ConfigNode) -> None:
-    known = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
+    known = {without_slash(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
     if not root.get("ros", "nodes").value:
         return
     for topic in root.get("ros", "topics").records():
         for key in ("publishers", "subscribers"):
             for place in topic.get(key).texts:
-                if bare(place.text) not in known:
+                if without_slash(place.text) not in known:
                     place.add_problem(unknown("node", place.text, known.values()) + " (or add it to 'ros.nodes')")
 
 
@@ -50,7 +50,7 @@ def diagnostics_are_known(root: ConfigNode) -> None:
     """Each watched pattern is unique, its container and node are configured, and a topic is read."""
     known = {container_key(container): container for container in root.get("containers").records()}
     known.pop("", None)
-    nodes = {bare(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
+    nodes = {without_slash(node.get("name").text): node.get("name").text for node in root.get("ros", "nodes").records()}
     watched = list(root.get("ros", "diagnostics", "watch").records())
     report_duplicates("status", ((entry.get("name").text, entry.get("name")) for entry in watched))
     listen = root.get("ros", "diagnostics", "listen")
@@ -60,7 +60,7 @@ def diagnostics_are_known(root: ConfigNode) -> None:
         container, node = entry.get("container"), entry.get("node")
         if container.text:
             configured(container, known)
-        if node.text and bare(node.text) not in nodes:
+        if node.text and without_slash(node.text) not in nodes:
             node.add_problem(unknown("node", node.text, nodes.values()) + " (or add it to 'ros.nodes')")
 
 
@@ -71,11 +71,11 @@ def own_topics_are_not_measured(root: ConfigNode) -> None:
             continue
         problem = f"cannot be measured while PHM publishes on /{name} itself: leave it out, or set ros.{key}.publish to false{instead}"
         for topic in root.get("ros", "topics").records():
-            if bare(topic.get("name").text) == name and topic.get("rate").given:
+            if without_slash(topic.get("name").text) == name and topic.get("rate").given:
                 topic.get("rate").add_problem(problem)
         for entry in (*root.get("containers").records(), *root.get("ros", "nodes").records()):
             for place in entry.get("ready", "topics").texts:
-                if bare(place.text) == name:
+                if without_slash(place.text) == name:
                     place.add_problem(problem)
 
 

@@ -24,15 +24,15 @@ NO_REQUESTS = (
     "this page only shows: use `phm hold`, `phm release` and `phm approve` on this computer, or a ground station"
 )
 
-Look = Callable[[], tuple[dict[str, Any], str]]
+ReadStatus = Callable[[], tuple[dict[str, Any], str]]
 """Reads the status: the document, empty when there is none, and why the daemon is not healthy, else empty."""
 
 
 class AgentPage:
     """Listens once it is constructed. Raises OSError if the address cannot be used."""
 
-    def __init__(self, look: Look, options: ListenOptions, clock: Clock) -> None:
-        self._look, self._clock, self._view = look, clock, View(clock)
+    def __init__(self, read: ReadStatus, options: ListenOptions, clock: Clock) -> None:
+        self._read, self._clock, self._view = read, clock, View(clock)
         site = Site(self._view, clock, page="status", no_requests=NO_REQUESTS, on_clients=self._count)
         self.server = WebServer(site, options)
         self._stop = threading.Event()
@@ -49,7 +49,7 @@ class AgentPage:
 
     def read(self) -> None:
         """Read the status file and show what the daemon wrote."""
-        document, problem = self._look()
+        document, problem = self._read()
         self._view.run = agent_row.text(document.get("boot_id", ""))
         row = {agent_row.name(document): agent_row.row(document, problem)}
         self._view.put(ground=agent_row.ground(document, problem), agents=row, complete=True)

@@ -22,7 +22,7 @@ MAX_BACKLOG = 4_000_000
 """Bytes that may wait for one client: the state of the largest swarm, and minutes of events."""
 STUCK_S = 10.0
 """A client that reads nothing for this long while data waits for it is dropped."""
-LOOK_S = 0.5
+POLL_S = 0.5
 
 
 class StreamClient:
@@ -115,8 +115,8 @@ class Clients:
                 client.seen = client.seen if number is None else number
                 client.add(data)
 
-    def look(self) -> None:
-        """Drop clients that do not keep up, and end those whose session has ended. To be called every LOOK_S."""
+    def prune(self) -> None:
+        """Drop clients that do not keep up, and end those whose session has ended. To be called every POLL_S."""
         now = self._clock.mono()
         for client in tuple(self._clients):
             if not self._lasts(client.request):

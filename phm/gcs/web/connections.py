@@ -19,14 +19,14 @@ _NEVER = float("inf")
 
 
 class Connections:
-    """`served` notes a request; `look` ends those that exceed a limit."""
+    """`served` notes a request; `prune` ends those that exceed a limit."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._limits: dict[Any, float] = {}
         """The moment at which each connection is closed unless it makes progress, by its transport."""
         self._waiting: dict[Any, int] = {}
-        """Bytes of a response that the client has not read yet, at the last look."""
+        """Bytes of a response that the client has not read yet, at the last `prune`."""
         self.refused = 0
 
     def __len__(self) -> int:
@@ -36,7 +36,7 @@ class Connections:
         """Note that a complete request arrived on this connection."""
         self._limits[transport] = _NEVER
 
-    def look(self, transports: Iterable[Any]) -> None:
+    def prune(self, transports: Iterable[Any]) -> None:
         """Close connections that exceed a limit; call it often. transports: those of all open connections."""
         now, found = self._clock.mono(), [one for one in transports if one is not None and not one.is_closing()]
         for gone in self._limits.keys() - set(found):

@@ -59,7 +59,7 @@ class FeedListener(Protocol):
     def event(self, item: QueuedEvent, line: Mapping[str, Any]) -> None:
         """An event happened. line: the same as in a record."""
 
-    def turn(self, now: float) -> None:
+    def tick(self, now: float) -> None:
         """Do what is due now. Called several times a second."""
 
 
@@ -94,7 +94,7 @@ class StationFeed:
         self._frames.wake()
         threads.join(self._thread, CLOSE_LIMIT_S)
 
-    def turn(self) -> None:
+    def tick(self) -> None:
         """Take over the frames and events that have arrived."""
         with self._turning:
             self._turn()
@@ -105,7 +105,7 @@ class StationFeed:
         lines = [self._event(item) for item in self._events.take(0.0)]
         now = self._clock.mono()
         for listener in self._listeners:
-            listener.turn(now)
+            listener.tick(now)
         changed, self._alarms.changed = self._alarms.changed, set()
         if now - self._all_at >= ALL_S or changed:
             self._all_at = now
@@ -125,7 +125,7 @@ class StationFeed:
             self._dirty.clear()
             self._alarms.clear()
             self._all_at = float("-inf")
-            ground, agents = self._look(None)
+            ground, agents = self._current(None)
             self._view.replace({**ground, **self.ground()}, agents)
 
     def refresh(self) -> None:
@@ -138,7 +138,7 @@ class StationFeed:
     def _loop(self) -> None:
         while not self._stop.is_set():
             try:
-                self.turn()
+                self.tick()
             except Exception:  # a defect in one row must not end the thread
                 logger.exception("updating the page failed")
             self._clock.wait(self._stop, FLUSH_S)
@@ -163,10 +163,10 @@ class StationFeed:
         return line
 
     def _put(self, only: Collection[int] | None) -> None:
-        ground, agents = self._look(only)
+        ground, agents = self._current(only)
         self._view.put(ground={**ground, **self.ground()}, agents=agents, complete=only is None)
 
-    def _look(self, only: Collection[int] | None) -> tuple[Json, dict[str, Json]]:
+    def _current(self, only: Collection[int] | None) -> tuple[Json, dict[str, Json]]:
         """The keys of the ground, and the rows of agents."""
         _number, event = self._station.snapshot(moments=True, only=only)
         body = dict(event.body)

@@ -129,7 +129,7 @@ class RequestHandler:
                 one.done_utc = self._clock.utc()
         self._publish(changed)
 
-    def turn(self, now: float) -> None:
+    def tick(self, now: float) -> None:
         with self._lock:
             done = [one for one in self._sent if one.waits and one.exchange.done(now)]
             for one in done:

@@ -20,7 +20,7 @@ from aiohttp import web
 from phm.core import threads
 from phm.gcs.web import routes
 from phm.gcs.web.access import MOST_BODY, AccessControl, Handler
-from phm.gcs.web.clients import LOOK_S, Clients
+from phm.gcs.web.clients import POLL_S, Clients
 from phm.gcs.web.connections import MAX_CONNECTIONS, Connections
 from phm.gcs.web.options import ListenOptions
 from phm.gcs.web.server_keys import CLIENTS, GATE
@@ -122,10 +122,10 @@ class WebServer:
         try:
             while not self._closing.is_set():
                 with contextlib.suppress(asyncio.TimeoutError):
-                    await asyncio.wait_for(self._wake.wait(), LOOK_S)
-                self.clients.look()
+                    await asyncio.wait_for(self._wake.wait(), POLL_S)
+                self.clients.prune()
                 if runner.server is not None:
-                    self._connections.look(one.transport for one in runner.server.connections)
+                    self._connections.prune(one.transport for one in runner.server.connections)
         finally:
             self.clients.close()
             await runner.cleanup()

@@ -73,7 +73,7 @@ class _NodeBeacon:
             copied_by=who if who and now_s - at_s <= COPIED_S else "",
         )
 
-    def meet(self, witness: str, at_s: float) -> None:
+    def record_heartbeat(self, witness: str, at_s: float) -> None:
         """Record a heartbeat of a rival."""
         rival, silent_s = self.rivals.get(witness), SILENT_MISSES * self.fact.period_s
         if rival is not None and at_s - rival.at_s <= silent_s:
@@ -189,7 +189,7 @@ class BeaconRegistry:
                 return
         elif known.fact.witness != fact.witness:
             if known.now(at_s).missed <= SILENT_MISSES:
-                known.meet(fact.witness, at_s)
+                known.record_heartbeat(fact.witness, at_s)
                 return  # two processes of one name: the first one still counts
             known = None
         else:

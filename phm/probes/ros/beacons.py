@@ -20,12 +20,12 @@ from phm.probes.ros.message_taker import GID_BYTES, MessageTaker, Taken
 from phm.probes.ros.protocol import Message, SelfReportUpdate
 
 MAX_TAKES = 250
-"""Messages read per look, four looks a second: enough for 200 processes with five heartbeats a second."""
+"""Messages read per poll, four polls a second: enough for 200 processes with five heartbeats a second."""
 MAX_BYTES = 2 * MAX_TEXT
 OWN_BYTES = 100_000
-"""Bytes read per look from each writer of configured nodes' beacons."""
+"""Bytes read per poll from each writer of configured nodes' beacons."""
 OTHERS_BYTES = 200_000
-"""Bytes read per look from all other writers together."""
+"""Bytes read per poll from all other writers together."""
 SHORT_S = 1.0
 
 
@@ -42,7 +42,7 @@ class BeaconListener:
         self._node, self._nodes = node, nodes
         self._registry = BeaconRegistry(nodes, self._listed)
         self._lost = False
-        self._looked_s = time.monotonic()
+        self._polled_s = time.monotonic()
         qos = QoSProfile(
             history=QoSHistoryPolicy.KEEP_LAST,
             depth=MAX_TAKES,
@@ -52,10 +52,10 @@ class BeaconListener:
         self._reader = node.create_subscription(Log, BEACON, _never_called, qos, raw=True)
         self._taker = MessageTaker(self._reader)
 
-    def look(self) -> list[Message]:
+    def poll(self) -> list[Message]:
         """Return the messages for the daemon; called once per tick."""
         now_s, wall_ns = time.monotonic(), time.time_ns()
-        longest_s, self._looked_s = now_s - self._looked_s, now_s
+        longest_s, self._polled_s = now_s - self._polled_s, now_s
         taken = self._take()
         # After a long pause the newest messages are enough; after a short one none may have been overwritten.
         self._lost = len(taken) >= MAX_TAKES and longest_s <= SHORT_S
@@ -72,7 +72,7 @@ class BeaconListener:
         return [*portions(replace(changes, lost=self._lost), self._nodes)]
 
     def _take(self) -> list[Taken]:
-        """Messages since the last look, oldest first, as bytes: messages that are too long are never decoded."""
+        """Messages since the last poll, oldest first, as bytes: messages that are too long are never decoded."""
         found = []
         with self._reader.handle:
             for _ in range(MAX_TAKES):

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from phm.core import memory
 from phm.core.parent_death import die_with_parent
 from phm.probes.ros import fastdds_profile, sandbox
+from phm.probes.ros.graph_comparison import GraphComparison
 from phm.probes.ros.line_splitter import LineSplitter
 from phm.probes.ros.protocol import (
     EXIT_MISSING,
@@ -30,7 +31,6 @@ from phm.probes.ros.protocol import (
     decode_wanted,
     encode,
 )
-from phm.probes.ros.second_look import SecondLook
 from phm.probes.ros.static_peers import StaticPeers
 
 if TYPE_CHECKING:
@@ -61,12 +61,12 @@ def main() -> int:
         sys.stderr.write(f"phm ros child: ROS_STATIC_PEERS={os.environ.get('ROS_STATIC_PEERS')}: {error}\n")
         return 2
     try:
-        return _look(wanted, out)
+        return _observe(wanted, out)
     finally:
         fastdds_profile.remove(os.environ)
 
 
-def _look(wanted: Wanted, out: int) -> int:
+def _observe(wanted: Wanted, out: int) -> int:
     """Report until standard input is closed. Returns the exit code."""
     _send(out, _restrict())
     peers = StaticPeers()
@@ -100,15 +100,15 @@ def _report(watch: Observer, peers: StaticPeers, out: int, tick_s: float) -> Obs
     """Observe until the pipe is closed. Returns the last observer, which may differ from the first."""
     leak = _Leak(os.environ.get("PHM_DEBUG_ROS_LEAK_MB", ""))
     next_s = time.monotonic()
-    second = SecondLook(watch.second, next_s)
+    second = GraphComparison(watch.second, next_s)
     orders = LineSplitter()
     notified, late_s = False, 0.0
     while True:
-        _send(out, *watch.look(notified=notified, late_s=late_s))
+        _send(out, *watch.poll(notified=notified, late_s=late_s))
         if peers.more():
             watch = watch.renewed()
             second.renewed(time.monotonic())
-        elif differences := second.look(time.monotonic(), watch.known, lacking=watch.lacking):
+        elif differences := second.update(time.monotonic(), watch.known, lacking=watch.lacking):
             for text, names in zip((MISSED, STALE), differences, strict=True):
                 if names:
                     _send(out, LogText(text.format(", ".join(names)[:MAX_NAMES])))
@@ -142,7 +142,7 @@ def _wait(until_s: float, orders: LineSplitter, watch: Observer) -> bool | None:
             return None
         for line in orders.add(piece):
             try:
-                watch.obey(decode_order(line))
+                watch.execute(decode_order(line))
             except ProtocolError as error:
                 sys.stderr.write(f"phm ros child: {error}\n")
 

@@ -16,7 +16,7 @@ from phm.probes.ros.protocol import LogText, Message, Publish, SelfReportUpdate
 OWN_STATUS_PREFIX = "phm/"
 """Statuses with this prefix are PHM's, of this agent or another."""
 MAX_TAKES = 50
-"""Arrays read from one topic per look; the reader's queue has the same length, and older ones are overwritten."""
+"""Arrays read from one topic per poll; the reader's queue has the same length, and older ones are overwritten."""
 MAX_BYTES = 200_000
 """Longest array in bytes that is read: 500 statuses of a few hundred bytes. Python needs about 10 ms for one."""
 MAX_STATUSES = 500
@@ -58,8 +58,8 @@ class DiagnosticsListener:
         if listen and self._load():
             self._readers = {topic: self._reader(topic) for topic in listen}
 
-    def look(self) -> list[Message]:
-        """The newest of each status received since the last look."""
+    def poll(self) -> list[Message]:
+        """The newest of each status received since the last poll."""
         received: dict[str, DiagnosticFact] = {}
         for topic, reader in self._readers.items():
             for array in self._arrays(topic, reader):
@@ -123,7 +123,7 @@ class DiagnosticsListener:
         return self._node.create_subscription(self._kinds.DiagnosticArray, topic, _never_called, qos, raw=True)
 
     def _arrays(self, topic: str, reader: Any) -> Iterable[Any]:
-        """The messages in the queue, up to MAX_BYTES; the rest waits for the next look.
+        """The messages in the queue, up to MAX_BYTES; the rest waits for the next poll.
 
         Taken as bytes first: arrays that are too long, and PHM's own, are never decoded.
         """

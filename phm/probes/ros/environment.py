@@ -71,7 +71,7 @@ class RosEnvironments:
         if fact is None:
             raise CannotTell(f"{container} does not exist")
         application = replace(of_container(fact, self._processes(container), self._proc), name=container)
-        phm = of_phm(self._ros, self._environ, self._docker.myself())
+        phm = of_phm(self._ros, self._environ, self._docker.own_container())
         return differences(application, phm, configured_domain=self._ros.domain is not None)
 
     def _processes(self, container: str) -> Sequence[ProcessFact]:
@@ -108,12 +108,12 @@ def of_container(
     return configured
 
 
-def of_phm(ros: RosSettings, environ: Mapping[str, str], myself: ContainerFact | None) -> RosEnvironment:
-    """PHM's own. environ: the daemon's environment. myself: its container; None: it runs on the host."""
+def of_phm(ros: RosSettings, environ: Mapping[str, str], own_container: ContainerFact | None) -> RosEnvironment:
+    """PHM's own. environ: the daemon's environment. own_container: its container; None: it runs on the host."""
     variables = ros_variables(child_environ(ros, environ))
-    if myself is None:
+    if own_container is None:
         return RosEnvironment("PHM", variables, network_namespace=HOST, ipc_namespace=HOST)
-    return replace(of_container(replace(myself, pid=0)), name="PHM", variables=variables, exact=True)
+    return replace(of_container(replace(own_container, pid=0)), name="PHM", variables=variables, exact=True)
 
 
 def of_host_processes(proc: Path = Path("/proc")) -> tuple[RosEnvironment, ...]:

@@ -244,14 +244,14 @@ def _unequal(
     remedy = remedy or f"{line} in the sidecar's environment"
     hidden = not theirs and not application.exact
     if hidden:
-        remedy += f", unless an entrypoint script of {who} sets it: {look_inside(who)}"
+        remedy += f", unless an entrypoint script of {who} sets it: {inspect_hint(who)}"
     text = (
         f"{name} is {theirs or f'not set ({default})'} in {who} and {ours or f'not set ({default})'} in PHM: {remedy}"
     )
     return EnvironmentDifference(name, text, certain and not hidden)
 
 
-def look_inside(container: str) -> str:
+def inspect_hint(container: str) -> str:
     """The command that shows the environment of the application's first process, which includes what its entrypoint script set."""
     return f"`docker exec {container} cat /proc/1/environ`"
 

@@ -55,7 +55,7 @@ class GraphReader:
     def problems(self) -> tuple[str, ...]:
         return tuple({**self._of_names, **self._of_ends})[:MAX_PROBLEMS]
 
-    def look(self, now_s: float, *, notified: bool = False) -> bool:
+    def poll(self, now_s: float, *, notified: bool = False) -> bool:
         """Read what may have changed. Returns whether anything did. notified: the middleware reports a change."""
         before = self.problems
         nodes = self._read_nodes()

@@ -1,7 +1,7 @@
 """Reports immediately that the graph may have changed, without polling.
 
 rclpy has no way to wait for the graph; rcl has one since Foxy, a guard condition of each node. It is added by its C
-function to a wait set that rclpy created. If any of this is missing there are no events, and the look of each tick
+function to a wait set that rclpy created. If any of this is missing there are no events, and the poll of each tick
 finds the changes.
 """
 
@@ -34,7 +34,7 @@ class GraphEvents:
         self._thread = threading.Thread(target=self._run, name="phm-graph", daemon=True)
         try:
             self._thread.start()
-        except RuntimeError:  # the limit of processes is reached: the look of each tick must suffice
+        except RuntimeError:  # the limit of processes is reached: the poll of each tick must suffice
             os.close(self.fd)
             self.fd = None
 

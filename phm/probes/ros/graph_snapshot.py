@@ -124,7 +124,7 @@ class GraphSnapshot:
 def flow(rate: RateFact) -> tuple[float | None, bool, str]:
     """The properties of a rate whose change wakes checks: silent or not, changed or not, why it is unknown.
 
-    In the first seconds of a silence every look wakes them: the evidence about the node arrives with it.
+    In the first seconds of a silence every poll wakes them: the evidence about the node arrives with it.
     """
     silent_s = None if rate.hz != 0.0 else min(rate.silent_s or 0.0, FRESH_S)
     return silent_s, rate.changed_s is not None, rate.problem

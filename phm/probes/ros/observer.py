@@ -18,24 +18,24 @@ from phm.facts.ros import RateFact, TopicFact
 from phm.probes.ros.beacons import BeaconListener
 from phm.probes.ros.diagnostics import DiagnosticsListener
 from phm.probes.ros.graph import OWN_NODE_PREFIX, GraphReader
+from phm.probes.ros.graph_comparison import Known, SecondParticipant
 from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.graph_snapshot import findings, flow
 from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, Publish, Tick, Wanted
 from phm.probes.ros.rates.topic_monitor import TopicMonitor
 from phm.probes.ros.readiness import ReadinessReader
-from phm.probes.ros.second_look import Known, SecondParticipant
 from phm.probes.ros.self_reports import ConfiguredNames
 from phm.probes.ros.unconfigured_topics import UnconfiguredTopics
 
 
 class Observer:
-    """One look per tick; nothing in it blocks."""
+    """One poll per tick; nothing in it blocks."""
 
     def __init__(self, wanted: Wanted, number: int = 0) -> None:
         """`number`: that of the last graph message of an earlier observer."""
         self._wanted = wanted
         self.known: Known = frozenset()
-        """The configured nodes and endpoints found at the last look."""
+        """The configured nodes and endpoints found at the last poll."""
         self._context, self._node = _participant(wanted, wanted.agent)
         self._began_s = time.monotonic()
         self._graph = GraphReader(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
@@ -61,7 +61,7 @@ class Observer:
         """A descriptor that is readable when the graph may have changed; None without events."""
         return self._events.fd
 
-    def look(self, *, notified: bool = False, late_s: float = 0.0) -> list[Message]:
+    def poll(self, *, notified: bool = False, late_s: float = 0.0) -> list[Message]:
         """Return the messages for the daemon; called once per tick. notified: `events` was readable. late_s: delay of the call.
 
         The graph message comes last, so that the daemon has everything needed to evaluate it.
@@ -70,11 +70,11 @@ class Observer:
             self._events.take()
         message = self._graph_message(notified=notified, late_s=round(late_s, 3))
         reports = [
-            *self._beacons.look(),
-            *self._diagnostics.look(),
-            *self._readiness.look(time.monotonic(), graph_changed=isinstance(message, GraphMessage)),
+            *self._beacons.poll(),
+            *self._diagnostics.poll(),
+            *self._readiness.poll(time.monotonic(), graph_changed=isinstance(message, GraphMessage)),
         ]
-        others: list[Message] = [OtherTopics(self._names.names)] if self._names.look(time.monotonic()) else []
+        others: list[Message] = [OtherTopics(self._names.names)] if self._names.observe(time.monotonic()) else []
         return [*reports, *others, message]
 
     @property
@@ -93,19 +93,19 @@ class Observer:
         self.close()
         return Observer(self._wanted, self._number)
 
-    def obey(self, order: Publish) -> None:
+    def execute(self, order: Publish) -> None:
         """Execute an order of the daemon."""
         self._diagnostics.publish(order)
 
     def _graph_message(self, *, notified: bool, late_s: float) -> GraphMessage | Tick:
         """A GraphMessage after a change or when one is due, else a Tick."""
         now_s = time.monotonic()
-        changed = self._graph.look(now_s, notified=notified)
+        changed = self._graph.poll(now_s, notified=notified)
         if changed:
             self.known = _known(self._graph)
         rates: dict[str, RateFact] = {}
         for name, gauge in self._gauges.items():
-            rates[name] = gauge.look(now_s, self._graph.publishers[name])
+            rates[name] = gauge.poll(now_s, self._graph.publishers[name])
         data = {name: gauge.data for name, gauge in self._gauges.items()}
         states = {name: (flow(rate), findings(data[name])) for name, rate in rates.items()}
         up_s = round(now_s - self._began_s, 3)
@@ -138,7 +138,7 @@ class _GraphParticipant:
         self._graph = GraphReader(self._node, [topic.name for topic in wanted.topics], wanted.full_s, wanted.nodes)
 
     def known(self, now_s: float) -> Known:
-        self._graph.look(now_s)
+        self._graph.poll(now_s)
         return _known(self._graph)
 
     def close(self) -> None:

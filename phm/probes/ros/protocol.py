@@ -86,7 +86,7 @@ class WantedCall:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What the child monitors. domain: None means ROS_DOMAIN_ID. tick_s: time between two looks. full_s: between two complete
+    """What the child monitors. domain: None means ROS_DOMAIN_ID. tick_s: time between two polls. full_s: between two complete
     graph messages.
 
     listen: topics of diagnostic_msgs/DiagnosticArray to read. nodes: full names of the configured nodes and of the nodes
@@ -110,7 +110,7 @@ class Wanted:
 @dataclass(frozen=True, slots=True)
 class GraphMessage:
     """The current graph. up_s: age of the child's participant. number: counts the graph messages of this child. late_s: delay
-    of this look because the child did not get to run.
+    of this poll because the child did not get to run.
 
     names_known: whether node names could be read. problems: sentences about what could not be read or was omitted.
     """

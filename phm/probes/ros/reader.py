@@ -13,7 +13,7 @@ from phm.probes.ros.rates.publisher_stats import Sample
 
 @dataclass(frozen=True, slots=True)
 class SubscriptionQos:
-    """How to subscribe. depth: samples kept in the queue, and taken per look.
+    """How to subscribe. depth: samples kept in the queue, and taken per poll.
 
     Without `latched` it is best effort and volatile, which by the rules of DDS is compatible with every publisher,
     causes no retransmissions and blocks no publisher. `latched` is reliable and transient local, which is needed to
@@ -41,7 +41,7 @@ class Reader:
     """Whether rclpy gives the identity of publishers (from Kilted on), as far as is known."""
 
     def __init__(self, node: Any, topic: str, type_name: str, qos: SubscriptionQos, *, keep: bool = False) -> None:
-        """keep: the messages of the newest look are kept. Raises UnknownType."""
+        """keep: the messages of the newest poll are kept. Raises UnknownType."""
         self.qos = qos
         self.messages: list[RawMessage] = []
         self._keep = keep
@@ -64,7 +64,7 @@ class Reader:
         self._count = getattr(self._subscription, "get_publisher_count", None)
 
     def take(self, now_s: float) -> list[Sample]:
-        """Samples since the last look, oldest first."""
+        """Samples since the last poll, oldest first."""
         samples = []
         self.messages = []
         handle = self._subscription.handle

@@ -1,7 +1,7 @@
 """Readiness in the child: which services have a server, states of lifecycle nodes, and answers of services without request fields.
 
 `get_state` changes nothing in a node; of the other services only those are called for which the configuration asks. Nothing here waits: a
-call is sent in one look, and its answer is read in a later one.
+call is sent in one poll, and its answer is read in a later one.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ CHANGED_S = 0.2
 ANSWER_S = 2.0
 """A call without an answer for this long is repeated."""
 STALL_S = 0.5
-"""The most of the time between two looks that counts as unanswered: in the rest the child did not run."""
+"""The most of the time between two polls that counts as unanswered: in the rest the child did not run."""
 MAX_ANSWERS = 10
-"""Answers read from one service per look."""
+"""Answers read from one service per poll."""
 MAX_TEXT = 255
 FULL_S = 1.0
 """Time between two messages without a change."""
@@ -59,14 +59,14 @@ class ReadinessReader:
         self._reported: ReadinessUpdate | None = None
         self._due_s = 0.0
 
-    def look(self, now_s: float, *, graph_changed: bool) -> list[Message]:
+    def poll(self, now_s: float, *, graph_changed: bool) -> list[Message]:
         """Return the message for the daemon, after a change or when one is due; called once per tick."""
         if not self._used:
             return []
         update = ReadinessUpdate(
             {name: servers(self._node, name) for name in self._services},
-            {name: call.look(now_s, CHANGED_S if graph_changed else STATE_S) for name, call in self._states.items()},
-            {name: call.look(now_s, period_s) for name, (call, period_s) in self._calls.items()},
+            {name: call.poll(now_s, CHANGED_S if graph_changed else STATE_S) for name, call in self._states.items()},
+            {name: call.poll(now_s, period_s) for name, (call, period_s) in self._calls.items()},
         )
         if update == self._reported and now_s < self._due_s:
             return []
@@ -87,11 +87,11 @@ class RepeatedCall:
         self._fact = AnswerFact()
         self._called_s: float | None = None
         """When the open call was sent; None: none is open."""
-        self._last_called_s = self._looked_s = float("-inf")
+        self._last_called_s = self._polled_s = float("-inf")
 
-    def look(self, now_s: float, rest_s: float) -> AnswerFact:
+    def poll(self, now_s: float, rest_s: float) -> AnswerFact:
         """Read answers, and call again if the last call was `rest_s` ago."""
-        passed_s, self._looked_s = min(STALL_S, now_s - self._looked_s), now_s
+        passed_s, self._polled_s = min(STALL_S, now_s - self._polled_s), now_s
         if not servers(self._node, self._service):
             # A server that returns may be another process, so the old answer does not count.
             self._called_s, self._fact = None, AnswerFact()
@@ -139,7 +139,7 @@ class _Impossible:
     def __init__(self, problem: str) -> None:
         self._fact = AnswerFact(problem=problem[:MAX_TEXT])
 
-    def look(self, now_s: float, rest_s: float) -> AnswerFact:
+    def poll(self, now_s: float, rest_s: float) -> AnswerFact:
         return self._fact
 
 

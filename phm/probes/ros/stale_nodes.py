@@ -20,22 +20,22 @@ class StaleNodes:
     def __init__(self, doubt_s: float = DOUBT_S) -> None:
         self._doubt_s = doubt_s
         self._twice_at: dict[str, float] = {}
-        self._looked: dict[str, float] = {}
+        self._polled: dict[str, float] = {}
         """Nodes for which that was done, with the time when they were last listed more than once."""
 
-    def look(self, nodes: Mapping[str, int], now: float) -> tuple[str, ...]:
+    def observe(self, nodes: Mapping[str, int], now: float) -> tuple[str, ...]:
         """nodes: how often each is listed. now: monotonic seconds."""
         twice = {name for name, count in nodes.items() if count > 1}
         self._twice_at = {name: self._twice_at.get(name, now) for name in twice}
-        self._looked = {
+        self._polled = {
             name: now if name in twice else at
-            for name, at in self._looked.items()
+            for name, at in self._polled.items()
             if name in twice or now - at < self._doubt_s
         }
         due = tuple(
             sorted(
-                name for name, at in self._twice_at.items() if now - at >= self._doubt_s and name not in self._looked
+                name for name, at in self._twice_at.items() if now - at >= self._doubt_s and name not in self._polled
             )
         )
-        self._looked.update(dict.fromkeys(due, now))
+        self._polled.update(dict.fromkeys(due, now))
         return due

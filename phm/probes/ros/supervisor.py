@@ -1,6 +1,6 @@
 """The daemon's side of the ROS probe: supervises the child process that observes ROS, and answers from its reports.
 
-Whatever happens to the child, `look` returns immediately: its newest snapshot, or `CannotTell` with a sentence. A child
+Whatever happens to the child, `snapshot` returns immediately: its newest snapshot, or `CannotTell` with a sentence. A child
 that exits, falls silent or grows too large is replaced, at increasing intervals.
 """
 
@@ -158,7 +158,7 @@ class RosSupervisor:
         """Restrictions that the kernel does not support; empty: none is missing. None: not known yet."""
         return self._sandbox
 
-    def look(self) -> RosFact:
+    def snapshot(self) -> RosFact:
         """The newest snapshot. Raises CannotTell without a recent one."""
         with self._lock:
             view, why = self._view, self._why
@@ -273,7 +273,7 @@ class RosSupervisor:
             self._drain()
             before_s, now_s = looked_s, self._clock.mono()
             looked_s = now_s
-            held_s = 0.0 if lines else held_s + max(progress.turn(now_s), self._clock.late_s(before_s))
+            held_s = 0.0 if lines else held_s + max(progress.measure(now_s), self._clock.late_s(before_s))
             if child.dropped > dropped:
                 dropped = child.dropped
                 self._lose_sight(now_s)
@@ -313,10 +313,10 @@ class RosSupervisor:
         if graph is None:
             return
         # Unconfigured nodes must not cause a replacement.
-        stale = self._stale_nodes.look({name: graph.nodes.get(name, 0) for name in self._nodes}, now_s)
+        stale = self._stale_nodes.observe({name: graph.nodes.get(name, 0) for name in self._nodes}, now_s)
         fact = self._view.fact(graph, now_s, self._late_s)
         beating = {name for name in self._nodes if name in fact.beacons and fact.beacons[name].missed < SILENT_MISSES}
-        unnamed = self._unnamed.look(fact.topics, now_s, beating - fact.nodes.keys())
+        unnamed = self._unnamed.observe(fact.topics, now_s, beating - fact.nodes.keys())
         if stale:
             self.renew(f"{', '.join(stale)} has been listed more than once for {self._limits.doubt_s:g} s")
         elif unnamed:

@@ -12,7 +12,7 @@ from phm.facts.ros import CONSENSUS, NameFact
 from phm.probes.ros.graph import NOT_UTF8, endpoints
 from phm.probes.ros.raw_names import undecodable
 
-LOOK_S = 2.0
+POLL_S = 2.0
 MAX_TOPICS = 200
 MAX_NAMES_BYTES = 200_000
 """Limit in characters for the names of topics and of their nodes together; the longest are dropped."""
@@ -21,13 +21,13 @@ MAX_NODES = 8
 MAX_COUNTED = 2000
 """Topics whose endpoints are counted: that takes about 20 ms."""
 MAX_READS = 50
-"""Topics whose endpoints are read per look; the others follow in the next one."""
+"""Topics whose endpoints are read per poll; the others follow in the next one."""
 _UNREAD = (-1, -1)
 _EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello", CONSENSUS)
 
 
 class UnconfiguredTopics:
-    """The newest names; `look` returns whether they changed."""
+    """The newest names; `observe` returns whether they changed."""
 
     def __init__(self, node: Any, configured: Collection[str]) -> None:
         self._node = node
@@ -37,13 +37,13 @@ class UnconfiguredTopics:
         self._facts: dict[str, NameFact] = {}
         self.names: dict[str, NameFact] = {}
         self.problem = ""
-        """What could not be read at the last look, as a sentence."""
+        """What could not be read at the last poll, as a sentence."""
 
-    def look(self, now_s: float) -> bool:
-        """Read what has changed; at most every LOOK_S."""
+    def observe(self, now_s: float) -> bool:
+        """Read what has changed; at most every POLL_S."""
         if now_s < self._next_s:
             return False
-        self._next_s = now_s + LOOK_S
+        self._next_s = now_s + POLL_S
         try:
             counts = self._read_counts()
         except UnicodeDecodeError as error:

@@ -27,12 +27,12 @@ class UnnamedParticipants:
     def __init__(self, unnamed_s: float = UNNAMED_S) -> None:
         self._unnamed_s = unnamed_s
         self._named: set[str] = set()
-        """Topics whose endpoints all had names at the last look, or before they lost them."""
+        """Topics whose endpoints all had names at the last poll, or before they lost them."""
         self._since: dict[str, float] = {}
-        self._looked_at: float | None = None
+        self._polled_at: float | None = None
         self._backoff = Backoff(REST_S, REST_MOST_S)
 
-    def look(self, topics: Mapping[str, TopicFact], now: float, unlisted: Collection[str] = ()) -> tuple[str, ...]:
+    def observe(self, topics: Mapping[str, TopicFact], now: float, unlisted: Collection[str] = ()) -> tuple[str, ...]:
         """Names of topics and nodes. topics: of the newest graph. now: monotonic seconds. unlisted: nodes that send
         beacons and are not listed."""
         for name in [name for name in self._since if name not in topics and name not in unlisted]:
@@ -49,13 +49,13 @@ class UnnamedParticipants:
                 self._since.setdefault(name, now)
         due = tuple(sorted(name for name, at in self._since.items() if now - at >= self._unnamed_s))
         rest_s = self._backoff.pause_s
-        if not due or (self._looked_at is not None and now - self._looked_at < rest_s):
+        if not due or (self._polled_at is not None and now - self._polled_at < rest_s):
             return ()
-        if self._looked_at is not None and now - self._looked_at < 2 * rest_s:
+        if self._polled_at is not None and now - self._polled_at < 2 * rest_s:
             self._backoff.next_s()
         else:
             self._backoff.reset()
-        self._looked_at = now
+        self._polled_at = now
         self._since.clear()
         return due
 

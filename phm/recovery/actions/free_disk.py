@@ -13,10 +13,10 @@ from itertools import islice
 from pathlib import PurePosixPath
 
 from phm.core.model import Fault
-from phm.core.settings import FreeDiskSettings, Settings
+from phm.core.settings import FreeDiskSettings
 from phm.facts.disk_space import space
 from phm.recovery.actions._paths import FOLDER, open_plain
-from phm.recovery.base import Action, ActionContext, ActionFailed, Impact, NotNeeded, Target, TargetKind
+from phm.recovery.base import Action, ActionContext, ActionFailed, ActionSettings, Impact, NotNeeded, Target, TargetKind
 
 ENOUGH = 0.9
 """Files are deleted until the disk is at this share of `host.disk.warn`: at the limit itself it would soon be full
@@ -56,7 +56,7 @@ class FreeDisk(Action):
     deadline_s = 60.0
 
     @classmethod
-    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
+    def applies(cls, target: Target, fault: Fault, settings: ActionSettings) -> bool:
         return target.kind is TargetKind.DISK and bool(settings.host.free_disk)
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:

@@ -76,10 +76,9 @@ class Reconnect(Action):
         forbids it, and so does a hold that an operator begins meanwhile.
         """
         settings = context.settings
-        has_nodes = any(settings.container_of_node(node.name) == target.key for node in settings.ros.nodes)
         ladder = settings.recovery.ladders.get(fault.result.condition, [Restart.name])
         fact = context.container(target.key)
-        if not has_nodes or Restart.name not in ladder or fact is None or not fact.running:
+        if not settings.nodes.get(target.key) or Restart.name not in ladder or fact is None or not fact.running:
             return ""
         later = (
             f"; nodes that start later do not find those of {target.key} until it is restarted, which is not done now"

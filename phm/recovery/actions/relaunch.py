@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from phm.core.model import Fault
-from phm.core.settings import NodeSettings, Settings
+from phm.core.settings import NodeSettings
 from phm.facts import CannotTell
-from phm.recovery.base import Action, ActionContext, ActionFailed, Impact, NotNeeded, Target, present
+from phm.recovery.base import Action, ActionContext, ActionFailed, ActionSettings, Impact, NotNeeded, Target, present
 
 
 class Relaunch(Action):
@@ -22,7 +22,7 @@ class Relaunch(Action):
     verify_after_s = 2.0
 
     @classmethod
-    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
+    def applies(cls, target: Target, fault: Fault, settings: ActionSettings) -> bool:
         return _node(target, fault, settings) is not None
 
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
@@ -54,17 +54,10 @@ class Relaunch(Action):
             return not missing
 
 
-def _node(target: Target, fault: Fault, settings: Settings) -> NodeSettings | None:
-    """The node to start for this fault, for a topic its first publisher; None if it has no command."""
-    check, _, subject = fault.unit.partition("/")
-    name = subject if check == "nodes" else ""
-    if check in ("topics", "rates"):
-        topic = next((entry for entry in settings.ros.topics if entry.name.lstrip("/") == subject), None)
-        name = topic.publishers[0].lstrip("/") if topic is not None and topic.publishers else ""
-    node = next((entry for entry in settings.ros.nodes if entry.name.lstrip("/") == name), None)
-    if node is None or not node.relaunch or settings.container_of_node(node.name) != target.key:
-        return None
-    return node
+def _node(target: Target, fault: Fault, settings: ActionSettings) -> NodeSettings | None:
+    """The node to start for this fault; None if it does not run in the target, or has no command."""
+    nodes = settings.nodes.get(target.key, ())
+    return next((node for node in nodes if node.relaunch and node.name.lstrip("/") == fault.node.lstrip("/")), None)
 
 
 def _runs(command: str, container: str, context: ActionContext) -> bool:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from phm.core.model import Fault
-from phm.core.settings import Settings
 from phm.recovery.actions.cpu_weights import LOW_SHARES
 from phm.recovery.actions.restart import dependents
-from phm.recovery.base import Action, ActionContext, ActionFailed, Impact, NotNeeded, Target
+from phm.recovery.base import Action, ActionContext, ActionFailed, ActionSettings, Impact, NotNeeded, Target
 
 
 class Relieve(Action):
@@ -22,7 +21,7 @@ class Relieve(Action):
     verify_after_s = 1.0
 
     @classmethod
-    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
+    def applies(cls, target: Target, fault: Fault, settings: ActionSettings) -> bool:
         container = target.container
         return container is not None and container.flight_critical and bool(settings.recovery.relieve)
 

@@ -96,7 +96,7 @@ def _prompt_s(fault: Fault, context: ActionContext) -> float:
     """A radio sends one report for each heartbeat from its own side."""
     if fault.result.condition != "radio_silent":
         return PROMPT_S
-    return max(PROMPT_S, min((context.settings.mavlink.heartbeat or 0.0) + 1.0, RADIO_S))
+    return max(PROMPT_S, min(context.settings.heartbeat_s + 1.0, RADIO_S))
 
 
 def _flows(link: str, context: ActionContext, within_s: float) -> bool:

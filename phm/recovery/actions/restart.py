@@ -88,7 +88,7 @@ def _follow(
     key: str, fault: Fault, facts: Mapping[str, ContainerFact], context: ActionContext, *, always: bool
 ) -> tuple[str, bool]:
     """What was done, for the log, and whether the dependent was restarted. facts: as observed after the target's start."""
-    entry = context.settings.container(key)
+    entry = next((entry for entry in context.settings.containers if entry.key == key), None)
     if entry is None or key not in facts:
         return f"{key}, which depends on it, does not exist", False
     if not entry.recover:

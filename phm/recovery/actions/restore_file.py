@@ -10,13 +10,14 @@ import posixpath
 import stat
 
 from phm.core.model import Fault
-from phm.core.settings import FileSettings, Settings
+from phm.core.settings import FileSettings
 from phm.facts import ContainerFact
 from phm.recovery.actions._paths import open_plain
 from phm.recovery.base import (
     Action,
     ActionContext,
     ActionFailed,
+    ActionSettings,
     Impact,
     NotNeeded,
     Target,
@@ -46,7 +47,7 @@ class RestoreFile(Action):
     deadline_s = 90.0
 
     @classmethod
-    def applies(cls, target: Target, fault: Fault, settings: Settings) -> bool:
+    def applies(cls, target: Target, fault: Fault, settings: ActionSettings) -> bool:
         """Whether the file at fault can be restored; if the check does not name it, whether any file can."""
         path = fault.result.evidence.file
         container = target.container

@@ -38,7 +38,7 @@ REPLAYED_S = 0.15
 """Once the event stream is open again, the engine sends the missed events within this time."""
 CLOSED_S = 3.0
 """While the event stream is closed, recovery of an exited container waits at most until this long after the stream closed."""
-LOOK_S = 0.1
+POLL_S = 0.1
 """While the event stream is closed, it is checked this often."""
 STOP_MAX_S = 121.0
 """The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.event_decoder.STOP_S`)."""
@@ -189,7 +189,7 @@ class HoldService:
         until = stream.since + (REPLAYED_S if stream.open else CLOSED_S)
         if now >= until:
             return None
-        return until if stream.open else min(until, now + LOOK_S)
+        return until if stream.open else min(until, now + POLL_S)
 
     def _loop(self) -> None:
         while not self._stopping:

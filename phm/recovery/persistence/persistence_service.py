@@ -81,7 +81,7 @@ class PersistenceService:
             self._note(f"{fault.unit}: fault {fault.id} was given up before PHM stopped; no action follows")
         attempts = sum(len(made) for made in self._state.recovery.attempts.values())
         if attempts:
-            self._note(f"{attempts} recovery attempts from before PHM stopped are remembered")
+            self._note(f"restored {attempts} recovery attempts from before PHM stopped")
 
     def problem(self) -> str:
         """What to report: the state cannot be written; or, shortly after the start, the previous state was lost. Empty: nothing."""

@@ -24,10 +24,10 @@ class FlightCriticalGuard:
         self,
         containers: Sequence[ContainerSettings],
         container: Callable[[str], ContainerFact | None],
-        myself: Callable[[], ContainerFact | None],
+        own_container: Callable[[], ContainerFact | None],
         armed: Callable[[], ArmedStatus],
     ) -> None:
-        self._containers, self._container, self._myself, self.armed = containers, container, myself, armed
+        self._containers, self._container, self._own_container, self.armed = containers, container, own_container, armed
         self._critical = critical_containers(containers)
 
     def forbids(
@@ -78,7 +78,7 @@ class FlightCriticalGuard:
         called = ContainerFact(str(answer.get("Name") or "").lstrip("/"), str(answer.get("Id") or ""), "", "")
         if not called.id:
             raise CannotTell(f"the Docker Engine described {ref} without an id")
-        me = self._myself()
+        me = self._own_container()
         if me is not None and called.id == me.id and impact is Impact.NETWORK:
             return ""  # PHM connects itself to networks
         key = next((entry.key for entry in self._containers if self._is(entry, called)), "")

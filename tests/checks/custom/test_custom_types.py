@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks._custom.command import MOST_VALUES, parted, performance
+from phm_checks._custom.command import MOST_VALUES, performance, split_output
 from phm_checks.custom import Custom
 
 URL = "http://camera/state"
@@ -137,7 +137,9 @@ def test_the_first_line_is_the_text() -> None:
 
 def test_performance_data_become_values_with_their_unit() -> None:
     """As the guidelines of the plug-ins define them; anything else is left out."""
-    text, data = parted("OK | load1=0.5;15;30;0; '/ home'=12MB;;;0;99 'it''s'=7% x=U y=1e400 z=3c time=0.01s;1;2\n")
+    text, data = split_output(
+        "OK | load1=0.5;15;30;0; '/ home'=12MB;;;0;99 'it''s'=7% x=U y=1e400 z=3c time=0.01s;1;2\n"
+    )
     assert text == "OK"
     assert performance(data) == {
         "load1": 0.5, "/ home_MB": 12.0, "it's_percent": 7.0, "z_c": 3.0, "time_s": 0.01,
@@ -160,20 +162,20 @@ def test_a_found_pattern_is_a_failure_until_it_is_quiet() -> None:
     clock, logs = testing.FakeClock(), testing.FakeLogs()
     check = build(type="log", path="/app.log", patterns=[{"pattern": "ERROR (.*)"}], quiet=60)
 
-    def look(*lines: str) -> api.Result:
+    def observe(*lines: str) -> api.Result:
         logs.lines["x"] = list(lines)
         return run(check, clock=clock, logs=logs)
 
-    assert look("fine").level is OK
-    found = look("ERROR a", "ERROR b", "fine")
+    assert observe("fine").level is OK
+    found = observe("ERROR a", "ERROR b", "fine")
     assert (found.level, found.values["matches"], found.brief) == (ERROR, 2, "x log match")
     assert found.summary.endswith("newest line: ERROR b")
     clock.advance(59)
-    assert look("ERROR c").values["matches"] == 3
+    assert observe("ERROR c").values["matches"] == 3
     clock.advance(59)
-    assert look().level is ERROR
+    assert observe().level is ERROR
     clock.advance(1)
-    assert look().level is OK
+    assert observe().level is OK
     assert check.failures == 1, "a second look would find nothing new"
 
 
@@ -206,17 +208,17 @@ def test_a_restart_of_the_container_that_recovery_acts_on_ends_a_failure_of_its_
     )  # fmt: skip
     (check,) = Custom.build(settings)
 
-    def look(*lines: str) -> api.Level:
+    def observe(*lines: str) -> api.Level:
         clock.advance(10)
         logs.lines["x"] = list(lines)
         return run(check, clock=clock, logs=logs, docker=docker).level
 
-    assert [look(), look("FATAL"), look()] == [OK, ERROR, ERROR]
+    assert [observe(), observe("FATAL"), observe()] == [OK, ERROR, ERROR]
     docker.change("app", status="exited")
-    assert look("FATAL while it stops") is ERROR
+    assert observe("FATAL while it stops") is ERROR
     docker.change("app", status="running", started_at="later")
-    assert look("FATAL while it stops") is OK
-    assert [look(), look("FATAL"), look()] == [OK, ERROR, ERROR]
+    assert observe("FATAL while it stops") is OK
+    assert [observe(), observe("FATAL"), observe()] == [OK, ERROR, ERROR]
 
 
 def test_a_check_needs_the_container_it_looks_into_and_the_one_that_recovery_restarts() -> None:
@@ -236,16 +238,16 @@ def test_a_number_that_fluctuates_does_not_change_the_line_for_the_operator_each
     clock, programs = testing.FakeClock(), testing.FakePrograms()
     check = build(type="command", command=["check"])
 
-    def look(output: str, code: int = 2) -> api.Result:
+    def observe(output: str, code: int = 2) -> api.Result:
         programs.answers["", "check"] = api.ProgramFact(code, output, 0.1)
         clock.advance(10)
         return run(check, clock=clock, programs=programs)
 
-    results = [look(f"LOAD {9 + 0.1 * number:g}") for number in range(12)]
+    results = [observe(f"LOAD {9 + 0.1 * number:g}") for number in range(12)]
     assert len({result.brief for result in results}) == 2, "once a minute"
     assert results[5].summary == "x: LOAD 9.5", "the log has the newest"
-    assert look("LOAD 8.1", code=1).brief == "x LOAD 8.1", "another level"
-    assert look("no sensor", code=1).brief == "x no sensor"
-    assert (look("fine", code=0).level, look("no sensor 7").brief, look("LOAD 9.9").brief) == (
+    assert observe("LOAD 8.1", code=1).brief == "x LOAD 8.1", "another level"
+    assert observe("no sensor", code=1).brief == "x no sensor"
+    assert (observe("fine", code=0).level, observe("no sensor 7").brief, observe("LOAD 9.9").brief) == (
         OK, "x no sensor 7", "x LOAD 9.9",
     )  # fmt: skip

@@ -6,7 +6,7 @@ import contextlib
 import socket
 import threading
 
-LOOK_S = 0.1
+POLL_S = 0.1
 READ_BYTES = 65535
 
 
@@ -16,7 +16,7 @@ class Relay:
     def __init__(self, target: int) -> None:
         self._target = target
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(LOOK_S)
+        self._listener.settimeout(POLL_S)
         self.port = int(self._listener.getsockname()[1])
         self._closing, self._stalled = threading.Event(), threading.Event()
         self._threads = [threading.Thread(target=self._accept, name="test-relay", daemon=True)]
@@ -53,11 +53,11 @@ class Relay:
             back.join(60)
 
     def _forward(self, source: socket.socket, target: socket.socket, stalled: threading.Event) -> None:
-        source.settimeout(LOOK_S)
+        source.settimeout(POLL_S)
         with contextlib.suppress(OSError):
             while not self._closing.is_set():
                 if stalled.is_set():
-                    self._closing.wait(LOOK_S)
+                    self._closing.wait(POLL_S)
                     continue
                 with contextlib.suppress(TimeoutError):
                     if not (data := source.recv(READ_BYTES)):

@@ -17,7 +17,7 @@ from tests.fakes.until import until
 PHM = (sys.executable, "-m", "phm.cli")
 STATUS_COLUMNS, STATUS_ROWS = 116, 60
 TABLE_COLUMNS, TABLE_ROWS = 110, 32
-LOOK_S, LIMIT_S = 0.2, 300.0
+POLL_S, LIMIT_S = 0.2, 300.0
 FIRST_FAULT, FIRST_FAULT_OVER, LAST_FAULT = "A02 FAIL 10", "A02 OK", "A03 broken at companion"
 DEMO_RUNS = 3
 """Both faults of `phm demo` are there for a few seconds, and on a busy machine another agent may miss a measurement just then."""
@@ -43,12 +43,12 @@ def _status_and_gcs(state: Path, folder: Path, ports: DemoPorts) -> None:
         def seen() -> object:
             return swarm.logs(), gcs.screen().plain
 
-        until(lambda: _healthy(swarm), "four agents without a fault", seen, limit_s=LIMIT_S, poll_s=LOOK_S)
+        until(lambda: _healthy(swarm), "four agents without a fault", seen, limit_s=LIMIT_S, poll_s=POLL_S)
         swarm.relay.stall()
-        until(lambda: _resolved(swarm.status(BUSY)), "the reopened connection", seen, limit_s=LIMIT_S, poll_s=LOOK_S)
+        until(lambda: _resolved(swarm.status(BUSY)), "the reopened connection", seen, limit_s=LIMIT_S, poll_s=POLL_S)
         swarm.kill_planner(BUSY)
         swarm.kill_daemon(DEAD)
-        until(lambda: _blocked(swarm.status(BUSY)), "the fault of the planner", seen, limit_s=LIMIT_S, poll_s=LOOK_S)
+        until(lambda: _blocked(swarm.status(BUSY)), "the fault of the planner", seen, limit_s=LIMIT_S, poll_s=POLL_S)
         lost = f"A{DEAD:02d} broken at companion"
 
         def complete() -> Text | None:
@@ -59,7 +59,7 @@ def _status_and_gcs(state: Path, folder: Path, ports: DemoPorts) -> None:
             shown = _since_fault(screen)
             return None if catalog.missing("gcs.svg", shown.plain) else shown
 
-        table: Text = until(complete, "the loss of an agent", seen, limit_s=LIMIT_S, poll_s=LOOK_S)
+        table: Text = until(complete, "the loss of an agent", seen, limit_s=LIMIT_S, poll_s=POLL_S)
         with terminal([*PHM, "status", "--run-dir", str(swarm.run_dir(BUSY))], STATUS_COLUMNS, STATUS_ROWS) as status:
             shown = status.output()
     _write(folder, "status.svg", "phm status", _until_array(shown), STATUS_COLUMNS)
@@ -86,7 +86,7 @@ def _demo_screen(state: Path, ports: DemoPorts) -> Text:
             shown = _since_fault(screen)
             return shown if FIRST_FAULT_OVER in shown.plain or not catalog.missing("demo.svg", shown.plain) else None
 
-        shown: Text = until(complete, "both faults", lambda: demo.screen().plain, limit_s=LIMIT_S, poll_s=LOOK_S)
+        shown: Text = until(complete, "both faults", lambda: demo.screen().plain, limit_s=LIMIT_S, poll_s=POLL_S)
     return shown
 
 

@@ -50,7 +50,7 @@ class Written:
     def __init__(self, folder: Path, options: ListenOptions | None = None) -> None:
         self._folder = folder
         self.write(document())
-        self.page = AgentPage(self.look, options or ListenOptions(port=0), SystemClock())
+        self.page = AgentPage(self.observe, options or ListenOptions(port=0), SystemClock())
         self.page.start()
         self.client = Client(self.page.server.address)
         until(self._serves, "the page")
@@ -68,7 +68,7 @@ class Written:
         temporary.write_text(content)
         temporary.replace(self._folder / "status.json")
 
-    def look(self) -> tuple[dict[str, Any], str]:
+    def observe(self) -> tuple[dict[str, Any], str]:
         try:
             found = status_shape.read(str(self._folder))
         except status_file.NoStatus as error:

@@ -38,7 +38,7 @@ class Mounted:
         self.files = Files(self.probe, ask, settings().docker, FakeClock())
 
     def read(self, path: str, *, digest: bool = False) -> FileFact | None:
-        return self.files.look("app", path, digest=digest)
+        return self.files.inspect("app", path, digest=digest)
 
     def engine_has(self, path: str, content: bytes) -> None:
         self.fake.containers["app"]["_files"][path] = content
@@ -227,7 +227,7 @@ def test_phm_in_a_container_uses_its_own_mounts(tmp_path: Path, fake: FakeEngine
     files = Files(FakeDocker(app, me=me), ask, settings().docker, FakeClock())
     sizes = {}
     for path in ("/models/a", "/maps/b", "/other/c"):
-        seen = files.look("app", path, digest=False)
+        seen = files.inspect("app", path, digest=False)
         assert seen is not None
         sizes[path] = (seen.size, seen.seen_through)
     assert sizes == {"/models/a": (1, "volume"), "/maps/b": (2, "volume"), "/other/c": (3, "engine")}
@@ -239,7 +239,7 @@ def test_a_remote_engine_has_other_paths(tmp_path: Path, fake: FakeEngine, ask: 
     app = fact("app", id="c1", mounts=(Mount(kind="bind", source=str(tmp_path), destination="/data"),))
     fake.containers["app"] = container("app", container_id="c1", files={"/data/a": b"theirs!"})
     files = Files(FakeDocker(app), ask, settings(docker={"socket": "tcp://192.0.2.1:2375"}).docker, FakeClock())
-    seen = files.look("app", "/data/a", digest=False)
+    seen = files.inspect("app", "/data/a", digest=False)
     assert seen is not None
     assert (seen.size, seen.seen_through) == (7, "engine")
 
@@ -250,14 +250,14 @@ def test_a_file_on_a_tmpfs_is_unknown(fake: FakeEngine, ask: DockerEngine) -> No
     fake.containers["app"] = container("app", container_id="c1")
     files = Files(FakeDocker(app), ask, settings().docker, FakeClock())
     with pytest.raises(CannotTell, match="is in memory"):
-        files.look("app", "/run/lock", digest=False)
+        files.inspect("app", "/run/lock", digest=False)
 
 
 def test_without_a_container_its_files_are_unknown(ask: DockerEngine) -> None:
     """A container that does not exist is reported by its own check, not as a missing file."""
     files = Files(FakeDocker(), ask, settings().docker, FakeClock())
     with pytest.raises(CannotTell, match="container app does not exist"):
-        files.look("app", "/etc/hosts", digest=False)
+        files.inspect("app", "/etc/hosts", digest=False)
 
 
 def test_with_a_hung_engine_a_file_is_unknown(mounted: Mounted, ask: DockerEngine) -> None:
@@ -307,11 +307,11 @@ def test_a_change_in_a_volume_triggers_the_check(tmp_path: Path, fake: FakeEngin
     try:
         (here / "models").mkdir()
         (here / "current").symlink_to("models")
-        assert files.look("app", "/data/current/model.bin", digest=False) is None
+        assert files.inspect("app", "/data/current/model.bin", digest=False) is None
         assert triggered.acquire(timeout=60), "the watch has started, and the file is checked once more"
         (here / "models/model.bin").write_bytes(b"weights")
         assert triggered.acquire(timeout=60)
-        assert files.look("app", "/data/current/model.bin", digest=False) is not None
+        assert files.inspect("app", "/data/current/model.bin", digest=False) is not None
         while triggered.acquire(timeout=0.2):
             pass
         (here / "models/model.bin").chmod(0o755)

@@ -230,13 +230,13 @@ def test_checks_that_waited_for_a_hung_engine_do_not_wait_again(fake: FakeEngine
     fake.fault, ask.timeout_s = Hang(route="/app/"), HUNG_S
     errors: list[str] = []
 
-    def look() -> None:
+    def observe() -> None:
         try:
             docker.container("app")
         except CannotTell as error:
             errors.append(str(error))
 
-    threads = [threading.Thread(target=look) for _ in range(5)]
+    threads = [threading.Thread(target=observe) for _ in range(5)]
     real_ask = docker._ask
 
     def ask_when_all_wait(*words: Any) -> None:
@@ -301,10 +301,10 @@ def test_the_own_container_is_accepted_only_if_the_engine_knows_it(
     """Inside another engine's container (a CI job) the id means nothing to this engine."""
     place = proc(tmp_path, cgroup=f"7:blkio:/docker/{OTHER}/docker/{MINE}\n")
     docker = Docker(ask, [], settings().docker, FakeClock(), proc=place)
-    assert docker.myself() is None
+    assert docker.own_container() is None
     fake.containers["phm"] = container("phm", container_id=MINE)
     docker.invalidate()
-    fact = docker.myself()
+    fact = docker.own_container()
     assert fact is not None
     assert fact.name == "phm"
 
@@ -313,10 +313,10 @@ def test_a_configured_own_container_must_exist(fake: FakeEngine, ask: DockerEngi
     """A wrong `docker.container` is an error, not `not in a container`."""
     docker = probe(ask, docker={"container": "phm_1"})
     with pytest.raises(CannotTell, match="phm_1"):
-        docker.myself()
+        docker.own_container()
     fake.containers["phm_1"] = container("phm_1")
     docker.invalidate()
-    assert docker.myself() is not None
+    assert docker.own_container() is not None
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1"])

@@ -86,11 +86,11 @@ def test_a_host_with_another_ps_gets_options_that_it_accepts() -> None:
     """BusyBox refuses the first options; after that the second ones are used, and the first ones are retried rarely."""
     engine, clock = OtherPs(FORMS[1]), FakeClock()
     asking = Processes(engine, clock)  # type: ignore[arg-type]
-    assert asking.look("app") == asking.look("app") == (ProcessFact(7, 1, "S", None, "sh"),)
+    assert asking.inspect("app") == asking.inspect("app") == (ProcessFact(7, 1, "S", None, "sh"),)
     assert engine.asked == [*FORMS, FORMS[1]]
     for _ in range(10_000):
         clock.advance(1.0)
-        asking.look("app")
+        asking.inspect("app")
     assert 10_000 / AGAIN_MOST_S < engine.asked.count(FORMS[0]) < 10_000 / AGAIN_MOST_S + 10
 
 
@@ -98,12 +98,12 @@ def test_one_refusal_does_not_lose_the_figures_permanently() -> None:
     """HTTP 500 also means that this one `ps` could not be started."""
     engine, clock = OtherPs(FORMS[1]), FakeClock()
     asking = Processes(engine, clock)  # type: ignore[arg-type]
-    asking.look("app")
+    asking.inspect("app")
     engine.known = FORMS
     engine.asked.clear()
     clock.advance(AGAIN_S)
-    asking.look("app")
-    asking.look("app")
+    asking.inspect("app")
+    asking.inspect("app")
     assert engine.asked == [FORMS[0], FORMS[0]]
 
 
@@ -112,7 +112,7 @@ def test_a_host_without_ps_raises() -> None:
     asking = Processes(OtherPs(), FakeClock())  # type: ignore[arg-type]
     for _ in range(2):
         with pytest.raises(CannotTell):
-            asking.look("app")
+            asking.inspect("app")
 
 
 def test_a_container_that_does_not_run_has_no_process_list(fake: FakeEngine, ask: DockerEngine) -> None:

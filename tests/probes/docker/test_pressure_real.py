@@ -19,7 +19,7 @@ from phm_checks.pressure import Pressure
 from tests.fakes.until import until
 
 FILES, STATISTICS = "/sys/fs/cgroup", "/nowhere"
-LOOK_S, LIMIT_S = 0.5, 180.0
+POLL_S, LIMIT_S = 0.5, 180.0
 """For whatever is waited for: the machine may be as busy as it likes."""
 BUSY = "while :; do :; done"
 THRASH = """
@@ -50,7 +50,7 @@ while True:
 STREAM = "while :; do dd if=/dev/zero of=/tmp/data bs=1M count=200 2>/dev/null; cat /tmp/data >/dev/null; done"
 
 
-wait_until = partial(until, limit_s=LIMIT_S, poll_s=LOOK_S)
+wait_until = partial(until, limit_s=LIMIT_S, poll_s=POLL_S)
 
 
 class Agent:
@@ -70,7 +70,7 @@ class Agent:
         )
         self.seen: list[api.Result] = []
 
-    def look(self) -> api.Result:
+    def observe(self) -> api.Result:
         result = self.check.run(self.world)
         assert isinstance(result, api.Result)
         self.seen.append(result)
@@ -78,7 +78,7 @@ class Agent:
 
     def until(self, wanted: Callable[[api.Result], bool], what: str, limit_s: float = LIMIT_S) -> api.Result:
         def found() -> api.Result | None:
-            result = self.look()
+            result = self.observe()
             return result if wanted(result) else None
 
         return wait_until(found, what, lambda: self.seen[-1], limit_s=limit_s)
@@ -144,8 +144,8 @@ def test_a_page_cache_at_the_memory_limit_is_not_pressure(real: Any, engine: Doc
     agent = Agent(engine, made.name, source)
     agent.until(lambda result: (result.values.get("memory_bytes") or 0) > (36 << 20), "a full page cache")  # type: ignore[operator]
     for _ in range(12):
-        assert agent.look().condition != "memory_pressure", agent.seen[-1].summary
-        threading.Event().wait(LOOK_S)
+        assert agent.observe().condition != "memory_pressure", agent.seen[-1].summary
+        threading.Event().wait(POLL_S)
 
 
 def test_the_page_cache_is_not_taken_for_a_leak(real: Any, engine: DockerEngine, source: str) -> None:

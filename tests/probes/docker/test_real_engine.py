@@ -287,7 +287,7 @@ def test_the_own_container_is_found_from_inside(real: Any, engine: DockerEngine,
     made = real.container()
     for file in ("mountinfo", "cgroup"):
         (tmp_path / file).write_text(printed(made, "cat", f"/proc/self/{file}"))
-    me = Docker(engine, [], settings().docker, SystemClock(), proc=tmp_path).myself()
+    me = Docker(engine, [], settings().docker, SystemClock(), proc=tmp_path).own_container()
     assert me is not None
     assert me.id == made.id
 
@@ -350,22 +350,22 @@ def test_a_file_is_the_same_by_volume_and_by_engine(
     )
     docker = probe(engine, made.name)
     files = Files(docker, engine, settings().docker, SystemClock())
-    until(lambda: files.look(made.name, "/data/done", digest=False), "the files", lambda: fact_of(docker, made.name))
+    until(lambda: files.inspect(made.name, "/data/done", digest=False), "the files", lambda: fact_of(docker, made.name))
     wanted = hashlib.sha256(engine.read_file(made.name, "/opt/model", 4 << 20)).hexdigest()
     seen = {
-        path: files.look(made.name, path, digest=True)
+        path: files.inspect(made.name, path, digest=True)
         for path in ("/data/model", "/opt/model", "/opt/link", "/opt/same")
     }
     for path, fact in seen.items():
         assert fact is not None, path
         assert (fact.kind, fact.size, fact.mode, fact.executable, fact.sha256) == ("file", 3000000, 0o750, True, wanted)
         assert fact.seen_through == ("volume" if path == "/data/model" else "engine")
-    directory = files.look(made.name, "/etc", digest=True)
+    directory = files.inspect(made.name, "/etc", digest=True)
     assert directory is not None
     assert (directory.kind, directory.seen_through) == ("directory", "engine")
-    assert files.look(made.name, "/opt/none", digest=True) is None
+    assert files.inspect(made.name, "/opt/none", digest=True) is None
     engine.stop(made.name, 0)
-    assert files.look(made.name, "/opt/model", digest=True) == seen["/opt/model"]
+    assert files.inspect(made.name, "/opt/model", digest=True) == seen["/opt/model"]
 
 
 def test_symlinks_in_a_volume_show_nothing_of_the_host(real: Any, engine: DockerEngine) -> None:
@@ -377,11 +377,11 @@ def test_symlinks_in_a_volume_show_nothing_of_the_host(real: Any, engine: Docker
     )
     docker = probe(engine, made.name)
     files = Files(docker, engine, settings().docker, SystemClock())
-    until(lambda: files.look(made.name, "/data/done", digest=False), "the files", lambda: fact_of(docker, made.name))
-    seen = files.look(made.name, "/data/escape", digest=False)
+    until(lambda: files.inspect(made.name, "/data/done", digest=False), "the files", lambda: fact_of(docker, made.name))
+    seen = files.inspect(made.name, "/data/escape", digest=False)
     assert seen is not None
     assert (seen.kind, seen.seen_through) == ("file", "engine")
-    assert files.look(made.name, "/data/climb", digest=False) is None
+    assert files.inspect(made.name, "/data/climb", digest=False) is None
 
 
 def test_processes_of_a_real_container_are_listed(real: Any, engine: DockerEngine) -> None:

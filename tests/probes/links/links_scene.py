@@ -42,7 +42,7 @@ class Scene:
     def pass_time(self, seconds: float) -> int:
         before = self.wakes
         self.clock.advance(seconds)
-        self.links.look()
+        self.links.wake_if_changed()
         return self.wakes - before
 
 

@@ -10,7 +10,7 @@ import pytest
 from phm.probes.adaptive_timeout import LEARN_S, STEP_S, STEPS, UNEVEN_S, AdaptiveTimeout
 
 BOUND_S = 10.0
-LOOK_S = 0.5
+POLL_S = 0.5
 
 
 def steady(chance: random.Random) -> Iterator[float]:
@@ -56,7 +56,7 @@ def false_alarms(heartbeats: Iterator[float]) -> int:
     cadence, last, found = AdaptiveTimeout(BOUND_S), None, 0
     for at in heartbeats:
         if last is not None and at > last:
-            looks = (last + LOOK_S * count for count in range(1, int((min(at, last + BOUND_S) - last) / LOOK_S) + 1))
+            looks = (last + POLL_S * count for count in range(1, int((min(at, last + BOUND_S) - last) / POLL_S) + 1))
             found += any(cadence.overdue(look) for look in looks)
         cadence.heartbeat(at)
         last = at

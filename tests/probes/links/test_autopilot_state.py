@@ -240,7 +240,7 @@ def test_two_autopilots_with_one_identity_hide_no_reboot_in_flight() -> None:
     receive_heartbeat(pilot, 46.0, status=BOOT)
     for step in range(TWINS * 2):
         pilot.booted(46.0 + step * 0.5, 130_000 if step % 2 else 1000 + step * 500)
-    assert pilot.twins(50.0)
+    assert pilot.identity_shared(50.0)
     receive_heartbeat(pilot, 50.0)
     fact = fact_of(pilot, 50.0)
     assert fact.rebooted_s is None
@@ -278,14 +278,14 @@ def test_two_autopilots_with_one_identity_are_not_reboots() -> None:
     receive_heartbeat(pilot, 0.0)
     for step in range(TWINS * 2 + 1):
         pilot.booted(step * 0.5, 600_000 if step % 2 else 20_000)
-    assert pilot.twins(4.0)
+    assert pilot.identity_shared(4.0)
     assert fact_of(pilot, 4.0).rebooted_s is None
-    assert not pilot.twins(30.0)
+    assert not pilot.identity_shared(30.0)
     slow = AutopilotState()
     for number in range(TWINS):
         slow.booted(10.0 * number, 8_000)
         slow.booted(10.0 * number + 5.0, 500)
-    assert not slow.twins(36.0)
+    assert not slow.identity_shared(36.0)
 
 
 def known(pilot: AutopilotState, period_s: float = 1.0) -> float:

@@ -61,7 +61,7 @@ class Scene:
         (found,) = self.values(message, field)
         return found
 
-    def turn(self, seconds: float) -> int:
+    def tick(self, seconds: float) -> int:
         """Let time pass as the hub's watcher sees it, twice a second; how many requests were sent."""
         before = len(self.sent)
         for _ in range(round(2 * seconds)):
@@ -179,19 +179,19 @@ def test_instances_are_kept_apart_and_limited() -> None:
 
 def test_a_message_is_requested_only_if_asked_for_and_missing() -> None:
     """Opt-in, by the link of the autopilot; again after a while; not while it arrives, nor without an autopilot."""
-    assert Scene(check("b", "BATTERY_STATUS", "id")).turn(60.0) == 0
+    assert Scene(check("b", "BATTERY_STATUS", "id")).tick(60.0) == 0
     scene = Scene(check("b", "BATTERY_STATUS", "id", request=0.5), check("c", "BATTERY_STATUS", "id", request=2.0))
-    assert scene.turn(1.0) == 1
+    assert scene.tick(1.0) == 1
     request, link = scene.sent[0]
     assert (request.target_system, request.target_component, link) == (1, 1, "fc")
     assert (request.command, request.param1, request.param2) == (mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 147, 0.5e6)
-    assert scene.turn(AGAIN_S - 1.0) == 0 and scene.turn(1.0) == 1
+    assert scene.tick(AGAIN_S - 1.0) == 0 and scene.tick(1.0) == 1
     for _ in range(20):
         scene.receive(Sender(1, 1).frame(battery(50)))
-        assert scene.turn(1.0) == 0
-    assert scene.turn(5.0) == 1
+        assert scene.tick(1.0) == 0
+    assert scene.tick(5.0) == 1
     scene.pilot = None
-    assert scene.turn(30.0) == 0
+    assert scene.tick(30.0) == 0
 
 
 class Vehicle:

@@ -8,22 +8,22 @@ from phm.probes.ros.stale_nodes import DOUBT_S, StaleNodes
 def test_only_a_duplicate_that_outlasts_a_lease_is_doubted() -> None:
     """After a restart the old node is listed beside the new one until its lease ends."""
     stale_nodes = StaleNodes()
-    assert stale_nodes.look({"/a": 2, "/b": 1}, 0.0) == ()
-    assert stale_nodes.look({"/a": 1, "/b": 1}, DOUBT_S - 1.0) == ()
-    assert stale_nodes.look({"/a": 2, "/b": 2}, DOUBT_S) == ()
-    assert stale_nodes.look({"/a": 2, "/b": 1}, 2 * DOUBT_S - 0.1) == ()
-    assert stale_nodes.look({"/a": 2, "/b": 1}, 2 * DOUBT_S) == ("/a",)
+    assert stale_nodes.observe({"/a": 2, "/b": 1}, 0.0) == ()
+    assert stale_nodes.observe({"/a": 1, "/b": 1}, DOUBT_S - 1.0) == ()
+    assert stale_nodes.observe({"/a": 2, "/b": 2}, DOUBT_S) == ()
+    assert stale_nodes.observe({"/a": 2, "/b": 1}, 2 * DOUBT_S - 0.1) == ()
+    assert stale_nodes.observe({"/a": 2, "/b": 1}, 2 * DOUBT_S) == ("/a",)
 
 
 def test_each_duplicate_is_doubted_once_until_it_was_single_for_long() -> None:
     """A new participant lists nothing at first: that alone does not resolve the duplicate."""
     stale_nodes = StaleNodes(10.0)
-    stale_nodes.look({"/a": 3}, 0.0)
-    assert stale_nodes.look({"/a": 3}, 10.0) == ("/a",)
-    stale_nodes.look({}, 11.0)
+    stale_nodes.observe({"/a": 3}, 0.0)
+    assert stale_nodes.observe({"/a": 3}, 10.0) == ("/a",)
+    stale_nodes.observe({}, 11.0)
     for second in range(12, 60):
-        assert stale_nodes.look({"/a": 2}, float(second)) == ()
-    stale_nodes.look({"/a": 1}, 60.0)
-    stale_nodes.look({"/a": 1}, 75.0)
-    stale_nodes.look({"/a": 2}, 76.0)
-    assert stale_nodes.look({"/a": 2}, 86.0) == ("/a",)
+        assert stale_nodes.observe({"/a": 2}, float(second)) == ()
+    stale_nodes.observe({"/a": 1}, 60.0)
+    stale_nodes.observe({"/a": 1}, 75.0)
+    stale_nodes.observe({"/a": 2}, 76.0)
+    assert stale_nodes.observe({"/a": 2}, 86.0) == ("/a",)

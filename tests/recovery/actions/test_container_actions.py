@@ -225,7 +225,9 @@ def ros(fake: FakeEngine, ask: DockerEngine, relaunch: list[str] | None = None, 
 
 def test_relaunch_runs_the_command_inside_the_container(fake: FakeEngine, ask: DockerEngine) -> None:
     """Argument by argument, detached, as the container's own user."""
-    ros(fake, ask, ["run", "a b", "$(reboot)"]).run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
+    ros(fake, ask, ["run", "a b", "$(reboot)"]).run(
+        Relaunch, "app", fault("nodes/a/one", "node_missing", node="/a/one")
+    )
     (program,) = fake.programs
     assert program["Cmd"] == ["run", "a b", "$(reboot)"]
     assert (program["Started"], program["Detach"], program["User"]) == (True, True, "")
@@ -234,11 +236,11 @@ def test_relaunch_runs_the_command_inside_the_container(fake: FakeEngine, ask: D
 def test_a_repeated_relaunch_starts_one_copy(fake: FakeEngine, ask: DockerEngine) -> None:
     """PHM may be killed between executing and recording it."""
     made = ros(fake, ask)
-    made.run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
+    made.run(Relaunch, "app", fault("nodes/a/one", "node_missing", node="/a/one"))
     with pytest.raises(ActionFailed, match="a second copy is not started"):
-        made.run(Relaunch, "app", fault("nodes/a/one", "node_missing"))
+        made.run(Relaunch, "app", fault("nodes/a/one", "node_missing", node="/a/one"))
     made.nodes = {"/a/one": 1}
-    assert made.run(Relaunch, "app", fault("nodes/a/one", "node_missing")) == "/a/one is listed again"
+    assert made.run(Relaunch, "app", fault("nodes/a/one", "node_missing", node="/a/one")) == "/a/one is listed again"
     assert len(fake.programs) == 1
 
 
@@ -246,7 +248,7 @@ def test_a_dead_node_that_is_still_listed_has_not_returned(fake: FakeEngine, ask
     """It was reported dead while listed, since its lease continues: only an additional entry of its name is the node."""
     made = ros(fake, ask)
     made.nodes = {"/a/one": 1}
-    dead = fault("nodes/a/one", "node_missing", Evidence(listed=1))
+    dead = fault("nodes/a/one", "node_missing", Evidence(listed=1), "/a/one")
     assert made.run(Relaunch, "app", dead).startswith("relaunched /a/one")
     made.nodes = {"/a/one": 2}
     assert made.run(Relaunch, "app", dead) == "/a/one is listed again"
@@ -258,9 +260,9 @@ def test_a_hung_node_is_not_relaunched(fake: FakeEngine, ask: DockerEngine, cond
     made = ros(fake, ask)
     made.nodes = {"/a/one": 1}
     with pytest.raises(ActionFailed, match="still running"):
-        made.run(Relaunch, "app", fault("rates/a/topic", condition))
+        made.run(Relaunch, "app", fault("rates/a/topic", condition, node="/a/one"))
     made.nodes = {}
-    made.run(Relaunch, "app", fault("rates/a/topic", condition))
+    made.run(Relaunch, "app", fault("rates/a/topic", condition, node="/a/one"))
     assert len(fake.programs) == 1
 
 
@@ -268,11 +270,11 @@ def test_relaunch_applies_to_nodes_with_a_command_in_this_container(fake: FakeEn
     """For a topic, its first publisher; without a command the ladder continues without this step."""
     made = ros(fake, ask)
     app = made.target("app")
-    assert Relaunch.applies(app, fault("nodes/a/one", "node_missing"), made.settings)
-    assert Relaunch.applies(app, fault("rates/a/topic", "topic_silent"), made.settings)
-    assert not Relaunch.applies(app, fault("nodes/a/two", "node_missing"), made.settings)
+    assert Relaunch.applies(app, fault("nodes/a/one", "node_missing", node="/a/one"), made.sections)
+    assert Relaunch.applies(app, fault("rates/a/topic", "topic_silent", node="/a/one"), made.sections)
+    assert not Relaunch.applies(app, fault("nodes/a/two", "node_missing", node="/a/two"), made.sections)
     other = ros(fake, ask, relaunch=[])
-    assert not Relaunch.applies(app, fault("nodes/a/one", "node_missing"), other.settings)
+    assert not Relaunch.applies(app, fault("nodes/a/one", "node_missing", node="/a/one"), other.sections)
 
 
 # ---------------------------------------------------------------- restore
@@ -402,11 +404,11 @@ def test_restore_applies_to_the_file_at_fault(fake: FakeEngine, ask: DockerEngin
     """A restorable file other than the failed one does not help."""
     made = files(fake, ask, None)
     app = made.target("app")
-    assert RestoreFile.applies(app, fault("files/app", "file_missing", Evidence(file=PATH)), made.settings)
-    assert not RestoreFile.applies(app, fault("files/app", "file_missing", Evidence(file="/other")), made.settings)
+    assert RestoreFile.applies(app, fault("files/app", "file_missing", Evidence(file=PATH)), made.sections)
+    assert not RestoreFile.applies(app, fault("files/app", "file_missing", Evidence(file="/other")), made.sections)
     plain = bench(ask, containers=[{"name": "app", "files": [{"path": PATH}]}])
     assert not RestoreFile.applies(
-        plain.target("app"), fault("files/app", "file_missing", Evidence(file=PATH)), plain.settings
+        plain.target("app"), fault("files/app", "file_missing", Evidence(file=PATH)), plain.sections
     )
 
 

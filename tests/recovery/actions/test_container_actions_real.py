@@ -125,7 +125,7 @@ def test_relaunch_starts_a_program_with_the_containers_user_and_environment(real
     run = ["sh", "-c", 'echo "$WHO $(id -u) $0" > /tmp/said; exec sleep 4321', "a b;reboot"]
     node = {"name": "/one", "container": "app", "relaunch": run}
     bench_ = bench(engine, containers=[{"name": made.name, "alias": "app", "recover": True}], ros={"nodes": [node]})
-    gone = fault("nodes/one", "node_missing")
+    gone = fault("nodes/one", "node_missing", node="/one")
     bench_.run(Relaunch, "app", gone)
     # Not the shell before it, whose command line has these words, too.
     until(lambda: any(row[-1] == "sleep 4321" for row in engine.top(made.id)["Processes"]), "the program to run")
@@ -137,7 +137,7 @@ def test_a_repeated_relaunch_starts_one_copy(real: Any, engine: DockerEngine) ->
     made = real.container()
     node = {"name": "/one", "container": "app", "relaunch": ["sleep", "4322"]}
     bench_ = bench(engine, containers=[{"name": made.name, "alias": "app", "recover": True}], ros={"nodes": [node]})
-    gone = fault("nodes/one", "node_missing")
+    gone = fault("nodes/one", "node_missing", node="/one")
     bench_.run(Relaunch, "app", gone)
 
     def copies() -> int:

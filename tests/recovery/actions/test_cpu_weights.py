@@ -18,6 +18,7 @@ from phm.recovery.actions.unpause import Unpause
 from phm.recovery.attempt import Attempt
 from phm.recovery.base import Action, ActionContext, NotNeeded, Target
 from phm.recovery.ownership import Shared
+from phm.runtime.sections import action_settings
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
 from tests.recovery.action_bench import Bench, bench, fault
@@ -121,10 +122,10 @@ def test_relieve_applies_to_a_flight_critical_container_with_configured_others()
     """Opt-in twice: only named containers give way, and only for flight-critical ones."""
     named = settings(containers=[{"name": "app"}, {"name": "other"}], recovery={"relieve": ["other"]})
     app = named.containers[0]
-    assert not Relieve.applies(Target.of(app), STARVED, named)
+    assert not Relieve.applies(Target.of(app), STARVED, action_settings(named))
     critical = Target.of(app.model_copy(update={"flight_critical": True}))
-    assert Relieve.applies(critical, STARVED, named)
-    assert not Relieve.applies(critical, STARVED, settings(containers=[{"name": "app"}]))
+    assert Relieve.applies(critical, STARVED, action_settings(named))
+    assert not Relieve.applies(critical, STARVED, action_settings(settings(containers=[{"name": "app"}])))
 
 
 def relieve_with(facts: Mapping[str, ContainerFact], *, after: Sequence[str] = ()) -> list[str]:
@@ -137,7 +138,7 @@ def relieve_with(facts: Mapping[str, ContainerFact], *, after: Sequence[str] = (
     )
     relief = SimpleNamespace(lower=lambda key, *more: bool(lowered.append(key)) or True)
     context = SimpleNamespace(
-        settings=named, container=facts.__getitem__, relief=relief, engine=None, on_hold=lambda key: ""
+        settings=action_settings(named), container=facts.__getitem__, relief=relief, engine=None, on_hold=lambda key: ""
     )
     Relieve().run(Target.of(named.containers[0]), STARVED, cast(ActionContext, context))
     return lowered

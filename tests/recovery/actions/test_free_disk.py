@@ -18,6 +18,7 @@ from phm.core.settings import FreeDiskSettings, Settings
 from phm.recovery.actions import free_disk
 from phm.recovery.actions.free_disk import FreeDisk
 from phm.recovery.base import ActionFailed, Target
+from phm.runtime.sections import action_settings
 
 DISK_BYTES = 100_000
 HOUR_S = 3600.0
@@ -62,7 +63,7 @@ def settings_of(disk: Path, *rooms: dict[str, Any]) -> Settings:
 def ask(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> tuple[FreeDisk, tuple[Any, ...]]:
     settings = settings_of(disk, *rooms)
     target = Target.parse(f"disk:{disk}", settings.containers)
-    return FreeDisk(), (target, None, SimpleNamespace(settings=settings, clock=clock or watched()))
+    return FreeDisk(), (target, None, SimpleNamespace(settings=action_settings(settings), clock=clock or watched()))
 
 
 def run(disk: Path, *rooms: dict[str, Any], clock: Clock | None = None) -> str:
@@ -254,8 +255,9 @@ def test_free_disk_applies_to_disks_with_configured_files() -> None:
     allowed = without.model_copy(update={"host": without.host.model_copy(update={"free_disk": [room]})})
     full, other = Target.parse("disk:/data", without.containers), Target.parse("ros_app", without.containers)
     assert full.opted_in and full.key == "/data" and not other.configured
-    assert not FreeDisk.applies(other, None, allowed)  # type: ignore[arg-type]
-    assert FreeDisk.applies(full, None, allowed) and not FreeDisk.applies(full, None, without)  # type: ignore[arg-type]
+    assert not FreeDisk.applies(other, None, action_settings(allowed))  # type: ignore[arg-type]
+    assert FreeDisk.applies(full, None, action_settings(allowed))  # type: ignore[arg-type]
+    assert not FreeDisk.applies(full, None, action_settings(without))  # type: ignore[arg-type]
     assert "free space on /data manually" in full.manual_step()
 
 

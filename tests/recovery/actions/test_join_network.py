@@ -12,6 +12,7 @@ from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
 from phm.recovery.actions.join_network import join_networks
 from phm.recovery.base import ActionContext
+from phm.runtime.sections import action_settings
 
 APP = ContainerSettings(name="app", networks=["net"])
 
@@ -25,7 +26,7 @@ def context(attached: list[str]) -> ActionContext:
     network = {"Id": "n1", "Name": "net", "Containers": {name: {} for name in attached}}
     engine = cast(Any, SimpleNamespace(inspect_network=lambda name: network, connect=refuse, disconnect=refuse))
     me = testing.container("phm")
-    return ActionContext(engine, Settings(), lambda key: None, lambda: me, lambda key, name: None)
+    return ActionContext(engine, action_settings(Settings()), lambda key: None, lambda: me, lambda key, name: None)
 
 
 def test_a_network_joined_meanwhile_is_not_a_refusal() -> None:

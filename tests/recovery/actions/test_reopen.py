@@ -12,6 +12,7 @@ from phm.recovery.actions.reopen import Reopen
 from phm.recovery.base import ActionContext, ActionFailed, Target, TargetKind
 from phm.recovery.fault_cases import History
 from phm.recovery.policy import Act, Skip, decide
+from phm.runtime.sections import action_settings
 from phm.testing import settings
 
 GROUND = Target.parse("link:ground", ())
@@ -32,7 +33,12 @@ def run(target: Target, opened: bool = True) -> tuple[str, list[str]]:
         return opened
 
     context = ActionContext(
-        cast(Any, None), settings(), lambda key: None, lambda: None, lambda key, net: None, reopen=reopen
+        cast(Any, None),
+        action_settings(settings()),
+        lambda key: None,
+        lambda: None,
+        lambda key, net: None,
+        reopen=reopen,
     )
     return Reopen().run(target, fault(), context), asked
 

@@ -61,8 +61,8 @@ class Scene:
             world,
         )
         self.service._apply(("app", "cam"))
-        look = self.agent.look
-        self.agent.look = lambda: (self.service.tick(), look())[1]  # type: ignore[method-assign]
+        observe = self.agent.observe
+        self.agent.observe = lambda: (self.service.tick(), observe())[1]  # type: ignore[method-assign]
         self.agent.bad = bad or {}
         self.agent.rest(0.5)
 

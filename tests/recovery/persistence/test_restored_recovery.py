@@ -19,6 +19,7 @@ from phm.recovery.base import Action, ActionContext, Target
 from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.persistence.persistence_service import PersistenceService
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.runtime.sections import action_settings
 from phm.tracker import TrackedUnit, Tracker, graph_of
 from tests.fakes.until import LIMIT_S, until
 
@@ -45,7 +46,9 @@ class Life:
         self.memory = PersistenceService(str(folder), settings.recovery.window, self.pipeline, self.bus, clock)
         self.memory.restore()
         self.bus.subscribe("test", self.events.append)
-        context = ActionContext(cast(Any, None), settings, lambda key: None, lambda: None, lambda a, b: None)
+        context = ActionContext(
+            cast(Any, None), action_settings(settings), lambda key: None, lambda: None, lambda a, b: None
+        )
         self.executor = Executor(
             self.pipeline,
             self._publish,
@@ -73,7 +76,7 @@ class Life:
 
         return Restart
 
-    def look(self) -> None:
+    def observe(self) -> None:
         bad = error("unhealthy", brief="unhealthy", condition="unhealthy", target="app")
         for unit in self.units:
             self.pipeline.observe({unit: ok("healthy") if self.healthy else bad}, self.clock.mono(), 0.0)
@@ -90,7 +93,7 @@ class Life:
 
     def _step(self) -> None:
         self.clock.advance(0.05)
-        self.look()
+        self.observe()
         until(self._is_idle, "all threads to be idle", poll_s=0.0002)
 
     def _is_idle(self) -> bool:
@@ -113,7 +116,7 @@ class Life:
         """A long time passes, with regular checks of the unit."""
         for _ in range(100):
             self.clock.advance(1.0)
-            self.look()
+            self.observe()
 
 
 @pytest.fixture

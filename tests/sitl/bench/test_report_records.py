@@ -61,11 +61,11 @@ def test_a_page_of_many_agents_is_measured_as_a_user_makes_it(tmp_path: Path, ma
     """Its bytes, and the time until a browser shows it; without a browser that is not known."""
     seen: list[str] = []
 
-    def look(file: Path) -> list[float]:
+    def observe(file: Path) -> list[float]:
         seen.append(file.read_text("utf-8"))
         return [3.0, 1.0, 2.0]
 
-    row = report_outputs.page(2, made, tmp_path, look)
+    row = report_outputs.page(2, made, tmp_path, observe)
     assert list(tmp_path.iterdir()) == []
     assert all(f'"agent":"agent_{number}"' in seen[0] for number in (1, 2))
     assert (row.agents, row.page_bytes, row.open_s) == (2, len(seen[0].encode()), 2.0)

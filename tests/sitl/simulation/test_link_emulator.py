@@ -160,7 +160,7 @@ def test_the_router_forwards_broadcasts() -> None:
     """PHM's heartbeat goes to the autopilot and, over the radio link, to the ground; not back to PHM."""
     one = vehicle()
     one.take(0.0, "phm", heartbeat(3, 193))
-    one.turn(1.0)
+    one.tick(1.0)
     assert kinds(one, "pilot") == [HEARTBEAT, RADIO_STATUS]
     assert kinds(one, "ground") == [HEARTBEAT]
     assert kinds(one, "phm") == [RADIO_STATUS]
@@ -202,7 +202,7 @@ def test_the_ground_radio_answers_too() -> None:
     """
     one = vehicle()
     one.take(0.0, "ground", heartbeat(255, 190))
-    one.turn(1.0)
+    one.tick(1.0)
     assert kinds(one, "ground") == [RADIO_STATUS]
     assert kinds(one, "phm") == [HEARTBEAT]
     assert kinds(one, "pilot") == [HEARTBEAT]
@@ -213,12 +213,12 @@ def test_an_addressed_message_goes_only_to_its_target() -> None:
     one = vehicle()
     one.take(0.0, "phm", heartbeat(3, 193))
     one.take(0.0, "pilot", heartbeat(3, 1))
-    one.turn(5.0)
+    one.tick(5.0)
     one.out.clear()
     for component, place in ((193, "phm"), (1, "pilot"), (77, "")):
         command = mavlink.MAVLink_command_long_message(3, component, 512, 0, 0, 0, 0, 0, 0, 0, 0)
         one.take(6.0, "ground", framed(command, 255, 190))
-        one.turn(7.0)
+        one.tick(7.0)
         assert {where for where, _ in one.out} - {place} == set()
         assert bool(one.out) == bool(place)
         one.out.clear()
@@ -242,7 +242,7 @@ def test_a_radio_without_power_sends_nothing() -> None:
     one.change("ground", {"off": True})
     one.take(0.0, "phm", heartbeat(3, 193))
     one.take(0.0, "ground", heartbeat(255, 190))
-    one.turn(1.0)
+    one.tick(1.0)
     assert kinds(one, "phm") == []
     assert kinds(one, "ground") == [RADIO_STATUS]  # the ground radio has power
 
@@ -254,7 +254,7 @@ def test_a_killed_router_forwards_nothing() -> None:
     one.take(5.0, "phm", heartbeat(3, 193))
     assert one.out == []
     one.reset()
-    one.turn(7.0)
+    one.tick(7.0)
     assert kinds(one, "phm")
 
 
@@ -264,8 +264,8 @@ def test_the_simulated_autopilot_executes_commands_through_the_router() -> None:
     one.take(0.0, "ground", heartbeat(255, 190))
     command = mavlink.MAVLink_command_long_message(3, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
     one.take(0.1, "ground", framed(command, 255, 190))
-    one.turn(0.5)
-    one.turn(0.9)
+    one.tick(0.5)
+    one.tick(0.9)
     assert one.pilot is not None
     assert one.pilot.armed
     assert mavlink.MAVLINK_MSG_ID_COMMAND_ACK in kinds(one, "ground")
@@ -275,12 +275,12 @@ def test_an_autopilot_reboots_disarmed_with_a_new_boot_time() -> None:
     """It is silent meanwhile; a hang lasts until it is ended."""
     one = vehicle(pilot=True)
     one.order(10.0, "arm", {})
-    one.turn(10.0)
+    one.tick(10.0)
     one.order(10.0, "reboot", {"boot_s": 2.0})
     one.out.clear()
-    one.turn(11.9)
+    one.tick(11.9)
     assert kinds(one, "phm") == []
-    one.turn(12.1)
+    one.tick(12.1)
     receivers = [messages(parser(), raw)[0] for place, raw in one.out if place == "phm"]
     assert any(message.get_type() == "SYSTEM_TIME" and message.time_boot_ms < 1000 for message in receivers)
     assert one.state()["autopilot"] == {
@@ -291,7 +291,7 @@ def test_an_autopilot_reboots_disarmed_with_a_new_boot_time() -> None:
     }
     one.order(13.0, "hang", {})
     one.out.clear()
-    one.turn(20.0)
+    one.tick(20.0)
     assert kinds(one, "phm") == []
 
 
@@ -299,7 +299,7 @@ def test_an_autopilot_reboots_disarmed_with_a_new_boot_time() -> None:
 
 
 def receivers(mesh: Mesh, now: float) -> set[int]:
-    return {agent for agent, _ in mesh.turn(now)}
+    return {agent for agent, _ in mesh.tick(now)}
 
 
 def test_all_others_receive_an_agent() -> None:

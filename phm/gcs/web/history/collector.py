@@ -75,7 +75,7 @@ class Collector:
             self._store.put(HistorySample(line["name"], "level", line["utc_s"], 0.0))
             self._levels.pop(line["name"], None)
 
-    def turn(self, now: float) -> None:
+    def tick(self, now: float) -> None:
         """Do nothing: samples are stored when a frame arrives."""
 
     def _beat(self, beat: Heartbeat, mono: float, utc: float) -> None:

@@ -188,7 +188,7 @@ class HistoryStore:
                     self._write_one(connection, row)
                 except _UNUSABLE as error:
                     self._unusable += 1
-                    logger.warning("an entry of the history cannot be kept: %s", type(error).__name__)
+                    logger.warning("an entry of the history could not be stored: %s", type(error).__name__)
 
     def _write_one(self, connection: sqlite3.Connection, row: HistorySample | HistoryRow) -> None:
         if isinstance(row, HistoryRow):

@@ -147,14 +147,14 @@ class Player:
         while not self._stop.is_set():
             now = self._real.mono()
             try:
-                if self.turn(now - before):
+                if self.tick(now - before):
                     self.on_change()
             except Exception:  # one damaged line must not end the replay
                 logger.exception("replaying a line failed")
             before = now
             self._real.wait(self._stop, STEP_S)
 
-    def turn(self, real_s: float) -> bool:
+    def tick(self, real_s: float) -> bool:
         """Play what belongs to the next `real_s` seconds. Return whether this was the end."""
         with self._lock:
             if not self._playing:

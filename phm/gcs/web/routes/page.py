@@ -54,7 +54,7 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
     async def logout(request: web.Request) -> web.Response:
         gate = request.app[GATE]
         gate.sessions.end(request.cookies.get(gate.cookie, ""))
-        request.app[CLIENTS].look()  # its streams end with it
+        request.app[CLIENTS].prune()  # its streams end with it
         response = answer({})
         response.del_cookie(gate.cookie, path="/")
         return response

@@ -47,10 +47,10 @@ class DataMonitor:
         self.fact: DataFact | None = None
         """All publishers together: the worst of each number. None until a message was examined."""
 
-    def look(
+    def update(
         self, now_s: float, type_name: str, taken: Sequence[RawMessage], *, pause_s: float = 0.0, mixed: bool = False
     ) -> None:
-        """The messages since the last look, oldest first. mixed: they may be of several publishers."""
+        """The messages since the last poll, oldest first. mixed: they may be of several publishers."""
         if not taken or now_s < self._next_s - EARLY_S:
             return
         if type_name != self._type:

@@ -39,10 +39,10 @@ _ALIKE = 0.7
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """The circumstances of a look.
+    """The circumstances of a poll.
 
     publishers: listed by discovery. several: whether samples may be of more than one. on: whether there was a
-    subscription since the last look. complete: whether the samples are all that were published since. closed_s: how
+    subscription since the last poll. complete: whether the samples are all that were published since. closed_s: how
     long there may be no subscription. problem: why the rate cannot be measured.
     """
 
@@ -121,8 +121,8 @@ class RateEstimator:
         self._uneven = False
         self.sample_bytes: float | None = None
 
-    def look(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
-        """Process the samples since the last look, oldest first. Called once per tick."""
+    def update(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
+        """Process the samples since the last poll, oldest first. Called once per tick."""
         self._listen(now_s, samples, listening)
         if samples:
             self._take(now_s, samples, listening)
@@ -216,7 +216,7 @@ class RateEstimator:
         if track.turned:
             self._spread.forget()  # a change of the rate is not jitter
         if track.fell and last is not None:
-            self._restarts.fell(last, hz)
+            self._restarts.numbers_fell(last, hz)
         return continues and not new
 
     def _again(self, sample: Sample, last: Sample | None) -> bool:
@@ -229,7 +229,7 @@ class RateEstimator:
         """Forget publishers that fell silent while another continues; one that began since has replaced one."""
         if len(self._tracks) < 2 or self._last_s is None:
             return
-        sure = self._sorter is None or not self._sorter.puzzled(listening.publishers, now_s)
+        sure = self._sorter is None or not self._sorter.unreliable(listening.publishers, now_s)
         for writer, track in list(self._tracks.items()):
             if self._last_s - track.at_s <= gone_after_s(track.hz or 0.0) + listening.closed_s:
                 continue
@@ -286,7 +286,7 @@ class RateEstimator:
 
     def _ambiguous(self, now_s: float, publishers: int) -> str:
         sorter = self._sorter
-        if sorter is None or sorter.counted_hz is not None or not sorter.puzzled(publishers, now_s):
+        if sorter is None or sorter.counted_hz is not None or not sorter.unreliable(publishers, now_s):
             return ""
         return f"ambiguous: {publishers} publishers, whose sequence numbers cannot be distinguished"
 
@@ -297,12 +297,12 @@ class RateEstimator:
 
 
 def _listened_s(passed_s: float) -> float:
-    """The part of the time between two looks that counts as silence."""
+    """The part of the time between two polls that counts as silence."""
     return passed_s if passed_s <= LATE_S else passed_s / 2
 
 
 def _cut_s(longest_s: float) -> float:
-    """The part of the longest time between two looks in which PHM was suspended, which does not count as silence."""
+    """The part of the longest time between two polls in which PHM was suspended, which does not count as silence."""
     return max(0.0, (longest_s - STALL_S) / 2)
 
 

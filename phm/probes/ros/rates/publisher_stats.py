@@ -11,23 +11,23 @@ from phm.probes.ros.rates.silence import WindowedMax
 SHORTEST_S = 1.0
 """Over a shorter span of publication time the jitter of two timestamps is too large a share."""
 JUMP_S = 1.0
-"""If timestamps and the time between two looks differ by more than this, a clock was set."""
+"""If timestamps and the time between two polls differ by more than this, a clock was set."""
 FALLS, FALLS_S = 3, 10.0
 """A decreasing sequence number is a restarted publisher; this many within this time are two publishers."""
 QUICKEST_S = 60.0
 """Minimum time for which the fastest delivery counts: clocks of two hosts drift apart by 3 ms meanwhile."""
-LOOKS, CHANGE_SPAN_S = 4, 1.0
-"""Number of looks in a row, and their publication time, that must each show the change. A stall is a single long look.
+POLLS, CHANGE_SPAN_S = 4, 1.0
+"""Number of polls in a row, and their publication time, that must each show the change. A stall is a single long poll.
 """
 OFF = 0.15
-"""Each look must differ by more than this share of the former rate, and by JITTERS standard deviations of the
+"""Each poll must differ by more than this share of the former rate, and by JITTERS standard deviations of the
 publisher."""
 JITTERS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One look. sequence: None if the middleware has none. source_ns: publisher's clock. at_s: ours, monotonic."""
+    """One poll. sequence: None if the middleware has none. source_ns: publisher's clock. at_s: ours, monotonic."""
 
     sequence: int | None
     source_ns: int
@@ -39,7 +39,7 @@ class Sample:
     delay_s: float = 0.0
     """Time from publication to reception, each by the clock of its own host: apart from a constant, its delay."""
     waited_s: float = 0.0
-    """Time from reception to the look that took it."""
+    """Time from reception to the poll that took it."""
 
 
 class PublisherStats:
@@ -57,10 +57,10 @@ class PublisherStats:
         self._jitter = Jitter()
         self._rate_change = RateChange()
         self._usual: tuple[float | None, float | None] = (None, None)
-        """Rate and jitter at the last look without a deviation."""
+        """Rate and jitter at the last poll without a deviation."""
         self._odd_from: Sample | None = None
         self._changed_from: Sample | None = None
-        """The newest sample before the looks that show another rate, also after they were enough."""
+        """The newest sample before the polls that show another rate, also after they were enough."""
         self._quickest = WindowedMax(QUICKEST_S)
         self.last: Sample | None = None
         self.fell = False
@@ -147,7 +147,7 @@ class PublisherStats:
 
     @property
     def changed_s(self) -> float | None:
-        """How long it has had another rate than before, at each look; None if that did not begin within the window."""
+        """How long it has had another rate than before, at each poll; None if that did not begin within the window."""
         return self.span_s if self._kept and self._kept[0] is self._changed_from else None
 
     @property
@@ -182,16 +182,16 @@ class PublisherStats:
 
 
 class Jitter:
-    """How evenly a publisher publishes, from occasional looks.
+    """How evenly a publisher publishes, from occasional polls.
 
-    Between two looks `count` samples are published in `seconds`. `jitter_s` is the standard deviation of `seconds -
-    count * period`. If each period is observed separately (topics slower than the looks, 4 Hz) that is the standard
+    Between two polls `count` samples are published in `seconds`. `jitter_s` is the standard deviation of `seconds -
+    count * period`. If each period is observed separately (topics slower than the polls, 4 Hz) that is the standard
     deviation of the period. For faster topics it is that of publication times against an even period, which is the same
     for a timer; for independent periods it is larger by the square root of `count`.
     """
 
     FADE = 0.98
-    """The weight of a look relative to the next one: half of the total weight is on the last 34."""
+    """The weight of a poll relative to the next one: half of the total weight is on the last 34."""
     LEAST = 5.0
 
     def __init__(self) -> None:
@@ -208,7 +208,7 @@ class Jitter:
 
     @property
     def jitter_s(self) -> float | None:
-        """The jitter; None until at least LEAST looks."""
+        """The jitter; None until at least LEAST polls."""
         if self._weight < self.LEAST - 0.5:
             return None
         period_s = self._seconds / self._count
@@ -217,29 +217,29 @@ class Jitter:
 
 
 class RateChange:
-    """Detects a change of rate of one publisher, look by look, with a few operations and constant memory."""
+    """Detects a change of rate of one publisher, poll by poll, with a few operations and constant memory."""
 
     def __init__(self) -> None:
-        self._looks = 0
+        self._polls = 0
         self._seconds = 0.0
         self._sign = 0
         self._room_s = 0.0
 
     @property
     def steady(self) -> bool:
-        """Whether the newest look showed the usual rate."""
-        return not self._looks
+        """Whether the newest poll showed the usual rate."""
+        return not self._polls
 
     def add(self, count: int, seconds: float, usual_hz: float | None, jitter_s: float | None) -> bool:
-        """Record a look: `count` publications took `seconds`.
+        """Record a poll: `count` publications took `seconds`.
 
-        usual_hz, jitter_s: of the time before the deviating looks. True when these are enough for another rate; then a
+        usual_hz, jitter_s: of the time before the deviating polls. True when these are enough for another rate; then a
         new series begins.
         """
         if usual_hz is None or jitter_s is None:
             self.forget()
             return False
-        if not self._looks:
+        if not self._polls:
             self._room_s = JITTERS * jitter_s
         due_s = count / usual_hz
         late_s = seconds - due_s
@@ -249,13 +249,13 @@ class RateChange:
             self._sign = sign
         if not sign:
             return False
-        self._looks += 1
+        self._polls += 1
         self._seconds += seconds
-        if self._looks < LOOKS or self._seconds < CHANGE_SPAN_S:
+        if self._polls < POLLS or self._seconds < CHANGE_SPAN_S:
             return False
         self.forget()
         return True
 
     def forget(self) -> None:
         """Restart the measurement."""
-        self._looks, self._seconds, self._sign = 0, 0.0, 0
+        self._polls, self._seconds, self._sign = 0, 0.0, 0

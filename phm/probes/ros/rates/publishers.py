@@ -48,7 +48,7 @@ class _Line:
     next_base: tuple[int, int]
     period_ns: float | None = None
 
-    def off(self, number: int, at_ns: int) -> float | None:
+    def deviation(self, number: int, at_ns: int) -> float | None:
         """How far the sample is off the line, in numbers; None if it cannot be a later sample of it."""
         count, passed_ns = number - self.number, at_ns - self.at_ns
         if count <= 0 or passed_ns < 0:
@@ -102,7 +102,7 @@ class PublisherDemux:
         """Rate of all publishers together, by counting; None while some samples of the window were missed."""
         return self._all.hz
 
-    def puzzled(self, publishers: int, now_s: float) -> bool:
+    def unreliable(self, publishers: int, now_s: float) -> bool:
         """Whether the lines are unreliable. publishers: their number according to discovery."""
         born = sum(now_s - born_s <= _BIRTHS_S for born_s in self._births)
         young = self._began_s is None or now_s - self._began_s <= _BIRTHS_S
@@ -111,7 +111,7 @@ class PublisherDemux:
 
     def _try_again(self, publishers: int, now_s: float) -> None:
         """Wrongly assigned samples stay so: restart after a while."""
-        if self._began_s is not None and now_s - self._began_s > _AGAIN_S and self.puzzled(publishers, now_s):
+        if self._began_s is not None and now_s - self._began_s > _AGAIN_S and self.unreliable(publishers, now_s):
             self._began_s = None
             self._lines.clear()
             self._births.clear()
@@ -123,7 +123,7 @@ class PublisherDemux:
             # A sample that follows by one is the next, however late or early. Of equals, the line that waited longest.
             (0.0 if number == line.number + 1 else off, line.at_ns, line)
             for line in self._lines
-            if (off := line.off(number, at_ns)) is not None
+            if (off := line.deviation(number, at_ns)) is not None
         ]
         off, _, line = min(offs, key=lambda entry: entry[:2], default=(0.0, 0, None))
         if line is None or off > max(self._room(at_ns, publishers), line.expected(at_ns)):
@@ -171,7 +171,7 @@ class PublisherRestarts:
         self._replaced: OrderedDict[bytes | None, None] = OrderedDict()
         self.count = 0
 
-    def fell(self, last: Sample, hz: float | None) -> None:
+    def numbers_fell(self, last: Sample, hz: float | None) -> None:
         """A lower number followed `last`, of a publisher of this rate: a restart, or another publisher."""
         self._ends.append(_End(last, min(hz or self._expected_hz, self._expected_hz)))
 
@@ -183,7 +183,7 @@ class PublisherRestarts:
                 self._ends.remove(end)
 
     def settle(self, now_s: float, closed_s: float, *, mixed: bool) -> None:
-        """Called once per look. closed_s: how long there is no subscription. mixed: the numbers are those of several
+        """Called once per poll. closed_s: how long there is no subscription. mixed: the numbers are those of several
         publishers."""
         if mixed:
             self._ends.clear()

@@ -7,7 +7,7 @@ from collections import deque
 FLOOR_S = 1.0
 """Minimum limit: a process that waits for a CPU is not silent."""
 MARGIN_S = 0.5
-"""Two looks: a sample that arrived just after one is seen at the next."""
+"""Two polls: a sample that arrived just after one is seen at the next."""
 PERIODS = 1.5
 """Minimum limit in expected periods, and one period plus MARGIN_S: a publisher that ends just before its next
 publication is reported as silent at least half a second later, on which `settle_s` of the check relies."""
@@ -55,7 +55,7 @@ class SilenceTimeout:
     Below it the limit follows the pauses that ended by themselves: longest + max(0.5 s, 2 * (longest - usual)), at
     least 1 s and 1.5 expected periods (or, below a period of a second, one period and half a second). So a topic that
     never paused for much longer than its period is reported soon, and an irregular one gets more time. A pause is
-    measured by the looks: the time without a new sample at the last look before one arrived.
+    measured by the polls: the time without a new sample at the last poll before one arrived.
     """
 
     def __init__(self, expected_hz: float, most_s: float) -> None:

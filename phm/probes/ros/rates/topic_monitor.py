@@ -19,15 +19,15 @@ LARGE_BPS = 1e6
 """A topic with more bytes per second is subscribed only in windows: the middleware copies all samples to PHM."""
 SMALL_BPS = 0.8e6
 PAUSE_S = 2.0
-"""Time between two windows. A window ends with the first look that finds a sample."""
+"""Time between two windows. A window ends with the first poll that finds a sample."""
 MATCH_S = 3.0
 """A subscription not connected to a listed publisher for this long never will be; normally it takes 0.1 s."""
 STALE_S = 25.0
 """Two publishers of one node are one that was restarted, until the lease of the older one (20 s by default) ends."""
 MIXED_S = 60.0
 """How long mixed sequence numbers are sorted, regardless of discovery; then the normal method is tried again."""
-COUNTED_LOOKS = 4
-"""Without sequence numbers, the queue has space for this many looks at the expected rate, so for up to this multiple of
+COUNTED_POLLS = 4
+"""Without sequence numbers, the queue has space for this many polls at the expected rate, so for up to this multiple of
 the rate."""
 TYPES = 3
 """Maximum number of types that are named."""
@@ -61,7 +61,7 @@ class TopicMonitor:
         self._requested_s: float | None = None
         """Since when the kept messages of a latched topic are requested again; None: they have arrived."""
 
-    def look(self, now_s: float, publishers: tuple[EndpointFact, ...]) -> RateFact:
+    def poll(self, now_s: float, publishers: tuple[EndpointFact, ...]) -> RateFact:
         """Called once per tick, with the publishers that discovery lists now."""
         several = self._several(now_s, publishers)
         self._request_again(now_s, publishers)
@@ -71,7 +71,7 @@ class TopicMonitor:
         self._drop_unkept(now_s, samples)
         if self._data is not None and self._reader is not None:
             pause_s = PAUSE_S if self._large else 0.0
-            self._data.look(now_s, self._type, self._reader.messages, pause_s=pause_s, mixed=several)
+            self._data.update(now_s, self._type, self._reader.messages, pause_s=pause_s, mixed=several)
         matched = self._reader.matched if self._reader is not None else None
         listening = Listening(
             publishers=len(publishers),
@@ -82,7 +82,7 @@ class TopicMonitor:
             matched=matched,
             problem=self._problem(now_s, publishers, matched),
         )
-        fact = self._estimator.look(now_s, samples, listening)
+        fact = self._estimator.update(now_s, samples, listening)
         if samples:
             self._complete = True
             self._shut_window(now_s, samples, fact)
@@ -149,8 +149,8 @@ class TopicMonitor:
     def _qos(self, publishers: Sequence[EndpointFact], several: bool) -> SubscriptionQos:
         depth = 1
         if self._counted:
-            looks = COUNTED_LOOKS * self._tick_s * self._expected_hz * max(1, len(publishers))
-            depth = min(COUNTED_MOST, max(COUNTED, math.ceil(looks)))
+            polls = COUNTED_POLLS * self._tick_s * self._expected_hz * max(1, len(publishers))
+            depth = min(COUNTED_MOST, max(COUNTED, math.ceil(polls)))
         elif several or len(publishers) > 1:
             # Also for a restarted node: whether the older one is gone shows in all samples, not in the newest.
             depth = min(DEPTH_MOST, PER_PUBLISHER * max(2, len(publishers)))

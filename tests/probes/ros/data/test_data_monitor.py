@@ -58,9 +58,9 @@ class Bench:
     def stamped(self, content: bytes = b"", age_s: float = 0.0, **message: Any) -> RawMessage:
         return self.message(stamped(NOW_NS + int((self.now_s - age_s) * SECOND), content), **message)
 
-    def look(self, *messages: RawMessage, type_name: str = TYPE, **how: Any) -> DataFact:
+    def poll(self, *messages: RawMessage, type_name: str = TYPE, **how: Any) -> DataFact:
         self.now_s += TICK_S
-        self.monitor.look(self.now_s, type_name, messages, **how)
+        self.monitor.update(self.now_s, type_name, messages, **how)
         assert self.monitor.fact is not None
         return self.monitor.fact
 
@@ -68,10 +68,10 @@ class Bench:
 def test_a_field_has_the_values_of_all_publishers() -> None:
     """The newest of each, from the lowest to the highest."""
     bench = Bench(counter="seq", fields=("x",))
-    bench.look(bench.message(b"....\7"), bench.message(b"....\3", writer=TWO))
-    fact = bench.look(*(bench.message(b"....\5") for _ in range(2)))
+    bench.poll(bench.message(b"....\7"), bench.message(b"....\3", writer=TWO))
+    fact = bench.poll(*(bench.message(b"....\5") for _ in range(2)))
     for _ in range(2):
-        fact = bench.look(bench.message(b"....\4"), bench.message(b"....\2", writer=TWO))
+        fact = bench.poll(bench.message(b"....\4"), bench.message(b"....\2", writer=TWO))
     assert fact.fields == (FieldFact("x", 2, 4),)
     facts = [DataFact(fields=(FieldFact("x", nan=True),)), DataFact(fields=(FieldFact("x", 1, 1, problem="no"),))]
     assert worst_of(facts).fields == (FieldFact("x", 1, 1, nan=True, problem="no"),)
@@ -80,7 +80,7 @@ def test_a_field_has_the_values_of_all_publishers() -> None:
 def test_nothing_is_known_without_a_message() -> None:
     """There is no fact about a topic's data before its first message."""
     bench = Bench()
-    bench.monitor.look(1.0, TYPE, [])
+    bench.monitor.update(1.0, TYPE, [])
     assert bench.monitor.fact is None
 
 
@@ -88,7 +88,7 @@ def test_no_more_messages_are_examined_than_configured() -> None:
     """Two a second of each publisher, however many arrive, and only the newest ones."""
     bench = Bench(counter="seq", hz=2.0)
     for _ in range(40):
-        fact = bench.look(*(bench.message(b"....\7") for _ in range(50)))
+        fact = bench.poll(*(bench.message(b"....\7") for _ in range(50)))
     assert fact.samples == 20 == bench.decoders[0].read_count
 
 
@@ -96,7 +96,7 @@ def test_a_slow_topic_is_examined_completely() -> None:
     """The limit is one of messages, not of looks."""
     bench = Bench(frozen_s=10.0, hz=2.0, rate_hz=1.0)
     for number in range(20):
-        fact = bench.look(*([bench.stamped()] if number % 4 == 0 else []))
+        fact = bench.poll(*([bench.stamped()] if number % 4 == 0 else []))
     assert fact.samples == 5
 
 
@@ -104,7 +104,7 @@ def test_stamps_are_compared_with_the_reception() -> None:
     """Not with the later time at which PHM took the message."""
     bench = Bench(max_age_s=0.5)
     for _ in range(10):
-        fact = bench.look(bench.stamped(age_s=3600.0))
+        fact = bench.poll(bench.stamped(age_s=3600.0))
     assert fact.conditions == ("data_stamp",) and fact.age_s == pytest.approx(3600.0) and not fact.unset
 
 
@@ -112,7 +112,7 @@ def test_a_stamp_that_was_never_set_is_reported() -> None:
     """As `unset`, so that no age is computed from it."""
     bench = Bench(max_age_s=0.5)
     for _ in range(10):
-        fact = bench.look(bench.message(stamped(0)))
+        fact = bench.poll(bench.message(stamped(0)))
     assert fact.conditions == ("data_stamp",) and fact.unset
 
 
@@ -124,7 +124,7 @@ def test_no_type_is_loaded_to_see_whether_it_begins_with_a_header(monkeypatch: p
 
     monkeypatch.setattr("phm.probes.ros.data.decoder.load_decodable", never)
     monitor = DataMonitor(WantedData(order=True), 10.0)
-    monitor.look(1.0, "absent_msgs/msg/Odometry", [RawMessage(stamped(7), None, 1, 1)])
+    monitor.update(1.0, "absent_msgs/msg/Odometry", [RawMessage(stamped(7), None, 1, 1)])
     assert monitor.fact is not None and monitor.fact.problem == ""
 
 
@@ -132,7 +132,7 @@ def test_a_current_stamp_and_a_counter_do_not_hide_frozen_content() -> None:
     """Both change with every message."""
     bench = Bench(frozen_s=1.0, counter="seq")
     for number in range(8):
-        fact = bench.look(bench.stamped(b"same" + bytes((number,))))
+        fact = bench.poll(bench.stamped(b"same" + bytes((number,))))
     assert fact.conditions == ("data_frozen",)
 
 
@@ -142,7 +142,7 @@ def test_each_publisher_is_examined_alone() -> None:
     for number in range(10):
         frozen = bench.stamped(bytes((number,)), sequence=number)
         lossy = bench.stamped(bytes((number, 3 * number)), writer=TWO, sequence=number)
-        fact = bench.look(frozen, lossy, mixed=True)
+        fact = bench.poll(frozen, lossy, mixed=True)
     assert fact.conditions == ("data_frozen", "data_gaps") and fact.problem == ""
 
 
@@ -151,7 +151,7 @@ def test_publishers_that_cannot_be_distinguished_have_no_order() -> None:
     bench = Bench(max_age_s=0.5, order=True, counter="seq", hz=4.0)
     for number in range(12):
         age_s = 5.0 if number % 2 else 0.0
-        fact = bench.look(bench.stamped(bytes((number,)), age_s, writer=None), mixed=True)
+        fact = bench.poll(bench.stamped(bytes((number,)), age_s, writer=None), mixed=True)
     assert fact.conditions == () and "cannot be distinguished" in fact.problem
 
 
@@ -159,24 +159,24 @@ def test_a_publisher_that_was_replaced_does_not_count() -> None:
     """The restarted node is another publisher; after 3 s, or three periods, only it counts."""
     bench = Bench(frozen_s=1.0)
     for _ in range(10):
-        fact = bench.look(bench.stamped(b"same"))
+        fact = bench.poll(bench.stamped(b"same"))
     assert fact.conditions == ("data_frozen",)
     for number in range(16):
-        fact = bench.look(bench.stamped(b"%d" % number, writer=TWO))
+        fact = bench.poll(bench.stamped(b"%d" % number, writer=TWO))
     assert fact.conditions == ()
 
 
 def test_very_many_publishers_are_not_examined() -> None:
     """Anyone can publish on the topic under any number of identities."""
     bench = Bench(frozen_s=1.0, hz=4.0)
-    fact = bench.look(*(bench.stamped(writer=bytes((number,)) * 16) for number in range(100)))
+    fact = bench.poll(*(bench.stamped(writer=bytes((number,)) * 16) for number in range(100)))
     assert fact.samples == MOST
 
 
 def test_a_type_without_a_header_has_no_stamp() -> None:
     """A mistake of the configuration: it is named, and nothing is reported about the messages."""
     bench = Bench(header=False, max_age_s=0.5)
-    fact = bench.look(bench.message(stamped(0)))
+    fact = bench.poll(bench.message(stamped(0)))
     assert fact.problem == f"{TYPE} does not begin with a std_msgs/Header, so it has no stamp" and not fact.conditions
 
 
@@ -185,24 +185,24 @@ def test_content_of_any_type_can_be_frozen() -> None:
     for content in (b"text", stamped(1, b"x")):
         bench = Bench(header=None, frozen_s=1.0)
         for _ in range(10):
-            fact = bench.look(bench.message(content))
+            fact = bench.poll(bench.message(content))
         assert fact.conditions == ("data_frozen",) and fact.problem == ""
 
 
 def test_a_message_that_cannot_be_decoded_is_named() -> None:
     """Until the next one that can."""
     bench = Bench(ranges=(WantedRange("x", 0.0, 1.0),), hz=4.0)
-    assert "cannot be decoded" in bench.look(bench.message(b"....!")).problem
-    assert bench.look(bench.message(b"....\2")).problem == ""
+    assert "cannot be decoded" in bench.poll(bench.message(b"....!")).problem
+    assert bench.poll(bench.message(b"....\2")).problem == ""
 
 
 def test_a_new_type_begins_again() -> None:
     """Its fields are other ones."""
     bench = Bench(frozen_s=1.0, counter="seq", hz=4.0)
     for _ in range(8):
-        fact = bench.look(bench.stamped(b"same\1"))
+        fact = bench.poll(bench.stamped(b"same\1"))
     assert fact.conditions == ("data_frozen",)
-    assert bench.look(bench.stamped(b"same\1"), type_name="my_msgs/msg/Other").conditions == ()
+    assert bench.poll(bench.stamped(b"same\1"), type_name="my_msgs/msg/Other").conditions == ()
     assert len(bench.decoders) == 2
 
 
@@ -220,5 +220,5 @@ def test_hostile_messages_cause_no_exception() -> None:
             sequence = source.choice([None, source.randrange(2**63)])
             messages.append(RawMessage(data, source.choice([None, ONE, TWO]), source.randrange(2**63), sequence))
         bench.now_s += TICK_S
-        bench.monitor.look(bench.now_s, TYPE, messages, mixed=source.random() < 0.5)
+        bench.monitor.update(bench.now_s, TYPE, messages, mixed=source.random() < 0.5)
     assert bench.monitor.fact is not None and bench.monitor.fact.samples > 0

@@ -8,7 +8,7 @@ import pytest
 
 from phm.facts.ros import RateFact
 from phm.probes.ros.rates.estimator import STALL_S, Listening, RateEstimator
-from tests.fakes.ros_flow import TICK_S, even, feed, looks, quiet
+from tests.fakes.ros_flow import TICK_S, even, feed, polls, quiet
 
 TWO = Listening(publishers=2, several=True)
 
@@ -87,7 +87,7 @@ def test_no_topic_is_silent_while_phm_is_suspended() -> None:
     """Late polls are PHM's own delay; a topic can only be found silent while it is polled."""
     meter = RateEstimator(10.0, 3.0)
     feed(meter, even(10.0, 100.0, 5.0), 100.0, 105.0)
-    assert meter.look(125.0, ()).hz == pytest.approx(10.0, rel=1e-3)
+    assert meter.update(125.0, ()).hz == pytest.approx(10.0, rel=1e-3)
     assert quiet(meter, 125.0, 3.0 - STALL_S / 2).hz != 0.0
     assert quiet(meter, 125.0 + 3.0 - STALL_S / 2, TICK_S).hz == 0.0
 
@@ -116,9 +116,9 @@ def two_publishers(hz: float, expected_hz: float, head_start_s: float) -> RateFa
     """Two publishers of one node, as the topic monitor polls them: separated once their numbers are found to be mixed."""
     meter, several, fact = RateEstimator(expected_hz, 3.0), False, RateFact(None, None)
     both = even(hz, 100.0, 25.0) + even(hz, 100.0 + head_start_s, 25.0 - head_start_s)
-    for now_s, samples in looks(both, 100.0, 125.0, depth=32):
+    for now_s, samples in polls(both, 100.0, 125.0, depth=32):
         several = several or meter.mixed(now_s)
-        fact = meter.look(now_s, samples, Listening(2, several=several, complete=len(samples) < 32))
+        fact = meter.update(now_s, samples, Listening(2, several=several, complete=len(samples) < 32))
     return fact
 
 

@@ -48,7 +48,7 @@ class Bench:
         found = []
         for _ in range(int(seconds / TICK_S)):
             self.now_s += TICK_S
-            fact = self.monitor.look(self.now_s, tuple(map(end, publishers)))
+            fact = self.monitor.poll(self.now_s, tuple(map(end, publishers)))
             found.append(fact.silent_s is not None)
             self.samples = fact.samples
         return found

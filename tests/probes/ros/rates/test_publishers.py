@@ -8,7 +8,7 @@ import pytest
 
 from phm.probes.ros.rates.estimator import Listening, RateEstimator
 from phm.probes.ros.rates.publishers import DEPTH_MOST, MOST, PER_PUBLISHER, PublisherDemux
-from tests.fakes.ros_flow import Publication, even, feed, looks
+from tests.fakes.ros_flow import Publication, even, feed, polls
 
 WAYS = [
     (10.0, 10.0),
@@ -112,9 +112,9 @@ def test_a_restart_of_one_publisher_is_resolved() -> None:
     meter = RateEstimator(20.0, 3.0)
     many = Listening(3, several=True)
     problems = {
-        meter.look(now_s, samples, many).problem for now_s, samples in looks(publications, 100.0, 120.0, depth=16)
+        meter.update(now_s, samples, many).problem for now_s, samples in polls(publications, 100.0, 120.0, depth=16)
     }
-    fact = meter.look(120.25, (), many)
+    fact = meter.update(120.25, (), many)
     assert problems == {""}
     assert (fact.hz, fact.restarts) == (pytest.approx(20.0, rel=1e-3), 1)
 
@@ -122,7 +122,7 @@ def test_a_restart_of_one_publisher_is_resolved() -> None:
 def test_the_number_of_lines_is_bounded() -> None:
     """Each random number starts a new line; the oldest lines are dropped."""
     sorter, rnd = PublisherDemux(3.0), random.Random(1)
-    for _, samples in looks(
+    for _, samples in polls(
         [Publication(n / 50, n / 50, rnd.randint(1, 10**9)) for n in range(5000)], 0.0, 100.0, depth=64
     ):
         if samples:

@@ -7,8 +7,8 @@ import random
 import pytest
 
 from phm.probes.ros.rates.estimator import RateEstimator
-from phm.probes.ros.rates.publisher_stats import LOOKS, RateChange
-from tests.fakes.ros_flow import Publication, even, feed, looks, trace
+from phm.probes.ros.rates.publisher_stats import POLLS, RateChange
+from tests.fakes.ros_flow import Publication, even, feed, polls, trace
 
 PHASES = (0.0, 0.06, 0.12, 0.19)
 
@@ -18,8 +18,8 @@ def changes(
 ) -> list[tuple[float, float]]:
     """When a change was first detected, each time, and the rate reported then."""
     found, before = [], False
-    for now_s, samples in looks(publications, start_s, end_s):
-        fact = meter.look(now_s, samples)
+    for now_s, samples in polls(publications, start_s, end_s):
+        fact = meter.update(now_s, samples)
         changed = fact.changed_s is not None
         if changed and not before:
             found.append((now_s, fact.hz or 0.0))
@@ -124,7 +124,7 @@ def test_consecutive_polls_must_agree(odd: list[int]) -> None:
     """A poll that is as usual, or deviates in the other direction, restarts the count."""
     pace, seconds = RateChange(), {0: 0.5, 1: 1.0, -1: 0.2}
     assert not any(pace.add(5, seconds[which], 10.0, 0.001) for which in odd)
-    assert len(odd) == LOOKS
+    assert len(odd) == POLLS
 
 
 def test_no_change_is_detected_without_an_earlier_rate() -> None:

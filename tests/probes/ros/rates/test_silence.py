@@ -6,7 +6,7 @@ import pytest
 
 from phm.probes.ros.rates.estimator import RateEstimator
 from phm.probes.ros.rates.silence import LEAST, SilenceTimeout, WindowedMax
-from tests.fakes.ros_flow import TICK_S, looks, silent_from, trace
+from tests.fakes.ros_flow import TICK_S, polls, silent_from, trace
 
 CONFIGURED_S = 3.0
 SETTLE_S = 2.0
@@ -52,8 +52,8 @@ def test_a_first_stall_is_not_published(phase_s: float) -> None:
     recorded = trace("stalling")
     meter = RateEstimator(1.0, CONFIGURED_S)
     silent_s, spans = 0.0, []
-    for now_s, samples in looks(recorded.publications, phase_s - 1.0, recorded.end_s):
-        if meter.look(now_s, samples).hz == 0.0:
+    for now_s, samples in polls(recorded.publications, phase_s - 1.0, recorded.end_s):
+        if meter.update(now_s, samples).hz == 0.0:
             silent_s += TICK_S
         elif silent_s:
             spans.append(silent_s)

@@ -10,11 +10,11 @@ import pytest
 from phm import api, testing
 from phm.probes.ros.rates.estimator import WIDE_S, RateEstimator, RateUncertainty
 from phm_checks.rates import Rates
-from tests.fakes.ros_flow import Publication, even, feed, looks, trace
+from tests.fakes.ros_flow import Publication, even, feed, polls, trace
 
 SETTLE_S = 2.0
 """`settle_s` of the rates check: a shorter failure is not published, unless conclusive."""
-LOOKS_A_RUN = 4
+POLLS_A_RUN = 4
 """The check runs once a second, and immediately when a topic falls silent or its rate changes."""
 
 
@@ -35,10 +35,10 @@ def published(
     spans: list[tuple[float, float, str]] = []
     began_s: float | None = None
     settle_s = SETTLE_S
-    for number, (now_s, samples) in enumerate(looks(publications, phase_s - 1.0, publications[-1].received_s)):
-        rate = meter.look(now_s, samples)
+    for number, (now_s, samples) in enumerate(polls(publications, phase_s - 1.0, publications[-1].received_s)):
+        rate = meter.update(now_s, samples)
         clock.advance(0.25)
-        if rate.silent_s is None or (number % LOOKS_A_RUN and rate.hz != 0.0 and rate.changed_s is None):
+        if rate.silent_s is None or (number % POLLS_A_RUN and rate.hz != 0.0 and rate.changed_s is None):
             continue
         ros.change(topics={"/t": api.TopicFact(ends, (), rate)}, up_s=60.0)
         results = check.run(testing.world(clock=clock, ros=ros))
@@ -108,8 +108,8 @@ def test_an_uneven_topic_is_measured_over_a_longer_window() -> None:
         at_s += rnd.lognormvariate(-0.08, 0.4)
         publications.append(Publication(at_s, at_s, number))
     meter, rates, errors = RateEstimator(1.0, 3.0), [], []
-    for now_s, samples in looks(publications, 100.0, 600.0):
-        fact = meter.look(now_s, samples)
+    for now_s, samples in polls(publications, 100.0, 600.0):
+        fact = meter.update(now_s, samples)
         if now_s > 200.0 and fact.hz and fact.error_hz:
             rates.append(fact.hz)
             errors.append(fact.error_hz)

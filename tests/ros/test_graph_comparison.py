@@ -7,15 +7,15 @@ import sys
 from collections.abc import Callable
 
 from phm.facts import CannotTell, RosFact
-from phm.probes.ros.second_look import (
+from phm.probes.ros.graph_comparison import (
     CALM_S,
     CONFIRM_S,
     CONFIRM_STALE_S,
     OPEN_S,
     REST_MOST_S,
     REST_S,
+    GraphComparison,
     Known,
-    SecondLook,
 )
 from tests.fakes.ros_bench import Bench, seen, until
 
@@ -50,7 +50,7 @@ class World:
         self.participants: list[Participant] = []
         self.now_s = 0.0
         self._second = second
-        self.look = SecondLook(self._open, self.now_s)
+        self.comparison = GraphComparison(self._open, self.now_s)
 
     def _open(self) -> Participant:
         self.opened.append(self.now_s)
@@ -61,7 +61,7 @@ class World:
         """When something was found to be missed or stale, and what."""
         found = []
         while self.now_s < until_s:
-            if differences := self.look.look(self.now_s, known, lacking=lacking):
+            if differences := self.comparison.update(self.now_s, known, lacking=lacking):
                 found.append((self.now_s, [*differences.missed, *differences.stale]))
             self.now_s += TICK_S
         return found
@@ -144,7 +144,7 @@ def test_a_new_participant_that_also_misses_it_is_replaced_after_a_pause() -> No
     """A lasting overload must not replace the participant repeatedly."""
     world = World(lambda now_s: ALL)
     (first,) = world.run(20.0, NOTHING)
-    world.look.renewed(20.0)
+    world.comparison.renewed(20.0)
     (second,) = world.run(60.0, NOTHING)
     assert second[0] - first[0] == 2 * REST_S + TICK_S + CONFIRM_S
 
@@ -157,9 +157,9 @@ def test_the_first_participant_is_kept_when_no_second_can_be_opened() -> None:
         tried.append(now_s)
         raise RuntimeError("no more participants")
 
-    look = SecondLook(refuse, 0.0)
+    comparison = GraphComparison(refuse, 0.0)
     for now_s in map(float, range(200)):
-        assert look.look(now_s, NOTHING, lacking=True) is None
+        assert comparison.update(now_s, NOTHING, lacking=True) is None
     assert tried == [CALM_S, CALM_S + 2 * REST_S, CALM_S + 6 * REST_S]
 
 
@@ -202,14 +202,14 @@ def test_a_node_that_the_second_participant_discovers_late_is_not_stale() -> Non
 
 
 BLIND = (
-    "import phm.probes.ros.graph as g; plain = g.GraphReader.look; first = []\n"
-    "def look(self, now_s, *, notified=False):\n"
+    "import phm.probes.ros.graph as g; plain = g.GraphReader.poll; first = []\n"
+    "def poll(self, now_s, *, notified=False):\n"
     "    first.append(self) if not first else None\n"
     "    changed = plain(self, now_s, notified=notified)\n"
     "    if self is first[0]:\n"
     "        self.nodes, self.publishers = {}, dict.fromkeys(self.publishers, ())\n"
     "    return changed\n"
-    "g.GraphReader.look = look; from phm.probes.ros.child import main; raise SystemExit(main())"
+    "g.GraphReader.poll = poll; from phm.probes.ros.child import main; raise SystemExit(main())"
 )
 """A child whose first participant permanently misses all nodes and publishers."""
 
@@ -241,7 +241,7 @@ def test_a_node_that_stays_listed_after_its_end_is_removed_with_a_new_participan
     def changed() -> None:
         """PHM corrects its picture after ten seconds: a test that polls may get no CPU in all of them."""
         with contextlib.suppress(CannotTell):
-            facts.append(probe.look())
+            facts.append(probe.snapshot())
 
     bench.on_change = changed
     forger.kill()

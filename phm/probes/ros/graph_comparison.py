@@ -18,7 +18,7 @@ from typing import NamedTuple, Protocol
 from phm.core.backoff import Backoff
 
 CALM_S = 5.0
-"""Time from a start, or a loss, to the look: data that are only late have arrived by then."""
+"""Time from a start, or a loss, to the comparison: data that are only late have arrived by then."""
 CONFIRM_S = 2.0
 """How long the second participant must have known what the first one does not."""
 CONFIRM_STALE_S = 5.0
@@ -26,9 +26,9 @@ CONFIRM_STALE_S = 5.0
 OPEN_S = 10.0
 """Lifetime of the second participant: on an overloaded machine discovery takes seconds."""
 REST_S, REST_MOST_S = 15.0, 900.0
-"""Time between two looks.
+"""Time between two comparisons.
 
-Doubled while each look finds something without helping, or while endpoints leave repeatedly without any being missed (a
+Doubled while each comparison finds something without helping, or while endpoints leave repeatedly without any being missed (a
 short-lived node, e.g. of a health check). Reset after an equally long time without changes, or when something
 configured is newly missing.
 """
@@ -59,10 +59,10 @@ class SecondParticipant(Protocol):
     def close(self) -> None: ...
 
 
-class SecondLook:
-    """Decides when a second participant looks, and in what the first one is wrong.
+class GraphComparison:
+    """Decides when a second participant is opened, and in what the first one is wrong.
 
-    It looks after the start, after something left, and at increasing intervals while something configured is missing.
+    It is opened after the start, after something left, and at increasing intervals while something configured is missing.
     """
 
     def __init__(self, open_participant: Callable[[], SecondParticipant], now_s: float) -> None:
@@ -76,9 +76,9 @@ class SecondLook:
         self._rested_s = now_s
         self._ended_s = now_s
         self._backoff = Backoff(REST_S, REST_MOST_S)
-        self._lacking = self._left = self._looks_for_left = self._found = False
+        self._lacking = self._left = self._compares_left = self._found = False
 
-    def look(self, now_s: float, known: Known, *, lacking: bool) -> Differences | None:
+    def update(self, now_s: float, known: Known, *, lacking: bool) -> Differences | None:
         """The differences that require a new first participant, usually none. Called once per tick.
 
         known: what the first participant knows. lacking: whether it lacks something configured.
@@ -106,7 +106,7 @@ class SecondLook:
             if different and not self._found:
                 self._backoff.reset()
             self._found = different
-            self._end(now_s, again=lacking or different or self._looks_for_left)
+            self._end(now_s, again=lacking or different or self._compares_left)
         return found if different else None
 
     def renewed(self, now_s: float) -> None:
@@ -123,14 +123,14 @@ class SecondLook:
         if now_s - self._rested_s >= self._backoff.pause_s:
             self._backoff.reset()
         self._due_s, self._opened_s, self._missed, self._stale = None, now_s, {}, {}
-        self._looks_for_left, self._left = self._left, False
+        self._compares_left, self._left = self._left, False
         try:
             self._participant = self._open()
         except Exception:  # rclpy's own exceptions, at a limit of threads or participants: the first one must suffice
             self._end(now_s, again=True)
 
     def _hurry(self) -> None:
-        """Limit the interval to that after the first look."""
+        """Limit the interval to that after the first comparison."""
         self._backoff.reset()
         self._rested_s = min(self._rested_s, self._ended_s + REST_S)
 
