@@ -147,7 +147,7 @@ def test_the_health_check_imports_almost_nothing(tmp_path: Path) -> None:
 
 def test_an_unexpected_error_is_one_sentence() -> None:
     """No traceback unless requested, and exit code 70 (EX_SOFTWARE)."""
-    script = "import phm.cli.status as s, phm.cli; s._look = lambda *a, **k: 1 / 0; phm.cli.main(['status'])"
+    script = "import phm.cli.status as s, phm.cli; s._read = lambda *a, **k: 1 / 0; phm.cli.main(['status'])"
     plain = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT, check=False)
     assert plain.returncode == os.EX_SOFTWARE
     assert plain.stderr == (
@@ -444,7 +444,7 @@ def test_run_ends_with_the_exit_code_of_the_daemon(monkeypatch: pytest.MonkeyPat
     """The return value of `phm.runtime.service.run` is the exit code."""
     with_daemon(monkeypatch)
     monkeypatch.setattr("phm.runtime.service.run", lambda configuration, read: 3)
-    monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process continues
+    monkeypatch.setattr("phm.cli.run.end_process", sys.exit)  # this process continues
     assert invoke("run").exit_code == 3
 
 

@@ -114,7 +114,7 @@ class _Agent:
         """Advance the time; all checks run in each step."""
         for _ in range(round(seconds / STEP_S)):
             self.clock.advance(STEP_S)
-            self._look()
+            self._observe()
             for check in self.checks:
                 results = check.run(self.world)
                 units = {check.units[0].id: results} if isinstance(results, Result) else dict(results)
@@ -133,7 +133,7 @@ class _Agent:
         path = Path(self.settings.run_dir) / "status.json"
         return cast("Mapping[str, Any]", json.loads(path.read_text("utf-8")))
 
-    def _look(self) -> None:
+    def _observe(self) -> None:
         """Update the facts of the probes."""
         self.pressure.put(TARGET, PressureFact(self.clock.mono(), "cgroup v2"))
         silent_s = self.clock.mono() - self.silent_since

@@ -26,9 +26,9 @@ class Watch:
 
     def __init__(self, fact: ContainerFact | None = FIRST) -> None:
         self.clock, self.fact, self.silent = testing.FakeClock(), fact, False
-        self.lives = GenerationTracker(self._look, self.clock, LASTING_S)
+        self.lives = GenerationTracker(self._observe, self.clock, LASTING_S)
 
-    def _look(self, key: str) -> ContainerFact | None:
+    def _observe(self, key: str) -> ContainerFact | None:
         if self.silent:
             raise CannotTell("the engine is busy")
         return self.fact

@@ -193,7 +193,7 @@ def test_invalid_requests_are_ignored() -> None:
         "import time; from types import SimpleNamespace\n"
         "from phm.probes.ros import child; from phm.probes.ros.line_splitter import LineSplitter\n"
         "orders, got = LineSplitter(), []\n"
-        "watch = SimpleNamespace(events=None, obey=got.append)\n"
+        "watch = SimpleNamespace(events=None, execute=got.append)\n"
         "while child._wait(time.monotonic() + 9, orders, watch) is not None: pass\n"
         "print([order.utc_s for order in got])"
     )

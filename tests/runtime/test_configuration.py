@@ -42,7 +42,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     for check in registry.checks().values():
         count(check, "build", "checks")
     monkeypatch.setenv("PHM_WATCHDOG", "off")
-    monkeypatch.setattr("phm.cli.run.leave", sys.exit)  # this process stays
+    monkeypatch.setattr("phm.cli.run.end_process", sys.exit)  # this process stays
     return counted
 
 
