@@ -107,6 +107,8 @@ class NodeVerdict:
     has ended or is stopped, or the node reports that its executor has been blocked for CERTAIN_HANG_S: a delay cannot look like that."""
     certain: bool = False
     """The engine reports that its process has ended or is stopped, and its start is over: it does not come back by waiting."""
+    age_s: float = 0.0
+    """How long ago that was observed, if it is certain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +144,8 @@ def fuse(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
     bad = state in (NodeState.DEAD, NodeState.HUNG)
     witnessed = bad and (decisive in (Kind.CONTAINER, Kind.PROCESS) or _certainly_blocked(case))
     certain = bad and decisive is Kind.PROCESS and not past.starting
-    return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed, certain)
+    age_s = case.of[Kind.PROCESS].age_s if certain else 0.0
+    return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed, certain, age_s)
 
 
 def container(case: Findings) -> RuleResult:

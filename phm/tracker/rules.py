@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from phm.core.model import ON_HOLD, Level, Result
+from phm.core.model import ON_HOLD, Evidence, Level, Result
 from phm.tracker import starvation
 from phm.tracker.units import Pending, TrackerView, UnitRecord
 
@@ -51,6 +51,7 @@ class RuleContext:
 
 
 NO_CHANGE = Decision()
+NO_EVIDENCE = Evidence()
 
 
 def decide(record: UnitRecord, view: TrackerView, now: float) -> Decision | None:
@@ -226,8 +227,9 @@ def as_unknown(result: Result) -> Result:
 def in_grace(record: UnitRecord, now: float) -> bool:
     """Whether the unit is in grace. An open or given-up fault is not affected."""
     known = record.fault is not None or (record.published_given_up and not record.new_condition)
-    certain = record.latest is not None and record.latest.evidence.certain
-    return not known and ((now < record.grace_until and not certain) or record.started < record.valid_from)
+    evidence = record.latest.evidence if record.latest is not None else NO_EVIDENCE
+    from_before = min(record.started, evidence.observed) < record.valid_from
+    return not known and (from_before or (now < record.grace_until and not evidence.certain))
 
 
 def _unverified(record: UnitRecord, context: RuleContext) -> bool:
