@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from phm.setup.machine import Application, Machine
+from phm.transport.own_network import HOST_NAME
 
 Network = Literal["bridge", "host"]
 IMAGE = "phm-sidecar:dev"
 NO_MAVLINK = "none"
 GROUND_PORT = 14550
 """The port at which ground stations listen."""
-HOST_NAME = "host.docker.internal"
-"""The host, as the written compose file names it for a bridged container."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Mapping
+from itertools import takewhile
 from pathlib import Path
 
 PHM_USER = 10001
@@ -25,10 +26,13 @@ def existing(folder: Path, names: Mapping[str, str]) -> list[str]:
 
 
 def write(folder: Path, texts: Mapping[str, str], *, force: bool) -> None:
-    """Write all files, readable for PHM's user whatever the umask is. Raises FilesExist before anything is written, and OSError."""
+    """Write all files, readable for PHM's user whatever the umask is. As root, e.g. in a container, they and new folders belong to
+    the owner of the folder they are in, who edits them later. Raises FilesExist before anything is written, and OSError."""
     found = existing(folder, texts)
     if found and not force:
         raise FilesExist(folder, found)
+    new = list(takewhile(lambda one: not one.exists(), (folder, *folder.parents)))
+    where = (new[-1].parent if new else folder).stat()
     if not folder.is_dir():
         folder.mkdir(parents=True)
         folder.chmod(0o755)
@@ -37,6 +41,10 @@ def write(folder: Path, texts: Mapping[str, str], *, force: bool) -> None:
         beside.write_text(text, encoding="utf-8")
         beside.chmod(0o644)
         os.replace(beside, folder / name)
+    if os.geteuid() == 0:
+        for path in (*new, *(folder / name for name in texts)):
+            with contextlib.suppress(PermissionError):  # a file system without owners
+                os.chown(path, where.st_uid, where.st_gid, follow_symlinks=False)
 
 
 def write_new(folder: Path, texts: Mapping[str, str]) -> None:

@@ -11,6 +11,7 @@ from phm.setup.answers import NO_MAVLINK, Answers
 from phm.setup.machine import Application, Machine
 from phm.setup.ros_settings import APPLICATION_PROFILE, ros_settings
 from phm.setup.yaml_text import compose_quoted, quoted
+from phm.transport.own_network import HOST_NAME
 
 CONFIGURATION, COMPOSE, ENVIRONMENT, PROFILE = "phm.yaml", "compose.yaml", "agent.env", "fastdds.xml"
 _SERIAL_MAJORS = (
@@ -143,12 +144,12 @@ def _network(answers: Answers) -> str:
     if answers.network == "host":
         return "    # For an application on the host's network: ROS 2 discovery does not cross from there to a bridge.\n    network_mode: host"
     lines = ["    # PHM connects itself to the networks that phm.yaml names."]
-    if decided.HOST_NAME in answers.mavlink:
-        lines += ["    extra_hosts:", f'      - "{decided.HOST_NAME}:host-gateway" # this machine, for MAVLink']
+    if HOST_NAME in answers.mavlink:
+        lines += ["    extra_hosts:", f'      - "{HOST_NAME}:host-gateway" # this machine, for MAVLink']
     else:
         lines += [
             "    # extra_hosts:",
-            f'    #   - "{decided.HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
+            f'    #   - "{HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
         ]
     return "\n".join(lines)
 
