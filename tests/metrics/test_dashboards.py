@@ -91,7 +91,7 @@ def test_a_query_is_accepted_and_names_only_metrics_that_exist(text: str, server
 
 
 def test_each_query_of_the_dashboard_shows_phm_and_nothing_else(tmp_path: Path) -> None:
-    """With all agents selected, beside a program that has `process_*` of its own, as Prometheus itself has."""
+    """With all agents selected, beside a program that has `process_*` too, as Prometheus itself has."""
     openmetrics = "application/openmetrics-text; version=1.0.0; charset=utf-8"
     agents, kind = text_of(context()).render("text/plain")
     other = b"process_cpu_seconds_total 1\nprocess_resident_memory_bytes 1\n"
@@ -200,6 +200,7 @@ def test_the_analyzers_put_each_status_into_one_group() -> None:
             for key, one in group["analyzers"].items():
                 assert (one.get("num_items") == 0) == (key in LAYERS), "a layer may be empty, the summary may not"
                 assert one["type"] == "diagnostic_aggregator/GenericAnalyzer"
+                assert not any(other.startswith(tuple(one["startswith"])) for other in published(f"{name}0"))
                 if any(status.startswith(text) for text in one["startswith"]):
                     found.setdefault(status, []).append(key)
         assert sorted(found) == sorted(published(name))

@@ -117,6 +117,6 @@ def test_the_page_says_to_blueos_what_it_is(tmp_path: Path) -> None:
         jsonschema.validate(found, SERVICE)
         assert found["version"] == __version__
         assert client.ask("GET", "/")[2].headers["X-Frame-Options"] == "DENY"
-        assert found["avoid_iframes"], "with new_page alone BlueOS opens a page of its own that frames this one"
+        assert found["avoid_iframes"], "with new_page alone BlueOS opens its own page that frames this one"
     finally:
         page.close()
