@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 BACKUP = ".bak"
+DELIVERED = "/etc/phm-delivered"
+"""Where the Compose files mount a folder for delivered configurations."""
 _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)")
 LEAST_SECRET, COMPARED = 6, 8
 """Characters: shorter values of variables may be in an answer, and of others at most the beginning, which is compared."""
@@ -223,10 +225,11 @@ def _not_written(path: Path, error: OSError) -> str:
     why = error.strerror or str(error)
     if error.errno in (errno.EROFS, errno.EBUSY, errno.EXDEV):
         return (
-            f"{path} cannot be replaced: {why}. In PHM's Compose file, replace the line under volumes that ends in `:{path.parent}:ro` "
-            f"or `:{path}:ro` by `- FOLDER:{path.parent}`; FOLDER is a folder on the host with {path.name} and without the Compose "
-            f"file, writable for user {os.geteuid()}. Under systemd, add `ReadWritePaths={path.parent}` to phm.service. Or copy the file to the agent and run "
-            "`phm reload`"
+            f"{path} cannot be replaced: {why}. To permit deliveries, start docker/compose.yaml with `-f docker/compose.deliver.yaml`; "
+            f"in another Compose file, also that of `phm init` without `--deliver`, add `- FOLDER:{DELIVERED}` under volumes and "
+            f"`PHM_CONFIG: {DELIVERED}/{path.name}` under environment; FOLDER is a folder on the host with {path.name} and without "
+            f"the Compose file, and belongs to user {os.geteuid()}. Under systemd, add `ReadWritePaths={path.parent}` to "
+            "phm.service. Or copy the file to the agent and run `phm reload`"
         )
     if error.errno in (errno.EACCES, errno.EPERM):
         return (

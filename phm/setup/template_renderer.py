@@ -14,6 +14,8 @@ from phm.setup.yaml_text import compose_quoted, quoted
 from phm.transport.own_network import HOST_NAME
 
 CONFIGURATION, COMPOSE, ENVIRONMENT, PROFILE = "phm.yaml", "compose.yaml", "agent.env", "fastdds.xml"
+OVERRIDE = "compose.override.yaml"
+DELIVERED_AT = "/etc/phm-delivered"
 _SERIAL_MAJORS = (
     ("c 166:* rw", "/dev/ttyACM*, flight controllers on USB"),
     ("c 188:* rw", "/dev/ttyUSB*, USB adapters and telemetry radios"),
@@ -23,17 +25,18 @@ _EMPTY = " []"
 
 
 def render(machine: Machine, answers: Answers) -> dict[str, str]:
-    """The text of each file, by name. The containers of `answers` must be among those of `machine`."""
+    """The text of each file, by its path in the folder. The containers of `answers` must be among those of `machine`."""
     watched = decided.containers(machine, answers.containers) if answers.containers else ()
     keys = decided.keys(watched)
     ros = ros_settings(machine, watched, _template(PROFILE), answers.network)
     made = {
-        CONFIGURATION: Template(_template(CONFIGURATION)).substitute(
+        answers.configuration: Template(_template(CONFIGURATION)).substitute(
             agent=answers.name,
             id=answers.id,
             containers=_containers(watched, keys, answers),
             ros=_ros(answers, keys),
             mavlink=_mavlink(answers),
+            delivery=_delivery(answers),
             docker="" if machine.socket else f"\ndocker:\n  socket: {quoted(machine.url)}\n",
         ),
         COMPOSE: Template(_template(COMPOSE)).substitute(
@@ -47,6 +50,8 @@ def render(machine: Machine, answers: Answers) -> dict[str, str]:
         ENVIRONMENT: Template(_template(ENVIRONMENT)).substitute(agent=answers.name, id=answers.id, ros=ros.lines),
         PROFILE: _template(PROFILE),
     }
+    if answers.deliver:
+        made[OVERRIDE] = Template(_template(OVERRIDE)).substitute(ports=_ports(answers, answers.deliver))
     return {**made, **({APPLICATION_PROFILE: ros.profile} if ros.profile else {})}
 
 
@@ -126,7 +131,29 @@ def _mavlink(answers: Answers) -> str:
     )
 
 
+def _delivery(answers: Answers) -> str:
+    if not answers.deliver:
+        return ""
+    listen = _shown(answers.deliver if answers.network == "host" else ("0.0.0.0", answers.deliver[1]))
+    return (
+        "\n# `phm deliver` and the Checks page may replace this file with the key.\n"
+        f"delivery:\n  listen: {quoted(listen)}\n  key: {DELIVERED_AT}/delivery.key\n"
+    )
+
+
 # ------------------------------------------------------------ compose.yaml
+
+
+def _ports(answers: Answers, deliver: tuple[str, int]) -> str:
+    """The published port: the container does not have the address of the host."""
+    if answers.network == "host":
+        return ""
+    return f"    ports:\n      - {compose_quoted(f'{_shown(deliver)}:{deliver[1]}')}\n"
+
+
+def _shown(where: tuple[str, int]) -> str:
+    host, port = where
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def _groups(machine: Machine) -> str:
