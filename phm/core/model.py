@@ -91,6 +91,8 @@ class Evidence:
     certain:      more time would not change this bad result, and no network has caused it: it counts during grace, too, and ends the
                   verification of an action that has not ended it.
     conclusive:   the problem itself was observed, not inferred from delay or silence: resource starvation cannot explain it.
+    in_time:      the observation that failed was made without delay: of the kinds of starvation, only one that delays nothing
+                  (a limit of processes) can explain it.
     never_ok:     whether the subject has never been OK since its container was started; None: the check does not know.
     listed:       how many times the ROS graph still lists the name of the missing node; None: unknown.
     file:         path of the faulty file inside the container.
@@ -103,6 +105,7 @@ class Evidence:
     generation: str = ""
     certain: bool = False
     conclusive: bool = False
+    in_time: bool = False
     never_ok: bool | None = None
     listed: int | None = None
     file: str = ""
