@@ -29,11 +29,13 @@ from sitl.harness.console import make_console
 from sitl.harness.log_follower import Event
 from sitl.harness.stack_monitor import StackMonitor, no_slot_failed
 
-FAULTS = (
-    "node_killed", "node_stopped", "executor_deadlocked", "container_stopped", "container_killed", "container_paused", "container_oom",
-    "container_created", "network_disconnected", "sidecar_disconnected", "address_silent", "file_deleted", "file_altered",
-    "unhealthy", "device_gone", "node_duplicate", "subscriber_lost", "qos_mismatch", "topic_slow", "topic_silent",
-)  # fmt: skip
+FAULTS = tuple(
+    """
+    node_killed node_stopped executor_deadlocked container_stopped container_killed container_paused container_oom container_created
+    network_disconnected sidecar_disconnected address_silent file_deleted file_altered unhealthy device_gone node_duplicate
+    subscriber_lost qos_mismatch topic_slow topic_silent
+    """.split()
+)
 CONDITIONS = {"file_deleted": "tree_altered", "file_altered": "tree_altered"}
 """A folder is learned as a manifest, whose conditions are other ones."""
 BEFORE = """\
@@ -69,8 +71,11 @@ class LearnedRun:
         sidecar = self.stack.agent.sidecar.name
         done = subprocess.run(
             ["docker", "exec", str(sidecar), "ros-entrypoint", *argv],
-            capture_output=True, text=True, timeout=LEARN_LIMIT_S, check=False,
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            timeout=LEARN_LIMIT_S,
+            check=False,
+        )
         if done.returncode != 0:
             raise RuntimeError(f"phm learn ended with {done.returncode}:\n{done.stderr.strip()}")
         text = (self.folder / "learned.yaml").read_text("utf-8")

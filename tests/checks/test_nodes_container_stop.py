@@ -39,7 +39,7 @@ def test_a_dead_node_beside_the_first_process_is_dead() -> None:
     assert bench.after(1.0).condition == "node_missing"
 
 
-def test_a_certain_result_tells_when_the_processes_were_listed() -> None:
+def test_a_certain_result_says_when_the_processes_were_listed() -> None:
     """The tracker does not use it for a run of the container that has begun since."""
     bench = Contained()
     bench.processes(MAIN)

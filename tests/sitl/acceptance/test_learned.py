@@ -54,7 +54,7 @@ def test_a_quiet_time_holds_without_any_alarm(unit: str) -> None:
 
 
 def test_the_faults_exist_and_need_nothing() -> None:
-    """Each is played on the demonstration as it is."""
+    """Each is played on the unchanged demonstration."""
     faults = all_faults()
     assert set(FAULTS) <= set(faults) and set(CONDITIONS) <= set(FAULTS)
     assert not [name for name in FAULTS if faults[name].needs]

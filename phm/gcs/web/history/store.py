@@ -10,6 +10,7 @@ import logging
 import os
 import shutil
 import sqlite3
+import sys
 import tempfile
 import threading
 import time
@@ -305,11 +306,16 @@ def default_path() -> Path:
 def agent_path(state_dir: Path = STATE_DIR) -> Path:
     """The default file of an agent's own page: in the state folder of PHM if that belongs to this user, as in a container, else in that
     of the user."""
+    return (state_dir if _is_mine(state_dir) else _user_folder()) / "page-history.db"
+
+
+def _is_mine(folder: Path) -> bool:
+    if sys.platform == "win32":
+        return False
     try:
-        mine = state_dir.stat().st_uid == os.geteuid()
+        return folder.stat().st_uid == os.geteuid()
     except OSError:
-        mine = False
-    return (state_dir if mine else _user_folder()) / "page-history.db"
+        return False
 
 
 def _user_folder() -> Path:
