@@ -29,29 +29,27 @@ from sitl.harness.console import make_console
 from sitl.harness.log_follower import Event
 from sitl.harness.stack_monitor import StackMonitor, no_slot_failed
 
-FAULTS = tuple(
-    [
-        "node_killed",
-        "node_stopped",
-        "executor_deadlocked",
-        "container_stopped",
-        "container_killed",
-        "container_paused",
-        "container_oom",
-        "container_created",
-        "network_disconnected",
-        "sidecar_disconnected",
-        "address_silent",
-        "file_deleted",
-        "file_altered",
-        "unhealthy",
-        "device_gone",
-        "node_duplicate",
-        "subscriber_lost",
-        "qos_mismatch",
-        "topic_slow",
-        "topic_silent",
-    ]
+FAULTS = (
+    "node_killed",
+    "node_stopped",
+    "executor_deadlocked",
+    "container_stopped",
+    "container_killed",
+    "container_paused",
+    "container_oom",
+    "container_created",
+    "network_disconnected",
+    "sidecar_disconnected",
+    "address_silent",
+    "file_deleted",
+    "file_altered",
+    "unhealthy",
+    "device_gone",
+    "node_duplicate",
+    "subscriber_lost",
+    "qos_mismatch",
+    "topic_slow",
+    "topic_silent",
 )
 CONDITIONS = {"file_deleted": "tree_altered", "file_altered": "tree_altered"}
 """A folder is learned as a manifest, whose conditions are other ones."""

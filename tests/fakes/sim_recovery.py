@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, ClassVar, cast
 
 from phm.checking.pipeline import Pipeline
@@ -119,7 +120,11 @@ class SimRecovery:
         pipeline = SimPipeline(sim, cast(Any, SimBus(sim)), self._clock)
         pipeline.attach(self._wake)
         context = ActionContext(
-            cast(Any, None), settings, lambda key: sim.world.fact(sim.now), lambda: None, lambda a, b: None
+            cast(Any, SimpleNamespace(inspect=None)),
+            settings,
+            lambda key: sim.world.fact(sim.now),
+            lambda: None,
+            lambda a, b: None,
         )
         graces = {entry.unit.id: entry.unit.grace_s for entry in sim.plan.tracked}
         kinds = {name: self._action(kind) for name, kind in KINDS.items()}

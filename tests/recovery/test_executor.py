@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -44,7 +45,9 @@ class World:
         self.bus = Bus(self.clock)
         self.pipeline = Pipeline(tracker, self.bus, self.clock)
         self.pipeline.attach(lambda units, reason: self.look())
-        context = ActionContext(cast(Any, None), self.settings, lambda key: None, lambda: None, lambda a, b: None)
+        context = ActionContext(
+            cast(Any, SimpleNamespace(inspect=None)), self.settings, lambda key: None, lambda: None, lambda a, b: None
+        )
         state = (
             ArmedStatus(ArmedState.ARMED, "the autopilot is armed")
             if armed

@@ -28,7 +28,7 @@ from phm.runtime.reloader import ReloadOutcome
 from phm.testing import settings
 from phm.wire.delivery import DeliveryAnswer, version_of
 from tests.fakes.until import until
-from tests.runtime.test_service import ROOT
+from tests.runtime.running import ROOT
 
 OLD, NEW = "agent: {id: 7, name: A07}\ninterval: 20s\n", "agent: {id: 7, name: A07}\ninterval: 30s\n"
 WHO = "10.0.0.5"
