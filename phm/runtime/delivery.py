@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from phm.config import ConfigError, Problem
 from phm.config.atomic_write import replace
-from phm.config.loader import read_file
+from phm.config.loader import DELIVERED, read_file
 from phm.core.clock import Clock
 from phm.core.settings import DeliverySettings
 from phm.runtime.configuration import fixed_sections, read_text
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 BACKUP = ".bak"
-DELIVERED = "/etc/phm-delivered"
-"""Where the Compose files mount a folder for delivered configurations."""
 _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)")
 LEAST_SECRET, COMPARED = 6, 8
 """Characters: shorter values of variables may be in an answer, and of others at most the beginning, which is compared."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from string import Template
 
+from phm.config.loader import DELIVERED
 from phm.setup import answers as decided
 from phm.setup.answers import NO_MAVLINK, Answers
 from phm.setup.machine import Application, Machine
@@ -15,7 +16,6 @@ from phm.transport.own_network import HOST_NAME
 
 CONFIGURATION, COMPOSE, ENVIRONMENT, PROFILE = "phm.yaml", "compose.yaml", "agent.env", "fastdds.xml"
 OVERRIDE = "compose.override.yaml"
-DELIVERED_AT = "/etc/phm-delivered"
 _SERIAL_MAJORS = (
     ("c 166:* rw", "/dev/ttyACM*, flight controllers on USB"),
     ("c 188:* rw", "/dev/ttyUSB*, USB adapters and telemetry radios"),
@@ -137,7 +137,7 @@ def _delivery(answers: Answers) -> str:
     listen = _shown(answers.deliver if answers.network == "host" else ("0.0.0.0", answers.deliver[1]))
     return (
         "\n# `phm deliver` and the Checks page may replace this file with the key.\n"
-        f"delivery:\n  listen: {quoted(listen)}\n  key: {DELIVERED_AT}/delivery.key\n"
+        f"delivery:\n  listen: {quoted(listen)}\n  key: {DELIVERED}/delivery.key\n"
     )
 
 

@@ -19,7 +19,7 @@ import yaml
 from docker.errors import DockerException
 from rich.console import Console
 
-from sitl.acceptance.table import Row, as_json, rich_table
+from sitl.acceptance.table import Row, print_row, print_rows
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
 from sitl.faults.file_deleted import put_back
@@ -125,7 +125,10 @@ class LearnedRun:
             )
             row.detected_s = opened["mono"] - moment
         self._restore(fault)
-        self.monitor.wait_ok()
+        try:
+            self.monitor.wait_ok()
+        except RuntimeError as error:
+            row.problems.append(str(error))
         judge_fault(row, self._events(mark), CONDITIONS.get(fault.name, fault.condition))
         return row
 
@@ -148,10 +151,13 @@ class LearnedRun:
 
     def _restored(self, fault: Fault) -> bool:
         """Whether the world is as before within RESTORED_LIMIT_S. False, too, if the fault cannot be observed so."""
-        until_s = time.monotonic() + RESTORED_LIMIT_S
-        while (restored := fault.restored(self.stack.agent)) is False and time.monotonic() < until_s:
-            time.sleep(0.5)
-        return bool(restored)
+        agent, mark = self.stack.agent, self.monitor.mark()
+        if fault.restored(agent) is None:
+            return False
+        seen = self.record.wait(
+            lambda event: event["event"] == "report" and bool(fault.restored(agent)), RESTORED_LIMIT_S, since=mark
+        )
+        return seen is not None
 
 
 def _opens(event: Event, row: Row) -> bool:
@@ -207,12 +213,6 @@ def override(folder: Path) -> Path:
     return file
 
 
-def print_row(row: Row, console: Console) -> Row:
-    colour, words = ("green", "holds") if row.good else ("red", "; ".join(row.problems))
-    console.print(f"  [{colour}]{words}[/]  {row.title}: {row.outcome}", highlight=False)
-    return row
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/proof-learned", description=__doc__)
     parser.add_argument("--for", dest="watch", default="60s", metavar="TIME", help="how long PHM learns (default: 60s)")
@@ -243,15 +243,9 @@ def main(arguments: list[str] | None = None) -> int:
         stack.down(keep_logs=chosen.keep_logs)
         if not chosen.keep_logs:
             shutil.rmtree(folder, ignore_errors=True)
-    if chosen.json:
-        print(as_json(rows))
-    else:
-        console.print(rich_table(rows))
     if chosen.keep_logs:
         console.print(f"logs: {stack.logs}, configuration: {folder}")
-    bad = sum(not row.good for row in rows)
-    console.print(f"{len(rows) - bad} of {len(rows)} rows hold")
-    return 0 if not bad else 1
+    return print_rows(rows, console, json=chosen.json)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,8 @@ from sitl.campaign.trial import Trial
 from sitl.campaign.verdict import BESIDE, Verdict
 
 CPU = "host/cpu"
+ENDS = ("verified", *AGAIN)
+"""Phases that end an action."""
 
 
 def disturbed(verdict: Verdict, trial: Trial) -> bool:
@@ -36,7 +38,3 @@ def _times(trial: Trial, agent: int) -> Iterator[tuple[float, float]]:
         if act.phase == "started":
             ends = (each.mono for each in acts[place + 1 :] if each.unit == act.unit and each.phase in ENDS)
             yield act.mono, next(ends, math.inf)
-
-
-ENDS = ("verified", *AGAIN)
-"""Phases that end an action."""

@@ -9,7 +9,8 @@ from typing import Any
 
 import yaml
 
-from phm.runtime.delivery import DELIVERED, _not_written
+from phm.config.loader import DELIVERED
+from phm.runtime.delivery import _not_written
 from tests.docs.blocks import containing
 from tests.docs.examples import ROOT
 from tests.setup.test_template_renderer import made

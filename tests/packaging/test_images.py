@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from phm.config.loader import DELIVERED as DELIVERED_AT
 from tests.docs.blocks import containing
 from tests.setup.test_template_renderer import made
 
@@ -113,9 +114,6 @@ def test_compose_gives_the_sidecar_least_privilege() -> None:
     assert int(service["pids_limit"]) > 0
     writable = {mount["target"] for mount in service["volumes"] if not mount.get("read_only")}
     assert writable == {"/var/run/docker.sock", "/var/log/phm", "/var/lib/phm"}
-
-
-DELIVERED_AT = "/etc/phm-delivered"
 
 
 def permitted(service: dict[str, Any]) -> tuple[str, list[tuple[str, str, int]], list[str]]:

@@ -8,7 +8,6 @@ import re
 import signal
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -250,10 +249,9 @@ def test_hanging_steps_share_one_budget() -> None:
     over = threading.Event()
 
     def tick() -> None:
-        while not over.is_set():
+        while not over.wait(0.001):
             if clock.sleepers:
                 clock.advance(0.05)
-            time.sleep(0.001)
 
     ticker = threading.Thread(target=tick, daemon=True)
     ticker.start()

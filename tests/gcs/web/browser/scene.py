@@ -146,7 +146,7 @@ class Fleet:
 
 
 def _vehicle(number: int, port: int) -> Vehicle:
-    """MAVLink has ids for 250 systems: more agents are told apart by their components, as A01/194."""
+    """MAVLink has ids for 250 systems: more agents share them, and differ in the component, as A01/194."""
     return Vehicle((number - 1) % SYSTEMS + 1, port, 193 + (number - 1) // SYSTEMS)
 
 

@@ -17,10 +17,11 @@ import pytest
 
 from phm.core.clock import SystemClock
 from phm.core.model import Stamp
+from phm.core.settings import Settings
 from phm.gcs.web import agent_row
 from phm.gcs.web.history.reader import HistoryReader
 from phm.gcs.web.history.status_recorder import StatusRecorder
-from phm.gcs.web.history.store import EVENT, HistoryRow, HistorySample, HistoryStore, agent_path
+from phm.gcs.web.history.store import EVENT, STATE_DIR, HistoryRow, HistorySample, HistoryStore, agent_path
 from phm.wire import status_file
 from phm.wire.report import iso
 from tests.fakes.mavlink import free_port
@@ -267,3 +268,4 @@ def test_the_history_is_in_the_state_folder_of_its_owner(tmp_path: Path, monkeyp
     assert agent_path(tmp_path / "none") == own
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
     assert agent_path(tmp_path) == own
+    assert str(STATE_DIR) == Settings.model_fields["state_dir"].default
