@@ -100,7 +100,7 @@ def _serve(run_dir: str, where: tuple[str, int], history: str | None, access: di
     web_options.require_aiohttp("--web")
     from phm.core.clock import SystemClock
     from phm.gcs.web.agent_page import AgentPage
-    from phm.gcs.web.history.store import agent_path
+    from phm.gcs.web.history.locations import agent_path
 
     path = None if history == "none" else agent_path() if history is None else Path(history)
     options = web_options.listen_options(where, **access)

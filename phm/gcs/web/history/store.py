@@ -10,7 +10,6 @@ import logging
 import os
 import shutil
 import sqlite3
-import sys
 import tempfile
 import threading
 import time
@@ -25,8 +24,6 @@ from phm.core.clock import Clock
 logger = logging.getLogger(__name__)
 
 MAX_BYTES, MAX_AGE_S = 200_000_000, 30 * 86_400.0
-STATE_DIR = Path("/var/lib/phm")
-"""The default of `state_dir`."""
 MAX_WAITING = 50_000
 """Maximum number of rows that wait to be written."""
 MAX_SERIES = 20_000
@@ -296,28 +293,3 @@ def _check_owner(connection: sqlite3.Connection) -> None:
             raise sqlite3.DatabaseError("it was written by another version of PHM")
     elif (found, version, tables) != (0, 0, 0):
         raise _NotOurs
-
-
-def default_path() -> Path:
-    """The default file: in the state folder of the user."""
-    return _user_folder() / "gcs-history.db"
-
-
-def agent_path(state_dir: Path = STATE_DIR) -> Path:
-    """The default file of an agent's own page: in the state folder of PHM if that belongs to this user, as in a container, else in that
-    of the user."""
-    return (state_dir if _is_mine(state_dir) else _user_folder()) / "page-history.db"
-
-
-def _is_mine(folder: Path) -> bool:
-    if sys.platform == "win32":
-        return False
-    try:
-        return folder.stat().st_uid == os.geteuid()
-    except OSError:
-        return False
-
-
-def _user_folder() -> Path:
-    base = os.environ.get("XDG_STATE_HOME") or os.path.join(os.path.expanduser("~"), ".local", "state")
-    return Path(base) / "phm"

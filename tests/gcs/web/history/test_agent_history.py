@@ -19,9 +19,10 @@ from phm.core.clock import SystemClock
 from phm.core.model import Stamp
 from phm.core.settings import Settings
 from phm.gcs.web import agent_row
+from phm.gcs.web.history.locations import STATE_DIR, agent_path
 from phm.gcs.web.history.reader import HistoryReader
 from phm.gcs.web.history.status_recorder import StatusRecorder
-from phm.gcs.web.history.store import EVENT, STATE_DIR, HistoryRow, HistorySample, HistoryStore, agent_path
+from phm.gcs.web.history.store import EVENT, HistoryRow, HistorySample, HistoryStore
 from phm.wire import status_file
 from phm.wire.report import iso
 from tests.fakes.mavlink import free_port
