@@ -56,12 +56,12 @@ def test_deliveries_need_an_option(
     fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owned: bool
 ) -> None:
     """It makes the folder of PHM's user and a key, which stays when the files are written again."""
-    owners = []
+    owners: dict[str, tuple[int, ...]] = {}
 
     def own(path: Path, *ids: int, follow_symlinks: bool = True) -> None:
         if not owned:
             raise PermissionError(1, "Operation not permitted")
-        owners.append((path.name, *ids))
+        owners[str(path.relative_to(tmp_path))] = ids
 
     monkeypatch.setattr("os.chown", own)
     done = init(fake, tmp_path, "--yes", "--logs", str(tmp_path), "--deliver", "10.0.0.7:9465")
@@ -70,8 +70,11 @@ def test_deliveries_need_an_option(
     assert (key.stat().st_mode & 0o777, len(key.read_text().strip())) == (0o600, 64)
     assert yaml.safe_load(configuration.read_text())["delivery"]["listen"] == "0.0.0.0:9465"
     assert not (tmp_path / "phm.yaml").exists()
-    expected = [("delivered", 10001, 10001), ("delivery.key", 10001, 10001), ("phm.yaml", 10001, 10001)]
-    assert sorted(owners) == (expected if owned else [])
+    expected = dict.fromkeys(("delivered", "delivered/delivery.key", "delivered/phm.yaml"), (10001, 10001))
+    found = {name: ids for name, ids in owners.items() if name.startswith("delivered")}
+    assert found == (expected if owned else {})
+    mine = (tmp_path.stat().st_uid, tmp_path.stat().st_gid)
+    assert {ids for name, ids in owners.items() if name not in expected} <= {mine}
     assert (f"sudo chown -R 10001:10001 {tmp_path / 'delivered'}" in done.output) is not owned
     before = key.read_text()
     again = init(fake, tmp_path, "--yes", "--force", "--logs", str(tmp_path), "--deliver", "10.0.0.7:9465")
