@@ -71,7 +71,8 @@ class Cpu:
         # Finding the top CPU consumer takes two queries, so the first is made before there is something to report.
         self._taken = top_consumer(world) if fact.cpu_percent >= self._limits.cpu.warn else None
         full = now - self._readings[0][0] >= window_s
-        level = self._mean.level(mean)
+        # Before that the state must not change: a busy start would lower the limits of the mean.
+        level = (self._mean if full else Threshold(self._limits.cpu.warn, self._limits.cpu.error)).level(mean)
         quick = self._quick_level(fact, now, world)
         if quick is not None and (not full or quick[0] is Level.ERROR or level is Level.OK):
             return self._bad(quick[0], quick[1], 100.0, values)

@@ -53,6 +53,9 @@ HANG_S = 5.0
 """An executor that has not run for this long is hung if its process does not use the CPU. A shorter time could be a slow callback."""
 BLIND_HANG_S = 15.0
 """The same if it is unknown whether the process uses the CPU."""
+MUTE_S = 8.0
+"""The same if its process cannot be listed, and it sends neither beacons nor data: the fault is then the node's, and its topics, which
+wait up to 10 s for it (`phm.tracker.rules`), have none. Nothing is restarted, since it may be busy."""
 CERTAIN_HANG_S = 15.0
 """A lack of CPU does not block an executor for this long while the beacon of the same process is on time: with 3 % of a core, executors
 ran more than twice a second."""
@@ -107,6 +110,8 @@ class NodeVerdict:
     has ended or is stopped, or the node reports that its executor has been blocked for CERTAIN_HANG_S: a delay cannot look like that."""
     certain: bool = False
     """The engine reports that its process has ended or is stopped, and its start is over: it does not come back by waiting."""
+    age_s: float = 0.0
+    """How long ago that was observed, if it is certain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +150,8 @@ def judge_node(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
     bad = state in (NodeState.DEAD, NodeState.HUNG)
     witnessed = bad and (decisive in (Kind.CONTAINER, Kind.PROCESS) or _certainly_blocked(case))
     certain = bad and decisive is Kind.PROCESS and not past.starting
-    return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed, certain)
+    age_s = case.of[Kind.PROCESS].age_s if certain else 0.0
+    return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed, certain, age_s)
 
 
 def container(case: Findings) -> RuleResult:
@@ -224,9 +230,16 @@ def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
     process = case.evidence(Kind.PROCESS, Observation.ALIVE)
     if process is not None and process.measured:
         return NodeState.HUNG if beacon.lasted_s >= HANG_S else NodeState.UNKNOWN
-    if beacon.lasted_s < BLIND_HANG_S:
-        return NodeState.UNKNOWN
-    return NodeState.UNANSWERING if case.past.contained else NodeState.HUNG
+    topics = case.says(Kind.TOPICS, Observation.SILENT)
+    mute = (
+        process is None
+        and beacon.says is Observation.SILENT
+        and topics is not None
+        and min(topics.lasted_s, beacon.lasted_s) >= MUTE_S
+    )
+    if case.past.contained and (mute or beacon.lasted_s >= BLIND_HANG_S):
+        return NodeState.UNANSWERING
+    return NodeState.UNKNOWN if beacon.lasted_s < BLIND_HANG_S else NodeState.HUNG
 
 
 def sign_of_life(case: Findings) -> RuleResult:

@@ -15,6 +15,13 @@ UNDISTURBED_S = 5.0
 starvation have to disappear (docs/development/architecture.md)."""
 
 
+IN_TIME_S, IN_TIME_PROBES = 1.0, 2
+"""So many probes in a row that failed by themselves within this time: the engine started a program in the container, and it ran to
+its end, without delay. So the application in the same container is not delayed either."""
+OWN_CODES = range(1, 128)
+"""Exit codes of a program that ended by itself; above them are signals, e.g. of the kernel for lack of memory."""
+
+
 class Health(PerContainer):
     """Docker's health state of the container."""
 
@@ -54,7 +61,10 @@ class Health(PerContainer):
                 target=self.key,
                 values=values,
             )
-            return replace(unhealthy, age_s=world.clock.mono() - shown_from)
+            in_time = _failed_in_time(fact)
+            return replace(
+                unhealthy, age_s=world.clock.mono() - shown_from, evidence=replace(unhealthy.evidence, in_time=in_time)
+            )
         if fact.health == "starting":
             decides_s = fact.healthcheck.decides_s if fact.healthcheck is not None else None
             within = f", which may take {span(decides_s)} from its start" if decides_s is not None else ""
@@ -86,3 +96,11 @@ class Health(PerContainer):
             target=self.key,
             values=values,
         )
+
+
+def _failed_in_time(fact: api.ContainerFact) -> bool:
+    """Whether the newest probes reported the failure themselves, without delay."""
+    newest = fact.failed_probes[-IN_TIME_PROBES:]
+    return len(newest) == IN_TIME_PROBES and all(
+        probe.exit_code in OWN_CODES and probe.took_s is not None and probe.took_s <= IN_TIME_S for probe in newest
+    )

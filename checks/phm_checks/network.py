@@ -60,7 +60,10 @@ class Network(PerContainer):
         values: dict[str, api.Value] = {"networks": len(findings), "networks_bad": len(bad)}
         if bad:
             summary = joined([finding.summary for finding in bad])
-            return api.Result(bad[0].level, summary, bad[0].brief, bad[0].condition, self.key, values)
+            first = bad[0]
+            return api.Result(
+                first.level, summary, first.brief, first.condition, self.key, values, evidence=first.evidence
+            )
         return self._blocked(world, fact) or api.ok(joined([finding.summary for finding in findings]), values=values)
 
     def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
@@ -128,11 +131,12 @@ class Network(PerContainer):
         if attached is None:
             gone = any(one.name == name for one in fact.networks)
             why = ": it is still attached to an old network of that name that was removed and recreated" if gone else ""
-            return self._bad(
+            detached = self._bad(
                 f"{self.key} is not connected to {name}{why}; `docker network connect {name} {fact.name}` connects it",
                 f"not on {name}",
                 "disconnected",
             )
+            return detached.with_evidence(api.Evidence(conclusive=True))
         return self._sidecar(world, attached, name, network_id)
 
     def _sidecar(self, world: api.World, attached: api.Attachment, name: str, network_id: str) -> api.Result:

@@ -198,6 +198,7 @@ class Nodes(api.Check):
         known = api.Evidence(
             certain=judgement.certain
             or (judgement.state is NodeState.NEVER_STARTED and table is not None and table.not_started(name)),
+            observed=now - judgement.age_s if judgement.certain else float("inf"),
             conclusive=judgement.witnessed or judgement.state is NodeState.DUPLICATE,
             listed=node.graph.count,
         )

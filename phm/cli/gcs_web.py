@@ -41,7 +41,7 @@ class WebChoice:
 
     def history_path(self) -> Path | None:
         """None: the history ends with the program."""
-        from phm.gcs.web.history.store import default_path
+        from phm.gcs.web.history.locations import default_path
 
         if self.history == "none":
             return None

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
+
+from phm.cli.web_options import address
 
 if TYPE_CHECKING:
     from phm.setup.answers import Answers
@@ -18,6 +21,19 @@ if TYPE_CHECKING:
 SOCKET = "unix:///var/run/docker.sock"
 ENGINE_S = 30.0
 """Longest wait for an answer. An engine that starts many containers may take longer than the 5 s that suit the daemon."""
+
+
+def _deliver_at(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:
+    """The address of `--deliver`, which Docker publishes: one of this machine, no name."""
+    import ipaddress
+
+    found = address(ctx, param, value)
+    try:
+        if found is not None:
+            ipaddress.ip_address(found[0])
+    except ValueError:
+        raise click.BadParameter(f"{value!r} needs an address of this machine, e.g. 10.0.0.7:9465") from None
+    return found
 
 
 @click.command(epilog="Example: phm init /opt/phm --id 7 --container ros_app --recover --mavlink udpout:10.0.0.5:14550")
@@ -41,9 +57,23 @@ ENGINE_S = 30.0
 @click.option("--network", type=click.Choice(["bridge", "host"]), help="Network of PHM.  [default: as the containers]")
 @click.option("--logs", metavar="DIR", help="Folder of the log.  [default: logs, beside the compose file]")
 @click.option("--image", help="Image of PHM.  [default: phm-sidecar:dev]")
+@click.option(
+    "--deliver",
+    metavar="HOST:PORT",
+    callback=_deliver_at,
+    help="Permit configurations over IP, at this address of this machine, with a key.  [default: read-only for PHM]",
+)
 @click.option("--no-ros", is_flag=True, help="Do not look for ROS nodes.")
 @click.option("--socket", default=SOCKET, show_default=True, help="Address of the Docker Engine.")
-def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, **given: Any) -> None:
+def command(
+    directory: Path,
+    socket: str,
+    yes: bool,
+    force: bool,
+    no_ros: bool,
+    deliver: tuple[str, int] | None,
+    **given: Any,
+) -> None:
     """Create a folder with everything needed to start PHM.
 
     Looks at the running containers, asks at most five questions, and writes phm.yaml, compose.yaml, agent.env and
@@ -62,20 +92,30 @@ def command(directory: Path, socket: str, yes: bool, force: bool, no_ros: bool, 
         _fail(_remedy(socket) or str(error))
     _show(machine)
     interview = Interview(machine, _given(given))
-    answers = _ask(interview, yes=yes)
+    answers = replace(_ask(interview, yes=yes), deliver=deliver)
     if not no_ros:
         answers = _with_nodes(machine, answers, engine)
     texts = _checked(machine, answers, directory)
     try:
         folder.write(directory, texts, force=force)
         folder.make_log_folder(directory / answers.logs)
+        owned = not deliver or _prepare_deliveries(directory)
     except folder.FilesExist as error:
         _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename or directory} cannot be written: {error.strerror or error}")
     click.echo(f"wrote {', '.join(sorted(texts))} to {directory}")
     _show_differences(machine, answers, texts)
-    _finish(directory, answers)
+    _finish(directory, answers, owned=owned)
+
+
+def _prepare_deliveries(directory: Path) -> bool:
+    """The key, and PHM's user as the owner of what it may change; whether that was possible. Raises OSError."""
+    from phm.setup import folder
+    from phm.setup.answers import DELIVERED, DELIVERY_KEY
+
+    folder.make_key(directory / DELIVERY_KEY)
+    return folder.give_to_phm(directory / DELIVERED)
 
 
 def _remedy(socket: str) -> str:
@@ -137,8 +177,6 @@ def _prompt(interview: Interview, question: Question) -> None:
 
 def _with_nodes(machine: Machine, answers: Answers, engine: DockerEngine) -> Answers:
     """The answers with the nodes of the ROS graph, where that can be read."""
-    from dataclasses import replace
-
     from phm.setup import answers as decided, ros_nodes
     from phm.setup.ros_settings import source, variables
 
@@ -158,11 +196,11 @@ def _checked(machine: Machine, answers: Answers, directory: Path) -> dict[str, s
     """The files, of which phm.yaml is valid: a defect of PHM is reported here and not when the container starts."""
     from phm.config import ConfigError
     from phm.config.loader import loads
-    from phm.setup.template_renderer import CONFIGURATION, render
+    from phm.setup.template_renderer import render
 
     texts = render(machine, answers)
     try:
-        loads(texts[CONFIGURATION], str(directory / CONFIGURATION), environ={})
+        loads(texts[answers.configuration], str(directory / answers.configuration), environ={})
     except ConfigError as error:
         _fail(f"the configuration would not be valid, which is a defect of PHM; nothing was written\n{error}")
     return texts
@@ -195,11 +233,22 @@ def _show_differences(machine: Machine, answers: Answers, texts: dict[str, str])
         click.echo(one_line(f"{receives} the ROS nodes of {name}: {found.text}"))
 
 
-def _finish(directory: Path, answers: Answers) -> None:
+def _finish(directory: Path, answers: Answers, *, owned: bool) -> None:
+    """owned: the delivered configuration belongs to PHM's user."""
+    from phm.setup.answers import DELIVERED, DELIVERY_KEY
+    from phm.setup.folder import PHM_USER
+
     click.echo("Next:")
+    if not owned:
+        click.echo(f"  sudo chown -R {PHM_USER}:{PHM_USER} {directory / DELIVERED}")
     click.echo(f"  cd {directory} && docker compose up -d")
     click.echo("  docker compose exec phm phm status")
     click.echo("`phm learn` then adds nodes, topics and rates, and `phm doctor` shows what PHM can use.")
+    if answers.deliver:
+        click.echo(
+            f"Configurations can be delivered to {answers.deliver[0]}:{answers.deliver[1]} with {directory / DELIVERY_KEY}; copy it to "
+            "the ground station. Who has it can run programs as PHM."
+        )
     if answers.name and not answers.recover:
         click.echo("PHM reports faults and restarts nothing: `recover: true` in phm.yaml allows it.")
 

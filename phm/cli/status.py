@@ -18,6 +18,11 @@ from phm.wire import status_file
 @click.option("--healthy", is_flag=True, help="Print one sentence; exit code 0 when the daemon is healthy, else 1.")
 @click.option("--watch", is_flag=True, help="Refresh every second until Ctrl-C.")
 @web_options("this agent")
+@click.option(
+    "--history",
+    type=click.Path(dir_okay=False),
+    help="Where the page keeps its history; none: until it ends.  [default: page-history.db in /var/lib/phm, else in $XDG_STATE_HOME/phm]",
+)
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -27,6 +32,7 @@ def command(
     healthy: bool,
     watch: bool,
     web: tuple[str, int] | None,
+    history: str | None,
     **access: Any,
 ) -> None:
     """Show daemon and agent status.
@@ -36,10 +42,10 @@ def command(
     """
     if as_json + healthy + watch + bool(web) > 1:
         raise click.UsageError("Use only one of --json, --healthy, --watch and --web.")
-    if any(access.values()) and not web:
-        raise click.UsageError("--token-file, --tls-cert, --tls-key and --behind-proxy need --web.")
+    if any((*access.values(), history)) and not web:
+        raise click.UsageError("--token-file, --tls-cert, --tls-key, --behind-proxy and --history need --web.")
     if web:
-        _serve(run_dir, web, access)
+        _serve(run_dir, web, history, access)
         return
     if watch:
         _watch(run_dir)
@@ -83,25 +89,30 @@ def _watch(run_dir: str) -> None:
         return
 
 
-def _serve(run_dir: str, where: tuple[str, int], access: dict[str, Any]) -> None:
-    """Serve the page until Ctrl-C or SIGTERM."""
+def _serve(run_dir: str, where: tuple[str, int], history: str | None, access: dict[str, Any]) -> None:
+    """Serve the page until Ctrl-C or SIGTERM. history: as given."""
     import signal
     import threading
+    from pathlib import Path
 
     from phm.cli import web_options
 
     web_options.require_aiohttp("--web")
     from phm.core.clock import SystemClock
     from phm.gcs.web.agent_page import AgentPage
+    from phm.gcs.web.history.locations import agent_path
 
+    path = None if history == "none" else agent_path() if history is None else Path(history)
     options = web_options.listen_options(where, **access)
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda _number, _frame: ended.set())
-    page = web_options.listening("--web", where, lambda: AgentPage(lambda: _read(run_dir), options, SystemClock()))
+    page = web_options.listening(
+        "--web", where, lambda: AgentPage(lambda: _read(run_dir), options, SystemClock(), path)
+    )
     try:
         page.start()
-        click.echo(f"page at {page.url}", err=True)
+        click.echo("; ".join(filter(None, (f"page at {page.url}", page.about()))), err=True)
         ended.wait()
     finally:
         page.close()

@@ -24,6 +24,8 @@ from phm.config.yaml_tree import MAX_BYTES, Tree, parse
 from phm.core.settings import Settings
 
 INSTALLED = FilePath("/etc/phm/phm.yaml")
+DELIVERED = "/etc/phm-delivered"
+"""Where the Compose files mount a folder for delivered configurations."""
 IN_REPOSITORY = FilePath("config/phm.yaml")
 INTERVAL_VARIABLE = "PHM_INTERVAL"
 NO_CONFIGURATION = (

@@ -1,7 +1,6 @@
 """Shut down components one after the other within a total time budget.
 
-Docker kills what has not exited 10 s after SIGTERM. A component that hangs uses up only its own limit, so the others are still
-closed.
+A component that hangs uses up only its own limit, so the others are still closed.
 """
 
 from __future__ import annotations
@@ -16,11 +15,13 @@ from phm.core.clock import Clock
 logger = logging.getLogger(__name__)
 
 MIN_STEP_S = 0.05
-"""Minimum time for each step, even when the budget is used up."""
+"""Minimum time for each step while the reserve lasts."""
+RESERVE_S = 1.5
+"""Part of the budget that hanging components do not use up: MIN_STEP_S for each of 30 others."""
 
 
 class ShutdownSequence:
-    """`hung` names the steps that did not return; their threads end with the process."""
+    """All steps together wait at most `budget_s`. `hung` names those that did not return; their threads end with the process."""
 
     def __init__(self, clock: Clock, budget_s: float) -> None:
         self._clock, self._end = clock, clock.mono() + budget_s
@@ -40,6 +41,6 @@ class ShutdownSequence:
 
         if not threads.start_now(threading.Thread(target=run, name=f"phm-close-{name}", daemon=True)):
             run()
-        left_s = self._end - self._clock.mono()
-        if not self._clock.wait(done, max(MIN_STEP_S, min(limit_s, left_s))):
+        left_s = max(0.0, self._end - self._clock.mono())
+        if not self._clock.wait(done, min(limit_s, max(left_s - RESERVE_S, min(MIN_STEP_S, left_s)))):
             self.hung.append(name)

@@ -90,7 +90,11 @@ class Evidence:
     generation:   the run of the target container that the check observed (`phm.facts.ContainerFact.generation`).
     certain:      more time would not change this bad result, and no network has caused it: it counts during grace, too, and ends the
                   verification of an action that has not ended it.
+    observed:     when a certain result was observed (monotonic seconds), if that was before the run of the check, such as in an
+                  earlier list of processes; infinity: in that run.
     conclusive:   the problem itself was observed, not inferred from delay or silence: resource starvation cannot explain it.
+    in_time:      the observation that failed was made without delay: of the kinds of starvation, only one that delays nothing
+                  (a limit of processes) can explain it.
     never_ok:     whether the subject has never been OK since its container was started; None: the check does not know.
     listed:       how many times the ROS graph still lists the name of the missing node; None: unknown.
     file:         path of the faulty file inside the container.
@@ -102,7 +106,9 @@ class Evidence:
 
     generation: str = ""
     certain: bool = False
+    observed: float = float("inf")
     conclusive: bool = False
+    in_time: bool = False
     never_ok: bool | None = None
     listed: int | None = None
     file: str = ""

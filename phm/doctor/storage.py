@@ -38,8 +38,8 @@ def _replaceable(path: str) -> Row:
     """Whether PHM can put a delivered configuration into the place of this file: it renames another one over it."""
     folder = os.path.dirname(path)
     remedy = (
-        f"in PHM's Compose file mount `- FOLDER:{folder}`, writable for uid {os.geteuid()}, not the file alone and not with :ro; "
-        "or remove delivery.listen"
+        "in a container, lay docker/compose.deliver.yaml over docker/compose.yaml, or write the folder with `phm init --deliver`; "
+        f"else make {folder} writable for uid {os.geteuid()}; or remove delivery.listen"
     )
     if os.path.ismount(path):
         return limited("delivery", f"{path} is mounted alone and cannot be replaced", remedy)

@@ -18,6 +18,7 @@ from phm.facts.docker import (
     DeviceMapping as DeviceMapping,
     DockerProbe as DockerProbe,
     EventStreamFact as EventStreamFact,
+    FailedProbe as FailedProbe,
     HealthcheckFact as HealthcheckFact,
     Mount as Mount,
     OtherContainer as OtherContainer,

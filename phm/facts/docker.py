@@ -60,6 +60,16 @@ class HealthcheckFact:
 
 
 @dataclass(frozen=True, slots=True)
+class FailedProbe:
+    """A run of the container's HEALTHCHECK that failed."""
+
+    exit_code: int
+    """-1: the engine ended it at its timeout, or could not run it."""
+    took_s: float | None
+    """From its start to its end, by the engine's time stamps; None: they cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
 class ContainerFact:
     """State of one container, from the engine's inspect call."""
 
@@ -77,6 +87,8 @@ class ContainerFact:
     """none, starting, healthy or unhealthy."""
     health_streak: int = 0
     health_output: str = ""
+    failed_probes: tuple[FailedProbe, ...] = ()
+    """Those since the last one that passed, oldest first; the engine keeps five."""
     healthcheck: HealthcheckFact | None = None
     """None: the container has no HEALTHCHECK."""
     restart_count: int = 0

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 from phm.core.clock import Clock
@@ -14,6 +16,7 @@ from phm.facts import (
     CannotTell,
     ContainerFact,
     DeviceMapping,
+    FailedProbe,
     HealthcheckFact,
     Mount,
     OtherContainer,
@@ -24,6 +27,7 @@ from phm.transport.docker import DockerEngine, EngineMissing
 _OUTPUT_CHARS = 200
 _ALIVE = ("running", "paused", "restarting")
 _LEAST_S = 0.05
+_MOMENT = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 
 
 class TimeBudget:
@@ -103,6 +107,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         health=_text(health.get("Status")) or "none",
         health_streak=_number(health.get("FailingStreak")),
         health_output=_output(health),
+        failed_probes=_failed_probes(health),
         healthcheck=_healthcheck(_part(_part(answer, "Config"), "Healthcheck")),
         restart_count=_number(answer.get("RestartCount")),
         restart_policy=_text(_part(host, "RestartPolicy").get("Name")) or "no",
@@ -220,6 +225,30 @@ def _output(health: Mapping[str, Any]) -> str:
     """What the health command printed last, on one line."""
     log = _several(health, "Log")
     return " ".join(_text(log[-1].get("Output")).split())[:_OUTPUT_CHARS] if log else ""
+
+
+def _failed_probes(health: Mapping[str, Any]) -> tuple[FailedProbe, ...]:
+    """The failed runs at the end of the engine's log."""
+    found: list[FailedProbe] = []
+    for entry in reversed(_several(health, "Log")):
+        if _number(entry.get("ExitCode")) == 0:
+            break
+        begun, ended = _moment(entry.get("Start")), _moment(entry.get("End"))
+        took_s = None if begun is None or ended is None else max(0.0, (ended - begun).total_seconds())
+        found.append(FailedProbe(_number(entry.get("ExitCode")), took_s))
+    return tuple(reversed(found))
+
+
+def _moment(value: Any) -> datetime | None:
+    """The engine's time stamp, to a microsecond: it has up to nine decimals, and its zone is the same in one log."""
+    found = _MOMENT.match(_text(value))
+    if found is None:
+        return None
+    try:
+        seconds = datetime.fromisoformat(found[1])
+    except ValueError:
+        return None
+    return seconds.replace(microsecond=int((found[2] or "0")[:6].ljust(6, "0")))
 
 
 def _part(answer: Mapping[str, Any], key: str) -> Mapping[str, Any]:

@@ -334,7 +334,7 @@ class GuardedEngine:
             return
         if self._guard is not None:
             reach = REACH.get(call, Impact.CONTAINER)
-            why = self._guard.refusal(call, ref, reach, self._approved_at, self._engine.inspect)
+            why = self._guard.refusal(call, ref, reach, self._approved_at)
             if why:
                 raise FlightCriticalError(why)
         if call in TAKES_DOWN:

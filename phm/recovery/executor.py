@@ -61,7 +61,9 @@ class Executor:
         self._generations = GenerationTracker(context.container, clock, self._verify_s)
         guard = None
         if critical_containers(self._containers):
-            guard = FlightCriticalGuard(self._containers, context.container, context.own_container, armed)
+            guard = FlightCriticalGuard(
+                self._containers, context.container, context.own_container, armed, context.engine.inspect
+            )
         self._shared = Shared(pipeline, clock, self.locks, self._generations, grace_s)
         self._rules = ActionRules(settings.recovery, settings.start_s, self.catalog, self.holds, armed, guard)
         self._new_attempt = partial(

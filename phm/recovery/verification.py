@@ -136,16 +136,13 @@ class Verification:
         return VerificationResult(missing=missing, partly=missing != self.unit, not_counted=starved)
 
     def _lost(self, checks: CheckResults, counts_from: float) -> str:
-        """The first unit that does not come back by waiting, by a run that began STILL_BAD_S after results count; empty: none."""
+        """The first unit that does not come back by waiting, by a run that began STILL_BAD_S after results count, and by what was
+        observed after the action; empty: none."""
         results = ((name, checks.newest(name, counts_from + STILL_BAD_S)) for name in self.waiting)
-        return next(
-            (
-                name
-                for name, newest in results
-                if newest is not None and newest.level is Level.ERROR and newest.evidence.certain
-            ),
-            "",
-        )
+        return next((name for name, newest in results if newest is not None and self._stays(newest)), "")
+
+    def _stays(self, result: Result) -> bool:
+        return result.level is Level.ERROR and result.evidence.certain and result.evidence.observed >= self.done
 
     def _may_be_starvation(self, checks: CheckResults) -> bool:
         """Whether starvation can explain that the first unit has not recovered.

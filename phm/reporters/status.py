@@ -126,6 +126,7 @@ class StatusReporter(Reporter):
             "written_mono": now.mono,
             "interval_s": self._interval_s,
             "alive": context.alive(),
+            "armed": context.armed(),
             "status_word": status_word.encode(worst_by_slot(states)),
             "holds": context.holds(),
             "faults": {

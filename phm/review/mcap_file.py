@@ -1,7 +1,8 @@
 """Levels and faults of a record as an MCAP file of ROS 2 diagnostics, for Foxglove and other programs that show a recording.
 
-`/diagnostics` has what PHM published there: at each change the unit and the summary of its agent, and all units every 10 s, so
-that a program that seeks has them all. `/phm/faults` has one status for each fault, when it opens and when it ends.
+`/diagnostics` has what PHM published there: at each change the unit and the summary of its agent, and all units every 4 s, so
+that a program that seeks has them all, and none is shown as STALE for its age. `/phm/faults` has one status for each fault, when
+it opens and when it ends.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from phm.wire.text import one_line
 
 Json = dict[str, Any]
 FAULTS = "/phm/faults"
-WHOLE_S = 10.0
+WHOLE_S = 4.0
+"""Foxglove and diagnostic_aggregator show a status as STALE 5 s after its last message."""
 MOST_WHOLE = 20_000
 """Arrays with all units; a longer record has them less often."""
 LEVELS = {"OK": 0, NOT_APPLICABLE: 0, "WARN": 1, "ERROR": 2, "STALE": 3}

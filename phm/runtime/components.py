@@ -135,7 +135,9 @@ class Components:
         pipeline, clock, docker = self.pipeline, self.clock, self.probes.world.docker
         self.armed = ArmedMonitor(self.probes.world.links.autopilot, settings.mavlink.autopilot_timeout, clock)
         held = HoldRegistry()
-        world = HoldInputs(self.armed.now, docker.container, self._acting_on, self.probes.event_stream)
+        world = HoldInputs(
+            self.armed.now, docker.container, self._acting_on, self.probes.event_stream, self.probes.engine.inspect
+        )
         self.holds = HoldService(settings.recovery, settings.containers, held, pipeline, self.bus.publish, clock, world)
         self.relief = CpuWeights(self.probes.engine, docker.container, pipeline, clock)
         self.may_relieve = bool(settings.recovery.relieve)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 from phm.api import Check
@@ -27,7 +27,7 @@ WATCHDOG_EVERY = 30
 STALLED_END_S = 30.0
 """A daemon that has stalled for this long exits: Docker restarts a process that exits, not one that hangs."""
 STOP_S = 6.0
-"""Limit for all of `stop`. Docker sends SIGKILL 10 s after SIGTERM by default."""
+"""Limit for all parts that end, together (`phm.runtime.service.END_S`)."""
 PROBE_S = 3.0
 """Limit for one probe: the ROS child publishes PHM's last diagnostics."""
 
@@ -125,11 +125,16 @@ class Daemon:
 
     # ------------------------------------------------------------ stop
 
-    def stop(self) -> tuple[str, ...]:
-        """End every part in order, within STOP_S altogether; the names of those that hang."""
-        parts, closing = self.components, ShutdownSequence(self.clock, STOP_S)
+    def stop(self, most_s: float | None = None, also: Callable[[], object] | None = None) -> tuple[str, ...]:
+        """End every part in order; the names of those that hang. most_s: limit for all together, if less than STOP_S. also: ends what
+        delivers configurations to this daemon.
+        """
+        limit_s = STOP_S if most_s is None else min(STOP_S, most_s)
+        parts, closing = self.components, ShutdownSequence(self.clock, limit_s)
         parts.loop.stop()
         closing.step("marker", self.marker.end, 0.5)  # first: the stop was requested, whatever hangs after this
+        if also is not None:
+            closing.step("delivery", also, 0.5)
         if self._watchdog is not None:
             closing.step("watchdog", self._watchdog.close, 0.5)
         self.pipeline.note("PHM", "PHM is stopping")

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from phm.config import ConfigError, Problem
 from phm.config.atomic_write import replace
-from phm.config.loader import read_file
+from phm.config.loader import DELIVERED, read_file
 from phm.core.clock import Clock
 from phm.core.settings import DeliverySettings
 from phm.runtime.configuration import fixed_sections, read_text
@@ -223,10 +223,11 @@ def _not_written(path: Path, error: OSError) -> str:
     why = error.strerror or str(error)
     if error.errno in (errno.EROFS, errno.EBUSY, errno.EXDEV):
         return (
-            f"{path} cannot be replaced: {why}. In PHM's Compose file, replace the line under volumes that ends in `:{path.parent}:ro` "
-            f"or `:{path}:ro` by `- FOLDER:{path.parent}`; FOLDER is a folder on the host with {path.name} and without the Compose "
-            f"file, writable for user {os.geteuid()}. Under systemd, add `ReadWritePaths={path.parent}` to phm.service. Or copy the file to the agent and run "
-            "`phm reload`"
+            f"{path} cannot be replaced: {why}. To permit deliveries, start docker/compose.yaml with `-f docker/compose.deliver.yaml`; "
+            f"in another Compose file, also that of `phm init` without `--deliver`, add `- FOLDER:{DELIVERED}` under volumes and "
+            f"`PHM_CONFIG: {DELIVERED}/{path.name}` under environment; FOLDER is a folder on the host with {path.name} and without "
+            f"the Compose file, and belongs to user {os.geteuid()}. Under systemd, add `ReadWritePaths={path.parent}` to "
+            "phm.service. Or copy the file to the agent and run `phm reload`"
         )
     if error.errno in (errno.EACCES, errno.EPERM):
         return (

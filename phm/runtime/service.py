@@ -6,6 +6,8 @@ import logging
 import os
 import signal
 from dataclasses import dataclass
+from functools import partial
+from types import FrameType
 from typing import NoReturn
 
 from phm.core import memory, threads
@@ -23,6 +25,11 @@ from phm.runtime.wiring import build_daemon, build_delivery
 logger = logging.getLogger(__name__)
 
 ENDING = frozenset((signal.SIGTERM, signal.SIGINT))
+END_S = 9.0
+"""The process ends this long after the first of these signals, whatever hangs. Docker sends SIGKILL after 10 s by default, the shipped
+systemd unit too, the shipped compose files after 15 s."""
+SPARE_S = 1.0
+"""What is left of that time when the daemon has ended: to release the lock, and to name what hangs."""
 
 
 @dataclass
@@ -56,7 +63,8 @@ def run(configuration: Configuration, read: ReadAgain) -> int:
     running = _Running(
         build_daemon(settings, clock, watchdog, plan=configuration.plan, problems=problems, reload=reloader.request)
     )
-    with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP) as signals:
+    signal.signal(signal.SIGALRM, partial(_overdue, running))
+    with Signals(*ENDING, signal.SIGCONT, signal.SIGHUP, handler=_limit_the_end) as signals:
         running.daemon.start()
         watchdog.start()
         if server is not None:
@@ -65,9 +73,8 @@ def run(configuration: Configuration, read: ReadAgain) -> int:
         memory.give_back()
         _serve(running, signals, reloader, systemd)
         systemd.stopping()
-        if server is not None:
-            server.close()
-        hung = running.daemon.stop()
+        left_s = signal.getitimer(signal.ITIMER_REAL)[0]
+        hung = running.daemon.stop(left_s - SPARE_S, server.close if server is not None else None)
         lock.release()
         if hung:
             logger.critical("PHM exits although these parts still hang: %s", ", ".join(hung))
@@ -97,6 +104,19 @@ def _serve(running: _Running, signals: Signals, reloader: Reloader, systemd: Sys
                     )
                     _exit()
                 systemd.ready()
+
+
+def _limit_the_end(number: int, frame: FrameType | None) -> None:
+    """A handler: the main thread may be in a reload, and read the signal only after it."""
+    if number in ENDING and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
+        signal.setitimer(signal.ITIMER_REAL, END_S)
+
+
+def _overdue(running: _Running, number: int, frame: FrameType | None) -> NoReturn:
+    """A handler, so it takes no lock: the interrupted code may hold it. This end was requested and is none of a crash."""
+    running.daemon.marker.end()
+    os.write(2, f"phm: CRITICAL: PHM was not able to stop within {END_S:g} s and exits\n".encode())
+    os._exit(os.EX_SOFTWARE)
 
 
 def _exit() -> NoReturn:

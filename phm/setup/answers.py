@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 from phm.setup.machine import Application, Machine
+from phm.transport.own_network import HOST_NAME
 
 Network = Literal["bridge", "host"]
 IMAGE = "phm-sidecar:dev"
 NO_MAVLINK = "none"
 GROUND_PORT = 14550
 """The port at which ground stations listen."""
-HOST_NAME = "host.docker.internal"
-"""The host, as the written compose file names it for a bridged container."""
+DELIVERED, DELIVERY_KEY = "delivered", "delivered/delivery.key"
+"""The folder that PHM may write to if configurations are delivered, and the key of the operator."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,7 @@ class Answers:
     mavlink:         url of the MAVLink endpoint, or NO_MAVLINK.
     logs:            folder of the log, relative to the compose file or absolute.
     nodes:           names of ROS nodes with the container each one runs in, empty where that is not known.
+    deliver:         address and port at which configurations may be delivered; None: the configuration is read-only for PHM.
     """
 
     name: str
@@ -39,6 +41,12 @@ class Answers:
     image: str = IMAGE
     logs: str = "./logs"
     nodes: tuple[tuple[str, str], ...] = ()
+    deliver: tuple[str, int] | None = None
+
+    @property
+    def configuration(self) -> str:
+        """The file of the configuration, relative to the folder."""
+        return f"{DELIVERED}/phm.yaml" if self.deliver else "phm.yaml"
 
 
 class UnknownContainer(Exception):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 from collections.abc import Mapping
+from itertools import takewhile
 from pathlib import Path
 
 PHM_USER = 10001
@@ -25,18 +27,48 @@ def existing(folder: Path, names: Mapping[str, str]) -> list[str]:
 
 
 def write(folder: Path, texts: Mapping[str, str], *, force: bool) -> None:
-    """Write all files, readable for PHM's user whatever the umask is. Raises FilesExist before anything is written, and OSError."""
+    """Write all files, by their paths in the folder, readable for PHM's user whatever the umask is. As root, e.g. in a container, they
+    and new folders belong to the owner of the folder they are in, who edits them later. Raises FilesExist before anything is
+    written, and OSError."""
     found = existing(folder, texts)
     if found and not force:
         raise FilesExist(folder, found)
+    new = list(takewhile(lambda one: not one.exists(), (folder, *folder.parents)))
+    where = (new[-1].parent if new else folder).stat()
     if not folder.is_dir():
         folder.mkdir(parents=True)
         folder.chmod(0o755)
     for name, text in texts.items():
-        beside = folder / f".{name}.new"
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        beside = path.with_name(f".{path.name}.new")
         beside.write_text(text, encoding="utf-8")
         beside.chmod(0o644)
-        os.replace(beside, folder / name)
+        os.replace(beside, path)
+    if os.geteuid() == 0:
+        for path in (*new, *(folder / name for name in texts)):
+            with contextlib.suppress(PermissionError):  # a file system without owners
+                os.chown(path, where.st_uid, where.st_gid, follow_symlinks=False)
+
+
+def make_key(path: Path) -> None:
+    """Write a random key that only its owner can read. One that exists stays: the ground station has it. Raises OSError."""
+    with contextlib.suppress(FileExistsError), open(path, "x", encoding="ascii", opener=_private) as stream:
+        stream.write(f"{secrets.token_hex(32)}\n")
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
+
+
+def give_to_phm(folder: Path) -> bool:
+    """Make PHM's user the owner of a folder and its files; False if this process may not. Raises OSError."""
+    try:
+        for path in (*folder.iterdir(), folder):
+            os.chown(path, PHM_USER, PHM_USER, follow_symlinks=False)
+    except PermissionError:
+        return False
+    return True
 
 
 def write_new(folder: Path, texts: Mapping[str, str]) -> None:

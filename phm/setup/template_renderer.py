@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from importlib.resources import files
 from string import Template
 
+from phm.config.loader import DELIVERED
 from phm.setup import answers as decided
 from phm.setup.answers import NO_MAVLINK, Answers
 from phm.setup.machine import Application, Machine
 from phm.setup.ros_settings import APPLICATION_PROFILE, ros_settings
 from phm.setup.yaml_text import compose_quoted, quoted
+from phm.transport.own_network import HOST_NAME
 
 CONFIGURATION, COMPOSE, ENVIRONMENT, PROFILE = "phm.yaml", "compose.yaml", "agent.env", "fastdds.xml"
+OVERRIDE = "compose.override.yaml"
 _SERIAL_MAJORS = (
     ("c 166:* rw", "/dev/ttyACM*, flight controllers on USB"),
     ("c 188:* rw", "/dev/ttyUSB*, USB adapters and telemetry radios"),
@@ -22,17 +25,18 @@ _EMPTY = " []"
 
 
 def render(machine: Machine, answers: Answers) -> dict[str, str]:
-    """The text of each file, by name. The containers of `answers` must be among those of `machine`."""
+    """The text of each file, by its path in the folder. The containers of `answers` must be among those of `machine`."""
     watched = decided.containers(machine, answers.containers) if answers.containers else ()
     keys = decided.keys(watched)
     ros = ros_settings(machine, watched, _template(PROFILE), answers.network)
     made = {
-        CONFIGURATION: Template(_template(CONFIGURATION)).substitute(
+        answers.configuration: Template(_template(CONFIGURATION)).substitute(
             agent=answers.name,
             id=answers.id,
             containers=_containers(watched, keys, answers),
             ros=_ros(answers, keys),
             mavlink=_mavlink(answers),
+            delivery=_delivery(answers),
             docker="" if machine.socket else f"\ndocker:\n  socket: {quoted(machine.url)}\n",
         ),
         COMPOSE: Template(_template(COMPOSE)).substitute(
@@ -46,6 +50,8 @@ def render(machine: Machine, answers: Answers) -> dict[str, str]:
         ENVIRONMENT: Template(_template(ENVIRONMENT)).substitute(agent=answers.name, id=answers.id, ros=ros.lines),
         PROFILE: _template(PROFILE),
     }
+    if answers.deliver:
+        made[OVERRIDE] = Template(_template(OVERRIDE)).substitute(ports=_ports(answers, answers.deliver))
     return {**made, **({APPLICATION_PROFILE: ros.profile} if ros.profile else {})}
 
 
@@ -125,7 +131,29 @@ def _mavlink(answers: Answers) -> str:
     )
 
 
+def _delivery(answers: Answers) -> str:
+    if not answers.deliver:
+        return ""
+    listen = _shown(answers.deliver if answers.network == "host" else ("0.0.0.0", answers.deliver[1]))
+    return (
+        "\n# `phm deliver` and the Checks page may replace this file with the key.\n"
+        f"delivery:\n  listen: {quoted(listen)}\n  key: {DELIVERED}/delivery.key\n"
+    )
+
+
 # ------------------------------------------------------------ compose.yaml
+
+
+def _ports(answers: Answers, deliver: tuple[str, int]) -> str:
+    """The published port: the container does not have the address of the host."""
+    if answers.network == "host":
+        return ""
+    return f"    ports:\n      - {compose_quoted(f'{_shown(deliver)}:{deliver[1]}')}\n"
+
+
+def _shown(where: tuple[str, int]) -> str:
+    host, port = where
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def _groups(machine: Machine) -> str:
@@ -143,12 +171,12 @@ def _network(answers: Answers) -> str:
     if answers.network == "host":
         return "    # For an application on the host's network: ROS 2 discovery does not cross from there to a bridge.\n    network_mode: host"
     lines = ["    # PHM connects itself to the networks that phm.yaml names."]
-    if decided.HOST_NAME in answers.mavlink:
-        lines += ["    extra_hosts:", f'      - "{decided.HOST_NAME}:host-gateway" # this machine, for MAVLink']
+    if HOST_NAME in answers.mavlink:
+        lines += ["    extra_hosts:", f'      - "{HOST_NAME}:host-gateway" # this machine, for MAVLink']
     else:
         lines += [
             "    # extra_hosts:",
-            f'    #   - "{decided.HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
+            f'    #   - "{HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
         ]
     return "\n".join(lines)
 

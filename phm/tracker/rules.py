@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from phm.core.model import ON_HOLD, Level, Result
+from phm.core.model import ON_HOLD, Evidence, Level, Result
 from phm.tracker import starvation
 from phm.tracker.units import Pending, TrackerView, UnitRecord
 
@@ -19,6 +19,9 @@ NETWORK, ENDED = "network/", "node_missing"
 """Units of networks, and the condition of a node that has ended: with conclusive evidence it is known from the Docker
 Engine, and no consequence of a network. So is a result with certain evidence. Other conclusive results may be one, of a node that runs:
 its source may be on that network."""
+DETACHED, RECONNECTS = "disconnected", "reconnect"
+"""The condition of a container that is not on its network, known from the Docker Engine if the evidence is conclusive,
+and the action that takes a container off its networks for a moment."""
 GRACE_ENDS_AFTER_OK_S = 2.5
 """Grace ends early once a unit has been OK for this long. Shorter could be a remnant of the previous run (a killed node stays
 listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
@@ -51,6 +54,7 @@ class RuleContext:
 
 
 NO_CHANGE = Decision()
+NO_EVIDENCE = Evidence()
 
 
 def decide(record: UnitRecord, view: TrackerView, now: float) -> Decision | None:
@@ -79,10 +83,13 @@ def recovered(context: RuleContext) -> Decision | None:
 def action_in_progress(context: RuleContext) -> Decision | None:
     """2. A bad result during a recovery action on the unit's target follows from that action.
 
-    The unit is STALE `blocked_by` the fault being recovered; a unit with an open fault stays unchanged.
+    The unit is STALE `blocked_by` the fault being recovered; a unit with an open fault stays unchanged. Except that the Docker
+    Engine no longer lists the running container on its network: of the actions only RECONNECTS does that.
     """
     action = context.view.actions.get(context.record.target)
     if action is None or not context.result.level.bad:
+        return None
+    if _detached(context) and action.action != RECONNECTS:
         return None
     if context.record.fault is None and context.record.id != action.owner:
         return _blocked(context, action.owner)
@@ -226,8 +233,9 @@ def as_unknown(result: Result) -> Result:
 def in_grace(record: UnitRecord, now: float) -> bool:
     """Whether the unit is in grace. An open or given-up fault is not affected."""
     known = record.fault is not None or (record.published_given_up and not record.new_condition)
-    certain = record.latest is not None and record.latest.evidence.certain
-    return not known and ((now < record.grace_until and not certain) or record.started < record.valid_from)
+    evidence = record.latest.evidence if record.latest is not None else NO_EVIDENCE
+    from_before = min(record.started, evidence.observed) < record.valid_from
+    return not known and (from_before or (now < record.grace_until and not evidence.certain))
 
 
 def _unverified(record: UnitRecord, context: RuleContext) -> bool:
@@ -256,6 +264,12 @@ def _unasked(context: RuleContext, lasted: float) -> frozenset[str]:
     return frozenset(
         other.id for other, needed in starvation.asked(context.record, context.view, lasted) if other.started < needed
     )
+
+
+def _detached(context: RuleContext) -> bool:
+    """Whether the engine lists the running container, without its network."""
+    result = context.result
+    return context.record.id.startswith(NETWORK) and result.condition == DETACHED and result.evidence.conclusive
 
 
 def _known(record: UnitRecord) -> bool:

@@ -7,7 +7,7 @@ starvation and not from a defect. Direct observations (a process is gone, a netw
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from phm.core.model import Level, Result
 from phm.tracker.units import Starvation, TrackerView, UnitRecord
@@ -98,7 +98,9 @@ EXPLAINED: Mapping[str, Explanation] = {
     "quorum_dead": _VIEWS,
     "diagnostic_stale": Explanation("its publisher is not scheduled in time", begins_again=True),
     "unhealthy": Explanation(
-        "the probe of the health check takes longer than its time-out, or cannot be started", WAITING | {"pids_limit"}
+        "the probe of the health check takes longer than its time-out, or cannot be started; not where it reported the failure "
+        "itself within 1 s, twice",
+        WAITING | {"pids_limit"},
     ),
     "autopilot_silent": _UNREAD,
     "gcs_lost": _UNREAD,
@@ -124,7 +126,11 @@ def explanation(result: Result) -> Explanation | None:
     """How starvation can explain this bad result; None: it cannot."""
     if not result.level.bad or result.evidence.certain or result.evidence.conclusive:
         return None
-    return EXPLAINED.get(result.condition)
+    symptom = EXPLAINED.get(result.condition)
+    if symptom is None or not result.evidence.in_time:
+        return symptom
+    by = symptom.by - WAITING
+    return replace(symptom, by=by) if by else None
 
 
 def pressure_units(record: UnitRecord, view: TrackerView) -> list[UnitRecord]:

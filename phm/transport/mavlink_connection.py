@@ -18,7 +18,8 @@ from phm.core.settings import EndpointSettings
 from phm.transport.dns import Address, Resolver
 from phm.transport.mavlink_channels import Channel, Stream, StreamChannel, TcpServer, socket_stream, tune
 from phm.transport.mavlink_codec import Codec
-from phm.transport.mavlink_udp import UdpBroadcast, UdpIn, UdpOut
+from phm.transport.mavlink_udp import UdpBroadcast, UdpIn, UdpOut, UdpToHost
+from phm.transport.own_network import HOST_NAME, gateway, is_private
 from phm.transport.serial_errors import SerialErrorCount, drop_output, keep_dtr, read_counts
 
 CONNECT_LIMIT_S = 5.0
@@ -36,10 +37,13 @@ class ChannelOpener:
         self._resolver: Resolver | None = None
         self._target: Address | None = None
         self._source = ""
-        """Own address of the connected UDP socket."""
+        """Own address at which the route to the UDP peer begins."""
+        self._to_host = False
+        """Whether the peer is the host, by name."""
         if not settings.url.startswith("/"):
             self._scheme, _, rest = settings.url.partition(":")
             host, _, port = rest.rpartition(":")
+            self._to_host = host == HOST_NAME
             kind = socket.SOCK_STREAM if self._scheme.startswith("tcp") else socket.SOCK_DGRAM
             self._resolver = Resolver(host, int(port), kind, passive=self._scheme.endswith("in"))
 
@@ -123,8 +127,10 @@ class ChannelOpener:
         sock = socket.socket(family, socket.SOCK_DGRAM)
         with _closed_on_failure(sock):
             sock.setblocking(False)
+            self._source = _source(family, target)
+            if self._to_host and family == socket.AF_INET and is_private():
+                return UdpToHost(sock, target, gateway, self._codec)
             sock.connect(target)
-            self._source = sock.getsockname()[0]
             return UdpOut(sock, self._codec)
 
     def _udpbcast(self) -> Channel:
@@ -139,10 +145,8 @@ class ChannelOpener:
         """Whether the route to the peer now begins at another address of this machine: a connected socket keeps its
         first one."""
         assert self._target is not None
-        family, target = self._target
-        with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
-            probe.connect(target)  # UDP: nothing is sent
-            return bool(probe.getsockname()[0] != self._source)
+        with contextlib.suppress(OSError):
+            return _source(*self._target) != self._source
         return False
 
     def _serial(self) -> Channel:
@@ -161,6 +165,13 @@ class ChannelOpener:
             raise OSError(f"{self._settings.url}: {error}") from error
         keep_dtr(port.fileno())
         return SerialChannel(port, self._codec)
+
+
+def _source(family: int, target: Any) -> str:
+    """Own address from which the route to a UDP peer begins. Raises OSError without a route."""
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect(target)  # UDP: nothing is sent
+        return str(probe.getsockname()[0])
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ import errno
 import ipaddress
 import socket
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 from phm.core import polling
@@ -94,6 +95,24 @@ class UdpOut(_Sending):
 
     def _send(self, frame: bytes) -> None:
         self._socket.send(frame)
+
+
+class UdpToHost(_Sending):
+    """A program on the host of PHM's bridged container. The host has an address on each network: a program that listens on all of
+    them is sent to at `target`, and answers from the gateway of PHM's network."""
+
+    def __init__(self, sock: socket.socket, target: Any, gateway: Callable[[], str], codec: Codec) -> None:
+        """gateway: its present address; it changes when PHM joins another network."""
+        super().__init__(sock, codec)
+        self._target, self._gateway = target, gateway
+
+    def _take(self, data: bytes, sender: Any) -> list[Any]:
+        address, port = sender[:2]
+        from_host = port == self._target[1] and (address == self._target[0] or address == self._gateway())
+        return self._parser.datagram(data) if from_host else []
+
+    def _send(self, frame: bytes) -> None:
+        self._socket.sendto(frame, self._target)
 
 
 class UdpBroadcast(_Sending):

@@ -1,12 +1,19 @@
-"""Which network PHM is in: its own, as in a bridged container, or that of the host."""
+"""Which network PHM is in: its own, as in a bridged container, or that of the host; and where the host is there."""
 
 from __future__ import annotations
 
 import os
+import socket
+import struct
+
+HOST_NAME = "host.docker.internal"
+"""The host, as compose files name it for a bridged container: `host-gateway`, its address on Docker's default bridge."""
 
 _MARKS = ("/.dockerenv", "/run/.containerenv")
 """Docker and Podman create these files in each container."""
 _NET = "/sys/class/net"
+_ROUTES = "/proc/net/route"
+_HAS_GATEWAY = 2
 
 
 def is_private(net: str = _NET, marks: tuple[str, ...] = _MARKS) -> bool:
@@ -29,6 +36,18 @@ def is_loopback(url: str) -> bool:
     scheme, _, rest = url.partition(":")
     host = rest.rpartition(":")[0].strip("[]").lower()
     return scheme in ("udpout", "tcp") and (host in ("localhost", "::1") or host.startswith("127."))
+
+
+def gateway(routes: str = _ROUTES) -> str:
+    """IPv4 address of the default gateway, empty without one. For a bridged container it is the host, at the host's address on
+    the container's network."""
+    try:
+        with open(routes, encoding="ascii") as stream:
+            rows = [line.split() for line in stream][1:]
+        found = [(int(row[6]), int(row[2], 16)) for row in rows if row[1] == "0" * 8 and int(row[3], 16) & _HAS_GATEWAY]
+    except (OSError, ValueError, IndexError):
+        return ""
+    return socket.inet_ntoa(struct.pack("=I", min(found)[1])) if found else ""
 
 
 def _number(net: str, name: str, attribute: str) -> int:

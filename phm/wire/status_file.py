@@ -36,7 +36,8 @@ def read(run_dir: str) -> dict[str, Any]:
             document = json.loads(json.dumps(document, ensure_ascii=False).encode("utf-8", "replace"))
     except FileNotFoundError:
         raise NoStatus(
-            f"there is no {path}: PHM is not running (set it up with `phm init`), or its run_dir is another (see --run-dir)"
+            f"there is no {path}: PHM is not running (set it up with `phm init`), was started seconds ago (try again), "
+            "or has another run_dir (see --run-dir)"
         ) from None
     except OSError as error:
         raise NoStatus(f"cannot read {path}: {error.strerror}") from None

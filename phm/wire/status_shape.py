@@ -39,6 +39,7 @@ SHAPE = {
     "checks": [_CHECK],
     "status_array": [(int, type(None))],
     "status_word": int,
+    "armed": (bool, type(None)),
     "faults": {"open": [_FAULT], "given_up": [_FAULT], "closed": [_CLOSED]},
     "health": _HEALTH,
 }

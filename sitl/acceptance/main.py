@@ -16,7 +16,7 @@ from pathlib import Path
 from rich.console import Console
 
 from sitl.acceptance.plan import APART, MODES, ORDER, Play, configuration, plays
-from sitl.acceptance.table import Row, as_json, rich_table, set_outcome, write_markdown
+from sitl.acceptance.table import Row, print_row, print_rows, set_outcome, write_markdown
 from sitl.faults import all_faults
 from sitl.faults.base import Agent, Fault
 from sitl.harness.compose_stack import ROOT, Stack
@@ -212,7 +212,7 @@ class AcceptanceRun:
 def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play]) -> list[Row]:
     """All rows of the programme, on a stack that is up with the configuration of the mode `act`."""
     proof, faults = AcceptanceRun(stack, console, config), all_faults()
-    rows = [_print_row(row, console) for row in proof.nominal()]
+    rows = [print_row(row, console) for row in proof.nominal()]
     for play in programme:
         if not play.first:
             alone = faults[play.faults[0]] if play.apart else None
@@ -220,14 +220,8 @@ def run(stack: Stack, console: Console, config: Path, programme: Iterable[Play])
         for name in play.faults:
             title = f"{faults[name].title}, `relaunch` configured" if play.relaunch else ""
             row = proof.recover(faults[name], title) if play.mode == "act" else proof.leave_alone(faults[name])
-            rows.append(_print_row(row, console))
+            rows.append(print_row(row, console))
     return rows
-
-
-def _print_row(row: Row, console: Console) -> Row:
-    colour, words = ("green", "holds") if row.good else ("red", "; ".join(row.problems))
-    console.print(f"  [{colour}]{words}[/]  {row.outcome}, {', '.join(row.actions) or 'no action'}", highlight=False)
-    return row
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -249,17 +243,13 @@ def main(arguments: list[str] | None = None) -> int:
         rows = run(stack, console, config, plays(chosen.only, chosen.mode))
     finally:
         stack.down(keep_logs=chosen.keep_logs)
-    if chosen.json:
-        print(as_json(rows))
-    else:
-        console.print(rich_table(rows))
+    code = print_rows(rows, console, json=chosen.json)
     if chosen.markdown:
         write_markdown(rows, ROOT / "docs" / "reference" / "recovery.md")
     if chosen.keep_logs:
         console.print(f"logs: {stack.logs}")
-    bad = sum(not row.good for row in rows)
-    console.print(f"{len(rows) - bad} of {len(rows)} rows hold, in {time.monotonic() - began:.0f} s")
-    return 0 if not bad else 1
+    console.print(f"in {time.monotonic() - began:.0f} s")
+    return code
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from datetime import datetime, timezone
 from itertools import groupby
 from pathlib import Path
 
+from rich.console import Console
 from rich.table import Table
 
 from sitl.harness.machine import machine
@@ -104,6 +105,24 @@ def rich_table(rows: list[Row]) -> Table:
     for row in rows:
         table.add_row(*row.cells(), "[green]ok[/]" if row.good else f"[red]{'; '.join(row.problems)}[/]")
     return table
+
+
+def print_row(row: Row, console: Console) -> Row:
+    colour, words = ("green", "holds") if row.good else ("red", "; ".join(row.problems))
+    actions = ", ".join(row.actions) or "no action"
+    console.print(f"  [{colour}]{words}[/]  {row.title}: {row.outcome}, {actions}", highlight=False)
+    return row
+
+
+def print_rows(rows: list[Row], console: Console, *, json: bool) -> int:
+    """All rows as a table, or as JSON, and how many hold. Returns the exit code."""
+    if json:
+        print(as_json(rows))
+    else:
+        console.print(rich_table(rows))
+    bad = sum(not row.good for row in rows)
+    console.print(f"{len(rows) - bad} of {len(rows)} rows hold")
+    return 1 if bad else 0
 
 
 def as_json(rows: list[Row]) -> str:

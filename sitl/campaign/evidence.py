@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from phm.core.settings import HostSettings, PressureSettings, RosSettings
-from phm_checks import _data_path, _endpoint_history, pressure, topics
+from phm.probes import inotify, link_radio
+from phm.tracker.tracker import ASK_AGAIN_S
+from phm_checks import _data_path, _endpoint_history, _liveness, files, nodes, pressure, topics
 from sitl.campaign.metrics import ClassMetrics, Figures
 
 RATIO = 2.0
@@ -26,15 +28,24 @@ SNAPSHOTS_S = 0.5
 """Two snapshots of the ROS graph, which come four times a second: the evidence may just miss the first."""
 READ_S = 1.0
 """Counters of the kernel are read once a second."""
-_EXECUTOR = "an executor must not have run for 5 s while its process uses no CPU: a long callback is not a fault"
+_EXECUTOR = (
+    f"an executor must not have run for {_liveness.HANG_S:g} s while its process uses no CPU, and for {_liveness.CERTAIN_HANG_S:g} s while "
+    "`host/cpu` is ERROR: neither a long callback nor a busy machine is a fault"
+)
 _PROCESS = (
     "PHM asks the engine for the processes when more than two heartbeats of a beacon, one every 0.2 s, are missing: it "
     "is not informed of their end"
 )
 _HEARTBEATS = "two heartbeats more than were ever missed must be missing: one lost frame is not a fault"
-_ORDER = "measured from the order, and the engine needs most of this time to carry it out"
+_AGAIN = f"PHM asks the engine about the container, and again before it reports, at the latest {ASK_AGAIN_S:g} s later"
+_FILE = f"it must last {files.SETTLE_S:g} s, as programs replace a file by another, and be found again, at the latest {ASK_AGAIN_S:g} s later"
+_DUPLICATE = (
+    f"a restarted node may overlap with the old one for {nodes.BOTH_S:g} s, unless both send beacons; after an action of PHM on the container, "
+    "`join_network` included, nodes have `ros.grace`"
+)
 _REMOVAL = (
-    "its end by a signal may be the beginning of `docker rm -f` or of a restart: PHM waits up to 0.5 s for what follows"
+    "its end by a signal may be the beginning of `docker rm -f` or of a restart: PHM waits up to 0.5 s for what follows, and "
+    f"asks the engine again before it reports, at the latest {ASK_AGAIN_S:g} s later"
 )
 _PHM_DOWN = "nothing of PHM runs until Docker has restarted its container and Python has started"
 
@@ -64,57 +75,79 @@ class Wait:
 
 _DATA_PATH_S = _data_path.SOON_S + _data_path.CONFIRM_S + SNAPSHOTS_S
 _WINDOW_S = PressureSettings().window + READ_S
+_FILE_S = inotify.GATHER_S + inotify.PACE_S + files.SETTLE_S + ASK_AGAIN_S
+_REMOVAL_S = 0.5 + ASK_AGAIN_S
 WAITS = {
     "address_silent": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
+    "callback_blocked": Wait(_EXECUTOR, 0.1, _liveness.CERTAIN_HANG_S + READ_S),
+    "clock_stepped": Wait("the clock is read once a second", 0.1, READ_S),
+    "container_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
+    "container_stopped": Wait(_REMOVAL, 0.1, _REMOVAL_S),
+    "cpu_hog": Wait(
+        "ERROR needs `host.cpu` of 98 % in each of two seconds, or as the mean over `host.cpu_window`: shorter peaks are normal",
+        1.0,
+        HostSettings().cpu_window + READ_S,
+    ),
     "cpu_limited": Wait(_WINDOW, 0.25, _WINDOW_S),
+    "crash_loop": Wait(_REMOVAL, 0.1, _REMOVAL_S),
     "disk_slow": Wait(_DISK, 1.0, pressure.IO_S + READ_S),
+    "executor_deadlocked": Wait(_EXECUTOR, 0.1, _liveness.CERTAIN_HANG_S + READ_S),
+    "file_altered": Wait(_FILE, 0.1, _FILE_S),
+    "file_deleted": Wait(_FILE, 0.1, _FILE_S),
+    "file_not_executable": Wait(_FILE, 0.1, _FILE_S),
     "host_overload": Wait(_FULL_CPU, 2.0, HostSettings().cpu_quick + READ_S),
     "memory_tight": Wait(_WINDOW, 1.0, _WINDOW_S),
+    "netns_owner_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
     "network_blocked": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
+    "network_disconnected": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
+    "network_lost_together": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
+    "network_recreated": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
+    "node_duplicate": Wait(_DUPLICATE, 0.1, nodes.BOTH_S + RosSettings().grace + SNAPSHOTS_S),
+    "phm_stopped": Wait(
+        "its watchdog must find it stopped twice, after 0.25 to 0.5 s: a short stop is not a fault", 0.125, 0.375
+    ),
     "pids_exhausted": Wait(_PIDS, 0.1, READ_S),
+    "qos_mismatch": Wait(
+        f"the mismatch must last {topics.SURE_S:g} s and be found again, in snapshots of the graph four times a second",
+        0.3,
+        topics.SURE_S + SNAPSHOTS_S,
+    ),
+    "radio_lossy": Wait(
+        f"damaged packets are counted over {link_radio.MEAN_OF} RADIO_STATUS, one a second: single ones are normal",
+        0.5,
+        link_radio.MEAN_OF - 1.0,
+    ),
+    "router_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
+    "sidecar_disconnected": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
     "subscriber_lost": Wait(_REMADE, 0.3, topics.SETTLE_S + SNAPSHOTS_S),
     "topic_silent": Wait(_SILENCE, 0.1, RosSettings().silence + SNAPSHOTS_S),
+    "transport_blocked": Wait(_DATA_PATH, 0.1, _data_path.SILENT_S + SNAPSHOTS_S),
 }
 """By fault."""
 EXPLANATIONS = {
     **{name: wait.explanation for name, wait in WAITS.items()},
     "autopilot_reboot": Explanation(_HEARTBEATS, 6),
     "autopilot_silent": Explanation(_HEARTBEATS, 6),
-    "callback_blocked": Explanation(_EXECUTOR, 70),
-    "container_killed": Explanation(_REMOVAL, 8),
-    "container_stopped": Explanation(_REMOVAL, 8),
-    "crash_loop": Explanation(_REMOVAL, 8),
-    "cpu_hog": Explanation("two seconds of full use: shorter peaks are normal", 3.5),
     "disk_full": Explanation("the free share is read once a second", 3),
-    "executor_deadlocked": Explanation(_EXECUTOR, 70),
-    "file_altered": Explanation(_ORDER, 5),
-    "file_deleted": Explanation(_ORDER, 5),
-    "file_not_executable": Explanation(_ORDER, 5),
     "gcs_radio_cut": Explanation(
         "the radio reports the loss of the other one 3.4 s after its last packet (SiK firmware)", 10
     ),
     "memory_full": Explanation("measured from the order to fill it, and filling 2 GB takes most of the time", 3),
     "memory_leak": Explanation(_PROCESS, 8),
-    "netns_owner_killed": Explanation(_REMOVAL, 8),
-    "node_duplicate": Explanation(
-        "a restarted node may overlap with the old one for 2 s, unless both send beacons", 25
-    ),
     "node_killed": Explanation(_PROCESS, 8),
     "node_never_started": Explanation("the time in which the other nodes started", 4),
     "node_stopped": Explanation(_PROCESS, 8),
     "overload_node_killed": Explanation(_PROCESS, 8),
     "peer_lost": Explanation(_HEARTBEATS, 5),
     "peer_split": Explanation(_HEARTBEATS, 5),
-    "phm_killed": Explanation(_PHM_DOWN, 30),
+    "phm_killed": Explanation(_PHM_DOWN, 50),
     "phm_killed_in_restart": Explanation(_PROCESS, 8),
-    "phm_state_noise": Explanation(_PHM_DOWN, 30),
+    "phm_state_noise": Explanation(_PHM_DOWN, 50),
     "power_loss": Explanation(_PHM_DOWN, 50),
-    "router_killed": Explanation(_REMOVAL, 8),
     "sigterm_ignored": Explanation(_PROCESS, 8),
     "topic_slow": Explanation(
         "a rate must be wrong in two measurements, made once a second: jitter is not a fault", 12
     ),
-    "transport_blocked": Explanation(_DATA_PATH, 20),
 }
 """By fault. `up_to` is the longest time that the words and the measurements allow, divided by the limit."""
 UNEXPLAINED = "unexplained"
@@ -146,10 +179,22 @@ def _of_class(each: ClassMetrics) -> Compared:
     ratio, limit_s = each.evidence_ratio, None
     if each.evidence_s is not None:
         limit_s = each.evidence_s - each.evidence_period_s / 2
-    words = "" if ratio is None or ratio <= RATIO else _explained(each.fault, ratio)
+    words = "" if ratio is None or ratio <= RATIO else _explained(each, ratio)
     return Compared(each.title, each.evidence, each.evidence_s, limit_s, each.detection.mean, ratio, words)
 
 
-def _explained(fault: str, ratio: float) -> str:
+def _explained(each: ClassMetrics, ratio: float) -> str:
+    """By the words of the class; or these, where they are needed, for those that were not disturbed."""
+    words = _known(each.fault, ratio)
+    if words or not each.disturbed or each.undisturbed_ratio is None:
+        return words or UNEXPLAINED
+    alone = each.undisturbed_ratio
+    words = _known(each.fault, alone)
+    if alone > RATIO and not words:
+        return UNEXPLAINED
+    return f"{each.disturbed} of {each.compared} disturbed, the others {alone:.1f}{': ' if words else ''}{words}"
+
+
+def _known(fault: str, ratio: float) -> str:
     known = EXPLANATIONS.get(fault)
-    return UNEXPLAINED if known is None or ratio > known.up_to else f"{known.words} (up to {known.up_to:g})"
+    return "" if ratio <= RATIO or known is None or ratio > known.up_to else f"{known.words} (up to {known.up_to:g})"

@@ -11,12 +11,13 @@ import psutil
 from sitl.campaign.host_load import BEFORE_S
 from sitl.campaign.trial import Load
 
-PERIOD_S = 1.0
+PERIOD_S = 0.5
+"""Windows of PHM begin at other moments than samples, so a sample must be short beside them (`sitl.campaign.host_load`)."""
 IO_PRESSURE = Path("/proc/pressure/io")
 
 
 class MachineMeter:
-    """Samples once a second between `start` and `stop`, in a thread."""
+    """Samples every PERIOD_S between `start` and `stop`, in a thread."""
 
     def __init__(self, io_pressure: Path = IO_PRESSURE) -> None:
         self._io_pressure = io_pressure

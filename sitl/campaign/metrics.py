@@ -41,6 +41,12 @@ class ClassMetrics:
     evidence_period_s: float = 0.0
     evidence_ratio: float | None = None
     """Mean of `Verdict.evidence_ratio`."""
+    compared: int = 0
+    """Number of injections in that mean."""
+    disturbed: int = 0
+    """Of these, `Verdict.disturbed`."""
+    undisturbed_ratio: float | None = None
+    """The mean of the others."""
 
 
 @dataclass(frozen=True)
@@ -195,6 +201,7 @@ def _classes(injections: Sequence[Injection], verdicts: Sequence[Verdict]) -> tu
 
 def _of_class(first: Injection, verdicts: Sequence[Verdict]) -> ClassMetrics:
     mine = [verdict for verdict in verdicts if verdict.injection.fault == first.fault]
+    compared = [verdict for verdict in mine if verdict.evidence_ratio is not None]
     return ClassMetrics(
         fault=first.fault,
         title=first.title,
@@ -212,7 +219,10 @@ def _of_class(first: Injection, verdicts: Sequence[Verdict]) -> ClassMetrics:
         evidence=first.evidence,
         evidence_s=first.evidence_s,
         evidence_period_s=first.evidence_period_s,
-        evidence_ratio=stats(verdict.evidence_ratio for verdict in mine).mean,
+        evidence_ratio=stats(verdict.evidence_ratio for verdict in compared).mean,
+        compared=len(compared),
+        disturbed=sum(verdict.disturbed for verdict in compared),
+        undisturbed_ratio=stats(each.evidence_ratio for each in compared if not each.disturbed).mean,
     )
 
 

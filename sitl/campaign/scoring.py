@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 
+from sitl.campaign.disturbance import disturbed
 from sitl.campaign.host_load import confirmed
 from sitl.campaign.times import measure
 from sitl.campaign.trial import Alarm, Injection, RaisedWarning, Trial
@@ -37,6 +38,7 @@ def judge(trial: Trial) -> ScoredTrial:
         named = _named(verdict)
         verdict.wrong = _wrong(verdict, named, {condition for each in warned for condition in each.conditions})
         measure(verdict, trial, sorted([*named, *warned], key=lambda each: each.mono))
+        verdict.disturbed = disturbed(verdict, trial)
     return ScoredTrial(trial, verdicts, false, beside, clearing)
 
 

@@ -56,6 +56,8 @@ class Verdict:
     """What PHM's record says has ended it: an action, or words."""
     ended_by: str = ""
     """One of ENDINGS; empty: PHM's record does not say that it is over."""
+    disturbed: bool = False
+    """Between the fault and its detection the agent was busy with something else (`sitl.campaign.disturbance`)."""
     wrong: str = ""
     """Why the reported cause is wrong, in words; empty: it is right, or nothing was reported."""
     cause: Verdict | None = None

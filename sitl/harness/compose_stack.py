@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,6 +31,8 @@ class Stack:
     ground_port: int = 5760
     logs: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="phm-demo-")))
     extra: dict[str, str] = field(default_factory=dict)
+    files: Sequence[str] = FILES
+    """Compose files, relative to the project's folder or absolute."""
 
     @property
     def agent(self) -> Agent:
@@ -67,6 +70,10 @@ class Stack:
         self.agent.make_device()
         self._compose("up", "--detach", "--no-build", "--remove-orphans")
 
+    def recreate(self, service: str) -> None:
+        """Replace a service's container by a new one, as an operator would."""
+        self._compose("up", "--detach", "--no-build", "--no-deps", "--force-recreate", service)
+
     def down(self, *, keep_logs: bool = False) -> None:
         """Remove containers, networks and volumes of the project, the device and the log folder."""
         self._compose("down", "--volumes", "--remove-orphans", "--timeout", "3")
@@ -76,7 +83,7 @@ class Stack:
             shutil.rmtree(self.logs, ignore_errors=True)
 
     def _compose(self, *words: str) -> None:
-        files = [word for name in FILES for word in ("--file", str(ROOT / name))]
+        files = [word for name in self.files for word in ("--file", str(ROOT / name))]
         argv = ["docker", "compose", "--project-name", self.project, *files, *words]
         done = subprocess.run(
             argv, env=self.environment(), capture_output=True, text=True, timeout=COMPOSE_LIMIT_S, check=False

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from phm.core.model import Level
+from phm.wire.report import OK_LEVELS
 from sitl.harness.compose_stack import Stack
 from sitl.harness.log_follower import Event, Record
 
@@ -9,11 +13,21 @@ OK_LIMIT_S = 90.0
 STEADY_S = 5.0
 
 
-class StackMonitor:
-    """Follows PHM's JSON log of a stack that is up."""
+def every_slot_ok(report: Event) -> bool:
+    """Slots 1 to 8 are monitored and OK."""
+    return all(digit == 1 for digit in report["status_array"])
 
-    def __init__(self, stack: Stack) -> None:
-        self._stack = stack
+
+def no_slot_failed(report: Event) -> bool:
+    """What is monitored is OK or WARN; slots may be unused."""
+    return all(level in (*OK_LEVELS, Level.WARN.name) for level in report["slots"].values())
+
+
+class StackMonitor:
+    """Follows PHM's JSON log of a stack that is up. `ok`: whether a report says that the agent is."""
+
+    def __init__(self, stack: Stack, ok: Callable[[Event], bool] = every_slot_ok) -> None:
+        self._stack, self._ok = stack, ok
         self.record = Record(stack.record)
 
     def mark(self) -> int:
@@ -22,15 +36,15 @@ class StackMonitor:
         return len(self.record.events)
 
     def wait_ok(self) -> None:
-        """Wait until every report of STEADY_S seconds has all units OK. RuntimeError after OK_LIMIT_S."""
+        """Wait until every report of STEADY_S seconds is OK. RuntimeError after OK_LIMIT_S."""
         ok_from: list[float] = []
 
         def steady(event: Event) -> bool:
             if event["event"] == "report":
-                if any(digit != 1 for digit in event["status_array"]):
-                    ok_from.clear()
-                else:
+                if self._ok(event):
                     ok_from.append(event["mono"])
+                else:
+                    ok_from.clear()
             return bool(ok_from) and event["mono"] - ok_from[0] >= STEADY_S
 
         if self.record.wait(steady, OK_LIMIT_S, since=self.mark()) is None:

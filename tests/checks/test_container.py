@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.facts import HealthcheckFact
+from phm.facts import FailedProbe, HealthcheckFact
 from phm_checks._restart_loop import OTHER_STARTS, STABLE_S, WAIT_S
 from phm_checks.container import Container, code_in_words
 from phm_checks.engine import SETTLE_S, Engine
@@ -408,3 +408,26 @@ def test_health_is_stale_while_the_container_does_not_run(facts: tuple[api.Conta
     (check,) = build(Health)
     assert run(check, *facts).level is api.Level.STALE
     assert check.units[0].needs == ("container/ros_app",)
+
+
+PROMPT, KILLED = FailedProbe(1, 0.2), FailedProbe(137, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("probes", "in_time"),
+    [
+        ((PROMPT, PROMPT), True),
+        ((FailedProbe(-1, 30.0), PROMPT, FailedProbe(127, 1.0)), True),
+        ((PROMPT,), False),
+        ((PROMPT, FailedProbe(1, 1.1)), False),
+        ((FailedProbe(-1, 0.1), PROMPT), False),
+        ((PROMPT, FailedProbe(1, None)), False),
+        ((KILLED, KILLED), False),
+        ((), False),
+    ],
+)
+def test_only_probes_that_ended_by_themselves_soon_were_in_time(probes: tuple[FailedProbe, ...], in_time: bool) -> None:
+    """Two in a row: neither a timeout, nor a signal, nor a duration that is long or unknown."""
+    (check,) = build(Health)
+    fact = testing.container("ros_app", health="unhealthy", health_streak=2, failed_probes=probes)
+    assert run(check, fact).evidence.in_time is in_time

@@ -7,6 +7,7 @@ from random import Random
 
 import pytest
 
+from phm.tracker.rules import UNKNOWN_NEED_S
 from phm_checks._liveness import (
     BARE_S,
     BLIND_HANG_S,
@@ -14,6 +15,7 @@ from phm_checks._liveness import (
     GOODBYE_S,
     HANG_S,
     LOST_S,
+    MUTE_S,
     Evidence,
     Kind,
     NodeHistory,
@@ -142,6 +144,25 @@ def test_an_unavailable_process_list_does_not_prove_a_dead_node() -> None:
     assert state(piece(Kind.BEACON, Observation.SILENT, 0.7), LISTED, past=blind) is NodeState.UNKNOWN
     assert state(piece(Kind.BEACON, Observation.SILENT, 600.0), LISTED, past=blind) is NodeState.UNANSWERING
     assert state(piece(Kind.BEACON, Observation.SILENT, 0.7), UNLISTED, past=blind) is NodeState.DEAD
+
+
+def test_a_node_without_list_beacon_and_data_does_not_answer_before_its_topics_are_reported() -> None:
+    """A topic waits UNKNOWN_NEED_S for its node: by then the node is reported, as one that may also be busy. It gets more time if
+    its process is listed, its executor is only late, or its data stopped later.
+    """
+    blind = NodeHistory(contained=True, unlisted=True)
+    unmeasured = Evidence(Kind.PROCESS, Observation.ALIVE, "runs", 0.1, measured=False)
+
+    def after(beacon_s: float, topics_s: float, *more: Evidence, says: Observation = Observation.SILENT) -> NodeState:
+        topics = piece(Kind.TOPICS, Observation.SILENT, topics_s)
+        return state(piece(Kind.BEACON, says, beacon_s), topics, LISTED, *more, past=blind)
+
+    assert after(MUTE_S, MUTE_S) is NodeState.UNANSWERING
+    assert after(MUTE_S - 0.1, 60.0) is after(MUTE_S, MUTE_S - 0.1) is NodeState.UNKNOWN
+    assert after(MUTE_S, 60.0, unmeasured) is after(MUTE_S, 60.0, says=Observation.LATE) is NodeState.UNKNOWN
+    assert state(piece(Kind.BEACON, Observation.SILENT, MUTE_S), TOPICS_ACTIVE, LISTED, past=blind) is NodeState.ALIVE
+    assert state(piece(Kind.BEACON, Observation.SILENT, MUTE_S), LISTED, past=blind) is NodeState.UNKNOWN
+    assert MUTE_S + 1 < UNKNOWN_NEED_S
 
 
 @pytest.mark.parametrize("sign", [BEACON_ALIVE, TOPICS_ACTIVE])

@@ -45,6 +45,7 @@ def test_a_container_without_its_network_is_disconnected() -> None:
     result = evaluate(docker(networks=()))
     assert (result.level, result.condition, result.target) == (api.Level.ERROR, "disconnected", "ros_app")
     assert result.brief == "ros_app not on swarm_net"
+    assert result.evidence.conclusive, "the engine lists its networks"
 
 
 def test_an_attachment_to_a_recreated_network_is_disconnected() -> None:
@@ -56,7 +57,8 @@ def test_an_attachment_to_a_recreated_network_is_disconnected() -> None:
 
 def test_an_attachment_without_address_is_disconnected() -> None:
     """An incomplete endpoint carries no data."""
-    assert evaluate(docker(networks=on(address=""))).condition == "disconnected"
+    result = evaluate(docker(networks=on(address="")))
+    assert (result.condition, result.evidence.conclusive) == ("disconnected", False)
 
 
 def test_a_network_that_does_not_exist_has_its_own_condition() -> None:

@@ -39,6 +39,19 @@ def test_a_dead_node_beside_the_first_process_is_dead() -> None:
     assert bench.after(1.0).condition == "node_missing"
 
 
+def test_a_certain_result_says_when_the_processes_were_listed() -> None:
+    """The tracker does not use it for a run of the container that has begun since."""
+    bench = Contained()
+    bench.processes(MAIN)
+    bench.ros.change(nodes={})
+    bench.after(1.0)
+    listed = bench.result().evidence.observed
+    bench.clock.advance(0.1)
+    evidence = bench.result().evidence
+    assert evidence.certain
+    assert listed == evidence.observed < bench.clock.mono()
+
+
 def test_a_restart_ends_the_stop() -> None:
     """The engine has restarted the container: its first process is new."""
     bench = Contained()

@@ -337,6 +337,7 @@ def test_without_a_daemon_status_says_so(tmp_path: Path) -> None:
         assert (result.exit_code, result.stdout) == (1, "")
         assert len(result.stderr.splitlines()) == 1
         assert "PHM is not running" in result.stderr
+        assert "was started seconds ago (try again)" in result.stderr
 
 
 DAEMON = """

@@ -51,6 +51,43 @@ def test_options_answer_the_questions(fake: FakeEngine, tmp_path: Path) -> None:
     assert "PHM_IMAGE:-phm:2" in (tmp_path / "compose.yaml").read_text()
 
 
+@pytest.mark.parametrize("owned", [True, False], ids=["root", "another user"])
+def test_deliveries_need_an_option(
+    fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owned: bool
+) -> None:
+    """It makes the folder of PHM's user and a key, which stays when the files are written again."""
+    owners: dict[str, tuple[int, ...]] = {}
+
+    def own(path: Path, *ids: int, follow_symlinks: bool = True) -> None:
+        if not owned:
+            raise PermissionError(1, "Operation not permitted")
+        owners[str(path.relative_to(tmp_path))] = ids
+
+    monkeypatch.setattr("os.chown", own)
+    done = init(fake, tmp_path, "--yes", "--logs", str(tmp_path), "--deliver", "10.0.0.7:9465")
+    assert done.exit_code == 0, done.output
+    key, configuration = tmp_path / "delivered" / "delivery.key", tmp_path / "delivered" / "phm.yaml"
+    assert (key.stat().st_mode & 0o777, len(key.read_text().strip())) == (0o600, 64)
+    assert yaml.safe_load(configuration.read_text())["delivery"]["listen"] == "0.0.0.0:9465"
+    assert not (tmp_path / "phm.yaml").exists()
+    expected = dict.fromkeys(("delivered", "delivered/delivery.key", "delivered/phm.yaml"), (10001, 10001))
+    found = {name: ids for name, ids in owners.items() if name.startswith("delivered")}
+    assert found == (expected if owned else {})
+    mine = (tmp_path.stat().st_uid, tmp_path.stat().st_gid)
+    assert {ids for name, ids in owners.items() if name not in expected} <= {mine}
+    assert (f"sudo chown -R 10001:10001 {tmp_path / 'delivered'}" in done.output) is not owned
+    before = key.read_text()
+    again = init(fake, tmp_path, "--yes", "--force", "--logs", str(tmp_path), "--deliver", "10.0.0.7:9465")
+    assert again.exit_code == 0, again.output
+    assert key.read_text() == before
+
+
+def test_deliveries_are_taken_at_an_address_of_this_machine(fake: FakeEngine, tmp_path: Path) -> None:
+    """Docker publishes no name."""
+    done = init(fake, tmp_path / "phm", "--yes", "--deliver", "agent.local:9465")
+    assert done.exit_code == 2 and "10.0.0.7:9465" in done.output and not (tmp_path / "phm").exists()
+
+
 def test_each_container_is_compared_with_what_was_written(fake: FakeEngine, tmp_path: Path) -> None:
     """A container with other ROS variables is named with the line to change; one that fits, or runs no ROS, is not."""
     localhost = {"ROS_DOMAIN_ID": "7", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DISTRO": "jazzy"}

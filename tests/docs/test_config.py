@@ -18,7 +18,6 @@ from phm.core.settings import Settings
 from sitl.application import graph
 from tests.docs.blocks import Block, blocks
 from tests.docs.examples import ROOT
-from tests.metrics.test_dashboards import published
 
 MINIMAL = "agent: {name: agent_1, id: 1}\ncontainers: [{name: ros_app, recover: true}]\n"
 SECTIONS = frozenset(Settings.model_fields)
@@ -66,19 +65,6 @@ SERVICE = frozenset(
 )
 
 
-def analyzers(found: Any) -> str:
-    """Why diagnostic_aggregator groups PHM's statuses wrongly; it takes those whose name begins with one of the texts."""
-    parameters = found["analyzers"]["ros__parameters"]
-    (name,) = (key for key, value in parameters.items() if isinstance(value, dict))
-    for key, one in parameters[name]["analyzers"].items():
-        begins = tuple(one.get("startswith", []) + one.get("find_and_remove_prefix", []))
-        if not any(status.startswith(begins) for status in published(name)):
-            return f"{key} takes no status of {name}"
-        if any(status.startswith(begins) for status in published(f"{name}0")):
-            return f"{key} also takes statuses of {name}0"
-    return ""
-
-
 def nodes(found: Any) -> str:
     """Why `python -m sitl up --graph` refuses the graph."""
     try:
@@ -87,7 +73,7 @@ def nodes(found: Any) -> str:
         return str(error)
 
 
-OTHERS: dict[str, Callable[[Any], str]] = {"analyzers": analyzers, "nodes": nodes}
+OTHERS: dict[str, Callable[[Any], str]] = {"nodes": nodes}
 """Files of other programs, by their only key, and what is wrong with one."""
 ENVIRONMENT = {"PHM_AGENT": "agent_3", "PHM_AGENT_ID": "3"}
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from phm.config.loader import DELIVERED
 from phm.runtime.delivery import _not_written
 from tests.docs.blocks import containing
 from tests.docs.examples import ROOT
@@ -20,26 +21,21 @@ FILE = "/etc/phm/phm.yaml"
 
 def override() -> dict[str, Any]:
     """The service `phm` of the page's compose.override.yaml."""
-    (block,) = (block for block in containing("yaml", ":/etc/phm #") if block.page == PAGE)
+    (block,) = (block for block in containing("yaml", f":{DELIVERED} #") if block.page == PAGE)
     service: dict[str, Any] = yaml.safe_load(block.text)["services"]["phm"]
     return service
 
 
-def test_the_override_replaces_the_read_only_folder_of_phm_init() -> None:
-    """Compose replaces a volume of the same target; the line that is quoted beside it is the one of `phm init`."""
+def test_the_override_of_the_page_is_that_of_phm_init() -> None:
+    """The same folder, variable and port; the commands on the page fill this folder."""
+    written = yaml.safe_load(made(deliver=("10.0.0.7", 9465))["compose.override.yaml"])["services"]["phm"]
+    assert override() == written
     (volume,) = override()["volumes"]
     folder, target = volume.split(":")
-    assert (folder, target) == ("./config", "/etc/phm")
-    volumes = yaml.safe_load(made()["compose.yaml"])["services"]["phm"]["volumes"]
-    assert [each for each in volumes if each.split(":")[1] == target] == [".:/etc/phm:ro"]
+    assert (folder, target) == ("./delivered", DELIVERED)
     text = (ROOT / PAGE).read_text("utf-8")
-    assert "instead of `.:/etc/phm:ro`" in text
-    assert set(re.findall(r"^\$ (?:cp|mv|mkdir|sudo chown) .*\bconfig/?$", text, re.MULTILINE)) == {
-        "$ mkdir config",
-        "$ mv phm.yaml delivery.key config/",
-        "$ cp *.xml config/",
-        "$ sudo chown -R 10001 config",
-    }
+    for command in ("mkdir", "mv phm.yaml delivery.key", "sudo chown -R 10001:10001"):
+        assert re.search(rf"^ *\$ {command} delivered/?$", text, re.MULTILINE), command
 
 
 def test_the_published_port_is_the_one_that_the_ground_calls() -> None:
@@ -47,15 +43,15 @@ def test_the_published_port_is_the_one_that_the_ground_calls() -> None:
     (port,) = override()["ports"]
     address, _, inside = port.rpartition(":")
     text = (ROOT / PAGE).read_text("utf-8")
-    assert f"--deliver a07.yaml {address} " in text and f"`listen: 0.0.0.0:{inside}`" in text
+    assert f"--deliver a07.yaml {address} " in text and f"0.0.0.0:{inside}`" in text
 
 
-def test_the_refusal_names_a_line_of_each_shipped_compose_file() -> None:
-    """Both have one that ends as the message says, and only one."""
+def test_the_refusal_names_what_permits_deliveries() -> None:
+    """The file of the repository, and the lines that it and `phm init --deliver` add."""
     text = _not_written(Path(FILE), OSError(errno.EROFS, "Read-only file system"))
-    folder, alone = re.findall(r"`(:[^`]*:ro)`", text)
-    shipped = (ROOT / "docker" / "compose.yaml").read_text("utf-8")
-    for compose, ending in ((made()["compose.yaml"], folder), (shipped, alone)):
-        volumes = yaml.safe_load(compose)["services"]["phm"]["volumes"]
-        assert len([volume for volume in volumes if volume.endswith((folder, alone))]) == 1
-        assert [volume for volume in volumes if volume.endswith(ending)]
+    overlay = yaml.safe_load((ROOT / "docker" / "compose.deliver.yaml").read_text("utf-8"))["services"]["phm"]
+    assert "docker/compose.deliver.yaml" in text and "`--deliver`" in text
+    for service in (overlay, override()):
+        (volume,) = service["volumes"]
+        assert f"`- FOLDER:{volume.rpartition(':')[2]}`" in text
+        assert f"`PHM_CONFIG: {service['environment']['PHM_CONFIG']}`" in text

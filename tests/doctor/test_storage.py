@@ -46,7 +46,8 @@ def test_a_configuration_that_no_delivery_can_replace_is_limited(
     monkeypatch.undo()
     monkeypatch.setattr(os, "access", lambda path, mode: path != str(tmp_path))
     refused = row(list(rows(there)), "delivery")
-    assert refused.state == "limited" and f"mount `- FOLDER:{tmp_path}`" in refused.remedy
+    assert refused.state == "limited" and f"make {tmp_path} writable" in refused.remedy
+    assert "docker/compose.deliver.yaml" in refused.remedy
     plain = doctor_context(tmp_path)
     plain.configuration = there.configuration
     assert "delivery" not in states(list(rows(plain)))

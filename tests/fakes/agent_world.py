@@ -35,6 +35,7 @@ from phm.core.model import Event, Evidence, FaultClosed, FaultOpened, Level, Res
 from phm.core.settings import Settings
 from phm.facts import ContainerFact
 from phm.tracker import GRACE_ENDS_AFTER_OK_S, Effects, Tracker
+from phm.tracker.rules import DETACHED, RECONNECTS
 from phm.tracker.starvation import UNREAD_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -453,7 +454,9 @@ class Sim:
         unit, grace_s = event.fault.unit, self._graces[event.fault.unit]
         since = self.granted[unit]
         assert event.fault.result.level is Level.ERROR
-        assert not self.held or unit not in self.touched, f"{unit} reported during an action"
+        result, action = event.fault.result, self.tracker.action_on(TARGET)
+        detached = result.condition == DETACHED and result.evidence.conclusive and action != RECONNECTS
+        assert not self.held or unit not in self.touched or detached, f"{unit} reported during an action"
         assert since == 0.0 or self.tracker.last_started(unit) >= since, f"{unit} reported by old evidence"
         assert self.now - since >= grace_s or self.sure.get(unit, -1.0) >= since, f"{unit} reported within its grace"
 

@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, ClassVar, cast
 
 from phm.checking.pipeline import Pipeline
@@ -120,7 +121,7 @@ class SimRecovery:
         pipeline = SimPipeline(sim, cast(Any, SimBus(sim)), self._clock)
         pipeline.attach(self._wake)
         context = ActionContext(
-            cast(Any, None),
+            cast(Any, SimpleNamespace(inspect=None)),
             action_settings(settings),
             lambda key: sim.world.fact(sim.now),
             lambda: None,

@@ -9,7 +9,11 @@ import subprocess
 import urllib.error
 import urllib.parse
 import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from tests.fakes.until import until
@@ -38,6 +42,28 @@ def promtool(*words: str, stdin: bytes = b"", folder: Path | None = None) -> str
     said = done.stdout.decode()
     assert done.returncode == 0, said
     return said
+
+
+@contextmanager
+def page(text: bytes, content_type: str) -> Iterator[str]:
+    """The HOST:PORT at which every scrape gets `text`."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", content_type)
+            self.end_headers()
+            self.wfile.write(text)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing to stderr."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        Thread(target=server.serve_forever, name="page", daemon=True).start()
+        try:
+            yield f"127.0.0.1:{server.server_address[1]}"
+        finally:
+            server.shutdown()
 
 
 class Prometheus:

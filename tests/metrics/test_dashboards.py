@@ -19,14 +19,32 @@ from phm.gcs import metrics_catalog as ground
 from phm.reporters import metrics_catalog as agent
 from phm.reporters.diagnostics import DiagnosticsReporter
 from phm.wire.metrics_page import Metric
-from tests.metrics.agent import context, state, states
-from tests.metrics.prometheus import Prometheus, promtool
+from tests.fakes.until import until
+from tests.metrics.agent import context, state, states, text_of
+from tests.metrics.ground import ground_text
+from tests.metrics.prometheus import Prometheus, page, promtool
 
 EXAMPLES = Path(__file__).parents[2] / "config" / "examples"
 ALERTS = EXAMPLES / "prometheus" / "phm-alerts.yaml"
 DASHBOARD = EXAMPLES / "grafana" / "phm-dashboard.json"
 PROCESS = {"process_cpu_seconds_total", "process_resident_memory_bytes"}
 LAYERS = {layer.value for layer in Layer}
+PLOT_KEYS = {
+    "paths",
+    "xAxisVal",
+    "minYValue",
+    "maxYValue",
+    "isSynced",
+    "showXAxisLabels",
+    "showYAxisLabels",
+    "sidebarDimension",
+    "showLegend",
+    "legendDisplay",
+    "showPlotValuesInLegend",
+    "foxglovePanelTitle",
+    "lichtblickPanelTitle",
+}
+"""Keys that the plot panel reads; each program has its own name for the title."""
 
 
 def rules() -> list[dict[str, Any]]:
@@ -71,6 +89,31 @@ def test_a_query_is_accepted_and_names_only_metrics_that_exist(text: str, server
     for group in re.findall(r"\b(?:by|on)\s*\(([^)]*)\)", text):
         used |= {label.strip() for label in group.split(",")}
     assert used <= allowed, used - allowed
+
+
+def test_each_query_of_the_dashboard_shows_phm_and_nothing_else(tmp_path: Path) -> None:
+    """With all agents selected, beside a program that has `process_*` too, as Prometheus itself has."""
+    openmetrics = "application/openmetrics-text; version=1.0.0; charset=utf-8"
+    agents, kind = text_of(context()).render("text/plain")
+    other = b"process_cpu_seconds_total 1\nprocess_resident_memory_bytes 1\n"
+    with (
+        page(agents, kind) as here,
+        page(ground_text(), openmetrics) as ground_page,
+        page(other, "text/plain") as else_,
+    ):
+        server = Prometheus(tmp_path, {"phm": here, "phm_gcs": ground_page, "prometheus": else_})
+        try:
+            until(
+                lambda: [text for text in queries() if not server.query(text)] == [],
+                "a series for each query",
+                lambda: f"{[text for text in queries() if not server.query(text)]}\n{server.errors()}",
+                poll_s=0.2,
+            )
+            until(lambda: bool(server.query('process_cpu_seconds_total{job="prometheus"}')), "the other program")
+            jobs = {one["metric"].get("job", "phm") for text in queries() for one in server.query(text)}
+            assert jobs == {"phm", "phm_gcs"}
+        finally:
+            server.close()
 
 
 def test_each_panel_has_a_title_a_query_and_its_own_place() -> None:
@@ -158,6 +201,7 @@ def test_the_analyzers_put_each_status_into_one_group() -> None:
             for key, one in group["analyzers"].items():
                 assert (one.get("num_items") == 0) == (key in LAYERS), "a layer may be empty, the summary may not"
                 assert one["type"] == "diagnostic_aggregator/GenericAnalyzer"
+                assert not any(other.startswith(tuple(one["startswith"])) for other in published(f"{name}0"))
                 if any(status.startswith(text) for text in one["startswith"]):
                     found.setdefault(status, []).append(key)
         assert sorted(found) == sorted(published(name))
@@ -176,7 +220,10 @@ def test_the_foxglove_layout_shows_what_is_published() -> None:
     assert summary["topicToRender"] == status["topicToRender"] == DIAGNOSTICS
     fact = published("agent_1")[status["selectedName"]]
     assert fact.hardware_id == status["selectedHardwareId"]
-    path = panels["Plot!phm3"]["paths"][0]["value"]
+    plot = panels["Plot!phm3"]
+    assert set(plot) <= PLOT_KEYS, set(plot) - PLOT_KEYS
+    assert plot["foxglovePanelTitle"] == plot["lichtblickPanelTitle"]
+    path = plot["paths"][0]["value"]
     assert path == f'{DIAGNOSTICS}.status[:]{{name=="{status["selectedName"]}"}}.level'
     assert panels["RawMessages!phm4"]["topicPath"] == CONSENSUS
 

@@ -12,36 +12,15 @@ from phm.core.model import Level, Slot
 from phm.gcs import metrics_catalog
 from phm.gcs.events import GcsEvent
 from phm.gcs.metrics import MAX_SERIES, GroundMetrics
-from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.gcs.web.routes import metrics as routes
 from phm.testing import FakeClock
 from phm.wire.metrics_page import MetricsPage
 from phm.wire.openmetrics import MetricsText
 from tests.fakes.until import until
-from tests.gcs.bench import HEALTHY, Ground as Fleet, autopilot, phm_heartbeat, text_frame
+from tests.gcs.bench import HEALTHY, Ground as Fleet, autopilot, phm_heartbeat
 from tests.gcs.web.swarm import Ground, ground
+from tests.metrics.ground import Station, ground_text
 from tests.metrics.prometheus import Prometheus, promtool
-
-
-class Station:
-    """A station over a fleet state on a fake clock."""
-
-    def __init__(self, fleet: Fleet) -> None:
-        self.commands_sent, self._fleet = 3, fleet
-        self._queue: SubscriberQueue | None = None
-
-    def subscribe(self, queue: SubscriberQueue) -> None:
-        self._queue = queue
-
-    def snapshot(self) -> tuple[int, GcsEvent]:
-        radio = {"link": "gcs", "age_s": 1.0, "rssi": 100, "remrssi": 90, "noise": 30, "remnoise": 40, "txbuf": 50}
-        body = {**self._fleet.snapshot(), "radios": [radio], "problems": ["a sentence"], "frames_refused": 2}
-        return 0, GcsEvent(self._fleet.clock.stamp(), "snapshot", body)
-
-    def publish(self, *found: GcsEvent) -> None:
-        assert self._queue is not None
-        for number, event in enumerate(found):
-            self._queue.put(QueuedEvent(number, event, b""))
 
 
 @pytest.fixture
@@ -50,23 +29,9 @@ def here() -> Iterator[Ground]:
         yield made
 
 
-def page_text() -> bytes:
-    """A page on which every metric has a value."""
-    fleet = Fleet(expected=(9,))
-    station = Station(fleet)
-    metrics = GroundMetrics(station, FakeClock())
-    fleet.receive(
-        phm_heartbeat(5, {Slot.CONTAINER: Level.ERROR}), autopilot(5, armed=True), text_frame(5, "A05 FAIL 2 x")
-    )
-    fleet.wait(60.0, phm_heartbeat(6), autopilot(6, armed=False))
-    ack = GcsEvent(fleet.clock.stamp(), "ack", {"result": "DENIED"})
-    station.publish(*fleet.news, ack)
-    return MetricsText(metrics.page).render("application/openmetrics-text")[0]
-
-
 def test_every_metric_of_the_ground() -> None:
     """Of a lost agent there is its age, and no level; of one that was never received only that it is missing."""
-    families = {family.name: family for family in parse_openmetrics(page_text().decode())}  # type: ignore[no-untyped-call]
+    families = {family.name: family for family in parse_openmetrics(ground_text().decode())}  # type: ignore[no-untyped-call]
     for metric in metrics_catalog.ALL:
         assert metric.name.removesuffix("_total") in families, metric.name
     values = {

@@ -1,7 +1,7 @@
-"""The image's labels and the page's endpoint have the shapes that BlueOS documents for its extensions.
+"""The image's labels and the page's endpoint have the shapes that BlueOS documents for its extensions, and that it reads.
 
-https://blueos.cloud/docs/latest/development/extensions/ and the README of bluerobotics/BlueOS-Extensions-Repository. No BlueOS
-runs here.
+https://blueos.cloud/docs/latest/development/extensions/, the README of bluerobotics/BlueOS-Extensions-Repository, and the models
+in bluerobotics/BlueOS. No BlueOS runs here; docs/guides/blueos.md says which of its programs were run by hand.
 """
 
 from __future__ import annotations
@@ -60,10 +60,13 @@ SERVICE = {
         **{key: {"type": "string"} for key in ("description", "company", "version", "webpage", "api")},
         "name": {"type": "string", "minLength": 1},
         "icon": {"type": "string", "pattern": "^mdi-[a-z-]+$"},
-        "new_page": {"type": "boolean"},
+        **{key: {"type": "boolean"} for key in ("new_page", "avoid_iframes", "works_in_relative_paths")},
+        **{key: {"type": "string"} for key in ("route", "extra_query")},
+        "extras": {"type": "object", "additionalProperties": {"type": "string"}},
     },
     "additionalProperties": False,
 }
+"""The fields of `ServiceMetadata` in BlueOS' core/services/helper/main.py, except the one that BlueOS sets itself."""
 
 
 def labels() -> dict[str, str]:
@@ -80,13 +83,13 @@ def test_a_label_is_json_of_the_documented_shape(name: str) -> None:
 
 
 def test_the_plain_labels_are_as_documented() -> None:
-    """The version is that of the package and a semantic version; the type one of the four that exist."""
+    """The version is that of the package and a semantic version; the type one of the six that BlueOS reads."""
     found = labels()
     assert set(found) == {*SHAPES, "version", "readme", "type", "requirements"}
     assert found["version"] == __version__ and re.fullmatch(r"\d+\.\d+\.\d+", found["version"])
-    assert found["type"] in ("device-integration", "example", "tool", "other")
+    assert found["type"] in ("device-integration", "example", "theme", "other", "tool", "education")
     assert found["readme"].startswith("https://") and found["readme"].endswith(".md") and "{tag}" in found["readme"]
-    assert re.fullmatch(r"core >= \d+\.\d+", found["requirements"])
+    assert found["requirements"] == "core >= 1.2", "1.1 opens every page in a frame, which the page does not allow"
 
 
 def test_the_extension_has_no_more_rights_than_the_compose_file() -> None:
@@ -113,7 +116,7 @@ def test_the_page_says_to_blueos_what_it_is(tmp_path: Path) -> None:
         found = client.get("/register_service")
         jsonschema.validate(found, SERVICE)
         assert found["version"] == __version__
-        assert found["new_page"], "another page may not frame this one, so BlueOS must open it as a separate page"
         assert client.ask("GET", "/")[2].headers["X-Frame-Options"] == "DENY"
+        assert found["avoid_iframes"], "with new_page alone BlueOS opens its own page that frames this one"
     finally:
         page.close()

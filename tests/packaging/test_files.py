@@ -138,3 +138,24 @@ def test_only_the_tag_of_the_version_is_published(tag: str, good: bool) -> None:
         ["bash", "-ec", step["run"]], cwd=ROOT, env={**os.environ, "TAG": tag}, timeout=60, check=False
     )
     assert (done.returncode == 0) is good
+
+
+@pytest.mark.parametrize("missing", ["", "pyproject.toml", "CITATION.cff", "docker/Dockerfile"])
+def test_nothing_is_published_without_the_addresses_of_the_project(missing: str, tmp_path: Path) -> None:
+    """The workflow looks for each of them before the tests run."""
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "publish.yaml").read_text("utf-8"))
+    (step,) = [one for one in workflow["jobs"]["test"]["steps"] if "addresses" in one.get("name", "")]
+    texts = {name: (ROOT / name).read_text("utf-8") for name in ("pyproject.toml", "CITATION.cff", "docker/Dockerfile")}
+    texts["pyproject.toml"] = re.sub(r"\[project\.urls\]\n(?:.+\n)*", "", texts["pyproject.toml"])
+    texts["CITATION.cff"] = re.sub(r"(?m)^repository-code:.*\n", "", texts["CITATION.cff"])
+    texts["docker/Dockerfile"] += "# example.org\n"
+    added = {
+        "pyproject.toml": '\n[project.urls]\nHomepage = "https://phm.test"\n',
+        "CITATION.cff": "repository-code: https://phm.test/phm\n",
+    }
+    (tmp_path / "docker").mkdir()
+    for name, text in texts.items():
+        good = text.replace("example.org", "phm.test") + added.get(name, "")
+        (tmp_path / name).write_text(good if name != missing else text)
+    done = subprocess.run(["bash", "-ec", step["run"]], cwd=tmp_path, capture_output=True, timeout=60, check=False)
+    assert (done.returncode == 0) is (missing == "")

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from phm.config.loader import DELIVERED as DELIVERED_AT
 from tests.docs.blocks import containing
 from tests.setup.test_template_renderer import made
 
@@ -18,9 +19,10 @@ LIMIT_S = 180.0
 pytestmark = pytest.mark.engine
 
 
-def docker(*words: str) -> str:
-    """Standard output of a docker command that must succeed, run without our environment variables."""
+def docker(*words: str, **given: str) -> str:
+    """Standard output of a docker command that must succeed, run without our environment variables except those given."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("PHM_", "DOCKER_GID"))}
+    environment |= given
     done = subprocess.run(
         ["docker", *words], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
     )
@@ -34,11 +36,11 @@ def image(name: str) -> dict[str, Any]:
     return config
 
 
-def compose(*files: str, project: str = "phm") -> dict[str, Any]:
-    """The resolved configuration of compose files in docker/."""
+def compose(*files: str, project: str = "phm", **given: str) -> dict[str, Any]:
+    """The resolved configuration of compose files in docker/. given: variables of the environment."""
     words = [word for name in files for word in ("--file", f"docker/{name}")]
     resolved: dict[str, Any] = json.loads(
-        docker("compose", "--project-name", project, *words, "config", "--format", "json")
+        docker("compose", "--project-name", project, *words, "config", "--format", "json", **given)
     )
     return resolved
 
@@ -114,17 +116,44 @@ def test_compose_gives_the_sidecar_least_privilege() -> None:
     assert writable == {"/var/run/docker.sock", "/var/log/phm", "/var/lib/phm"}
 
 
-def test_the_override_for_deliveries_makes_the_folder_of_phm_init_writable(tmp_path: Path) -> None:
-    """Compose itself merges docs/guides/checks-page.md with what `phm init` writes."""
-    (block,) = (block for block in containing("yaml", ":/etc/phm #") if block.page == "docs/guides/checks-page.md")
-    for name, text in {**made(), "compose.override.yaml": block.text}.items():
+def permitted(service: dict[str, Any]) -> tuple[str, list[tuple[str, str, int]], list[str]]:
+    """Folder of the host and published ports of a service that takes deliveries, and its writable targets below /etc."""
+    mounts = {volume["target"]: volume for volume in service["volumes"] if volume["target"].startswith("/etc/")}
+    assert service["environment"]["PHM_CONFIG"] == f"{DELIVERED_AT}/phm.yaml"
+    ports = [(port["host_ip"], str(port["published"]), port["target"]) for port in service["ports"]]
+    writable = [target for target, volume in mounts.items() if not volume.get("read_only", False)]
+    return mounts[DELIVERED_AT]["source"], ports, writable
+
+
+@pytest.mark.parametrize("written", [True, False], ids=["phm init --deliver", "docs"])
+def test_the_override_for_deliveries_adds_one_writable_folder(tmp_path: Path, written: bool) -> None:
+    """Compose itself merges it with what `phm init` writes; that of `phm init --deliver` and that of checks-page.md do the same."""
+    (block,) = (
+        block for block in containing("yaml", f":{DELIVERED_AT} #") if block.page == "docs/guides/checks-page.md"
+    )
+    texts = made(deliver=("10.0.0.7", 9465)) if written else {**made(), "compose.override.yaml": block.text}
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
     words = ("--project-directory", str(tmp_path), "--file", str(tmp_path / "compose.yaml"))
     merged = docker("compose", *words, "--file", str(tmp_path / "compose.override.yaml"), "config", "--format", "json")
-    service = json.loads(merged)["services"]["phm"]
-    (folder,) = (volume for volume in service["volumes"] if volume["target"].startswith("/etc/phm"))
-    assert (folder["source"], folder.get("read_only", False)) == (str(tmp_path / "config"), False)
-    assert [(port["host_ip"], port["target"]) for port in service["ports"]] == [("10.0.0.7", 9465)]
+    found = permitted(json.loads(merged)["services"]["phm"])
+    assert found == (str(tmp_path / "delivered"), [("10.0.0.7", "9465", 9465)], [DELIVERED_AT])
+
+
+def test_the_overlay_for_deliveries_adds_one_writable_folder() -> None:
+    """The rest of compose.yaml stays; without a folder and an address, Compose refuses."""
+    given = {"PHM_DELIVERED": "/opt/phm/delivered", "PHM_DELIVERY": "10.0.0.7:9465"}
+    plain = compose("compose.yaml")["services"]["phm"]
+    service = compose("compose.yaml", "compose.deliver.yaml", **given)["services"]["phm"]
+    assert permitted(service) == ("/opt/phm/delivered", [("10.0.0.7", "9465", 9465)], [DELIVERED_AT])
+    changed = {key for key in service if service[key] != plain.get(key)}
+    assert changed == {"environment", "volumes", "ports"}
+    rules = compose("compose.yaml", "compose.deliver.yaml", "compose.proxy.yaml", **given)["services"]["proxy_rules"]
+    assert "PHM_CONFIG" not in rules["environment"]
+    for name in given:
+        with pytest.raises(AssertionError, match=name):
+            compose("compose.yaml", "compose.deliver.yaml", **{**given, name: ""})
 
 
 def test_every_setting_of_the_agent_is_in_the_example() -> None:

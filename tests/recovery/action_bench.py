@@ -62,7 +62,9 @@ class Bench:
         return Target.of(found)
 
     def context(self) -> ActionContext:
-        flight_critical_guard = FlightCriticalGuard(self.settings.containers, self.fact, lambda: None, self._armed)
+        flight_critical_guard = FlightCriticalGuard(
+            self.settings.containers, self.fact, lambda: None, self._armed, self.engine.inspect
+        )
         return ActionContext(
             guarded(self.engine, flight_critical_guard),
             self.sections,

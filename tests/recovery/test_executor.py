@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -46,7 +47,11 @@ class World:
         self.pipeline = Pipeline(tracker, self.bus, self.clock)
         self.pipeline.attach(lambda units, reason: self.observe())
         context = ActionContext(
-            cast(Any, None), action_settings(self.settings), lambda key: None, lambda: None, lambda a, b: None
+            cast(Any, SimpleNamespace(inspect=None)),
+            action_settings(self.settings),
+            lambda key: None,
+            lambda: None,
+            lambda a, b: None,
         )
         state = (
             ArmedStatus(ArmedState.ARMED, "the autopilot is armed")

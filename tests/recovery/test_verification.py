@@ -106,7 +106,11 @@ def test_nodes_that_go_on_running_are_back_soon_or_not_at_all(action: type[Actio
 
 
 class Lost(Alone):
-    """Of the dependents, the second cannot come back by waiting; its newest run began at `started`."""
+    """Of the dependents, the second cannot come back by waiting; its newest run began at `started`, by what was seen at `observed`."""
+
+    def __init__(self, started: float, observed: float = float("inf")) -> None:
+        super().__init__(started)
+        self.observed = observed
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         return ("nodes/one", "nodes/two")
@@ -114,7 +118,8 @@ class Lost(Alone):
     def newest(self, unit: str, mono: float) -> Result | None:
         found = error("process ended", brief="dead", condition="node_missing")
         certain = unit == "nodes/two"
-        return found.with_evidence(Evidence(certain=certain)) if self.started >= mono else None
+        evidence = Evidence(certain=certain, observed=self.observed)
+        return found.with_evidence(evidence) if self.started >= mono else None
 
 
 def test_a_dependent_that_does_not_come_back_by_waiting_is_not_waited_for() -> None:
@@ -124,6 +129,14 @@ def test_a_dependent_that_does_not_come_back_by_waiting_is_not_waited_for() -> N
     assert proving.result(Lost(STILL_BAD_S + 1.0), STILL_BAD_S + 1.1) == VerificationResult(
         missing="nodes/two", partly=True
     )
+
+
+def test_processes_that_were_listed_before_the_action_do_not_end_the_wait() -> None:
+    """They are those of the container's earlier run: the node of this one may be starting."""
+    proving = Verification("container/app", 5.0, 1.0, 30.0, lambda unit: GRACE_S)
+    started, now = proving.done + STILL_BAD_S + 1.0, proving.done + STILL_BAD_S + 1.1
+    assert proving.result(Lost(started, observed=4.0), now) is None
+    assert proving.result(Lost(started, observed=5.5), now) == VerificationResult(missing="nodes/two", partly=True)
 
 
 class Unseen(Silent):

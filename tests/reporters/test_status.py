@@ -7,6 +7,7 @@ import os
 import stat
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,13 @@ def test_the_status_has_the_report_the_faults_and_phm_itself(tmp_path: Path) -> 
     assert seen["health"] == {"uptime_s": 4.0}
     assert status_word.decode(seen["status_word"]) == {Slot.NODES: Level.ERROR}
     assert stat.S_IMODE((tmp_path / "run" / "status.json").stat().st_mode) == 0o644
+
+
+@pytest.mark.parametrize("armed", [True, False, None])
+def test_the_status_has_the_state_of_the_autopilot(tmp_path: Path, armed: bool | None) -> None:
+    """The agent's page plots since the arming; null: unknown."""
+    StatusReporter.build(replace(context(Settings(run_dir=str(tmp_path))), armed=lambda: armed)).tick()
+    assert document(tmp_path)["armed"] is armed
 
 
 def test_closed_faults_are_kept_up_to_twenty(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -102,6 +103,18 @@ def test_the_layout_of_foxglove_shows_it(tmp_path: Path) -> None:
     topics = {panel["topicToRender"] for panel in panels if "topicToRender" in panel}
     names = {panel["selectedName"] for panel in panels if "selectedName" in panel}
     assert topics <= {topic for _, topic, _ in read} and names <= {name for _, _, found in read for name in found}
+
+
+def test_no_status_is_old_enough_to_be_shown_as_stale(tmp_path: Path) -> None:
+    """Foxglove, Lichtblick and diagnostic_aggregator show a status as STALE that is not repeated within 5 s."""
+    one_flight(tmp_path).close()
+    stamps: dict[str, list[float]] = {}
+    for t, topic, found in with_rosbags(export(tmp_path)):
+        for name in found if topic == "/diagnostics" else ():
+            stamps.setdefault(name, []).append(t)
+    assert stamps
+    for name, times in stamps.items():
+        assert max(later - t for t, later in pairwise(times)) < 5.0, name
 
 
 def test_a_flight_begins_with_all_units(tmp_path: Path) -> None:

@@ -153,7 +153,7 @@ def test_a_killed_node_is_detected_by_its_process(agent: Agent) -> None:
 
 
 def test_a_killed_node_is_detected_by_its_beacon(agent: Agent) -> None:
-    """Without a list of processes, after three missed beacons, while it is still listed. One alarm."""
+    """Without a list of processes, after three missed beacons, once its lease of one second is over. One alarm."""
     agent.docker.permitted = False
     node = agent.start()
     agent.wait_ok()
@@ -162,6 +162,23 @@ def test_a_killed_node_is_detected_by_its_beacon(agent: Agent) -> None:
     fault = agent.first_fault()
     assert (fault.unit, fault.result.condition) == (NODE, "node_missing")
     assert "its beacon has been silent for" in fault.result.summary
+    agent.wait_blocked_by(NODE)
+
+
+@pytest.mark.long
+def test_a_killed_node_that_stays_listed_is_the_cause_and_not_its_topic(agent: Agent) -> None:
+    """Without a list of processes, with the default lease of 20 s: it does not answer, and at the end of its lease it is dead.
+    One alarm.
+    """
+    agent.docker.permitted = False
+    node = agent.start(before=LONG_LEASE)
+    agent.wait_ok()
+    seen(agent.probe, lambda fact: fact.beacons, "its beacon")
+    node.kill()
+    fault = agent.first_fault()
+    assert (fault.unit, fault.result.condition) == (NODE, "node_unanswering")
+    agent.wait_blocked_by(NODE)
+    agent.until(lambda: agent.state(NODE).result.condition == "node_missing", "the end of its lease")
     agent.wait_blocked_by(NODE)
 
 

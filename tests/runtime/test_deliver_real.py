@@ -19,7 +19,7 @@ from phm.simulation.autopilot import SimulatedAutopilot
 from phm.wire import json_log, status_file
 from tests.fakes.mavlink import free_port
 from tests.fakes.until import until
-from tests.runtime.test_service import LIMIT_S, ROOT
+from tests.runtime.running import LIMIT_S, ROOT
 
 LONG_LIMITS = """
 import sys

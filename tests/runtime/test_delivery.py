@@ -28,7 +28,7 @@ from phm.runtime.reloader import ReloadOutcome
 from phm.testing import settings
 from phm.wire.delivery import DeliveryAnswer, version_of
 from tests.fakes.until import until
-from tests.runtime.test_service import ROOT
+from tests.runtime.running import ROOT
 
 OLD, NEW = "agent: {id: 7, name: A07}\ninterval: 20s\n", "agent: {id: 7, name: A07}\ninterval: 30s\n"
 WHO = "10.0.0.5"
@@ -199,7 +199,7 @@ def test_an_empty_text_asks_for_the_version(agent: Agent) -> None:
 def test_a_read_only_mount_is_refused_with_the_lines_to_change(
     agent: Agent, monkeypatch: pytest.MonkeyPatch, failure: int
 ) -> None:
-    """As in the shipped Compose files: one mounts the folder with :ro, the other the file alone."""
+    """As in the shipped Compose files: one mounts the folder read-only, the other the file alone."""
 
     def fail(*_arguments: object, **_options: object) -> None:
         raise OSError(failure, os.strerror(failure))
@@ -207,8 +207,8 @@ def test_a_read_only_mount_is_refused_with_the_lines_to_change(
     monkeypatch.setattr("phm.runtime.delivery.replace", fail)
     text = agent.refused().text
     assert f"{agent.file} cannot be replaced: {os.strerror(failure)}" in text
-    folder = agent.file.parent
-    assert f"ends in `:{folder}:ro` or `:{agent.file}:ro` by `- FOLDER:{folder}`" in text
+    assert "`-f docker/compose.deliver.yaml`" in text and "`- FOLDER:/etc/phm-delivered` under volumes" in text
+    assert f"`PHM_CONFIG: /etc/phm-delivered/{agent.file.name}` under environment" in text
 
 
 def test_the_previous_file_returns_if_the_reload_fails(agent: Agent) -> None:
@@ -277,7 +277,7 @@ def test_a_read_only_folder_is_named_with_a_remedy(tmp_path: Path, mounted: Call
     agent = Agent(tmp_path)
     mounted("-o", "remount,ro", str(tmp_path))
     words = agent.refused().text
-    assert "Read-only" in words and ":ro" in words and "phm reload" in words
+    assert "Read-only" in words and "compose.deliver.yaml" in words and "phm reload" in words
 
 
 def test_a_file_that_is_a_mount_is_named_with_a_remedy(tmp_path: Path, mounted: Callable[..., None]) -> None:
@@ -286,7 +286,7 @@ def test_a_file_that_is_a_mount_is_named_with_a_remedy(tmp_path: Path, mounted: 
     source.write_text(OLD)
     mounted("--bind", str(source), str(agent.file))
     words = agent.refused().text
-    assert f"by `- FOLDER:{agent.file.parent}`" in words and source.read_text() == OLD
+    assert "- FOLDER:/etc/phm-delivered" in words and source.read_text() == OLD
 
 
 def test_a_full_disk_leaves_the_old_file(tmp_path: Path, mounted: Callable[..., None]) -> None:

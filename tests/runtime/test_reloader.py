@@ -19,7 +19,7 @@ import pytest
 from phm.wire import control, json_log, status_file
 from tests.fakes.mavlink import free_port
 from tests.fakes.until import until
-from tests.runtime.test_service import LIMIT_S, ROOT
+from tests.runtime.running import LIMIT_S, ROOT
 
 HEARTBEAT, POWEROFF = 0, 8
 LONG_LIMITS = """

@@ -1,37 +1,27 @@
-"""The process of `phm run`: one PHM per directory, signals, and a shutdown that nothing can block."""
+"""The process of `phm run`: one PHM per directory, and signals."""
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from phm.core.clock import SystemClock
-from phm.core.closing import ShutdownSequence
 from phm.core.instance_lock import NAME, AlreadyRunning, InstanceLock
 from phm.core.signals import Signals
-from phm.runtime.shutdown_marker import NAME as MARKER
-from phm.runtime.wiring import build_daemon
-from phm.testing import FakeClock, settings
 from phm.wire import control
 from tests.fakes.until import until
-
-ROOT = Path(__file__).parents[2]
-LIMIT_S = 60.0
+from tests.runtime.running import LIMIT_S, PATIENT, ROOT, RUN, Running
 
 # While the main thread waits for an event, a SIGTERM arrives when it holds the event's lock, as can happen by chance.
 UNLUCKY = """
-import os, signal, sys, threading
+import os, signal, threading
 wait = threading.Event.wait
 def unlucky(event, timeout=None):
     if timeout is not None and threading.current_thread() is threading.main_thread():
@@ -40,13 +30,10 @@ def unlucky(event, timeout=None):
             for _ in range(1000): pass
     return wait(event, timeout)
 threading.Event.wait = unlucky
-from phm.cli import main
-main(sys.argv[1:])
 """
 
 # The daemon of a new configuration cannot be started, after that of the present one has ended.
 HALFWAY = """
-import sys
 from phm.runtime.daemon import Daemon
 begin, begun = Daemon._start_recovery, []
 def fail(daemon):
@@ -55,60 +42,7 @@ def fail(daemon):
         raise MemoryError("no thread")
     begin(daemon)
 Daemon._start_recovery = fail
-from phm.cli import main
-main(sys.argv[1:])
 """
-
-
-class Running:
-    """`phm run` with its own configuration."""
-
-    def __init__(self, folder: Path, *before: str, **more: Any) -> None:
-        self.folder = folder
-        self.write(**more)
-        self.process = self.another(*before)
-
-    def write(self, **more: Any) -> None:
-        places = {
-            "state_dir": str(self.folder / "state"),
-            "run_dir": str(self.folder / "run"),
-            "log": {"directory": str(self.folder / "log")},
-        }
-        (self.folder / "phm.yaml").write_text(
-            json.dumps({"agent": {"id": 1}, "checks": {"host": {"enabled": False}}, **places, **more})
-        )
-
-    def another(self, *before: str) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, *(before or ("-m", "phm.cli")), "run", "-c", str(self.folder / "phm.yaml")],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "checks"))), "PHM_WATCHDOG": "off"},
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-
-    @property
-    def marker(self) -> Path:
-        return self.folder / "state" / MARKER
-
-    def ready(self) -> None:
-        until(lambda: (self.folder / "run" / control.NAME).exists() and self.marker.exists(), "the daemon")
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., Running]]:
-    made: list[Running] = []
-
-    def begin(*before: str, **more: Any) -> Running:
-        made.append(Running(tmp_path, *before, **more))
-        return made[-1]
-
-    yield begin
-    for running in made:
-        if running.process.poll() is None:
-            running.process.kill()
-        running.process.communicate()
-
 
 # ---------------------------------------------------------------- one PHM per directory
 
@@ -197,7 +131,7 @@ def test_a_signal_that_arrives_while_an_event_is_locked_is_read_later(tmp_path: 
 def test_a_sigterm_at_the_worst_moment_ends_the_daemon(start: Callable[..., Running], tmp_path: Path) -> None:
     """Also while the main thread holds the lock of the event that it waits for."""
     script = tmp_path / "unlucky.py"
-    script.write_text(UNLUCKY)
+    script.write_text(PATIENT + UNLUCKY + RUN)
     running = start(str(script))
     running.ready()
     running.process.send_signal(signal.SIGTERM)
@@ -210,7 +144,7 @@ def test_a_sigterm_at_the_worst_moment_ends_the_daemon(start: Callable[..., Runn
 def test_a_reload_that_fails_halfway_ends_phm_at_once(start: Callable[..., Running], tmp_path: Path) -> None:
     """Nothing would be checked until it is noticed as a stall: the exit code has it restarted."""
     script = tmp_path / "halfway.py"
-    script.write_text(HALFWAY)
+    script.write_text(PATIENT + HALFWAY + RUN)
     running = start(str(script))
     running.ready()
     running.write(interval="3s")
@@ -225,7 +159,7 @@ def test_a_reload_that_fails_halfway_ends_phm_at_once(start: Callable[..., Runni
 def test_a_sigterm_at_the_worst_moment_ends_the_ground_station(tmp_path: Path) -> None:
     """`phm gcs --once` waits for an event in the main thread."""
     script = tmp_path / "unlucky.py"
-    script.write_text(UNLUCKY)
+    script.write_text(UNLUCKY + RUN)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -237,101 +171,6 @@ def test_a_sigterm_at_the_worst_moment_ends_the_ground_station(tmp_path: Path) -
         check=False,
     )
     assert done.returncode in (1, 130)
-
-
-# ---------------------------------------------------------------- shutdown
-
-
-@pytest.fixture
-def hung_engine(tmp_path: Path) -> Iterator[str]:
-    """A Docker Engine that accepts every call and never answers."""
-    path = str(tmp_path / "engine.sock")
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(path)
-        listener.listen(200)
-        yield f"unix://{path}"
-
-
-def test_a_hung_engine_does_not_delay_the_shutdown(start: Callable[..., Running], hung_engine: str) -> None:
-    """Calls in progress are aborted; the next start finds an orderly shutdown."""
-    running = start(docker={"socket": hung_engine, "timeout": "60s"}, containers=[{"name": "app", "networks": ["n"]}])
-    running.ready()
-    running.process.terminate()
-    running.process.communicate(timeout=45)  # the engine's own deadline would come after 60 s
-    assert running.process.returncode == 0
-    assert not running.marker.exists()
-
-
-def test_an_intended_shutdown_is_marked_before_anything_can_hang(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A disk that hangs during the shutdown is named, uses only its own time limit, and does not count as a crash at
-    the next start.
-    """
-    step = ShutdownSequence.step
-
-    def lengthened(closing: ShutdownSequence, name: str, call: Callable[[], object], limit_s: float) -> None:
-        """On a busy machine a step that does not hang may take longer than its limit."""
-        step(closing, name, call, limit_s if name == "state" else LIMIT_S)
-
-    monkeypatch.setattr(ShutdownSequence, "step", lengthened)
-    monkeypatch.setattr("phm.runtime.daemon.STOP_S", 20 * LIMIT_S)
-    daemon = build_daemon(
-        settings(
-            state_dir=str(tmp_path / "state"),
-            run_dir=str(tmp_path / "run"),
-            log={"directory": str(tmp_path / "log")},
-            checks={"host": {"enabled": False}},
-        )
-    )
-    daemon.start()
-    released, marked = threading.Event(), list[bool]()
-
-    def hang() -> None:
-        marked.append((tmp_path / "state" / MARKER).exists())
-        released.wait()
-
-    daemon.components.memory.close = hang  # type: ignore[method-assign]
-    assert daemon.stop() == ("state",)
-    until(lambda: marked, "the step to begin")
-    assert marked == [False]
-    released.set()
-
-
-def test_hanging_steps_share_one_budget() -> None:
-    """Each has its own limit, all together the budget; later steps still run, and an exception does not end the
-    shutdown.
-    """
-    clock, never, ran = FakeClock(), threading.Event(), list[str]()
-    closing = ShutdownSequence(clock, 5.0)
-    over = threading.Event()
-
-    def tick() -> None:
-        while not over.is_set():
-            if clock.sleepers:
-                clock.advance(0.05)
-            time.sleep(0.001)
-
-    ticker = threading.Thread(target=tick, daemon=True)
-    ticker.start()
-    began = clock.mono()
-    for number in range(4):
-        closing.step(f"h{number}", never.wait, 2.0)
-    closing.step("raises", lambda: 1 / 0, 2.0)
-    closing.step("last", lambda: ran.append("last"), 2.0)
-    over.set()
-    ticker.join()
-    assert clock.mono() - began <= 5.0 + 6 * 0.15
-    assert [name for name in closing.hung if name.startswith("h")] == ["h0", "h1", "h2", "h3"]
-    until(lambda: ran == ["last"], "the last step")
-    never.set()
-
-
-def test_a_finished_step_is_not_waited_for() -> None:
-    """No step takes longer than its work."""
-    closing = ShutdownSequence(SystemClock(), 3600.0)
-    closing.step("quick", lambda: None, 3600.0)
-    assert closing.hung == []
 
 
 # ---------------------------------------------------------------- systemd

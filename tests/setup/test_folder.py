@@ -23,6 +23,22 @@ def test_files_are_readable_whatever_the_umask(tmp_path: Path) -> None:
     assert folder.stat().st_mode & 0o555 == 0o555
 
 
+@pytest.mark.parametrize(("user", "given"), [(0, True), (1000, False)])
+def test_what_root_writes_belongs_to_the_owner_of_the_place(
+    user: int, given: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A container or sudo writes into the home of a user, who edits the files later; another user changes no owner."""
+    owners: dict[str, tuple[int, int]] = {}
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    monkeypatch.setattr(
+        os, "chown", lambda path, uid, gid, **_: owners.update({str(Path(path).relative_to(tmp_path)): (uid, gid)})
+    )
+    write(tmp_path / "new" / "phm", {"phm.yaml": "a"}, force=False)
+    place = tmp_path.stat()
+    names = ["new", "new/phm", "new/phm/phm.yaml"] if given else []
+    assert owners == dict.fromkeys(names, (place.st_uid, place.st_gid))
+
+
 def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
     """One file that exists keeps all others from being written."""
     (tmp_path / "phm.yaml").write_text("mine")

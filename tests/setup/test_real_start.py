@@ -17,6 +17,7 @@ from docker import DockerClient
 from docker.errors import APIError, NotFound
 
 from phm.cli import group
+from tests.fakes.ground import Ground, ground_station
 from tests.fakes.ros_domain import claim_domain
 from tests.fakes.until import until
 
@@ -67,6 +68,12 @@ def start() -> Iterator[Start]:
 
 
 @pytest.fixture
+def ground() -> Iterator[Ground]:
+    with ground_station() as station:
+        yield station
+
+
+@pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
     """The folder that `phm init` writes; what was started from it is removed."""
     place = tmp_path / f"phm-{uuid.uuid4().hex[:8]}"
@@ -87,16 +94,23 @@ def status(folder: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize("network", ["bridge", "host"])
 def test_the_written_folder_starts_a_sidecar_that_sees_the_application(
-    network: str, start: Start, folder: Path
+    network: str, start: Start, folder: Path, ground: Ground
 ) -> None:
-    """Container, health and network are OK; its ROS settings are the application's."""
+    """Container, health, network and a ground station of this machine are OK; its ROS settings are the application's."""
     app = start(network)
-    options = ("--yes", "--no-ros", "--container", app, "--mavlink", "none")
+    host = "127.0.0.1" if network == "host" else "host.docker.internal"
+    options = ("--yes", "--no-ros", "--container", app, "--mavlink", f"udpout:{host}:{ground.port}")
     for words in (["init", str(folder), *options], ["validate", str(folder / "phm.yaml")]):
         result = CliRunner().invoke(group, words)
         assert result.exit_code == 0, result.output
     run("docker", "compose", "up", "--detach", cwd=folder)
-    wanted = {f"container/{app}", f"health/{app}", "engine", *([f"network/{app}"] if network == "bridge" else [])}
+    wanted = {
+        f"container/{app}",
+        f"health/{app}",
+        "engine",
+        "gcs",
+        *([f"network/{app}"] if network == "bridge" else []),
+    }
 
     def healthy() -> bool:
         levels = status(folder)

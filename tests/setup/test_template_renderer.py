@@ -56,6 +56,21 @@ def test_every_variant_is_valid(mavlink: str, recover: bool, count: int) -> None
     assert service(texts)["image"].endswith("phm-sidecar:dev}")
 
 
+@pytest.mark.parametrize("network", ["bridge", "host"])
+def test_deliveries_are_permitted_on_request_alone(network: str) -> None:
+    """Then the configuration is in a separate folder, with a key; compose.yaml is unchanged and outside of it."""
+    where = ("10.0.0.7", 9465)
+    plain, texts = made(network=network), made(network=network, deliver=where)
+    assert texts["compose.yaml"] == plain["compose.yaml"]
+    assert set(texts) == {*plain, "compose.override.yaml", "delivered/phm.yaml"} - {"phm.yaml"}
+    assert loads(plain["phm.yaml"], environ={}).delivery.listen is None
+    delivery = loads(texts["delivered/phm.yaml"], environ={}).delivery
+    host = "10.0.0.7" if network == "host" else "0.0.0.0"
+    assert (delivery.address, delivery.key) == ((host, 9465), "/etc/phm-delivered/delivery.key")
+    override = yaml.safe_load(texts["compose.override.yaml"])["services"]["phm"]
+    assert ("ports" in override) is (network == "bridge")
+
+
 def test_a_bridged_application_has_its_networks_and_devices() -> None:
     """PHM joins the networks itself; the host is reachable for MAVLink."""
     app = application("demo-autonomy-1", service="autonomy", devices=["/dev/ttyACM0"])

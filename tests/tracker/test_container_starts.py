@@ -69,6 +69,29 @@ def test_a_start_event_gives_the_same_grace() -> None:
     assert bench.opened == ["nodes"]
 
 
+def ended(observed: float) -> Result:
+    return BAD.with_evidence(Evidence(certain=True, conclusive=True, observed=observed))
+
+
+def test_certain_evidence_from_before_a_start_opens_no_fault() -> None:
+    """A check that runs after the start may still judge by a list of processes from before; by a newer list, the fault is certain."""
+    bench = living()
+    listed = bench.now
+    bench.later(1)
+    all_published_ok(bench)
+    for _ in range(4):
+        bench.later(0.3)
+        bench.see("container", ran_in_life(2))
+        bench.see("nodes", ended(listed))
+    assert bench.opened == []
+    assert bench.level("nodes") is Level.STALE
+    for _ in range(4):
+        bench.later(0.3)
+        bench.see("container", ran_in_life(2))
+        bench.see("nodes", ended(bench.now))
+    assert bench.opened == ["nodes"]
+
+
 def test_an_event_and_the_following_check_report_one_life() -> None:
     """Grace is given once per life, regardless of which source reports it second and how late."""
     for event_first in (True, False):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from phm.api import Level, stale
-from phm.core.model import FaultOpened, Outcome
+import pytest
+
+from phm.api import Level, error, stale
+from phm.core.model import Evidence, FaultOpened, Outcome
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 
@@ -270,3 +272,32 @@ def test_the_restart_of_a_dependent_takes_no_credit_from_the_action_that_it_is_p
     bench.see("other", OK)
     bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
     assert bench.closed == [("other", Outcome.RESOLVED, "restart"), ("container", Outcome.RESOLVED, "start")]
+
+
+@pytest.mark.parametrize(("action", "opened"), [("restart", ["nodes/n", "network/app"]), ("reconnect", ["nodes/n"])])
+def test_a_detached_network_is_reported_while_its_container_is_restarted(action: str, opened: list[str]) -> None:
+    """The engine no longer lists the running container on its network, and a restart for a node does not do that; a reconnection does."""
+    detached = error("not on net", brief="not on net", condition="disconnected").with_evidence(
+        Evidence(conclusive=True)
+    )
+    bench = Bench(
+        [
+            unit("container/app", target="app"),
+            unit("network/app", "container/app", target="app", grace_s=3.0),
+            unit("nodes/n", "container/app", "network/app", target="app", grace_s=8.0),
+        ]
+    )
+    bench.later(10)
+    bench.all_healthy()
+    bench.see("nodes/n", BAD)
+    bench.see("container/app", OK)
+    bench.see("network/app", OK)
+    bench.take(bench.tracker.begin_action("app", "nodes/n", action, bench.stamp(), 60.0))
+    bench.now += 1
+    bench.take(bench.tracker.container_started("app", bench.stamp()))
+    bench.see("network/app", detached)
+    assert bench.opened == ["nodes/n"], "it may be connected right after the start"
+    bench.later(3.1)
+    for name, result in (("network/app", detached), ("container/app", OK), ("nodes/n", BAD), ("network/app", detached)):
+        bench.see(name, result)
+    assert bench.opened == opened

@@ -23,6 +23,7 @@ from phm.transport.client_admission import MAX_PEERS
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_udp import network_of
+from phm.transport.own_network import HOST_NAME
 from tests.fakes.mavlink import Sender, free_port, heartbeat, text
 from tests.fakes.until import until
 
@@ -127,6 +128,35 @@ def test_udpout_receives_only_from_its_peer(board: MakeAgent, udp: Callable[...,
     until(lambda: agent.did, "the peer's restart")
     assert agent.did == ["254/190"]
     assert agent.received == [(254, "HEARTBEAT")]
+
+
+def test_the_host_answers_a_bridged_container_from_the_gateway(
+    board: MakeAgent, udp: Callable[..., socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames from the address that host.docker.internal names and from the gateway are read, from its port alone; the gateway of
+    now counts."""
+    real, gateways = socket.getaddrinfo, ["127.0.0.2"]
+    monkeypatch.setattr(
+        socket,
+        "getaddrinfo",
+        lambda host, *rest, **named: real("127.0.0.1" if host == HOST_NAME else host, *rest, **named),
+    )
+    monkeypatch.setattr("phm.transport.mavlink_connection.is_private", lambda: True)
+    monkeypatch.setattr("phm.transport.mavlink_connection.gateway", lambda: gateways[-1])
+    named = udp()
+    port = named.getsockname()[1]
+    agent = board(f"udpout:{HOST_NAME}:{port}")
+    ours = address_of(agent, named)
+    via = {host: udp(host, port) for host in ("127.0.0.2", "127.0.0.3")}
+    for stranger in (udp(), udp("127.0.0.2"), via["127.0.0.3"]):
+        stranger.sendto(Sender(255, 190).frame(heartbeat()), ours)
+    for number, ground in enumerate((named, via["127.0.0.2"])):
+        ground.sendto(Sender(251 + number, 190).frame(heartbeat()), ours)
+    until(lambda: len(agent.received) == 2, "both addresses of the host to be read")
+    gateways.append("127.0.0.3")
+    via["127.0.0.3"].sendto(Sender(253, 190).frame(heartbeat()), ours)
+    until(lambda: len(agent.received) == 3, "the new gateway to be read")
+    assert [system for system, _ in agent.received] == [251, 252, 253]
 
 
 def test_udpbcast_receives_answers_only_from_its_port(board: MakeAgent, udp: Callable[..., socket.socket]) -> None:

@@ -56,7 +56,7 @@ def name(document: Mapping[str, Any]) -> str:
 def row(document: Mapping[str, Any], problem: str) -> Json:
     """The row. Its moments are monotonic seconds of this machine, on which the daemon runs as well."""
     healthy, there = not problem, bool(document)
-    written = _seconds(document.get("written_mono"))
+    written = finite(document.get("written_mono"))
     units = [_unit(one, document) for one in document.get("checks", ())]
     bad = [one for one in units if one["level"] in (Level.WARN.name, Level.ERROR.name)]
     worst = _worst(units)
@@ -141,12 +141,13 @@ def _unit(one: Mapping[str, Any], document: Mapping[str, Any]) -> Json:
 
 def _moment(since: object, document: Mapping[str, Any]) -> float | None:
     """UTC of the document as monotonic seconds, whole ones: both clocks are read a moment apart in each document."""
-    written, begun = _seconds(document.get("written_mono")), _utc(since)
-    at = _utc(document.get("written_utc"))
+    written, begun = finite(document.get("written_mono")), utc_seconds(since)
+    at = utc_seconds(document.get("written_utc"))
     return None if written is None or begun is None or at is None else float(round(written - (at - begun)))
 
 
-def _utc(moment: object) -> float | None:
+def utc_seconds(moment: object) -> float | None:
+    """UTC seconds of a moment as PHM writes it; None for anything else."""
     try:
         return datetime.strptime(str(moment), "%Y-%m-%dT%H:%M:%S.%fZ").replace(tzinfo=timezone.utc).timestamp()
     except (ValueError, OverflowError):
@@ -162,7 +163,8 @@ def _number(value: object) -> int:
     return value if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 255 else 0
 
 
-def _seconds(value: object) -> float | None:
+def finite(value: object) -> float | None:
+    """The number, None for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     try:

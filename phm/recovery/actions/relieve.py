@@ -6,6 +6,7 @@ from phm.core.model import Fault
 from phm.recovery.actions.cpu_weights import LOW_SHARES
 from phm.recovery.actions.restart import dependents
 from phm.recovery.base import Action, ActionContext, ActionFailed, ActionSettings, Impact, NotNeeded, Target
+from phm.recovery.safety.namespaces import with_owners
 
 
 class Relieve(Action):
@@ -45,4 +46,5 @@ def _needed(context: ActionContext) -> set[str]:
     containers = context.settings.containers
     facts = {entry.key: fact for entry in containers if (fact := context.container(entry.key)) is not None}
     critical = {entry.key for entry in containers if entry.flight_critical}
+    facts = with_owners(critical, facts, containers, context.engine.inspect)
     return {key for key in context.settings.recovery.relieve if critical & set(dependents(key, facts, containers))}

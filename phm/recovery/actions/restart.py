@@ -141,17 +141,18 @@ def dependents(
     *,
     network_only: bool = False,
 ) -> list[str]:
-    """Keys of the configured containers to be restarted after the container `target`, in order, including dependents of
-    dependents.
+    """Keys of the containers to be restarted after the container `target`, in order, including dependents of dependents:
+    of configured ones, and of others in `facts`.
 
     A container depends on another if it uses its network or IPC namespace, which is new after each start, or its PID
     namespace, whose processes end with the first one, or names it in `after`. One that depends on several comes after
     the last of them. network_only: only by the network namespace.
     """
+    after = {entry.key: () if network_only else entry.after for entry in containers}
     needs = {
-        entry.key: {other for other in facts if _shares(facts.get(entry.key), facts[other], network_only=network_only)}
-        | (set() if network_only else set(entry.after))
-        for entry in containers
+        key: {other for other in facts if _shares(facts.get(key), facts[other], network_only=network_only)}
+        | set(after.get(key, ()))
+        for key in dict.fromkeys([*after, *facts])
     }
     reached = {target}
     grown = True
@@ -167,15 +168,16 @@ def dependents(
     return order[1:]
 
 
+def owners(fact: ContainerFact, *, network_only: bool) -> list[str]:
+    """What the engine calls the containers whose namespaces it uses: the user's text, id or name."""
+    modes = [fact.network_mode] if network_only else [fact.network_mode, fact.pid_mode, fact.ipc_mode]
+    parts = [mode.partition(":") for mode in modes]
+    return [ref for kind, _, ref in parts if kind == "container" and ref]
+
+
 def _shares(fact: ContainerFact | None, owner: ContainerFact, *, network_only: bool) -> bool:
     """Whether `fact` uses a namespace of `owner`."""
     if fact is None:
         return False
-    modes = [fact.network_mode] if network_only else [fact.network_mode, fact.pid_mode, fact.ipc_mode]
-    return any(_names(mode, owner) for mode in modes)
-
-
-def _names(mode: str, owner: ContainerFact) -> bool:
-    """Whether `container:REF` means `owner`; the engine keeps the user's text, id or name."""
-    kind, _, ref = mode.partition(":")
-    return kind == "container" and bool(ref) and (ref == owner.name or owner.id.startswith(ref))
+    refs = owners(fact, network_only=network_only)
+    return any(ref == owner.name or owner.id.startswith(ref) for ref in refs)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ from phm.recovery.holds.hold_registry import ALL, MAX_TEXT, OPERATOR, STOP, WIND
 from phm.recovery.holds.maintenance_windows import MaintenanceWindows
 from phm.recovery.holds.manual_stop import ManualStopDetector, StopVerdict
 from phm.recovery.safety.armed_state import ArmedStatus
+from phm.recovery.safety.namespaces import Inspect
 from phm.wire.report import iso
 from phm.wire.text import one_line
 
@@ -45,6 +46,10 @@ STOP_MAX_S = 121.0
 _DONE = {StopVerdict.STOPPED: "stopped", StopVerdict.REMOVED: "removed"}
 
 
+def _no_engine(ref: str) -> Mapping[str, Any]:
+    raise CannotTell("no engine is watched")
+
+
 class HoldRefused(Exception):
     """The hold or release is refused; the message says why and what is allowed."""
 
@@ -56,6 +61,7 @@ class HoldInputs:
     armed:     the vehicle's armed state; unknown counts as in the air.
     container: the engine's current view of a configured container, for its label. Raises CannotTell.
     stream:    the engine's event stream.
+    inspect:   the engine's data of any container (`phm.recovery.safety.namespaces`).
     own:       whether PHM may have ended or started a container: an action has requested that, or a call to start it
                got no response.
     """
@@ -64,6 +70,7 @@ class HoldInputs:
     container: Callable[[str], ContainerFact | None]
     own: Callable[[str], bool]
     stream: Callable[[], EventStreamFact] = lambda: COMPLETE
+    inspect: Inspect = _no_engine
 
 
 class HoldService:
@@ -90,7 +97,7 @@ class HoldService:
         self._labels: dict[str, str] = {}
         self._facts: dict[str, ContainerFact] = {}
         """The newest data of each container, also of a removed one: containers in its namespaces depend on it."""
-        self._flight = FlightRules(containers, world.armed, self._facts)
+        self._flight = FlightRules(containers, world.armed, self._facts, world.inspect)
         self._seen: set[str] = set()
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False
@@ -307,6 +314,7 @@ class HoldService:
                 with self._lock:
                     self._runs(key)
             self._seen.add(key)
+        self._flight.observe()
 
     def _check_windows(self, now: Stamp) -> bool:
         """Begin and end the holds of maintenance windows. Returns whether there may be any windows."""

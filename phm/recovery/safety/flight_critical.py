@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact
 from phm.recovery.actions.restart import dependents
 from phm.recovery.base import Impact
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.recovery.safety.namespaces import Inspect, described, with_owners
 
 
 def critical_containers(containers: Sequence[ContainerSettings]) -> tuple[str, ...]:
@@ -18,7 +18,7 @@ def critical_containers(containers: Sequence[ContainerSettings]) -> tuple[str, .
 
 
 class FlightCriticalGuard:
-    """Decides what is flight-critical now. armed: the state at the time of the call."""
+    """Decides what is flight-critical now. armed: the state at the time of the call. inspect: asks the engine about any container."""
 
     def __init__(
         self,
@@ -26,8 +26,10 @@ class FlightCriticalGuard:
         container: Callable[[str], ContainerFact | None],
         own_container: Callable[[], ContainerFact | None],
         armed: Callable[[], ArmedStatus],
+        inspect: Inspect,
     ) -> None:
         self._containers, self._container, self._own_container, self.armed = containers, container, own_container, armed
+        self._inspect = inspect
         self._critical = critical_containers(containers)
 
     def forbids(
@@ -56,17 +58,10 @@ class FlightCriticalGuard:
         hit = next((key for key in below if key in self._critical), "")
         return f"it would take down {hit}, which is flight-critical, and {armed.why}" if hit else ""
 
-    def refusal(
-        self,
-        call: str,
-        ref: str,
-        impact: Impact,
-        approved_at: ArmedState | None,
-        inspect: Callable[[str], Mapping[str, Any]],
-    ) -> str:
+    def refusal(self, call: str, ref: str, impact: Impact, approved_at: ArmedState | None) -> str:
         """Why an action may not make this call about the container `ref` now, as a sentence; empty: it may. Raises CannotTell.
 
-        inspect: asks the engine which container it means, because it also accepts "/name" and the beginning of an id.
+        The engine says which container it means, because it also accepts "/name" and the beginning of an id.
         A flight-critical container may use the namespaces of one that is not configured, so that one is protected, too.
         """
         armed = self._restriction(approved_at)
@@ -74,10 +69,7 @@ class FlightCriticalGuard:
             return ""
         if not ref:
             return f"{call} was not done: it names no container, so what it takes down is not known, and {armed.why}"
-        answer = inspect(ref)
-        called = ContainerFact(str(answer.get("Name") or "").lstrip("/"), str(answer.get("Id") or ""), "", "")
-        if not called.id:
-            raise CannotTell(f"the Docker Engine described {ref} without an id")
+        called = described(self._inspect(ref), ref)
         me = self._own_container()
         if me is not None and called.id == me.id and impact is Impact.NETWORK:
             return ""  # PHM connects itself to networks
@@ -99,4 +91,5 @@ class FlightCriticalGuard:
         seen = {key: fact for key, fact in facts.items() if fact is not None}
         if unconfigured is not None:
             seen[target] = unconfigured
+        seen = with_owners(self._critical, seen, self._containers, self._inspect, network_only=network_only)
         return dependents(target, seen, self._containers, network_only=network_only)

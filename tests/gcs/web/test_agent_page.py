@@ -23,6 +23,7 @@ from phm.gcs.web import agent_row
 from phm.gcs.web.agent_page import AgentPage
 from phm.gcs.web.options import ListenOptions, Tokens
 from phm.wire import status_file, status_shape
+from phm.wire.report import iso
 from tests.docs.story import play
 from tests.fakes.mavlink import free_port
 from tests.fakes.until import until
@@ -37,20 +38,28 @@ checks: {engine: {enabled: false}}
 """
 
 
+OPENED_S = time.time() - 60.0
+
+
 def document(**changes: Any) -> dict[str, Any]:
-    """The status of an agent of which a node is dead, as the daemon of this machine would have written it just now."""
+    """The status of an agent of which a node has been dead since a minute, as the daemon of this machine would have written it now."""
     place = {**status_file.place(), "pid": os.getpid(), "written_mono": time.monotonic()}
-    found = {**json.loads(json.dumps(play().during, default=str)), **place, "alive": True, **changes}
-    return {**found, "agent_id": 7}
+    found = {**json.loads(json.dumps(play().during, default=str)), **place, "alive": True}
+    (fault,) = found["faults"]["open"]
+    found["faults"]["open"] = [{**fault, "opened": iso(OPENED_S)}]
+    return {**found, **changes, "agent_id": 7}
 
 
 class Written:
     """A run_dir with a status, and its page."""
 
-    def __init__(self, folder: Path, options: ListenOptions | None = None) -> None:
+    def __init__(
+        self, folder: Path, options: ListenOptions | None = None, history: Path | None = None, **changes: Any
+    ) -> None:
+        """changes: of the first status."""
         self._folder = folder
-        self.write(document())
-        self.page = AgentPage(self.observe, options or ListenOptions(port=0), SystemClock())
+        self.write(document(**changes))
+        self.page = AgentPage(self.observe, options or ListenOptions(port=0), SystemClock(), history)
         self.page.start()
         self.client = Client(self.page.server.address)
         until(self._serves, "the page")
@@ -199,6 +208,7 @@ def test_elsewhere_a_token_is_needed(tmp_path: Path) -> None:
         (["--web", "0.0.0.0:0"], "--token-file"),
         (["--web", "--json"], "Use only one of"),
         (["--token-file", "x"], "need --web"),
+        (["--history", "x"], "need --web"),
         (["--web", "x"], "needs a port"),
     ],
 )
@@ -217,7 +227,7 @@ def test_a_real_daemon_is_shown_until_it_ends(tmp_path: Path) -> None:
         subprocess.Popen([sys.executable, "-m", "phm.cli", *words], cwd=tmp_path, stdout=output, stderr=output)
         for words in (
             ["run", "--config", str(tmp_path / "phm.yaml")],
-            ["status", "--run-dir", run, "--web", str(port)],
+            ["status", "--run-dir", run, "--web", str(port), "--history", "none"],
         )
         for output in [subprocess.DEVNULL]
     ]

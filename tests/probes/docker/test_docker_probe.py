@@ -121,6 +121,26 @@ def test_a_complete_response_is_read_completely() -> None:
     assert (fact.devices[0].host_path, fact.devices[0].container_path) == ("/dev/a", "/dev/b")
 
 
+def test_failed_probes_since_the_last_that_passed_have_code_and_duration() -> None:
+    """Of Go's time stamps, with up to nine decimals and any zone; what cannot be read is unknown."""
+    response, zone = container("app"), "+02:00"
+    response["State"]["Health"] = {
+        "Status": "unhealthy",
+        "FailingStreak": 3,
+        "Log": [
+            {"ExitCode": 1, "Start": f"2026-11-24T23:59:50{zone}", "End": f"2026-11-24T23:59:51{zone}"},
+            {"ExitCode": 0, "Start": f"2026-11-24T23:59:53{zone}", "End": f"2026-11-24T23:59:54{zone}"},
+            {"ExitCode": -1, "Start": f"2026-11-24T23:59:56{zone}", "End": f"2026-11-25T00:00:26{zone}"},
+            {"ExitCode": 1, "Start": f"2026-11-25T00:00:29.999999999{zone}", "End": f"2026-11-25T00:00:30.25{zone}"},
+            {"ExitCode": 2, "Start": "yesterday", "End": "2026-13-45T00:00:30Z"},
+        ],
+    }
+    hung, failed, unknown = container_fact(response).failed_probes
+    assert (hung.exit_code, hung.took_s) == (-1, 30.0)
+    assert (failed.exit_code, failed.took_s) == (1, pytest.approx(0.25, abs=1e-5))
+    assert (unknown.exit_code, unknown.took_s) == (2, None)
+
+
 SECOND = 10**9
 
 

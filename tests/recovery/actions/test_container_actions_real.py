@@ -220,3 +220,29 @@ def test_an_armed_flight_critical_container_is_protected_under_each_name(real: A
         with pytest.raises((FlightCriticalError, NotPermitted)):
             ask.disconnect("bridge", f"/{one.name}", force=True)
     assert [engine.inspect(one.id)["State"]["StartedAt"] for one in (app, gateway)] == before
+
+
+@pytest.mark.parametrize("kind", ["network_mode", "pid_mode", "ipc_mode"])
+def test_an_armed_flight_critical_container_is_protected_behind_one_that_is_not_configured(
+    real: Any, engine: DockerEngine, kind: str
+) -> None:
+    """Both are in the namespace of `app`; the proxy does not say what it is not configured for, and that counts as critical."""
+    app = real.container(**({"ipc_mode": "shareable"} if kind == "ipc_mode" else {}))
+    own_init = {"init": False} if kind == "pid_mode" else {}
+    between = real.container(**{kind: f"container:{app.id}"}, **own_init)
+    pilot = real.container(**{kind: f"container:{between.id}"}, **own_init)
+    space = f"readlink /proc/self/ns/{kind.removesuffix('_mode').replace('network', 'net')}"
+    assert printed(pilot, space) == printed(app, space)
+    made = bench(
+        engine,
+        containers=[
+            {"name": app.name, "alias": "app", "recover": True},
+            {"name": pilot.name, "alias": "pilot", "recover": True, "flight_critical": True},
+        ],
+        mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14599", "leads_to": "autopilot"}]},
+    )
+    made.armed = True
+    before = engine.inspect(app.id)["State"]["StartedAt"]
+    with pytest.raises(FlightCriticalError, match=r"would take down pilot|what it would take down is not known"):
+        made.run(Restart, "app", EXITED)
+    assert engine.inspect(app.id)["State"]["StartedAt"] == before

@@ -128,17 +128,28 @@ def test_relieve_applies_to_a_flight_critical_container_with_configured_others()
     assert not Relieve.applies(critical, STARVED, action_settings(settings(containers=[{"name": "app"}])))
 
 
-def relieve_with(facts: Mapping[str, ContainerFact], *, after: Sequence[str] = ()) -> list[str]:
-    """The containers that are relieved for the flight-critical `app`; all others may be."""
+def relieve_with(
+    facts: Mapping[str, ContainerFact], *, after: Sequence[str] = (), others: Mapping[str, str] | None = None
+) -> list[str]:
+    """The containers that are relieved for the flight-critical `app`; all others may be. others: network modes of containers that
+    are not configured, by their names."""
     lowered: list[str] = []
-    others = [key for key in facts if key != "app"]
+    may = [key for key in facts if key != "app"]
     named = settings(
-        containers=[{"name": "app", "flight_critical": True, "after": list(after)}, *({"name": key} for key in others)],
-        recovery={"relieve": others},
+        containers=[{"name": "app", "flight_critical": True, "after": list(after)}, *({"name": key} for key in may)],
+        recovery={"relieve": may},
     )
     relief = SimpleNamespace(lower=lambda key, *more: bool(lowered.append(key)) or True)
+    unconfigured = others or {}
+    engine = SimpleNamespace(
+        inspect=lambda ref: {"Id": f"id of {ref}", "Name": f"/{ref}", "HostConfig": {"NetworkMode": unconfigured[ref]}}
+    )
     context = SimpleNamespace(
-        settings=action_settings(named), container=facts.__getitem__, relief=relief, engine=None, on_hold=lambda key: ""
+        settings=action_settings(named),
+        container=facts.__getitem__,
+        relief=relief,
+        engine=engine,
+        on_hold=lambda key: "",
     )
     Relieve().run(Target.of(named.containers[0]), STARVED, cast(ActionContext, context))
     return lowered
@@ -150,6 +161,16 @@ def test_what_a_flight_critical_container_shares_is_not_relieved(kind: str) -> N
     mode: dict[str, Any] = {kind: "container:vpn"}
     facts = {"app": testing.container("app", **mode), "vpn": testing.container("vpn"), "cam": testing.container("cam")}
     assert relieve_with(facts) == ["cam"]
+
+
+def test_what_a_flight_critical_container_shares_through_an_unconfigured_one_is_not_relieved() -> None:
+    """Its network is that of the last one."""
+    facts = {
+        "app": testing.container("app", network_mode="container:between"),
+        "vpn": testing.container("vpn"),
+        "cam": testing.container("cam"),
+    }
+    assert relieve_with(facts, others={"between": "container:vpn"}) == ["cam"]
 
 
 def test_what_a_flight_critical_container_starts_after_is_not_relieved() -> None:

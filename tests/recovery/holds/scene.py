@@ -45,11 +45,14 @@ class Scene:
         self.holds: HoldRegistry = self.agent.executor.holds
         action_on = self.agent.executor.action_on
         self.stream = COMPLETE
+        self.others: dict[str, dict[str, Any]] = {}
+        """The engine's data of containers that are not configured, by their names."""
         world = HoldInputs(
             lambda: ArmedStatus(self.armed, "as the test says"),
             self.containers.facts.get,
             action_on,
             lambda: self.stream,
+            lambda ref: self.others[ref],
         )
         self.service = HoldService(
             self.agent.settings.recovery,

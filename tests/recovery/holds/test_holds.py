@@ -192,15 +192,19 @@ def test_a_flight_critical_container_is_not_put_on_hold_while_armed(scene: Scene
     scene.hold("cam")
 
 
-def shared_network(scene: Scene) -> None:
-    """app shares the network of cam."""
-    scene.containers.facts["app"] = replace(scene.containers.facts["app"], network_mode="container:cam")
+def shared_network(scene: Scene, through: str = "") -> None:
+    """app shares the network of cam, directly or through a container that is not configured."""
+    if through:
+        scene.others[through] = {"Id": "7" * 64, "Name": f"/{through}", "HostConfig": {"NetworkMode": "container:cam"}}
+    mode = f"container:{through or 'cam'}"
+    scene.containers.facts["app"] = replace(scene.containers.facts["app"], network_mode=mode)
     scene.agent.rest(2 * LABELS_S)
 
 
-def test_a_dependency_of_a_flight_critical_container_is_not_put_on_hold_while_armed(scene: Scene) -> None:
+@pytest.mark.parametrize("through", ["", "unconfigured"])
+def test_a_dependency_of_a_flight_critical_container_is_not_put_on_hold_while_armed(scene: Scene, through: str) -> None:
     """Its failure would take down the critical one and must stay visible as well; an earlier hold ends with arming."""
-    shared_network(scene)
+    shared_network(scene, through)
     scene.hold("cam", 600.0)
     scene.armed = ArmedState.ARMED
     scene.agent.rest(3)

@@ -45,15 +45,31 @@ class Scene:
             mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14550"}]},
         )
         self.flight_critical_guard = FlightCriticalGuard(
-            self.settings.containers, self.fact, lambda: self.me, lambda: ArmedStatus(self.state, "it is armed")
+            self.settings.containers,
+            self.fact,
+            lambda: self.me,
+            lambda: ArmedStatus(self.state, "it is armed"),
+            self.inspect,
         )
-
         self.unconfigured = [testing.container("gateway"), testing.container("bystander")]
+
+    def uses(self, user: str, modes: dict[str, str]) -> None:
+        """The container joins namespaces of others and no network."""
+        joined: dict[str, Any] = {"network_mode": "bridge", **{kind: f"container:{of}" for kind, of in modes.items()}}
+        if user in self.facts:
+            self.facts[user] = replace(self.facts[user], **joined)
+        else:
+            self.unconfigured = [replace(fact, **joined) if fact.name == user else fact for fact in self.unconfigured]
 
     def fact(self, key: str) -> ContainerFact | None:
         if key in self.unknown:
             raise CannotTell("the engine does not answer")
         return self.facts.get(key)
+
+    def inspect(self, ref: str) -> dict[str, Any]:
+        fact = self.known_as(ref)
+        host = {"NetworkMode": fact.network_mode, "PidMode": fact.pid_mode, "IpcMode": fact.ipc_mode}
+        return {"Id": fact.id, "Name": f"/{fact.name}", "HostConfig": host}
 
     def known_as(self, ref: str) -> ContainerFact:
         """The container that the engine means by `ref`. Raises EngineMissing."""
@@ -103,9 +119,8 @@ class Calls:
     def call(self, fn: Any, *, deadline_s: float | None = None, what: str = "answer") -> None:
         self._note("call")
 
-    def inspect(self, ref: str) -> dict[str, str]:
-        fact = self.scene.known_as(ref)
-        return {"Id": fact.id, "Name": f"/{fact.name}"}
+    def inspect(self, ref: str) -> dict[str, Any]:
+        return self.scene.inspect(ref)
 
 
 def engine(scene: Scene) -> tuple[DockerEngine, Calls]:
@@ -149,6 +164,64 @@ def test_a_shared_pid_or_ipc_namespace_counts_like_a_shared_network(kind: str) -
     assert "would take down fc_app" in scene.flight_critical_guard.forbids("camera", Impact.CONTAINER)
     assert scene.flight_critical_guard.forbids("camera", Impact.NETWORK) == ""
     assert scene.flight_critical_guard.forbids("vpn", Impact.CONTAINER) == ""
+
+
+CHAINS = [
+    (("network_mode", "network_mode"), True),
+    (("pid_mode", "pid_mode"), False),
+    (("ipc_mode", "ipc_mode"), False),
+    (("network_mode", "pid_mode"), False),
+]
+"""What `fc_app` joins of `gateway`, which is not configured, and that of `camera`; and whether its network is that of `camera`."""
+
+
+@pytest.mark.parametrize("ref", ["gateway", "id-of-gateway"])
+@pytest.mark.parametrize(("kinds", "network"), CHAINS)
+def test_criticality_is_inherited_through_a_container_that_is_not_configured(
+    kinds: tuple[str, str], network: bool, ref: str
+) -> None:
+    """It only uses a namespace of the other one, or ends with the other one, so the flight-critical one loses what it shares."""
+    scene = Scene()
+    scene.uses("fc_app", {kinds[0]: ref})
+    scene.uses("gateway", {kinds[1]: "id-of-camera"})
+    forbids = scene.flight_critical_guard.forbids
+    assert "would take down fc_app, which is flight-critical" in forbids("camera", Impact.CONTAINER)
+    assert bool(forbids("camera", Impact.NETWORK)) is network
+    assert forbids("vpn", Impact.CONTAINER) == ""
+    ask, calls = engine(scene)
+    with pytest.raises(FlightCriticalError, match="restart of camera was not done: it would take down fc_app"):
+        ask.restart("camera")
+    assert calls.made == []
+
+
+def test_a_chain_may_have_several_unconfigured_containers_and_after() -> None:
+    """`fc_app` uses the network of `vpn`, which starts after `base`, which is behind two that are not configured."""
+    scene = Scene()
+    scene.uses("base", {"network_mode": "gateway"})
+    scene.uses("gateway", {"network_mode": "bystander"})
+    scene.uses("bystander", {"network_mode": "camera"})
+    for target in ("camera", "base"):
+        assert "would take down fc_app" in scene.flight_critical_guard.forbids(target, Impact.CONTAINER)
+    ask, _ = engine(scene)
+    with pytest.raises(FlightCriticalError, match="restart of bystander was not done: it would take down fc_app"):
+        ask.restart("bystander")
+
+
+def test_while_the_owner_of_a_used_namespace_is_unknown_no_other_container_is_taken_down() -> None:
+    """It was removed, or the engine or a proxy does not say: whose namespace it was is not known. On the ground, and with a
+    flight-critical container that does not run, nothing is at stake.
+    """
+    scene = Scene()
+    scene.uses("fc_app", {"network_mode": "removed"})
+    guard = scene.flight_critical_guard
+    for impact in (Impact.NETWORK, Impact.CONTAINER):
+        assert "not known (fc_app uses a namespace of removed, which was removed)" in guard.forbids("camera", impact)
+    assert guard.forbids("camera", Impact.NOTHING) == ""
+    scene.state = ArmedState.DISARMED
+    assert guard.forbids("camera", Impact.CONTAINER) == ""
+    scene.state = ArmedState.ARMED
+    scene.facts["fc_app"] = replace(scene.facts["fc_app"], status="exited")
+    assert guard.forbids("camera", Impact.CONTAINER) == ""
 
 
 def test_when_armed_act_permits_actions_on_flight_critical_containers() -> None:

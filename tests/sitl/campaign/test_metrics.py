@@ -18,7 +18,7 @@ from sitl.campaign.groups import groups
 from sitl.campaign.metrics import figures
 from sitl.campaign.stats import estimate, rank, stats
 from sitl.campaign.targets import METRICS, Result, evaluated, short
-from sitl.campaign.trial import NOMINAL, OFF, Cost, Start, Trial
+from sitl.campaign.trial import NOMINAL, OFF, Cost, RaisedWarning, Start, Trial
 from sitl.campaign.verdict import ACTION, FLOOR_S, ITSELF
 from sitl.faults import all_faults
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
@@ -288,6 +288,26 @@ def test_an_explanation_holds_up_to_its_ratio() -> None:
         (group,) = groups([trial(injections=[found], alarms=[alarm(after)])])
         assert compared(group.all)[0].words.endswith(words)
         assert len(unexplained(group)) == (words == UNEXPLAINED)
+
+
+@pytest.mark.parametrize(
+    ("alone_s", "words"),
+    [
+        (0.19, "1 of 2 disturbed, the others 1.9"),
+        (0.5, f"1 of 2 disturbed, the others 5.0: {EXPLANATIONS['node_killed'].words} (up to 8)"),
+        (0.9, UNEXPLAINED),
+    ],
+)
+def test_what_disturbed_a_detection_explains_that_one_alone(alone_s: float, words: str) -> None:
+    """The others must be within twice their limit, or within the explanation of their class."""
+    found = [injection(evidence="process event", evidence_s=0.1) for _ in range(2)]
+    busy = RaisedWarning(3, "host/cpu", 9, T0 + 1.0, ["cpu_high"], "CPU 92 %")
+    made = [
+        trial(number=1, injections=[found[0]], alarms=[alarm(9.0)], warned=[busy]),
+        trial(number=2, injections=[found[1]], alarms=[alarm(alone_s)]),
+    ]
+    (group,) = groups(made)
+    assert compared(group.all)[0].words == words
 
 
 @pytest.mark.parametrize("fault", sorted(WAITS))

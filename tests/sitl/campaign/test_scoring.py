@@ -77,8 +77,9 @@ def test_an_alarm_on_another_agent_is_false() -> None:
 @pytest.mark.parametrize(
     ("unit", "loads", "confirmed"),
     [
-        ("host/cpu", [99.0, 99.0], True),
+        ("host/cpu", [99.0, 99.0, 99.0], True),
         ("host/cpu", [99.0, 50.0, 99.0], False),
+        ("host/cpu", [99.0], False),
         ("host/cpu", [], False),
         ("host/memory", [99.0, 99.0], False),
         ("host/temperature", [99.0, 99.0], False),

@@ -14,7 +14,7 @@ from sitl.campaign.metrics import figures
 from sitl.campaign.scoring import judge
 from sitl.campaign.table import beyond, endings, left_out, paper_comparison
 from sitl.campaign.targets import short
-from sitl.campaign.trial import Cost, Injection, Load, RaisedWarning, Start, Trial
+from sitl.campaign.trial import Act, Cost, Injection, Load, RaisedWarning, Start, Trial
 from sitl.campaign.verdict import ACTION, PHM, Verdict
 from sitl.faults import all_faults
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, started, trial, verified
@@ -199,8 +199,59 @@ def test_a_reboot_may_open_a_silent_autopilot_first() -> None:
 def test_load_must_reach_the_limit_of_the_alarm(cpu: float, beside: int) -> None:
     """An alarm is an ERROR, so load at the limit for WARN does not confirm it."""
     samples = [Load(T0 - 2 + second, cpu=cpu, memory=50.0, disk=50.0) for second in range(3)]
-    judged = judge(trial(alarms=[alarm(0.4), alarm(1.0, "host/cpu", 5)], machine=samples))
+    judged = judge(trial(alarms=[alarm(0.4), alarm(0.5, "host/cpu", 5)], machine=samples))
     assert (len(judged.beside), len(judged.false)) == (beside, 1 - beside)
+
+
+@pytest.mark.parametrize(
+    ("cpu", "beside"),
+    [
+        ([60.0, 100.0, 96.9, 100.0, 60.0], 1),
+        ([60.0, 100.0, 100.0, 96.0, 96.0, 60.0], 0),
+        ([100.0, 100.0, *[60.0] * 6], 0),
+        ([60.0, *[97.0, 100.0] * 5], 1),
+        ([60.0, *[96.0, 99.0] * 5], 0),
+    ],
+    ids=["between samples", "before the window", "long before", "mean of 10 s", "mean below the limit"],
+)
+def test_load_is_the_mean_over_the_window_of_the_check(cpu: list[float], beside: int) -> None:
+    """`host/cpu` is about the last 2 or 10 s: a sample beside the limit in them does not refute it, and earlier load does not confirm
+    it."""
+    end = T0 + 0.5
+    samples = [Load(end - len(cpu) + 1 + second, used, 50.0, 50.0) for second, used in enumerate(cpu)]
+    judged = judge(trial(alarms=[alarm(0.4), alarm(0.5, "host/cpu", 5)], machine=samples))
+    assert (len(judged.beside), len(judged.false)) == (beside, 1 - beside)
+
+
+def cpu_warning(agent: int, begun: float, ended: float | None) -> RaisedWarning:
+    return RaisedWarning(
+        agent, "host/cpu", 9, T0 + begun, ["cpu_high"], "CPU 92 %", None if ended is None else T0 + ended
+    )
+
+
+def action(unit: str, *phases: tuple[str, float]) -> list[Act]:
+    return [Act(3, unit, "restart", phase, T0 + at, "") for phase, at in phases]
+
+
+@pytest.mark.parametrize(
+    ("recorded", "disturbed"),
+    [
+        ({}, False),
+        ({"warned": [cpu_warning(3, 0.2, None)]}, True),
+        ({"warned": [cpu_warning(3, -9.0, 0.1)]}, True),
+        ({"warned": [cpu_warning(3, -9.0, -0.1)]}, False),
+        ({"warned": [cpu_warning(3, 0.5, 9.0)]}, False),
+        ({"warned": [cpu_warning(5, 0.2, None)]}, False),
+        ({"acts": action("container/app", ("started", -1.0), ("done", -0.5), ("verified", 0.1))}, True),
+        ({"acts": action("container/app", ("started", -9.0), ("done", -8.0), ("failed", -0.1))}, False),
+        ({"acts": action(NODE, ("started", 0.5), ("verified", 2.0))}, False),
+    ],
+)
+def test_a_fault_is_disturbed_by_what_its_agent_did_before_the_detection(
+    recorded: dict[str, Any], disturbed: bool
+) -> None:
+    """A busy CPU as PHM of that agent reported it, or an action there for another fault, after the injection and before the alarm."""
+    assert only(trial(alarms=[alarm(0.4)], **{"acts": [], **recorded})).disturbed is disturbed
 
 
 def test_a_class_that_could_not_be_injected_is_listed() -> None:

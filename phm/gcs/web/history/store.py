@@ -83,14 +83,24 @@ class HistoryRow:
 
 
 class HistoryStore:
-    """path: None for a file that is removed at the end. `put` never waits; `start` opens the file."""
+    """path: None for a file that is removed at the end. idle_s: while `watched` is false, samples are written this often; events and
+    faults always within COMMIT_S. `put` never waits; `start` opens the file."""
 
     def __init__(
-        self, path: Path | None, clock: Clock, *, max_bytes: int = MAX_BYTES, max_age_s: float = MAX_AGE_S
+        self,
+        path: Path | None,
+        clock: Clock,
+        *,
+        max_bytes: int = MAX_BYTES,
+        max_age_s: float = MAX_AGE_S,
+        idle_s: float = 0.0,
     ) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="phm-gcs-")) if path is None else None
         self.path = path if path is not None else Path(self._folder or "") / "history.db"
-        self._clock, self._max_bytes, self._max_age_s = clock, max_bytes, max_age_s
+        self._clock, self._max_bytes, self._max_age_s, self._idle_s = clock, max_bytes, max_age_s, idle_s
+        self.watched = False
+        """Whether someone looks at the newest samples."""
+        self._urgent, self._write_at = False, 0.0
         self._queue: BoundedQueue[HistorySample | HistoryRow] = BoundedQueue(clock, MAX_WAITING)
         self._series: dict[tuple[str, str], int] = {}
         self._connection: sqlite3.Connection | None = None
@@ -108,6 +118,7 @@ class HistoryStore:
 
     def put(self, row: HistorySample | HistoryRow) -> None:
         self._queue.put(row)
+        self._urgent = self._urgent or isinstance(row, HistoryRow)
 
     @property
     def waiting(self) -> int:
@@ -124,7 +135,7 @@ class HistoryStore:
 
     def flush(self, limit_s: float) -> bool:
         """Wait until what was put is on disk."""
-        end = time.monotonic() + limit_s
+        end, self._urgent = time.monotonic() + limit_s, True
         while len(self._queue) or self._connection is None:
             if time.monotonic() > end or self._stop.is_set():
                 return False
@@ -147,7 +158,8 @@ class HistoryStore:
             try:
                 if self._connection is None and (last or self._clock.mono() >= self._retry_at):
                     self._open()
-                if self._connection is not None:
+                if self._connection is not None and (last or left or self._due()):
+                    self._urgent, self._write_at = False, self._clock.mono() + self._idle_s
                     left = left or list(self._queue.take(0.0))
                     self._write(self._connection, left)
                     left, self._problem = [], ""
@@ -164,6 +176,9 @@ class HistoryStore:
             if not last:
                 self._clock.wait(self._stop, COMMIT_S)
         self._disconnect()
+
+    def _due(self) -> bool:
+        return self.watched or self._urgent or self._clock.mono() >= self._write_at
 
     def _open(self) -> None:
         self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -278,9 +293,3 @@ def _check_owner(connection: sqlite3.Connection) -> None:
             raise sqlite3.DatabaseError("it was written by another version of PHM")
     elif (found, version, tables) != (0, 0, 0):
         raise _NotOurs
-
-
-def default_path() -> Path:
-    """The default file: in the state folder of the user."""
-    base = os.environ.get("XDG_STATE_HOME") or os.path.join(os.path.expanduser("~"), ".local", "state")
-    return Path(base) / "phm" / "gcs-history.db"

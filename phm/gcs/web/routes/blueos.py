@@ -16,11 +16,11 @@ SERVICE = {
     "icon": "mdi-heart-pulse",
     "company": "The PHM authors",
     "version": __version__,
-    "new_page": True,
+    "avoid_iframes": True,
     "webpage": "",
     "api": "",
 }
-"""new_page: the page allows no other page to frame it (`frame-ancestors 'none'`). webpage, api: none but the page itself."""
+"""avoid_iframes: the page allows no other page to frame it (`frame-ancestors 'none'`). webpage, api: none but the page itself."""
 
 
 def routes(site: Site) -> Sequence[web.RouteDef]:

@@ -38,6 +38,7 @@ from phm.gcs import operator
 operator.RESEND_S, operator.REPLY_S = 15.0, 5.0  # on a busy machine an answer takes a while
 main()
 """
+SYSTEMS = 250
 ERROR, WARN, STALE = Level.ERROR, Level.WARN, Level.STALE
 Levels = Mapping[Slot, Level]
 
@@ -98,7 +99,7 @@ class Fleet:
     """Agents that send a heartbeat each second from one thread, spread over it. Changed by the test at any time."""
 
     def __init__(self, port: int, numbers: range | list[int], period_s: float = 1.0) -> None:
-        self.vehicles = {number: Vehicle(number, port) for number in numbers}
+        self.vehicles = {number: _vehicle(number, port) for number in numbers}
         self.levels: dict[int, Levels] = {}
         self.armed: dict[int, bool] = {}
         self.silent: set[int] = set()
@@ -142,6 +143,11 @@ class Fleet:
         payload = tunnel.encode(message)
         padded = payload.ljust(128, b"\0")
         self.vehicles[number].send(mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, len(payload), padded))
+
+
+def _vehicle(number: int, port: int) -> Vehicle:
+    """MAVLink has ids for 250 systems: more agents share them, and differ in the component, as A01/194."""
+    return Vehicle((number - 1) % SYSTEMS + 1, port, 193 + (number - 1) // SYSTEMS)
 
 
 def a_bad_day(fleet: Fleet) -> None:

@@ -37,13 +37,7 @@ class Computer:
         self._write()
         self._thread = threading.Thread(target=self._loop, name="test-status", daemon=True)
         self._thread.start()
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "phm.cli", "status", "--run-dir", str(folder), "--web", str(self.port)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'checks'}"},
-        )
-        until(self._serves, "the page")
+        self.start_page()
 
     @property
     def url(self) -> str:
@@ -66,6 +60,16 @@ class Computer:
         temporary = self._folder / "new"
         temporary.write_text(json.dumps(document(**self.changes)))
         temporary.replace(self._folder / "status.json")
+
+    def start_page(self) -> None:
+        options = ["--web", str(self.port), "--history", str(self._folder / "history.db")]
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "phm.cli", "status", "--run-dir", str(self._folder), *options],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'checks'}"},
+        )
+        until(self._serves, "the page")
 
     def end_page(self) -> None:
         self._process.kill()
@@ -120,3 +124,19 @@ def test_changes_and_the_end_of_the_daemon_are_shown(page: Page, computer: Compu
     expect(page.locator("#panel header .state")).to_have_text("ERROR")
     computer.end_page()
     expect(page.locator("#banner")).to_contain_text("No connection to the server")
+
+
+def test_events_faults_and_plots_are_there_after_a_restart(browser: Browser, page: Page, computer: Computer) -> None:
+    """Also those that are over, in a browser that opens the page for the first time."""
+    fault = page.locator("#panel .fault", has_text="nodes/agent_1/node_1")
+    expect(fault).to_be_visible()
+    expect(page.locator("#panel .plots figcaption", has_text="CPU")).to_be_visible()
+    computer.changes = {"faults": {"open": [], "given_up": [], "closed": []}}
+    expect(page.locator("#panel .fault.ended")).to_be_visible()
+    computer.end_page()
+    computer.start_page()
+    with tab(browser, computer.url) as again:
+        expect(again.locator("#panel .fault.ended", has_text="nodes/agent_1/node_1")).to_be_visible()
+        expect(again.locator("#panel .plots figcaption", has_text="CPU")).to_contain_text("%")
+        expect(again.locator("#panel .log")).to_contain_text("fault ended")
+        expect(again.locator("#panel")).not_to_contain_text("once requested")

@@ -2,7 +2,7 @@
 
 import { getJson } from "./api.js";
 import { button, byId, el, said, setText } from "./dom.js";
-import { on, store } from "./store.js";
+import { historyProblem, on, store } from "./store.js";
 import { clock, compare, day } from "./words.js";
 
 const MOST = 400;
@@ -72,11 +72,11 @@ async function load(before) {
     [found, again] = [answer.events.filter((event) => event.words), answer.more];
     oldest = answer.events.at(-1)?.id ?? null;
     if (!before && !filter.q && !filter.agent && !filter.grade && !store.events.length) store.events.push(...found.slice().reverse());
-    setText(note, "");
+    setText(note, historyProblem());
   } catch (error) {
     if (number !== loading) return;
     if (!before) found = store.events.filter(fits).slice(-MOST).reverse();
-    setText(note, error.status === 404 ? "Events since this page was opened: there is no history." : `No older events: ${error.message}.`);
+    setText(note, error.status === 404 ? "Events since this page was opened: there is no history." : `No older events: ${error.message}. ${historyProblem()}`);
   }
   if (number !== loading) return;
   if (!before) found = withNewest(found, again);

@@ -89,7 +89,7 @@ function showLogin() {
         setText(problem, error.message);
       }
     };
-    return el("form", { on: { submit } }, el("h2", { text: "Log in" }), el("label", { for: "token", text: "Token of this ground station" }), token,
+    return el("form", { on: { submit } }, el("h2", { text: "Log in" }), el("label", { for: "token", text: "Token of this page" }), token,
       el("button", { type: "submit", class: "strong", text: "Log in" }), problem);
   });
 }

@@ -3,7 +3,7 @@
 import uPlot from "../vendor/uPlot.esm.js";
 import { getJson } from "./api.js";
 import { el, setText } from "./dom.js";
-import { store, utcNow } from "./store.js";
+import { historyProblem, store, utcNow } from "./store.js";
 import { clock } from "./words.js";
 
 const EVERY_MS = 5000;
@@ -51,18 +51,18 @@ async function draw(mine) {
     const wanted = await kinds(mine);
     const flight = mine.range === "armed" ? await getJson("api/history/flight", { agent: mine.name }) : null;
     mine.area.hidden = flight?.since === null;
-    setText(mine.note, [flight ? flightWords(flight) : "", wanted.length ? "" : "No values yet.", missing(wanted)].filter(Boolean).join(" "));
+    setText(mine.note, [flight ? flightWords(flight) : "", wanted.length ? "" : "No values yet.", missing(wanted), historyProblem()].filter(Boolean).join(" "));
     if (!mine.area.hidden) for (const kind of wanted) if (state === mine) await drawOne(mine, kind, flight);
   } catch (error) {
-    setText(mine.note, error.status === 404 ? "There is no history: nothing to plot." : `No plots: ${error.message}.`);
+    setText(mine.note, error.status === 404 ? "There is no history: nothing to plot." : `No plots: ${error.message}. ${historyProblem()}`);
   } finally {
     mine.busy = false;
   }
 }
 
-/** What has no values until an operator requests it, in words. A replay has no requests. */
+/** What has no values until an operator requests it, in words. A replay and an agent's own page have no requests. */
 function missing(wanted) {
-  if (store.ground.page === "replay") return "";
+  if (store.ground.page !== "gcs") return "";
   const names = [["load", (kind) => LOAD.includes(kind)], ["topic rates", (kind) => kind.startsWith("topic ")]]
     .filter(([, fits]) => !wanted.some(({ kind }) => fits(kind))).map(([name]) => name);
   return names.length ? `Plotted once requested (see Requests): ${names.join(", ")}.` : "";

@@ -35,6 +35,12 @@ export function ageOf(at) {
   return at === null || at === undefined || current === null ? null : Math.max(0, current - at);
 }
 
+/** Why the history is incomplete, in words; else empty. */
+export function historyProblem() {
+  const problem = store.ground.history?.problem;
+  return problem ? `The history is incomplete: ${problem}.` : "";
+}
+
 function stamp(message) {
   if (typeof message.now === "number") server = { now: message.now, utc: message.utc, at: performance.now() };
 }
