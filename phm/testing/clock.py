@@ -11,7 +11,7 @@ from phm.core.clock import ClockSteps
 from phm.core.model import Stamp
 from phm.core.scheduling_delay import SchedulingDelay
 
-# An event may be set by any thread without notice to the clock, so sleepers look at it this often (real seconds).
+# How often `wait_for_sleepers` asks a function for its count (real seconds).
 _POLL_S = 0.002
 
 
@@ -19,6 +19,12 @@ _POLL_S = 0.002
 class _Sleeper:
     event: threading.Event
     until: float | None
+
+    @property
+    def changed(self) -> threading.Condition:
+        """The event's own condition: no other wait is woken by the event, set by any thread, as well as by the clock."""
+        condition: threading.Condition = self.event._cond  # type: ignore[attr-defined]
+        return condition
 
 
 class FakeClock:
@@ -35,19 +41,18 @@ class FakeClock:
         self.steps.note(Stamp(utc, mono))
         self._lateness = SchedulingDelay()
         self._sleepers: list[_Sleeper] = []
-        lock = threading.RLock()
-        self._moved, self._slept = threading.Condition(lock), threading.Condition(lock)
+        self._slept = threading.Condition(threading.RLock())
 
     def mono(self) -> float:
-        with self._moved:
+        with self._slept:
             return self._mono
 
     def utc(self) -> float:
-        with self._moved:
+        with self._slept:
             return self._utc
 
     def stamp(self) -> Stamp:
-        with self._moved:
+        with self._slept:
             return Stamp(utc=self._utc, mono=self._mono)
 
     def latest(self, utc: float) -> float:
@@ -57,11 +62,14 @@ class FakeClock:
         """Move both clocks forward and wake the threads whose time has come."""
         if seconds < 0:
             raise ValueError("the monotonic clock never goes back: use jump_utc")
-        with self._moved:
+        with self._slept:
             self._mono += seconds
             self._utc += seconds
             self.steps.note(Stamp(self._utc, self._mono))
-            self._moved.notify_all()
+            due = [sleeper for sleeper in self._sleepers if not self._asleep(sleeper)]
+        for sleeper in due:  # the others sleep on: a test moves the clock thousands of times
+            with sleeper.changed:
+                sleeper.changed.notify_all()
 
     def be_late(self, seconds: float) -> None:
         """Move both clocks as `advance` does, while PHM does not run: time that `late_s` reports."""
@@ -74,14 +82,14 @@ class FakeClock:
 
     def jump_utc(self, seconds: float) -> None:
         """Set UTC forward or back, as an NTP client does; no sleeper wakes."""
-        with self._moved:
+        with self._slept:
             self._utc += seconds
             self.steps.note(Stamp(self._utc, self._mono))
 
     @property
     def sleepers(self) -> int:
         """How many threads wait now for time or for their event."""
-        with self._moved:
+        with self._slept:
             return self._count()
 
     def wait_for_sleepers(self, count: int | Callable[[], int], timeout_s: float = 60.0) -> None:
@@ -98,15 +106,16 @@ class FakeClock:
 
     def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
         """As `phm.core.clock.Clock.wait`, in the time of this clock."""
-        with self._moved:
+        with self._slept:
             sleeper = _Sleeper(event, None if timeout_s is None else self._mono + timeout_s)
             self._sleepers.append(sleeper)
             self._slept.notify_all()
-            try:
-                while self._asleep(sleeper):
-                    self._moved.wait(_POLL_S)
-                return event.is_set()
-            finally:
+        try:
+            with sleeper.changed:
+                sleeper.changed.wait_for(lambda: not self._asleep(sleeper))
+            return event.is_set()
+        finally:
+            with self._slept:
                 self._sleepers.remove(sleeper)
 
     def _asleep(self, sleeper: _Sleeper) -> bool:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections import Counter
 
 import pytest
 
 from phm import api, testing
+from tests.fakes.until import until
 
 
 def test_a_thread_sleeps_until_the_fake_clock_advances() -> None:
@@ -37,6 +40,33 @@ def test_an_event_wakes_a_sleeper_without_passing_time() -> None:
     event.set()
     thread.join(60)
     assert woken == [True] and clock.mono() == 1000.0
+
+
+class CountingEvent(threading.Event):
+    """Counts how often a thread looks at it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.looks: Counter[int] = Counter()
+
+    def is_set(self) -> bool:
+        self.looks[threading.get_ident()] += 1
+        return super().is_set()
+
+
+def test_a_sleeper_does_nothing_until_its_time_has_come() -> None:
+    """Thousands of threads sleep until the end of a test run: none takes the CPU from the others."""
+    clock, event = testing.FakeClock(), CountingEvent()
+    thread = threading.Thread(target=lambda: clock.wait(event, 1000.0), name="phm-test-idle", daemon=True)
+    thread.start()
+    until(lambda: event.looks[thread.ident or 0], "the sleeper")
+    for _ in range(300):
+        clock.advance(1.0)
+        time.sleep(0.0001)
+    assert event.looks[thread.ident or 0] == 1
+    clock.advance(1000.0)
+    thread.join(60)
+    assert not thread.is_alive()
 
 
 def test_only_utc_jumps() -> None:
