@@ -91,7 +91,9 @@ class Scene:
             self.clock.advance(3.0)
             frame = command(ticks(self.clock.utc()) + n)
             self.feed(frame if self.signs else Sender(255, 190).frame(RESTART))
-        return len(self.did) > before
+            if len(self.did) > before:
+                return True
+        return False
 
 
 RESTART = mavlink.MAVLink_command_long_message(7, 193, 31010, 0, 3, 1, 0, 0, 0, 0, 0)
