@@ -13,7 +13,7 @@ from hypothesis import settings as hypothesis_settings
 ROOT = Path(__file__).resolve().parent
 NEEDS = {"system": ("engine", "ros"), "ros": ("ros",), "interop": ("interop",)}
 """What all tests of a folder need; a test elsewhere carries its own mark. `scripts/test` runs those without any of these
-marks on every Python of the machine, with no ROS and no engine there."""
+marks on other Pythons, too, with no ROS and no engine there."""
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"
 SKIPPED_CODE = 8
 """Exit code of such a run, which none of pytest's own are: `scripts/test` makes no second attempt then."""

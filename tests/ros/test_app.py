@@ -17,6 +17,9 @@ from sitl.application.graph import ring
 from sitl.application.node import topic_rate
 from tests.fakes.ros_bench import Bench, gone, seen, until
 
+pytestmark = pytest.mark.one_distribution
+"""The application of the demonstration: its nodes call rclpy as those of the other tests do."""
+
 
 def test_nodes_form_a_ring() -> None:
     """Node i publishes topic_i and subscribes to that of its predecessor, the first to that of the last."""

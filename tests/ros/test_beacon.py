@@ -73,6 +73,7 @@ def test_nodes_with_a_beacon_are_received_by_phm_and_each_other(bench: Bench) ->
     )
 
 
+@pytest.mark.one_distribution
 def test_a_killed_node_falls_silent_and_checks_are_woken(bench: Bench) -> None:
     """SIGKILL: no more beacons arrive; the probe reports it without being polled, and the neighbour reports it too."""
     node = bench.script(SCRIPT, "a")
@@ -87,6 +88,7 @@ def test_a_killed_node_falls_silent_and_checks_are_woken(bench: Bench) -> None:
     seen(probe, lambda fact: all_alive(fact, B), "the neighbour's own beacons")
 
 
+@pytest.mark.one_distribution
 def test_a_stopped_node_is_silent_and_resumes_with_its_identity(bench: Bench) -> None:
     """SIGSTOP and SIGCONT: silence, then the same life; the suspended time does not count as executor lateness."""
     node = bench.script(SCRIPT, "a")
@@ -124,6 +126,7 @@ def test_a_deadlocked_executor_is_reported_by_its_live_process(bench: Bench, exe
     seen(probe, lambda fact: all_alive(fact, B) and fact.beacons[B].late_s == 0.0, "the neighbour's own executor")
 
 
+@pytest.mark.one_distribution
 def test_a_separate_hanging_callback_group_does_not_hang_the_executor(bench: Bench) -> None:
     """With several threads, a hanging callback in a separate group blocks no other callback of the node."""
     node = bench.script(SCRIPT, "a", "--executor", "multi", "--hang", "own")
@@ -136,6 +139,7 @@ def test_a_separate_hanging_callback_group_does_not_hang_the_executor(bench: Ben
     )
 
 
+@pytest.mark.one_distribution
 def test_a_restarted_node_has_another_birth(bench: Bench) -> None:
     """As a process, and as a node that is recreated in the same process: one more life, reported by the same process
     there.
@@ -165,6 +169,7 @@ def test_a_destroyed_node_falls_silent_and_its_successor_is_a_new_one(bench: Ben
     seen(probe, lambda fact: all_alive(fact, A, B), "both nodes")
 
 
+@pytest.mark.one_distribution
 def test_a_network_split_is_seen_by_the_separated_nodes(bench: Bench) -> None:
     """Two pairs that do not receive each other, while PHM receives all."""
     for name in ("a", "b"):
@@ -182,6 +187,7 @@ def test_a_network_split_is_seen_by_the_separated_nodes(bench: Bench) -> None:
     assert set(fact.beacons[A].views) == {B} and set(fact.beacons["/agent_1/d"].views) == {C}
 
 
+@pytest.mark.one_distribution
 def test_ten_nodes_receive_each_other(bench: Bench) -> None:
     """Five processes with two nodes each: every node knows all nodes of other processes."""
     for first in range(0, 10, 2):
@@ -213,6 +219,7 @@ def test_lifecycle_nodes_and_simulated_time_make_no_difference(bench: Bench, opt
     )
 
 
+@pytest.mark.one_distribution
 @pytest.mark.parametrize("option", ["--no-spin", "--no-watch"])
 def test_a_node_that_is_never_spun_or_not_watched_never_looks_hung(bench: Bench, option: str) -> None:
     """Its beacon reports only that its process is alive."""
@@ -223,6 +230,7 @@ def test_a_node_that_is_never_spun_or_not_watched_never_looks_hung(bench: Bench,
     assert (fact.beacons[A].turns, fact.beacons[A].late_s) == (0, 0.0)
 
 
+@pytest.mark.one_distribution
 def test_other_periods_are_reported_and_respected(bench: Bench) -> None:
     """A slow beacon is not silent between its messages."""
     bench.script(SCRIPT, "a", "--period", "1.0")
@@ -305,6 +313,7 @@ def test_programs_end_as_without_a_beacon(bench: Bench, tmp_path: Path, how: str
     assert b"Traceback" not in errors and b"terminate" not in errors, errors.decode()
 
 
+@pytest.mark.one_distribution
 def test_the_environment_turns_it_off(bench: Bench, tmp_path: Path) -> None:
     """PHM_BEACON=off: the node runs without a beacon."""
     process = alone(bench, tmp_path, "wait", PHM_BEACON="off")
@@ -329,6 +338,7 @@ def test_a_forked_process_does_not_join_the_parents_beacon(bench: Bench, tmp_pat
     assert subprocess.run([sys.executable, "-W", "ignore", str(script)], env=bench.environ, timeout=60).returncode == 10
 
 
+@pytest.mark.one_distribution
 def test_foreign_messages_are_rejected_and_counted(bench: Bench) -> None:
     """Other texts, other content types, forged names of live nodes: nothing breaks and no node is displaced."""
     # The name of a node is free after three silent periods; in the default 0.6 s a starved node would lose it.
@@ -370,6 +380,7 @@ def test_a_copied_identity_is_rejected_and_reported_with_its_publisher(bench: Be
     seen(probe, lambda fact: fact.beacons[A].missed < 3.0 and fact.beacons[A].birth != "", "the next one of its name")
 
 
+@pytest.mark.one_distribution
 def test_large_foreign_beacons_displace_no_configured_node(bench: Bench) -> None:
     """However large they are, the report fits into messages, and the configured node's beacons are kept."""
     bench.script("ros_beaconed.py", "a")

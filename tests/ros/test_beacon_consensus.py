@@ -20,6 +20,9 @@ from phm_checks.consensus import Consensus
 from tests.fakes.records import context
 from tests.fakes.ros_bench import Bench, Listener, seen, until
 
+pytestmark = pytest.mark.one_distribution
+"""Decisions on beacons: test_beacon.py receives them on both distributions."""
+
 NAMES = ("a", "b", "c")
 SCRIPT = "ros_beaconed.py"
 

@@ -17,7 +17,7 @@ from phm.probes.ros.self_reports import SelfReports
 from tests.fuzz.hostile import corrupted, messages
 from tests.fuzz.targets import fuzzed
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.one_distribution]
 
 NODE = {"birth": "w.1", "beats": 5, "turns": 3, "late_s": 0.0}
 SAID = {

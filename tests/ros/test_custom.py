@@ -16,6 +16,9 @@ from tests.fakes import app_messages
 from tests.fakes.app_messages import OWN_DISTRIBUTION
 from tests.fakes.ros_bench import ROOT, Bench, until
 
+pytestmark = pytest.mark.one_distribution
+"""Evaluations of what test_data.py, test_readiness.py and test_opaque_types.py receive on both distributions."""
+
 ODOM, POINT = "/agent_1/odom", "geometry_msgs/msg/PointStamped"
 
 

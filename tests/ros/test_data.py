@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 
+import pytest
+
 from phm.facts import DataFact, RosFact
 from phm.probes.ros.supervisor import RosSupervisor
 from tests.fakes.ros_bench import Bench, seen
@@ -67,6 +69,7 @@ def test_each_condition_of_a_real_publisher_is_reported_and_ends(bench: Bench) -
     reported(probe, "data_order")
 
 
+@pytest.mark.one_distribution
 def test_of_two_publishers_the_frozen_one_is_found(bench: Bench) -> None:
     """Their messages alternate, so that no two in a row are equal; their counters are independent."""
     sources = [bench.script("ros_stamped.py", name, "10") for name in ("left", "right")]

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from phm.facts import DiagnosticFact, RosFact
 from phm.probes.ros.diagnostics import MAX_TEXT, MAX_VALUES, portions
 from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, encode
@@ -64,6 +66,7 @@ def test_a_nodes_status_is_received(bench: Bench) -> None:
     seen(probe, lambda fact: fact.diagnostics[FREQUENCY].age_s > 1.0, "silence")
 
 
+@pytest.mark.one_distribution
 def test_two_nodes_are_received_on_one_topic(bench: Bench) -> None:
     """Arrays of one topic share a queue, and all waiting ones are read."""
     camera, lidar, probe = Speaker(bench), Speaker(bench, "lidar"), listening(bench)
@@ -77,6 +80,7 @@ def test_two_nodes_are_received_on_one_topic(bench: Bench) -> None:
     )
 
 
+@pytest.mark.one_distribution
 def test_phm_ignores_diagnostics_of_phm(bench: Bench) -> None:
     """Neither its own array nor that of another agent's PHM in the same domain."""
     camera, probe = Speaker(bench), listening(bench)
@@ -99,6 +103,7 @@ def test_phms_diagnostics_reach_a_subscriber(bench: Bench) -> None:
     assert monitor.frames["phm/agent_1: summary"] == "phm"
 
 
+@pytest.mark.one_distribution
 def test_a_long_array_goes_through_the_pipe_in_pieces(bench: Bench) -> None:
     """Longer than the pipe's capacity: nothing blocks, and it arrives complete."""
     probe, monitor = listening(bench), Listener(bench)
@@ -109,6 +114,7 @@ def test_a_long_array_goes_through_the_pipe_in_pieces(bench: Bench) -> None:
     until(lambda: probe.publish(long) >= 0 and len(monitor.received) == 400, "all of them")
 
 
+@pytest.mark.one_distribution
 def test_an_array_that_is_too_long_is_not_read(bench: Bench) -> None:
     """The log states it once, and other arrays are still received."""
     camera, lidar, probe = Speaker(bench), Speaker(bench, "lidar"), listening(bench)
@@ -121,6 +127,7 @@ def test_an_array_that_is_too_long_is_not_read(bench: Bench) -> None:
     assert set(fact.diagnostics) == {FREQUENCY}
 
 
+@pytest.mark.one_distribution
 def test_texts_and_values_are_cut(bench: Bench) -> None:
     """Names and values come from outside: they must fill neither the pipe nor the memory."""
     camera, probe = Speaker(bench), listening(bench)
@@ -133,6 +140,7 @@ def test_texts_and_values_are_cut(bench: Bench) -> None:
     assert set(picture.diagnostics) == {name}
 
 
+@pytest.mark.one_distribution
 def test_no_more_names_are_kept_than_the_cap(bench: Bench) -> None:
     """500 at most; recently received names replace older ones."""
     camera, probe = Speaker(bench), listening(bench)
@@ -143,6 +151,7 @@ def test_no_more_names_are_kept_than_the_cap(bench: Bench) -> None:
     assert len(fact.diagnostics) == 500
 
 
+@pytest.mark.one_distribution
 def test_other_topics_may_be_subscribed(bench: Bench) -> None:
     """And none at all: then nothing is received, and PHM still publishes."""
     camera, probe, monitor = Speaker(bench), listening(bench, listen=[]), Listener(bench)
@@ -152,6 +161,7 @@ def test_other_topics_may_be_subscribed(bench: Bench) -> None:
     assert seen(probe, lambda fact: fact, "a snapshot").diagnostics == {}
 
 
+@pytest.mark.one_distribution
 def test_missing_diagnostic_msgs_is_reported_and_harmless(bench: Bench) -> None:
     """It is reported once, also when the child is restarted; the graph is still seen."""
     bench.node("node_1")
@@ -174,6 +184,7 @@ def test_missing_diagnostic_msgs_is_reported_and_harmless(bench: Bench) -> None:
     assert probe.restarts == 0
 
 
+@pytest.mark.one_distribution
 def test_a_child_that_does_not_read_blocks_nothing(bench: Bench) -> None:
     """Waiting data are replaced by newer ones, and counted; graph snapshots continue."""
     fake = (sys.executable, str(ROOT / "tests" / "fakes" / "ros_child.py"), "no_input")
@@ -187,6 +198,7 @@ def test_a_child_that_does_not_read_blocks_nothing(bench: Bench) -> None:
     assert probe.restarts == 0
 
 
+@pytest.mark.one_distribution
 def test_invalid_requests_are_ignored() -> None:
     """A truncated line, or one that is not JSON, does not affect the next; a closed pipe ends the reader."""
     code = (
@@ -224,6 +236,7 @@ ros:
 """
 
 
+@pytest.mark.one_distribution
 def test_a_running_daemon_judges_and_publishes_diagnostics(bench: Bench, tmp_path: Path) -> None:
     """End to end: a node's ERROR becomes a fault in the log and on /diagnostics, and is resolved when the node reports
     OK.

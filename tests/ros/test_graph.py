@@ -99,6 +99,7 @@ def test_every_policy_of_an_endpoint_is_reported(bench: Bench) -> None:
     assert (subscriber.deadline_s, subscriber.liveliness, subscriber.lease_s) == (None, "automatic", None)
 
 
+@pytest.mark.one_distribution
 def test_qos_is_not_reported_for_a_middleware_that_ignores_it(bench: Bench) -> None:
     """Zenoh has no QoS that keeps two endpoints from matching."""
     code = (
@@ -113,6 +114,7 @@ def test_qos_is_not_reported_for_a_middleware_that_ignores_it(bench: Bench) -> N
     assert replace(fact.topics[TOPIC].publishers[0], type_hash="") == EndpointFact("/agent_1/talker", STRING)
 
 
+@pytest.mark.one_distribution
 def test_unconfigured_topics_are_reported_with_their_nodes(bench: Bench) -> None:
     """A misspelt name appears there; configured, hidden and standard topics are left out; a departed one disappears."""
     node = bench.script(
@@ -137,6 +139,7 @@ def test_the_measured_rate_is_the_true_rate(bench: Bench, tmp_path: Path, hz: fl
     seen(probe, lambda fact: within_2_percent(rate_of(fact), tmp_path / "sent"), "a rate within 2 %", limit_s=120.0)
 
 
+@pytest.mark.one_distribution
 def test_a_stopped_node_is_listed_and_silent(bench: Bench) -> None:
     """SIGSTOP: the topic falls silent, which is reported immediately, and flows again after SIGCONT."""
     node = bench.node("node_1", "--publish", "topic_1:10")
@@ -151,6 +154,7 @@ def test_a_stopped_node_is_listed_and_silent(bench: Bench) -> None:
     seen(probe, lambda fact: rate_of(fact).hz, "a rate again")
 
 
+@pytest.mark.one_distribution
 def test_an_unknown_type_is_reported_without_a_crash(bench: Bench) -> None:
     """A topic whose type is not available has publishers, no rate, and a reason."""
     bench.node("node_1", "--publish", "topic_1:10")
@@ -165,6 +169,7 @@ def test_an_unknown_type_is_reported_without_a_crash(bench: Bench) -> None:
     assert probe.restarts == 0
 
 
+@pytest.mark.one_distribution
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_the_real_child_is_replaced(bench: Bench, number: signal.Signals) -> None:
     """Killed or stopped, the child is replaced, and the new one sees the same nodes."""
@@ -180,6 +185,7 @@ def test_the_real_child_is_replaced(bench: Bench, number: signal.Signals) -> Non
     assert probe.restarts == 1
 
 
+@pytest.mark.one_distribution
 def test_a_leaking_child_is_replaced(bench: Bench) -> None:
     """Above the memory limit it is killed, and the note has both figures."""
     limits = SupervisorLimits(weigh_s=0.1, backoff_s=0.1)
@@ -190,6 +196,7 @@ def test_a_leaking_child_is_replaced(bench: Bench) -> None:
     assert "allowed are 120 MB" in bench.notes[0]
 
 
+@pytest.mark.one_distribution
 def test_the_child_ends_with_its_parent(bench: Bench) -> None:
     """A killed daemon leaves no child behind, neither running nor stopped."""
     code = (

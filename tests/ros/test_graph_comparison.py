@@ -6,6 +6,8 @@ import contextlib
 import sys
 from collections.abc import Callable
 
+import pytest
+
 from phm.facts import CannotTell, RosFact
 from phm.probes.ros.graph_comparison import (
     CALM_S,
@@ -229,6 +231,7 @@ def test_a_child_that_permanently_missed_a_node_gets_a_new_participant(bench: Be
     assert [note for note in bench.notes if "a new participant" in note and NODE in note]
 
 
+@pytest.mark.one_distribution
 def test_a_node_that_stays_listed_after_its_end_is_removed_with_a_new_participant(bench: Bench) -> None:
     """The last announcement of the node comes, as by that race, from a participant that no longer exists."""
     node = bench.node("node_1", "--publish", "topic_1:10", "--no-beacon")

@@ -33,6 +33,7 @@ def measured(fact: RosFact) -> bool:
     return rate is not None and bool(rate.hz)
 
 
+@pytest.mark.one_distribution
 def test_thousands_of_forged_names_hide_no_death(bench: Bench) -> None:
     """A snapshot never exceeds the size of a message: the configured node is in it while it is alive, and not after."""
     node = bench.node("node_1", "--publish", "topic_1:10")
@@ -49,7 +50,14 @@ def test_thousands_of_forged_names_hide_no_death(bench: Bench) -> None:
     assert OVERLONG not in probe.problems() and probe.restarts == 0
 
 
-@pytest.mark.parametrize("bad", ["node", "topic", "name"])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        "node",
+        pytest.param("topic", marks=pytest.mark.one_distribution),
+        pytest.param("name", marks=pytest.mark.one_distribution),
+    ],
+)
 def test_a_name_that_is_not_utf_8_is_reported_and_hides_nothing(bench: Bench, bad: str) -> None:
     """Of a node, of a publisher of a configured topic, of a topic: nodes, endpoints, rates and beacons are still seen."""
     node = bench.node("node_1", "--publish", "topic_1:10")
@@ -70,6 +78,7 @@ def test_a_name_that_is_not_utf_8_is_reported_and_hides_nothing(bench: Bench, ba
     assert probe.restarts == 0 and probe.pid == first
 
 
+@pytest.mark.one_distribution
 def test_an_oversized_message_invalidates_the_snapshot(bench: Bench) -> None:
     """Nothing is known until the next snapshot, the reason is given, and PHM reports it as its own problem."""
     probe = bench.probe(command=fake("blind"), limits=replace(FAST, start_s=60.0, silent_s=10.0))

@@ -24,6 +24,9 @@ from phm_checks.rates import Rates
 from phm_checks.topics import Topics
 from tests.fakes.ros_bench import Bench, seen, until
 
+pytestmark = pytest.mark.one_distribution
+"""Decisions on graph, beacons, rates and processes: the tests of each run on both distributions."""
+
 APP = "ros_app"
 NAME = "/agent_1/node_1"
 NODE, TOPIC, RATE = "nodes/agent_1/node_1", "topics/agent_1/topic_1", "rates/agent_1/topic_1"

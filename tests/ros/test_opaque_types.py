@@ -89,6 +89,7 @@ def test_types_that_only_the_application_has_are_measured(bench: Bench, applicat
     all_measured(bench.probe(WANTED), application.sent)
 
 
+@pytest.mark.one_distribution
 def test_the_content_of_messages_is_not_parsed(bench: Bench, application: Application) -> None:
     """Random bytes instead of messages, 3 to 20000 of them: the content is not read, and the rates are right."""
     application.start(OWN_DISTRIBUTION, "garbage")
@@ -116,6 +117,7 @@ def test_the_reader_announces_the_type_hash_of_its_publisher(bench: Bench, appli
     assert mine.startswith("RIHS01_")
 
 
+@pytest.mark.one_distribution
 def test_an_unknown_middleware_takes_the_mounted_install(bench: Bench, application: Application) -> None:
     """Where the name is not enough, the application's install folder provides the types."""
     application.start()
@@ -148,6 +150,7 @@ def test_a_different_type_definition_is_not_silence(bench: Bench, application: A
     assert probe.restarts == 0
 
 
+@pytest.mark.one_distribution
 def test_an_unavailable_type_leaves_only_the_graph(bench: Bench, application: Application) -> None:
     """Publishers and types are listed, the rate is missing with a reason, and no child crashed."""
     application.start()

@@ -124,6 +124,7 @@ def agent(bench: Bench, node: Planner) -> Iterator[Agent]:
     made.scheduler.stop()
 
 
+@pytest.mark.one_distribution
 def test_a_node_that_is_not_ready_is_one_fault_and_a_dead_one_another(node: Planner, agent: Agent) -> None:
     """A deactivated node is reported as not ready; a killed one as dead, and its readiness is blocked by that."""
     agent.until("node_ready", Level.OK, "is ready")

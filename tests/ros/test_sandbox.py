@@ -104,6 +104,7 @@ def reached(targets: dict[str, object], restriction: str = "", **environ: str) -
     return set(json.loads(done.stdout))
 
 
+@pytest.mark.one_distribution
 def test_code_in_the_child_accesses_only_what_it_needs(
     bench: Bench, targets: dict[str, object], victim: subprocess.Popen[bytes]
 ) -> None:
@@ -120,6 +121,7 @@ def test_code_in_the_child_accesses_only_what_it_needs(
     assert victim.poll() is None
 
 
+@pytest.mark.one_distribution
 def test_the_same_code_accesses_everything_without_the_sandbox(
     targets: dict[str, object], victim: subprocess.Popen[bytes]
 ) -> None:
@@ -134,6 +136,7 @@ def test_the_same_code_accesses_everything_without_the_sandbox(
     assert victim.wait() == -signal.SIGKILL
 
 
+@pytest.mark.one_distribution
 def test_without_landlock_only_files_are_accessible(
     targets: dict[str, object], victim: subprocess.Popen[bytes]
 ) -> None:
@@ -142,6 +145,7 @@ def test_without_landlock_only_files_are_accessible(
     assert victim.poll() is None
 
 
+@pytest.mark.one_distribution
 def test_landlock_is_a_second_barrier_before_other_processes(
     targets: dict[str, object], victim: subprocess.Popen[bytes]
 ) -> None:
@@ -162,6 +166,7 @@ def test_libseccomp_knows_every_call_of_the_filter() -> None:
         assert [name for name in names if pyseccomp.resolve_syscall(arch, name) == unknown] == []
 
 
+@pytest.mark.one_distribution
 def test_every_forbidden_call_is_refused() -> None:
     """Whatever its arguments, and whether or not libseccomp knows its name."""
     script = (

@@ -20,6 +20,9 @@ from phm_checks._node_consensus import silent
 from tests.fakes.ros_bench import Bench, until
 from tests.ros.test_supervision import fake
 
+pytestmark = pytest.mark.one_distribution
+"""No ROS at all."""
+
 NODE = "/a/n"
 PICTURE = GraphMessage(100.0, {NODE: 1}, {"/a/t": api.TopicFact((), (), api.RateFact(10.0, 0.1, limit_s=1.0))}, 1)
 

@@ -91,6 +91,7 @@ def is_even(path: Path, window_s: float) -> bool:
     return len(recent) > 20 and all(later - earlier < 0.15 * window_s for earlier, later in pairwise([*recent, now_s]))
 
 
+@pytest.mark.one_distribution
 @pytest.mark.parametrize("hz", [2.0, 2000.0])
 def test_slow_and_very_fast_topics(bench: Bench, tmp_path: Path, hz: float) -> None:
     """From one sample every other poll to five hundred per poll."""
@@ -99,7 +100,9 @@ def test_slow_and_very_fast_topics(bench: Bench, tmp_path: Path, hz: float) -> N
     seen(probe, lambda fact: matches_published(fact, tmp_path / "sent"), "a rate within 2 %")
 
 
-@pytest.mark.parametrize("command", [NUMBERED, HIDDEN], ids=["numbered", "hidden"])
+@pytest.mark.parametrize(
+    "command", [NUMBERED, pytest.param(HIDDEN, marks=pytest.mark.one_distribution)], ids=["numbered", "hidden"]
+)
 def test_two_nodes_on_one_topic_are_added_up(bench: Bench, tmp_path: Path, command: Sequence[str]) -> None:
     """Each is counted separately; the rate is the sum, and the number of publishers is reported."""
     flows(bench, "one", tmp_path / "one", "topic_1:20")
@@ -114,6 +117,7 @@ def test_two_nodes_on_one_topic_are_added_up(bench: Bench, tmp_path: Path, comma
     )
 
 
+@pytest.mark.one_distribution
 def test_fast_publishers_are_distinguished(bench: Bench, tmp_path: Path) -> None:
     """More samples between two polls than the queue holds: the remaining ones show their publishers."""
     flows(bench, "one", tmp_path / "one", "topic_1:150")
@@ -128,6 +132,7 @@ def test_fast_publishers_are_distinguished(bench: Bench, tmp_path: Path) -> None
     )
 
 
+@pytest.mark.one_distribution
 @pytest.mark.long
 def test_two_publishers_of_one_node_are_added_up(bench: Bench, tmp_path: Path) -> None:
     """They look like a restarted node until their numbers are found to be mixed."""
@@ -136,6 +141,7 @@ def test_two_publishers_of_one_node_are_added_up(bench: Bench, tmp_path: Path) -
     seen(probe, lambda fact: 18.0 < (rate_of(fact).hz or 0.0) < 22.0, "the sum", 120.0)
 
 
+@pytest.mark.one_distribution
 def test_a_restarted_publisher_is_measured_again(bench: Bench, tmp_path: Path) -> None:
     """A restarted node, while the killed one is still listed: a restart, and not a second publisher."""
     profile = tmp_path / "long_lease.xml"
@@ -156,6 +162,7 @@ def test_a_restarted_publisher_is_measured_again(bench: Bench, tmp_path: Path) -
     assert rate_of(fact).restarts == 1
 
 
+@pytest.mark.one_distribution
 def test_samples_are_counted_without_sequence_numbers(bench: Bench, tmp_path: Path) -> None:
     """Humble and Cyclone DDS give no numbers: a deep queue is counted instead, with the same result."""
     flows(bench, "source", tmp_path / "sent", "topic_1:50")
@@ -163,6 +170,7 @@ def test_samples_are_counted_without_sequence_numbers(bench: Bench, tmp_path: Pa
     seen(probe, lambda fact: matches_published(fact, tmp_path / "sent"), "a rate within 2 %")
 
 
+@pytest.mark.one_distribution
 @pytest.mark.parametrize(
     "command", [pytest.param(NUMBERED, id="numbered"), pytest.param(HIDDEN, id="hidden", marks=pytest.mark.long)]
 )
@@ -191,6 +199,7 @@ def test_a_large_topic_is_subscribed_in_windows(bench: Bench, tmp_path: Path, co
     seen(probe, lambda fact: (rate_of(fact).hz or 0.0) > 10.0, "a rate again")
 
 
+@pytest.mark.one_distribution
 def test_simulated_time_does_not_matter(bench: Bench, tmp_path: Path) -> None:
     """The stamps are the middleware's: a node whose clock is stopped has its real rate."""
     flows(bench, "source", tmp_path / "sent", "topic_1:20:sim")
@@ -199,6 +208,7 @@ def test_simulated_time_does_not_matter(bench: Bench, tmp_path: Path) -> None:
     seen(probe, lambda fact: rate_of(fact).age_s == pytest.approx(0.0, abs=1.0), "the true age of a sample")
 
 
+@pytest.mark.one_distribution
 def test_setting_a_publishers_clock_does_not_distort_its_rate(bench: Bench, tmp_path: Path) -> None:
     """An hour ahead, then a minute back: the rate is right again after one window, and nothing else is reported."""
     path, off = tmp_path / "sent", tmp_path / "off"
