@@ -230,7 +230,7 @@ def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
     process = case.evidence(Kind.PROCESS, Observation.ALIVE)
     if process is not None and process.measured:
         return NodeState.HUNG if beacon.lasted_s >= HANG_S else NodeState.UNKNOWN
-    topics = case.says(Kind.TOPICS, Observation.SILENT)
+    topics = case.evidence(Kind.TOPICS, Observation.SILENT)
     mute = (
         process is None
         and beacon.says is Observation.SILENT

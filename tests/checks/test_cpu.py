@@ -155,7 +155,7 @@ def test_a_busy_start_of_phm_does_not_lower_the_limit_of_the_mean() -> None:
     """The mean of the first complete window is an ERROR only at the limit for ERROR, whatever its first readings were."""
     bench = Bench(cpu_quick="0s")
     (bench.check,) = Host.build(testing.settings(host={"cpu_quick": "0s"}, containers=[{"name": "ros_app"}]))
-    results = [*bench.looks(5.0, **BUSY), *bench.looks(6.0, cpu_percent=91.0, waiting_percent=90.0)]
+    results = [*bench.observations(5.0, **BUSY), *bench.observations(6.0, cpu_percent=91.0, waiting_percent=90.0)]
     assert [result.level.name for result in results if result.level.bad] == ["WARN"] * 2
 
 
