@@ -72,7 +72,7 @@ class Network(PerContainer):
         if not why and (absent := self._data_path.absent(world)):
             step = advice(world, self.key, "check ROS_DOMAIN_ID, firewalls and discovery between PHM and it")
             return self._bad(
-                f"{self.key} is connected and responds, but {absent}: {step}; PHM restarts nothing for this",
+                f"{self.key} is connected{' and responds' if self.entry.address else ''}, but {absent}: {step}; PHM restarts nothing for this",
                 "nodes unreachable",
                 "nodes_unreachable",
             )
@@ -90,7 +90,7 @@ class Network(PerContainer):
             "namespace are removed by a restart of the application, others are not"
         )
         found = self._bad(
-            f"{self.key} is connected{' and answers' if self.entry.address else ''}; discovery works but no data arrives: {why}. {cause}",
+            f"{self.key} is connected{' and responds' if self.entry.address else ''}; discovery works but no data arrives: {why}. {cause}",
             "transport blocked",
             "transport_blocked",
         )

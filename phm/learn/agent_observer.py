@@ -190,8 +190,9 @@ class AgentObserver:
 
     @staticmethod
     def _answers(docker: Docker, address: str) -> bool | None:
+        """As the check of networks judges it: a single lost echo is not a silent address."""
         try:
-            return docker.reachable(address) if address else None
+            return docker.reachable(address) or docker.reachable(address) if address else None
         except CannotTell:
             return None
 

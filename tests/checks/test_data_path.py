@@ -35,7 +35,8 @@ class AdvancingClock(testing.FakeClock):
 class DataPath:
     """A container with two nodes whose beacons are received; the check has seen this container generation."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, address: bool = True) -> None:
+        """address: whether the check pings the container."""
         self.clock = AdvancingClock()
         fact = testing.container("ros_app", networks=(api.Attachment(NET, "id-1", "172.20.0.3"),))
         self.docker = testing.FakeDocker(fact, networks={NET: "id-1"})
@@ -43,7 +44,8 @@ class DataPath:
         self.ros = testing.FakeRos(up_s=60.0, age_s=0.0)
         self.receive(0.1, 0.2)
         made = testing.settings(
-            containers=[{"name": "ros_app", "networks": [NET]}], ros={"nodes": [{"name": name} for name in NODES]}
+            containers=[{"name": "ros_app", "networks": [NET], "address": address}],
+            ros={"nodes": [{"name": name} for name in NODES]},
         )
         (self.check,) = Network.build(made)
         assert self.observe().level is api.Level.OK
@@ -244,7 +246,15 @@ def test_nodes_that_are_neither_listed_nor_received_are_one_fault(path: DataPath
     path.ros.change(nodes={})
     result = path.observe()
     assert (result.level, result.condition) == (api.Level.ERROR, "nodes_unreachable")
-    assert "none of its 2 nodes is listed" in result.summary
+    assert "is connected and responds, but none of its 2 nodes is listed" in result.summary
+
+
+def test_an_address_that_is_not_checked_is_not_said_to_respond() -> None:
+    """The text names only what was observed."""
+    path = DataPath(address=False)
+    path.later(20.0, 4.5, 4.6)
+    path.ros.change(nodes={})
+    assert "is connected, but none of its 2 nodes is listed" in path.observe().summary
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,18 @@ def test_a_configured_container_that_does_not_run_is_a_problem(engine: FakeEngin
     assert seen.containers == () and "ended is exited" in seen.problems[0]
 
 
+@pytest.mark.parametrize(("echoes", "responds"), [((False, True), True), ((False, False), False)])
+def test_a_single_lost_echo_is_not_a_silent_address(
+    engine: FakeEngine, monkeypatch: pytest.MonkeyPatch, echoes: tuple[bool, bool], responds: bool
+) -> None:
+    """It would be learned as `address: false`, which turns the check of the address off; the check itself pings twice."""
+    attached = {"swarm_net": {"NetworkID": "id-1", "IPAddress": "172.20.0.3"}}
+    engine.containers["ros_app"]["NetworkSettings"]["Networks"] = attached
+    remaining = list(echoes)
+    monkeypatch.setattr(Docker, "reachable", lambda self, address: remaining.pop(0))
+    assert watch(engine).containers[0].answers == {"swarm_net": responds}
+
+
 def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
     """The missing engine is a problem in the result; it is an error only if a container was asked for."""
     settings = Settings.model_validate({"docker": {"socket": f"unix://{tmp_path}/none"}})
