@@ -191,14 +191,14 @@ class Topics(api.Check):
             lacking = [full(node) for node in wanted if full(node) not in names]
             if lacking:
                 hint = _hint(topic, fact, lacking) or did_you_mean(lacking[0], names)
+                others = f"; present: {listed(sorted(names))}" if names else " and has no other"
                 return self._bad(
                     topic,
                     seen,
                     Level.ERROR,
                     f"{kind}_missing",
                     f"lost {kind} {last(lacking[0])}"[:30],
-                    f"topic {name} lacks its {kind} {listed(lacking)}; present: {listed(sorted(names))}: check that node's "
-                    f"topic names and remappings.{hint}",
+                    f"topic {name} lacks its {kind} {listed(lacking)}{others}: check that node's topic names and remappings.{hint}",
                 )
         if not seen.publishers:
             return self._bad(

@@ -70,6 +70,12 @@ def test_a_missing_named_endpoint_is_reported(side: str, condition: str) -> None
     assert "node_7" in result.brief and "Did you mean" in result.summary
 
 
+def test_a_missing_publisher_beside_none_is_one_clear_sentence() -> None:
+    """Without others there is no empty list of them."""
+    result = evaluate(build(publishers=["/agent_1/node_7"]), api.TopicFact((), PAIR.subscribers))
+    assert "lacks its publisher /agent_1/node_7 and has no other: check that node's topic names" in result.summary
+
+
 @pytest.mark.parametrize(
     ("kind", "left"), [("publisher", ((), PAIR.subscribers)), ("subscriber", (PAIR.publishers, ()))]
 )

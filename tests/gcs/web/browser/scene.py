@@ -32,6 +32,8 @@ SWITCHES = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
 )  # fmt: skip
+COMPLETE = "document.readyState === 'complete' && sessionStorage.getItem('phm-loads') === null"
+"""No file of the page is missing (phm/gcs/web/static/js/boot.js)."""
 LONG_LIMITS = """
 from phm.cli import main
 from phm.gcs import operator
@@ -192,6 +194,8 @@ def tab(browser: Browser, url: str, **options: Any) -> Iterator[Page]:
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda said: problems.append(said.text) if "Content Security Policy" in said.text else None)
     page.goto(url)
+    if url.startswith("http"):
+        until(lambda: _complete(page), "the page with all of its files", step=lambda: page.wait_for_timeout(50))
     try:
         yield page
         assert not problems
@@ -202,6 +206,14 @@ def tab(browser: Browser, url: str, **options: Any) -> Iterator[Page]:
         except Error:
             if not failed:  # else it would hide why the test failed
                 raise
+
+
+def _complete(page: Page) -> bool:
+    """Whether no file is missing: beside tests of Docker a browser ends requests (ERR_NETWORK_CHANGED), and the page loads itself again."""
+    try:
+        return bool(page.evaluate(COMPLETE))
+    except Error:  # it is loading itself again
+        return False
 
 
 def _close(context: BrowserContext) -> None:
