@@ -155,11 +155,13 @@ class Docker:
 
     def _ask(self, entry: _Entry, ask: Callable[[TimeBudget], ContainerFact | None]) -> None:
         entry.asked_at, entry.generation = self._clock.mono(), self._generation
-        entry.fact = entry.error = None
+        entry.error = None
         try:
-            entry.fact = ask(TimeBudget(self._clock, self._engine.timeout_s))
+            entry.fact = ask(
+                TimeBudget(self._clock, self._engine.timeout_s)
+            )  # until then `reachable` uses the one before
         except CannotTell as error:
-            entry.error = error
+            entry.fact, entry.error = None, error
         finally:
             entry.done_at = self._clock.mono()
 

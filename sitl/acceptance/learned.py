@@ -65,6 +65,8 @@ mavlink:
   endpoints: [{url: "${PHM_MAVLINK}"}]
 """
 """What is there before: as much as PHM needs to join the application's network."""
+STARTED_AGAIN = frozenset(("device_gone",))
+"""A container has the device file of its start: when the device is back, an operator restarts the container, as PHM says."""
 FOLDER = "ros_app:/ws"
 SEEN_LIMIT_S, START_LIMIT_S, LEARN_LIMIT_S = 60.0, 90.0, 600.0
 RESTORED_LIMIT_S = 20.0
@@ -143,7 +145,7 @@ class LearnedRun:
             fault.clear(agent)
         except DockerException as error:  # it expects a container that runs
             self.console.print(f"  undo: {error}", markup=False)
-        if not self._restored(fault):
+        if not self._restored(fault) or fault.name in STARTED_AGAIN:
             if agent.app.status == "paused":
                 agent.app.unpause()
             self.stack.recreate("ros_app")

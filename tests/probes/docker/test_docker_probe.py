@@ -356,6 +356,27 @@ def test_an_address_that_no_longer_responds_is_silent() -> None:
     assert reach.answers("10.0.0.3")
 
 
+def test_an_address_stays_silent_while_another_check_asks_the_engine(
+    fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which run has the address is known meanwhile: ARP would count else, and the address would respond now and then."""
+    fake.containers["app"] = container("app")
+    fake.containers["app"]["NetworkSettings"]["Networks"] = {"swarm": {"NetworkID": "id-1", "IPAddress": "10.0.0.2"}}
+    docker, there, meanwhile = probe(ask, {"name": "app"}), True, []
+    docker._pinger = Pinger(ping=lambda _, limit_s: there, known=lambda _: True)
+    assert docker.container("app") is not None and docker.reachable("10.0.0.2")
+    there, inspect = False, ask.inspect
+
+    def inspect_meanwhile(*words: Any, **more: Any) -> Any:
+        meanwhile.append(docker.reachable("10.0.0.2"))
+        return inspect(*words, **more)
+
+    monkeypatch.setattr(ask, "inspect", inspect_meanwhile)
+    docker.invalidate()
+    assert docker.container("app") is not None
+    assert meanwhile == [False]
+
+
 def test_a_name_instead_of_an_address_is_an_error(ask: DockerEngine) -> None:
     """A name is not resolved: that would need its own deadline."""
     with pytest.raises(CannotTell, match="not an IP address"):
