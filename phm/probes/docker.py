@@ -155,14 +155,13 @@ class Docker:
 
     def _ask(self, entry: _Entry, ask: Callable[[TimeBudget], ContainerFact | None]) -> None:
         entry.asked_at, entry.generation = self._clock.mono(), self._generation
-        entry.error = None
+        fact = entry.error = None
         try:
-            entry.fact = ask(
-                TimeBudget(self._clock, self._engine.timeout_s)
-            )  # until then `reachable` uses the one before
+            fact = ask(TimeBudget(self._clock, self._engine.timeout_s))
         except CannotTell as error:
-            entry.fact, entry.error = None, error
+            entry.error = error
         finally:
+            entry.fact = fact  # not before: meanwhile `reachable` must know which run has an address
             entry.done_at = self._clock.mono()
 
     # ------------------------------------------------------------ PHM's own container

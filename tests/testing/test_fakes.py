@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import Counter
 
 import pytest
 
 from phm import api, testing
-from tests.fakes.until import until
 
 
 def test_a_thread_sleeps_until_the_fake_clock_advances() -> None:
@@ -56,13 +54,21 @@ class CountingEvent(threading.Event):
 
 def test_a_sleeper_does_nothing_until_its_time_has_come() -> None:
     """Thousands of threads sleep until the end of a test run: none takes the CPU from the others."""
-    clock, event = testing.FakeClock(), CountingEvent()
+    clock, event, never, steps = testing.FakeClock(), CountingEvent(), threading.Event(), 300
+
+    def step() -> None:
+        for _ in range(steps):
+            clock.wait(never, 1.0)
+
     thread = threading.Thread(target=lambda: clock.wait(event, 1000.0), name="phm-test-idle", daemon=True)
+    busy = threading.Thread(target=step, name="phm-test-busy", daemon=True)
     thread.start()
-    until(lambda: event.looks[thread.ident or 0], "the sleeper")
-    for _ in range(300):
+    busy.start()
+    for _ in range(steps):
+        clock.wait_for_sleepers(2)
         clock.advance(1.0)
-        time.sleep(0.0001)
+    busy.join(60)
+    assert not busy.is_alive()
     assert event.looks[thread.ident or 0] == 1
     clock.advance(1000.0)
     thread.join(60)
