@@ -17,6 +17,7 @@ from phm.core.settings import Settings
 
 ROOT = Path(__file__).resolve().parent.parent
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
+SOURCE = re.compile(r"`((?:phm|checks|docker|config|tests|sitl|scripts)/[a-z0-9_/.-]+\.(?:py|yaml|json|xml))`")
 GROUPS = ("phm.checks", "phm.reporters", "phm.actions")
 # Written in parts, so that this file does not name what it forbids.
 HOSTS = (
@@ -64,6 +65,15 @@ def broken_links(files: list[Path]) -> Iterator[str]:
                 yield f"{path.relative_to(ROOT)}: the link to {target} leads nowhere"
             elif heading and page.suffix == ".md" and heading not in headings(page):
                 yield f"{path.relative_to(ROOT)}: {target}#{heading}: there is no such heading"
+
+
+def missing_files(files: list[Path]) -> Iterator[str]:
+    """Source files that Markdown names and that do not exist."""
+    for path in files:
+        if path.suffix == ".md":
+            for name in SOURCE.findall(path.read_text("utf-8")):
+                if not (ROOT / name).exists():
+                    yield f"{path.relative_to(ROOT)}: there is no file {name}"
 
 
 def headings(page: Path) -> set[str]:
@@ -137,6 +147,7 @@ def main() -> int:
     files = tracked()
     problems = [
         *broken_links(files),
+        *missing_files(files),
         *long_lines(files),
         *undocumented(),
         *machine_names(files),
