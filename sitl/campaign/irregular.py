@@ -27,5 +27,5 @@ def unloaded(trial: Trial) -> bool:
     """Whether the machine was not busy during a run that is meant for a busy one, or this was not measured."""
     if trial.campaign[1] != BUSY:
         return False
-    used = [each.cpu for each in trial.machine if trial.began <= each.mono <= trial.ended]
-    return not used or sum(used) / len(used) < LOADED
+    used = trial.machine_cpu
+    return used is None or used < LOADED

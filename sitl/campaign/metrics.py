@@ -58,6 +58,8 @@ class Figures:
     injected: int
     not_injected: int
     detection: Stats
+    evidence: Stats
+    """`Verdict.evidence_limit_s` of the faults in `detection`."""
     response: Stats
     logged: Stats
     """Detection as the paper defines it."""
@@ -150,6 +152,7 @@ def figures(trials: Sequence[Trial]) -> Figures:
         injected=len(verdicts),
         not_injected=sum(each.moment is None for one in played for each in one.trial.injections),
         detection=stats(verdict.detected_s for verdict in verdicts),
+        evidence=stats(verdict.evidence_limit_s for verdict in verdicts if verdict.detected_s is not None),
         response=stats(verdict.response_s for verdict in verdicts),
         logged=stats(verdict.logged_s for verdict in verdicts),
         published=stats(verdict.published_s for verdict in verdicts),

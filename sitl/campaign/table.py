@@ -9,7 +9,7 @@ from sitl.campaign.groups import Group
 from sitl.campaign.metrics import Figures
 from sitl.campaign.stats import Stats, stats
 from sitl.campaign.targets import evaluated, percent
-from sitl.campaign.trial import OFF
+from sitl.campaign.trial import INTERRUPTION_S, NOMINAL, OFF, TRIAL
 from sitl.campaign.verdict import ACTION, ENDINGS, Verdict
 
 Rows = list[tuple[str, ...]]
@@ -103,6 +103,10 @@ def outside(groups: Sequence[Group]) -> Rows:
     def claims(verdict: Verdict) -> bool:
         return verdict.claimed_s is not None
 
+    def interruptions(found: Figures) -> str:
+        times = [v.injection for v in found.verdicts if v.injection.interruptions]
+        return f"{len(times)}, {sum(each.interruptions for each in times)}, {sum(each.interrupted_s for each in times):.1f}"
+
     wanted: list[tuple[str, Shown]] = [
         ("both say that the fault is over", count(lambda v: v.difference_s is not None)),
         ("both say that it is not over", count(lambda v: v.observed and not claims(v) and v.world_s is None)),
@@ -110,6 +114,10 @@ def outside(groups: Sequence[Group]) -> Rows:
         ("disagreement: the world is restored, PHM does not say so", count(lambda v: v.unnoticed)),
         ("PHM said so more than 1 s before the world was seen restored", count(lambda v: v.claimed_early)),
         ("the world was never seen broken", count(lambda v: v.observed and v.injection.world_broken is None)),
+        (
+            f"a restored world that was seen broken for less than {INTERRUPTION_S:g} s: faults, times, seconds",
+            interruptions,
+        ),
         ("PHM says that it is over; cannot be observed", count(lambda v: claims(v) and not v.observed)),
         ("not over; cannot be observed", count(lambda v: not claims(v) and not v.observed)),
         ("seconds from the world to PHM's claim", lambda f: differences(stats(v.difference_s for v in f.verdicts))),
@@ -162,8 +170,13 @@ def _elsewhere(found: Figures) -> int:
 
 def beyond(groups: Sequence[Group]) -> Rows:
     """Figures without a target."""
+
+    def in_use(found: Figures) -> str:
+        return " / ".join(number(_machine_cpu(found, kind), "{:.0f} %") for kind in (NOMINAL, TRIAL))
+
     wanted: list[tuple[str, Shown]] = [
         ("Recovery by action, mean / p50 / p95 / max", lambda f: spread(f.recovery, f.injected)),
+        ("Machine, CPU in use: nothing injected / all trials", in_use),
         ("Faults with fewer alarms than expected", lambda f: str(f.lacking)),
         ("Nothing injected", lambda f: f"{f.nominal_s:.0f} s, {f.nominal_alarms} alarms"),
         ("Starts of PHM during runs, injected or not", lambda f: str(f.restarts)),
@@ -179,6 +192,11 @@ def beyond(groups: Sequence[Group]) -> Rows:
 
 def _rows(wanted: Sequence[tuple[str, Shown]], groups: Sequence[Group]) -> Rows:
     return [(name, *(shown(group.all) for group in groups)) for name, shown in wanted]
+
+
+def _machine_cpu(found: Figures, kind: str) -> float | None:
+    """Mean over the runs of this kind, in percent of all cores."""
+    return stats(each.trial.machine_cpu for each in found.judged if each.trial.kind == kind).mean
 
 
 def _share(value: float | None) -> str:

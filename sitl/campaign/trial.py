@@ -18,6 +18,10 @@ NOMINAL, OFF, TRIAL = "nominal", "off", "trial"
 ABORTED = "aborted"
 """A run of one of the other kinds that an error or the operator ended. It is repeated, and in no figure."""
 QUIET, BUSY = "quiet", "busy"
+INTERRUPTION_S = 2.0
+"""A restored world that is observed broken for less than this was not broken: the rate of a topic is that of the messages of 1.2 s, a
+node writes it every 0.5 s (`sitl.application.received`), and the observer reads that every 0.2 s, so one late message is seen for up to 1.9 s.
+Before, the world must have been restored for as long."""
 
 
 @dataclass
@@ -61,17 +65,20 @@ class Injection:
     evidence_s: float | None = None
     """Seconds from `moment` until that event, at the latest; None: not stated."""
     evidence_period_s: float = 0.0
+    """Period of an event that is periodic: on average it is half of it earlier."""
     outage_s: float = 0.0
     """How long it keeps the Docker Engine from PHM."""
     hidden_s: float = 0.0
     """How long an outage beside it on the agent hides its evidence."""
-    """Period of an event that is periodic: on average it is half of it earlier."""
     world_seen: bool = False
     """The injector observed the world: False or True was returned by the fault's `restored` at least once."""
     world_broken: float | None = None
     """When the world was first observed to be broken; None: never, e.g. since it was restored too quickly."""
     world: float | None = None
     """When the world was observed to be restored and stayed so until the fault was cleared; None: it was not."""
+    interruptions: int = 0
+    """How often it was observed broken after that, each time for less than INTERRUPTION_S."""
+    interrupted_s: float = 0.0
 
 
 @dataclass
@@ -221,6 +228,12 @@ class Trial:
     @property
     def seconds(self) -> float:
         return self.ended - self.began
+
+    @property
+    def machine_cpu(self) -> float | None:
+        """Mean CPU in use between `began` and `ended`, in percent of all cores; None: not measured."""
+        used = [each.cpu for each in self.machine if self.began <= each.mono <= self.ended]
+        return sum(used) / len(used) if used else None
 
     @property
     def campaign(self) -> tuple[str, str, int]:

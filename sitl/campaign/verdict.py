@@ -120,13 +120,17 @@ class Verdict:
         ]
 
     @property
+    def evidence_limit_s(self) -> float | None:
+        """The moment, on average, at which anything on board could know of the fault: it begins at any moment of a period."""
+        fault = self.injection
+        return None if fault.evidence_s is None else fault.evidence_s - fault.evidence_period_s / 2 + fault.hidden_s
+
+    @property
     def evidence_ratio(self) -> float | None:
         """The detection divided by the moment, on average, at which anything on board could know of the fault."""
-        fault = self.injection
-        if fault.evidence_s is None or self.detected_s is None:
+        if self.evidence_limit_s is None or self.detected_s is None:
             return None
-        # Faults begin at any moment of a period.
-        return self.detected_s / max(fault.evidence_s - fault.evidence_period_s / 2 + fault.hidden_s, FLOOR_S)
+        return self.detected_s / max(self.evidence_limit_s, FLOOR_S)
 
     @property
     def observed(self) -> bool:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from docker import DockerClient
 from docker.errors import DockerException
 
-from sitl.campaign.trial import Injection
+from sitl.campaign.trial import INTERRUPTION_S, Injection
 from sitl.faults.base import Agent, Fault
 
 POLL_S = 0.2
@@ -52,39 +52,76 @@ class WorldObserver:
 
     def _watch(self, injection: Injection, ending: threading.Event) -> None:
         client = self._connect()  # one for each thread: they are not safe to share
+        series = Series(injection)
         try:
             agent = replace(self._agents[injection.agent], docker=client)
             while injection.asked is None:
                 if ending.wait(FIRST_POLL_S) or injection.error:
                     return
-            while not ending.is_set() and not (injection.moment is None and injection.error):
+            # An interruption that is not decided yet is observed to its end.
+            while (series.interrupted or not ending.is_set()) and not (injection.moment is None and injection.error):
                 began = time.monotonic()
-                seen = self._ask(injection, agent)
+                seen = self._ask(injection, agent, series)
                 # Before the injection has ended, only a broken world says something: PHM may be faster than the injection's end.
-                if not ending.is_set() and (injection.moment is not None or seen is False):
-                    observe(injection, seen, began)
-                ending.wait(FIRST_POLL_S if began - injection.asked < FIRST_S else POLL_S)
+                if (series.interrupted or not ending.is_set()) and (injection.moment is not None or seen is False):
+                    series.add(seen, began)
+                (time.sleep if ending.is_set() else ending.wait)(
+                    FIRST_POLL_S if began - injection.asked < FIRST_S else POLL_S
+                )
         finally:
             client.close()
 
-    def _ask(self, injection: Injection, agent: Agent) -> bool | None:
+    def _ask(self, injection: Injection, agent: Agent, series: Series) -> bool | None:
         try:
             return self._faults[injection.fault].restored(agent)
         except (DockerException, LookupError, OSError, RuntimeError, ValueError):
             return False if injection.world_seen else None
         except Exception:  # e.g. a process that has just ended, or an archive that ends too early: nothing is known now
-            injection.world = None
+            series.end()
             return None
 
 
-def observe(injection: Injection, restored: bool | None, mono: float) -> None:
-    """Record one observation, begun at `mono`. Restored counts from the first of an unbroken series."""
-    if restored is None:
-        return
-    injection.world_seen = True
-    if not restored:
-        injection.world = None
+class Series:
+    """The observations of one injection, in order. Restored counts from the first of a series without an interruption of
+    INTERRUPTION_S or more; shorter ones are counted.
+    """
+
+    def __init__(self, injection: Injection) -> None:
+        self._injection = injection
+        self._good: float | None = None
+        self._bad: float | None = None
+
+    @property
+    def interrupted(self) -> bool:
+        """The world was restored and is observed broken, for too short a time to say that it was not."""
+        return self._bad is not None
+
+    def add(self, restored: bool | None, mono: float) -> None:
+        """One observation, begun at `mono`; None: the world cannot be observed."""
+        if restored is None:
+            return
+        injection = self._injection
+        injection.world_seen = True
+        if restored:
+            self._restored(mono)
+            return
         if injection.world_broken is None:
             injection.world_broken = mono
-    elif injection.world is None:
-        injection.world = mono
+        if self._bad is None and self._good is not None and mono - self._good >= INTERRUPTION_S:
+            self._bad = mono
+        if self._bad is None or mono - self._bad >= INTERRUPTION_S:
+            self.end()
+
+    def end(self) -> None:
+        """The world is not restored."""
+        self._injection.world = self._good = self._bad = None
+
+    def _restored(self, mono: float) -> None:
+        injection = self._injection
+        if injection.world is None:
+            injection.world = mono
+        if self._bad is not None:
+            injection.interruptions += 1
+            injection.interrupted_s = round(injection.interrupted_s + mono - self._bad, 3)
+        if self._good is None or self._bad is not None:
+            self._good, self._bad = mono, None

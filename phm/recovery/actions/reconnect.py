@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
@@ -21,6 +22,10 @@ from phm.recovery.base import (
     container_settings,
     present,
 )
+from phm.recovery.safety.armed_state import ArmedStatus
+
+DECIDED_S = 0.1
+"""The armed state is asked for this long after heartbeats decide again."""
 
 
 class Reconnect(Action):
@@ -83,7 +88,7 @@ class Reconnect(Action):
         later = (
             f"; nodes that start later do not find those of {target.key} until it is restarted, which is not done now"
         )
-        armed = context.armed()
+        armed = _armed(context)
         if why := armed.why if armed.restricts else context.on_hold(target.key):
             return f"{later}: {why}"
         try:
@@ -92,6 +97,15 @@ class Reconnect(Action):
             return f"{later}: {error}"
         self.still_bad_after_s = self.dependents_within_s = None  # after a restart, nodes need time to start
         return f" and restarted it, because its sockets had left their multicast groups{restart_dependents(target, fault, context)}"
+
+
+def _armed(context: ActionContext) -> ArmedStatus:
+    """The armed state of the vehicle. A machine that is so busy that PHM was suspended delays the answer and does not decide it."""
+    armed = context.armed()
+    if armed.undecided_s:
+        context.clock.wait(threading.Event(), armed.undecided_s + DECIDED_S)
+        armed = context.armed()
+    return armed
 
 
 def _join(container: ContainerSettings, context: ActionContext) -> str:

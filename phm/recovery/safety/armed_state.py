@@ -27,10 +27,14 @@ class ArmedState(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class ArmedStatus:
-    """The assessed state, and the evidence as text, e.g. ``the autopilot has been silent for 5 s``."""
+    """The assessed state, and the evidence as text, e.g. ``the autopilot has been silent for 5 s``.
+
+    undecided_s: for how long heartbeats cannot decide, however many arrive; 0: the next one may change the state.
+    """
 
     state: ArmedState
     why: str
+    undecided_s: float = 0.0
 
     @property
     def restricts(self) -> bool:
@@ -62,8 +66,9 @@ def assess(fact: AutopilotFact | None, timeout_s: float, last: LastArmedState | 
         if fact.armed:
             return ArmedStatus(ArmedState.ARMED, f"{silent} and was armed")
         return ArmedStatus(ArmedState.UNKNOWN, silent)
-    if _within(fact.stalled_s, timeout_s):
-        return ArmedStatus(ArmedState.UNKNOWN, "PHM was suspended and may have read old heartbeats of the autopilot")
+    if fact.stalled_s is not None and fact.stalled_s <= timeout_s:
+        why = "PHM was suspended and may have read old heartbeats of the autopilot"
+        return ArmedStatus(ArmedState.UNKNOWN, why, timeout_s - fact.stalled_s)
     if contradicted(fact, last):
         why = "reported armed and disarmed by turns, and no landing since: another sender may use its id"
         return ArmedStatus(ArmedState.ARMED, f"the autopilot {why}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,8 @@ from phm.recovery.actions.reconnect import Reconnect
 from phm.recovery.actions.restart import Restart
 from phm.recovery.actions.start import Start
 from phm.recovery.base import Action, ActionContext, NotYet
+from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
+from phm.testing import FakeClock
 from phm.transport.docker import DockerEngine, EngineTimeout
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Status
@@ -202,6 +205,39 @@ def test_nodes_that_an_operator_holds_meanwhile_are_not_restarted(fake: FakeEngi
     words = Reconnect().run(made.target("app"), OFF, context)
     assert words.endswith("which is not done now: app is on hold")
     assert changes(fake) == ["connect"]
+
+
+class Stepping(FakeClock):
+    """Who waits moves the clock."""
+
+    def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
+        self.advance(timeout_s or 0.0)
+        return event.is_set()
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_a_suspension_of_phm_delays_the_restart_and_does_not_prevent_it(
+    fake: FakeEngine, ask: DockerEngine, armed: bool
+) -> None:
+    """On a busy machine PHM is suspended now and then: heartbeats that it reads then may be old, those of the next seconds are not.
+    Seen in a campaign: the nodes stayed apart for 40 s, until the next step of the ladder."""
+    agent(fake, ask, exists=True)
+    made = bench(ask, containers=[APP], ros=NODES)
+    clock = Stepping()
+    began = clock.mono()
+    known = ArmedState.ARMED if armed else ArmedState.DISARMED
+
+    def status() -> ArmedStatus:
+        suspended_s = began + 2.5 - clock.mono()
+        return (
+            ArmedStatus(ArmedState.UNKNOWN, "suspended", suspended_s)
+            if suspended_s >= 0
+            else ArmedStatus(known, "known")
+        )
+
+    words = Reconnect().run(made.target("app"), OFF, replace(made.context(), armed=status, clock=clock))
+    assert 2.5 < clock.mono() - began < 3.0
+    assert ("and restarted it" in words) is not armed
 
 
 def test_phm_joins_the_existing_networks(fake: FakeEngine, ask: DockerEngine) -> None:

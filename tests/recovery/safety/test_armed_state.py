@@ -74,6 +74,13 @@ def test_only_a_recent_disarmed_lifts_the_restriction(
     assert words in found.why
 
 
+def test_a_suspension_of_phm_leaves_it_undecided_for_a_known_time() -> None:
+    """However many heartbeats arrive meanwhile: an action may wait for that. Any other state may change with the next one."""
+    assert assess(fact(None, 0.5, stalled_s=1.0), TIMEOUT_S).undecided_s == 2.5
+    assert assess(fact(None, 12.0), TIMEOUT_S).undecided_s == 0.0
+    assert assess(fact(None, 0.5), TIMEOUT_S).undecided_s == 0.0
+
+
 def test_a_long_timeout_does_not_take_a_reboot_for_a_landing() -> None:
     """`autopilot_timeout` 10 s: a real reboot is silent for 6.5 s."""
     given = fact(10.2, 0.5, disarmed_for_s=3.7)

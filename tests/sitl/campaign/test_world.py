@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 from unittest.mock import Mock
@@ -17,8 +18,8 @@ from sitl.campaign.injector import Injector
 from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
 from sitl.campaign.plan import Draw
 from sitl.campaign.profiles import ALL
-from sitl.campaign.trial import Injection
-from sitl.campaign.world import WorldObserver, observe
+from sitl.campaign.trial import INTERRUPTION_S, Injection
+from sitl.campaign.world import POLL_S, Series, WorldObserver
 from sitl.faults.base import Agent, Fault
 from tests.fakes.campaign_trials import T0, injection, trial, verified
 from tests.fakes.until import until
@@ -53,14 +54,70 @@ def unseen(**more: Any) -> Injection:
     return injection(**{"world_seen": False, "world_broken": None, "world": None, **more})
 
 
+def series(*observations: tuple[float, bool | None]) -> tuple[Injection, Series]:
+    made = unseen()
+    found = Series(made)
+    for mono, restored in observations:
+        found.add(restored, mono)
+    return made, found
+
+
 def test_restored_counts_from_the_last_unbroken_series() -> None:
     """A world that breaks again was not restored; one that cannot be observed says nothing."""
-    made = unseen()
-    observe(made, None, 1.0)
+    made, _ = series((1.0, None))
     assert (made.world_seen, made.world_broken, made.world) == (False, None, None)
-    for mono, restored in enumerate((True, False, True, True, False, True, True), 2):
-        observe(made, restored, float(mono))
+    made, _ = series((1.0, None), (2.0, True), (3.0, False), (4.0, True), (5.0, False), (7.0, True), (8.0, True))
     assert (made.world_seen, made.world_broken, made.world) == (True, 3.0, 7.0)
+    assert (made.interruptions, made.interrupted_s) == (0, 0.0)
+
+
+def test_a_short_interruption_does_not_delay_the_restoration() -> None:
+    """Nor does the next one, if the world was as before for long enough in between."""
+    made, found = series((1.0, False), (4.0, True), (6.0, False))
+    assert found.interrupted
+    assert made.world == 4.0
+    for mono, restored in ((7.9, True), (9.9, False), (10.4, True)):
+        found.add(restored, mono)
+    assert not found.interrupted
+    assert (made.world, made.interruptions, made.interrupted_s) == (4.0, 2, 2.4)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        pytest.param(((6.0, False), (7.0, False), (8.0, False)), id="too long"),
+        pytest.param(((5.9, False),), id="too soon"),
+        pytest.param(((6.0, False), (6.5, True), (8.4, False)), id="again too soon"),
+        pytest.param(((6.0, False), (6.5, True), (6.7, False), (6.9, True), (7.1, False)), id="flickering"),
+    ],
+)
+def test_a_world_that_breaks_again_was_not_restored(broken: Sequence[tuple[float, bool]]) -> None:
+    """A fault that looks over now and then stays one."""
+    made, found = series((1.0, False), (4.0, True), *broken)
+    assert (made.world, found.interrupted) == (None, False)
+
+
+class Flickering(Observed):
+    """Restored, and once broken when `breaks` is set."""
+
+    breaks = True
+
+    def restored(self, agent: Agent) -> bool | None:
+        answer, self.breaks = not self.breaks, False
+        return answer
+
+
+def test_an_interruption_is_observed_to_its_end() -> None:
+    """The end of a trial does not decide whether the world is restored."""
+    fault = Flickering()
+    made = unseen(fault="observed", asked=time.monotonic(), moment=time.monotonic())
+    observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
+    observer.start([made])
+    until(lambda: made.world is not None and time.monotonic() - made.world > INTERRUPTION_S + POLL_S)
+    restored, fault.breaks = made.world, True
+    until(lambda: not fault.breaks)
+    observer.stop()
+    assert (made.world, made.interruptions) == (restored, 1)
 
 
 def test_the_world_is_observed_from_the_injection_on() -> None:
@@ -118,9 +175,10 @@ def test_an_unexpected_error_ends_no_observation() -> None:
     fault = Observed(False, True, subprocess.TimeoutExpired("top", 2.0), True)
     made = unseen(fault="observed", asked=time.monotonic(), moment=time.monotonic())
     observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
-    assert [observer._ask(made, Mock()) for _ in range(2)] == [False, True]
+    found = Series(made)
+    assert [observer._ask(made, Mock(), found) for _ in range(2)] == [False, True]
     made.world = 5.0
-    assert observer._ask(made, Mock()) is None
+    assert observer._ask(made, Mock(), found) is None
     assert [made.world, made.world_broken] == [None, None]
     fault.asked = 0
     observer.start([made])
