@@ -29,6 +29,8 @@ while other frames still arrive, nor with nothing between the autopilot and PHM.
 SAMPLED_S = 0.5
 """Accuracy of the time of the last frame from other senders."""
 GRACE_S = 5.0
+NOW_S = 1.5
+"""A sender whose last frame is younger still sends: a HEARTBEAT comes once a second."""
 
 
 class Autopilot(api.Check):
@@ -45,6 +47,8 @@ class Autopilot(api.Check):
         """The reboots that were known when it was lost; None: it has not been lost since it was last OK."""
         self._back = False
         """It has been received since, and the end of that loss was reported."""
+        self._alone = False
+        """Since it was last received, others were received in time: a lack of CPU time delays all frames of a link."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -77,7 +81,7 @@ class Autopilot(api.Check):
         if fact.overdue and self._certain(world, fact):
             return self._lost(world, fact, early=True)
         self._age.forget("age")
-        self._back = True
+        self._back, self._alone = True, False
         ended_by = "reboot" if self._lost_at is not None and fact.reboots > self._lost_at else ""
         if fact.rebooted_s is not None and fact.rebooted_s <= REPORT_S:
             # The autopilot's own messages show the reboot, so no other component can be the cause.
@@ -96,12 +100,14 @@ class Autopilot(api.Check):
             return False
         return not routed(world, entry) or self._others(world, fact)
 
-    def _others(self, world: api.World, fact: api.AutopilotFact) -> bool:
-        """Whether its link has carried frames from other senders since its own stopped."""
+    def _others(self, world: api.World, fact: api.AutopilotFact, newest_s: float = float("inf")) -> bool:
+        """Whether its link has carried frames from other senders since its own stopped, the last one at most `newest_s` ago."""
         link, quiet_s = link_of(world, fact.link), fact.age_s if fact.quiet_s is None else fact.quiet_s
         own = (self._settings.agent.id, 1)
         return link is not None and any(
-            one.age_s + SAMPLED_S < quiet_s for one in link.senders if (one.system, one.component) != own
+            one.age_s + SAMPLED_S < quiet_s and one.age_s <= newest_s
+            for one in link.senders
+            if (one.system, one.component) != own
         )
 
     def _begin_loss(self, fact: api.AutopilotFact) -> None:
@@ -149,7 +155,12 @@ class Autopilot(api.Check):
             target=target_of(name) if nothing else "",
             values={} if fact is None else _values(fact),
         )
-        return replace(found, settle_s=0.0) if fact is not None and self._certain(world, fact) else found
+        if fact is None or not self._certain(world, fact):
+            return found
+        self._alone = self._alone or (
+            fact.silent_s > self._settings.mavlink.autopilot_timeout and self._others(world, fact, NOW_S)
+        )
+        return replace(found, settle_s=0.0).with_evidence(api.Evidence(conclusive=self._alone))
 
 
 def _rebooted(fact: api.AutopilotFact, ago_s: float, values: dict[str, api.Value]) -> api.Result:

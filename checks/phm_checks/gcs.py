@@ -13,6 +13,8 @@ SAME_S = 0.3
 """Two times that differ by less belong to the same heartbeat."""
 GRACE_S = 5.0
 """Time for the first heartbeat, sent once a second, after a link or a radio is back."""
+NOW_S = 1.5
+"""A radio whose last RADIO_STATUS is younger still reports: one comes once a second."""
 TOGETHER_S = 2.5
 """The last RADIO_STATUS may come so much later than the last heartbeat through that radio: heartbeats come once a second,
 and some are lost."""
@@ -29,6 +31,8 @@ class Gcs(api.Check):
         self._age = StableNumber(share=1.0)
         self._lost_at: float | None = None
         """Time of the last heartbeat of a ground station reported as lost before the timeout."""
+        self._alone = False
+        """Since the last heartbeat the onboard radio reported in time that it receives nothing: not a matter of CPU time."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -59,6 +63,7 @@ class Gcs(api.Check):
         }
         if fact.silent_s <= limit_s and not self._early(world, fact):
             self._age.forget("gcs")
+            self._alone = False
             return api.ok(f"last ground station heartbeat {span(fact.age_s)} ago", values=values)
         if all_closed(world, to_ground(self._settings)):
             words = "ground station state unknown: every link to the ground is closed"
@@ -67,13 +72,15 @@ class Gcs(api.Check):
             words = f"no ground station heartbeat for {span(fact.age_s)}, and no report from the onboard radio since, which is due"
             return api.stale(words, values=values)
         expected_s = fact.due_s if fact.overdue and fact.due_s is not None else limit_s
-        return api.error(
+        found = api.error(
             f"no ground station heartbeat for {span(fact.age_s)}, expected one within {span(expected_s)}: "
             f"{self._advice(world, fact)}",
             brief=brief("GCS:", f"no heartbeat {self._age.show('gcs', fact.age_s):.0f} s"),
             condition="gcs_lost",
             values=values,
         )
+        self._alone = self._alone or _alone(world, fact, NOW_S)
+        return found.with_evidence(api.Evidence(conclusive=self._alone))
 
     def _early(self, world: api.World, fact: api.GcsFact) -> bool:
         """Whether it is certainly lost, before the timeout.
@@ -118,8 +125,13 @@ class Gcs(api.Check):
         )
 
 
-def _alone(world: api.World, fact: api.GcsFact) -> bool:
-    """Whether the onboard radio reports that it receives nothing from the ground radio; damaged frames alone do not count."""
+def _alone(world: api.World, fact: api.GcsFact, newest_s: float = float("inf")) -> bool:
+    """Whether the onboard radio reports, at most `newest_s` ago, that it receives nothing from the ground radio; damaged frames alone
+    do not count.
+    """
     if fact.silent_s <= QUIET_S:
         return False
-    return any(radio.alone and radio.link == fact.link and radio.age_s < fact.age_s for radio in world.links.radios())
+    return any(
+        radio.alone and radio.link == fact.link and radio.age_s < fact.age_s and radio.age_s <= newest_s
+        for radio in world.links.radios()
+    )

@@ -102,8 +102,12 @@ EXPLAINED: Mapping[str, Explanation] = {
         "itself within 1 s, twice",
         WAITING | {"pids_limit"},
     ),
-    "autopilot_silent": _UNREAD,
-    "gcs_lost": _UNREAD,
+    "autopilot_silent": replace(
+        _UNREAD, evidence=f"{_UNREAD.evidence}; not where its link carries frames of others meanwhile"
+    ),
+    "gcs_lost": replace(
+        _UNREAD, evidence=f"{_UNREAD.evidence}; not where the onboard radio reports that it receives nothing"
+    ),
     "radio_silent": _UNREAD,
     "link_silent": _UNREAD,
     "frames_lost": Explanation("frames that PHM does not read in time are dropped by the kernel"),

@@ -137,6 +137,26 @@ def test_behind_a_router_that_may_be_silent_the_full_timeout_applies() -> None:
     assert (late.level, late.settle_s) == (api.Level.ERROR, None)
 
 
+def test_frames_of_others_that_arrive_in_time_rule_out_a_lack_of_cpu_time() -> None:
+    """In a campaign a hung autopilot was reported after 16 s, because the machine was busy: other frames of its link arrived all the
+    time. Not decided by a single late frame of the others, nor before the timeout."""
+    assert not behind_a_router(OVERDUE, 0.9).evidence.conclusive
+    silent = changed(age_s=3.8, quiet_s=3.7)
+    assert not behind_a_router(silent, 1.9).evidence.conclusive
+    assert behind_a_router(silent, 0.9).evidence.conclusive
+
+
+def test_that_others_were_received_in_time_counts_until_the_autopilot_is_received() -> None:
+    (autopilot_check,) = Autopilot.build(testing.settings(agent={"id": 1}, mavlink={"endpoints": [ROUTER]}))
+
+    def conclusive(age_s: float, others_s: float) -> bool:
+        link = dataclasses.replace(OPEN, rx_age_s=0.1, senders=(api.SenderFact(255, 190, others_s, 50, 0.0),))
+        return run(autopilot_check, changed(age_s=age_s, quiet_s=age_s), link).evidence.conclusive
+
+    assert [conclusive(3.8, 0.4), conclusive(5.8, 2.4)] == [True, True]
+    assert [conclusive(0.2, 0.4), conclusive(4.0, 2.4)] == [False, False]
+
+
 def test_a_reboot_is_reported_immediately() -> None:
     """The autopilot's own uptime proves it."""
     assert run(check(), changed(rebooted_s=0.1, reboots=1)).settle_s == 0.0

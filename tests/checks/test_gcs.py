@@ -107,6 +107,19 @@ def test_a_radio_without_contact_to_the_ground_radio_shortens_the_detection() ->
     assert "receives nothing from the ground radio" in result.summary
 
 
+def test_a_radio_without_contact_rules_out_a_lack_of_cpu_time() -> None:
+    """Until the ground station is received again: that PHM reads its reports in time shows that it reads."""
+    gcs_check = check()
+
+    def conclusive(age_s: float, *radios: api.RadioFact) -> bool:
+        return run(gcs_check, gcs_links(age_s, radios=radios)).evidence.conclusive
+
+    late = dataclasses.replace(ALONE, age_s=2.0)
+    assert not conclusive(3.6, late)
+    assert [conclusive(4.6, ALONE), conclusive(5.6, late)] == [True, True]
+    assert [conclusive(0.2, ALONE), conclusive(3.6, late)] == [False, False]
+
+
 def test_a_radio_without_contact_does_not_contradict_a_received_ground_station() -> None:
     """Nor one that is received by another link, nor if the report is older than the last heartbeat."""
     assert run(check(), gcs_links(1.0, radios=(ALONE,))).level is api.Level.OK
