@@ -17,8 +17,9 @@ from sitl.campaign.fault_rows import unexplained
 from sitl.campaign.groups import groups
 from sitl.campaign.metrics import figures
 from sitl.campaign.stats import estimate, rank, stats
+from sitl.campaign.table import beyond
 from sitl.campaign.targets import METRICS, Result, evaluated, short
-from sitl.campaign.trial import NOMINAL, OFF, Cost, RaisedWarning, Start, Trial
+from sitl.campaign.trial import NOMINAL, OFF, Cost, Load, RaisedWarning, Start, Trial
 from sitl.campaign.verdict import ACTION, FLOOR_S, ITSELF
 from sitl.faults import all_faults
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
@@ -308,6 +309,40 @@ def test_what_disturbed_a_detection_explains_that_one_alone(alone_s: float, word
     ]
     (group,) = groups(made)
     assert compared(group.all)[0].words == words
+
+
+def test_a_class_that_was_only_disturbed_says_so() -> None:
+    """There is no other detection to compare."""
+    found = injection(evidence="process event", evidence_s=0.1)
+    busy = RaisedWarning(3, "host/cpu", 9, T0 + 1.0, ["cpu_high"], "CPU 92 %")
+    (group,) = groups([trial(injections=[found], alarms=[alarm(9.0)], warned=[busy])])
+    assert compared(group.all)[0].words == "1 of 1 disturbed"
+
+
+def test_the_earliest_possible_detection_is_that_of_the_detected_faults() -> None:
+    """On average half a period before its latest moment; a fault that was missed has no part in it."""
+    found = [
+        injection(evidence="beat", evidence_s=2.0, evidence_period_s=2.0),
+        injection(evidence="event", evidence_s=0.1),
+        injection(evidence="probe", evidence_s=30.0),
+    ]
+    made = [
+        trial(number=number, injections=[each], alarms=[alarm(3.0)] if number < 3 else [])
+        for number, each in enumerate(found, 1)
+    ]
+    (group,) = groups(made)
+    assert group.all.evidence.mean == pytest.approx((1.0 + 0.1) / 2)
+
+
+def test_the_load_of_the_machine_is_that_of_the_time_of_the_runs() -> None:
+    loads = [
+        Load(T0 - 2.0, 99.0, 1.0, 1.0, 0.0),
+        Load(T0 + 1.0, 40.0, 1.0, 1.0, 0.0),
+        Load(T0 + 2.0, 60.0, 1.0, 1.0, 0.0),
+    ]
+    (group,) = groups([trial(machine=loads)])
+    (row,) = (row for row in beyond([group]) if row[0].startswith("Machine"))
+    assert row[1] == "- / 50 %"
 
 
 @pytest.mark.parametrize("fault", sorted(WAITS))
