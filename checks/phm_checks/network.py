@@ -28,6 +28,8 @@ class Network(PerContainer):
     def __init__(self, entry: api.ContainerSettings, settings: api.Settings) -> None:
         super().__init__(entry)
         self._data_path = DataPath(self.key, settings)
+        self._attached: set[tuple[str, str]] = set()
+        """Run of the container, and id of a network on which it was found in that run."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -136,7 +138,11 @@ class Network(PerContainer):
                 f"not on {name}",
                 "disconnected",
             )
-            return detached.with_evidence(api.Evidence(conclusive=True))
+            # Compose attaches a container before its start; what has been detached since does not come back by itself.
+            lost = (fact.generation, network_id) in self._attached
+            return detached.with_evidence(api.Evidence(conclusive=True, certain=lost))
+        self._attached = {seen for seen in self._attached if seen[0] == fact.generation}
+        self._attached.add((fact.generation, network_id))
         return self._sidecar(world, attached, name, network_id)
 
     def _sidecar(self, world: api.World, attached: api.Attachment, name: str, network_id: str) -> api.Result:

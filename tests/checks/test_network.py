@@ -48,6 +48,23 @@ def test_a_container_without_its_network_is_disconnected() -> None:
     assert result.evidence.conclusive, "the engine lists its networks"
 
 
+def test_a_network_lost_in_this_run_of_the_container_does_not_come_back_by_itself() -> None:
+    """So it is a fault also in the seconds after a start, and ends the verification of an action. In a campaign a network that was
+    disconnected 1.5 s after a start was reported 15 s later. After a start the engine may still attach the container."""
+    (check,) = Network.build(testing.settings(containers=[{"name": "ros_app", "networks": [NET]}]))
+
+    def certain(**fields: Any) -> bool:
+        result = check.run(testing.world(docker=docker(**fields)))
+        assert isinstance(result, api.Result)
+        return result.evidence.certain
+
+    assert [certain(networks=()), certain(), certain(networks=())] == [False, False, True]
+    restarted = "2026-11-25T12:00:00Z"
+    assert [certain(networks=(), started_at=restarted), certain(started_at=restarted)] == [False, False]
+    assert certain(networks=(), started_at=restarted)
+    assert not certain(networks=())
+
+
 def test_an_attachment_to_a_recreated_network_is_disconnected() -> None:
     """Ids count: a recreated network of the same name is another network."""
     result = evaluate(docker(networks=on(network_id="old-id")))
