@@ -21,6 +21,9 @@ IO_S = 5.0
 """Window for disk waits: a short write to a slow card is not a fault."""
 KILL_REPORT_S = 10.0
 """A process killed for lack of memory shows in one reading; it is reported for this long so that operators see it."""
+KILL_SETTLE_S = 1.0
+"""A node that was killed for lack of memory is reported by its own check within this time, and the recovery that follows includes this
+unit: one fault, one alarm."""
 NEAR_LIMIT = 0.9
 """A container that uses less than this share of its memory limit waits for another reason."""
 SEARCH_FROM = 0.5
@@ -139,7 +142,7 @@ class Pressure(PerContainer):
             self._faults.level(over.faults_hz, newest.faults_hz),
         )
         if self._killed is not None and now - self._killed[0] < KILL_REPORT_S:
-            return self._killed_for_memory(fact, self._killed[1])
+            return replace(self._killed_for_memory(fact, self._killed[1]), settle_s=KILL_SETTLE_S)
         level = max(levels)
         if level is Level.OK:
             return None

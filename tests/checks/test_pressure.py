@@ -9,7 +9,7 @@ import pytest
 
 from phm import api, testing
 from phm_checks._text import BRIEF_MAX
-from phm_checks.pressure import KILL_REPORT_S, Pressure
+from phm_checks.pressure import KILL_REPORT_S, KILL_SETTLE_S, Pressure
 
 MIB = 2**20
 FACT = api.PressureFact(
@@ -242,6 +242,7 @@ def test_an_oom_kill_inside_the_container_is_reported_for_a_while() -> None:
     bench.calm()
     result = bench.observe(oom_kills=1)
     assert result.level is api.Level.ERROR and "killed 1 of its processes" in result.summary
+    assert result.settle_s == KILL_SETTLE_S, "the check of a node that was killed comes first"
     assert names(bench.observations(int(KILL_REPORT_S)))[-1] == "OK"
 
 

@@ -379,5 +379,7 @@ def test_a_refusal_is_logged_and_reported_to_phm(place: Place) -> None:
     """The operator finds the request in the proxy's log, and PHM's message says where to look."""
     with pytest.raises(EngineRefused, match="phm proxy-rules"):
         place.client.inspect(place.other.name)
-    line = f"403 GET {API}/containers/{place.other.name}/json"
-    until(lambda: line in place.proxy.said.read_text("utf-8"), "the proxy's line")  # it is written after the response
+    line = re.compile(rf"403 GET /v[\d.]+/containers/{place.other.name}/json")  # in the version of the engine
+    until(
+        lambda: line.search(place.proxy.said.read_text("utf-8")), "the proxy's line"
+    )  # it is written after the response

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from phm.api import Level, error, stale
 from phm.core.model import Evidence, FaultOpened, Outcome
+from phm_checks.pressure import KILL_SETTLE_S
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 
@@ -37,6 +40,30 @@ def test_a_failure_caused_by_the_repair_is_not_a_fault() -> None:
     assert bench.opened == ["nodes"]
     assert bench.blocked_by("container") == "nodes"
     assert bench.blocked_by("topics") == "nodes"
+
+
+def test_a_node_that_was_killed_for_lack_of_memory_is_one_fault() -> None:
+    """The kernel's counter may be read before the list of processes. In a campaign two of four such kills raised two alarms."""
+    killed = replace(BAD, condition="memory_pressure", settle_s=KILL_SETTLE_S)
+    gone = error("process ended", brief="dead", condition="node_missing").with_evidence(Evidence(certain=True))
+    bench = Bench(
+        [unit("container", target="app"), *(unit(name, "container", target="app") for name in ("pressure", "nodes"))]
+    )
+    bench.later(10)
+    bench.all_healthy()
+    bench.see("pressure", killed)
+    bench.later(0.4)
+    bench.see("container", OK)
+    bench.see("nodes", gone)
+    bench.see("container", OK)
+    assert bench.opened == ["nodes"]
+    bench.take(bench.tracker.begin_action("app", "nodes", "restart", bench.stamp(), 60.0))
+    for _ in range(3):
+        bench.later(1)
+        bench.see("pressure", killed)
+        bench.see("container", OK)
+    assert bench.opened == ["nodes"]
+    assert bench.blocked_by("pressure") == "nodes"
 
 
 def test_an_open_fault_is_not_a_consequence_of_the_repair_of_another() -> None:
