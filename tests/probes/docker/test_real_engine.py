@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -24,7 +25,7 @@ from phm.probes.files import Files
 from phm.testing import settings
 from phm.transport.docker import DockerEngine, EngineConflict, EngineError, EngineMissing
 from phm_checks.unknown_containers import UnknownContainers
-from sitl.faults.address_silent import LINKS, set_link
+from sitl.faults.address_silent import set_link
 from sitl.faults.base import freeze
 from tests.fakes.until import until
 from tests.probes.docker.conftest import printed
@@ -247,8 +248,7 @@ def test_an_address_behind_a_disabled_interface_is_silent_immediately(real: Any,
     docker = probe(engine, made.name)
     address = fact_of(docker, made.name).networks[0].address
     until(lambda: docker.reachable(address), "an answer")
-    number = printed(made, "cat", "/sys/class/net/eth0/iflink")
-    set_link(next(link.name for link in LINKS.iterdir() if (link / "ifindex").read_text().strip() == number), up=False)
+    set_link(socket.if_indextoname(int(printed(made, "cat", "/sys/class/net/eth0/iflink"))), up=False)
     assert not docker.reachable(address)
 
 
