@@ -39,6 +39,22 @@ def test_the_rate_is_that_of_the_newest_messages(period_s: float) -> None:
     assert reception(*early, *messages(period_s))["rate_hz"] == pytest.approx(1 / period_s)
 
 
+def test_one_late_message_does_not_change_the_rate() -> None:
+    """On a busy machine messages are late: the observer accepts 20 %."""
+    steady = messages(0.2)
+    late = [*steady[:-3], Sample(steady[-3].at + 0.35, "late", 17), *steady[-2:]]
+    for seen in (late, late[:-2], [*steady[:-1], Sample(steady[-1].at + 0.35, "late", 19)]):
+        assert reception(*seen)["rate_hz"] == pytest.approx(5.0, rel=0.15)
+
+
+def test_a_pause_before_the_newest_messages_is_not_in_their_rate() -> None:
+    """The rate of a topic that is back is known after three messages; half of the rate is not a pause."""
+    back = [*(Sample(sample.at - 8.0, sample.content) for sample in messages(0.2)), *messages(0.2, count=3)]
+    assert reception(*back)["rate_hz"] == pytest.approx(5.0)
+    half = [*(Sample(sample.at - 4.0, sample.content) for sample in messages(0.2)), *messages(0.4, count=9)]
+    assert reception(*half)["rate_hz"] == pytest.approx(2.5)
+
+
 def test_wrong_data_is_counted() -> None:
     """Repeated content, numbers that are left out, and the largest distance of a stamp from the clock."""
     assert reception(*messages(0.1)) == {"rate_hz": 10.0, "age_s": 0.0, "same": 0, "lost": 0, "stamp_s": 0.0}
