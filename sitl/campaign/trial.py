@@ -19,9 +19,8 @@ ABORTED = "aborted"
 """A run of one of the other kinds that an error or the operator ended. It is repeated, and in no figure."""
 QUIET, BUSY = "quiet", "busy"
 INTERRUPTION_S = 2.0
-"""A restored world that is observed broken for less than this was not broken: the rate of a topic is that of the messages of 1.2 s, a
-node writes it every 0.5 s (`sitl.application.received`), and the observer reads that every 0.2 s, so one late message is seen for up to 1.9 s.
-Before, the world must have been restored for as long."""
+"""A restored world that is observed broken for less than this counts as restored: all agents share this machine, and while it is
+overloaded the messages of healthy ones are late, too. Before, the world must have been restored for as long."""
 
 
 @dataclass
