@@ -86,8 +86,9 @@ def test_a_sender_with_our_identity_is_reported() -> None:
     assert scene.links.problems() == ()
 
 
-def test_users_of_a_port_are_queried_within_a_deadline() -> None:
-    """This port has none."""
+def test_an_unused_port_has_no_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine it may take longer than PHM waits to look at all processes; tests/probes has the deadline."""
+    monkeypatch.setattr("phm.probes.links.USERS_S", 120.0)
     assert Scene().links.users("/dev/null-and-void") == ()
 
 
