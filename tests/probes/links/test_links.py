@@ -87,7 +87,7 @@ def test_a_sender_with_our_identity_is_reported() -> None:
 
 
 def test_an_unused_port_has_no_users(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine it may take longer than PHM waits to look at all processes; tests/probes has the deadline."""
+    """On a busy machine it may take longer than PHM waits to look at all processes."""
     monkeypatch.setattr("phm.probes.links.USERS_S", 120.0)
     assert Scene().links.users("/dev/null-and-void") == ()
 
