@@ -132,9 +132,6 @@ EXPLANATIONS = {
     "gcs_radio_cut": Explanation(
         "the radio reports the loss of the other one 3.4 s after its last packet (SiK firmware)", 10
     ),
-    "log_read_only": Explanation(
-        "the first line may come as late as the evidence says, and PHM reads its own problems once a second", 2.7
-    ),
     "memory_full": Explanation("measured from the order to fill it, and filling 2 GB takes most of the time", 3),
     "memory_leak": Explanation(_PROCESS, 8),
     "node_killed": Explanation(_PROCESS, 8),
@@ -189,10 +186,8 @@ def _of_class(each: ClassMetrics) -> Compared:
 def _explained(each: ClassMetrics, ratio: float) -> str:
     """By the words of the class; or these, where they are needed, for those that were not disturbed."""
     words = _known(each.fault, ratio)
-    if words or not each.disturbed:
+    if words or not each.disturbed or each.undisturbed_ratio is None:
         return words or UNEXPLAINED
-    if each.undisturbed_ratio is None:
-        return f"{each.disturbed} of {each.compared} disturbed"
     alone = each.undisturbed_ratio
     words = _known(each.fault, alone)
     if alone > RATIO and not words:

@@ -104,8 +104,9 @@ def outside(groups: Sequence[Group]) -> Rows:
         return verdict.claimed_s is not None
 
     def interruptions(found: Figures) -> str:
-        times = [v.injection for v in found.verdicts if v.injection.interruptions]
-        return f"{len(times)}, {sum(each.interruptions for each in times)}, {sum(each.interrupted_s for each in times):.1f}"
+        counts = [v.injection.interruptions for v in found.verdicts if v.injection.interruptions is not None]
+        seconds = sum(v.injection.interrupted_s for v in found.verdicts)
+        return f"{sum(map(bool, counts))}, {sum(counts)}, {seconds:.1f}" if counts else "not measured"
 
     wanted: list[tuple[str, Shown]] = [
         ("both say that the fault is over", count(lambda v: v.difference_s is not None)),

@@ -75,9 +75,10 @@ class Injection:
     """When the world was first observed to be broken; None: never, e.g. since it was restored too quickly."""
     world: float | None = None
     """When the world was observed to be restored and stayed so until the fault was cleared; None: it was not."""
-    interruptions: int = 0
-    """How often it was observed broken after that, each time for less than INTERRUPTION_S."""
+    interruptions: int | None = None
+    """How often it was observed broken after that, each time for less than INTERRUPTION_S; None: not counted."""
     interrupted_s: float = 0.0
+    """How long, together."""
 
 
 @dataclass

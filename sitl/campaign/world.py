@@ -58,16 +58,19 @@ class WorldObserver:
             while injection.asked is None:
                 if ending.wait(FIRST_POLL_S) or injection.error:
                     return
-            # An interruption that is not decided yet is observed to its end.
-            while (series.interrupted or not ending.is_set()) and not (injection.moment is None and injection.error):
+
+            def watched() -> bool:
+                # An interruption that is not decided yet is observed to its end.
+                return not ending.is_set() or series.interrupted(time.monotonic())
+
+            while watched() and not (injection.moment is None and injection.error):
                 began = time.monotonic()
                 seen = self._ask(injection, agent, series)
                 # Before the injection has ended, only a broken world says something: PHM may be faster than the injection's end.
-                if (series.interrupted or not ending.is_set()) and (injection.moment is not None or seen is False):
+                if watched() and (injection.moment is not None or seen is False):
                     series.add(seen, began)
-                (time.sleep if ending.is_set() else ending.wait)(
-                    FIRST_POLL_S if began - injection.asked < FIRST_S else POLL_S
-                )
+                time.sleep(FIRST_POLL_S if began - injection.asked < FIRST_S else POLL_S)
+            series.close()
         finally:
             client.close()
 
@@ -91,10 +94,9 @@ class Series:
         self._good: float | None = None
         self._bad: float | None = None
 
-    @property
-    def interrupted(self) -> bool:
-        """The world was restored and is observed broken, for too short a time to say that it was not."""
-        return self._bad is not None
+    def interrupted(self, mono: float) -> bool:
+        """Whether the world was restored and has been observed broken since, at `mono` for too short a time to say that it was not."""
+        return self._bad is not None and mono - self._bad < INTERRUPTION_S
 
     def add(self, restored: bool | None, mono: float) -> None:
         """One observation, begun at `mono`; None: the world cannot be observed."""
@@ -102,6 +104,7 @@ class Series:
             return
         injection = self._injection
         injection.world_seen = True
+        injection.interruptions = injection.interruptions or 0
         if restored:
             self._restored(mono)
             return
@@ -110,6 +113,11 @@ class Series:
         if self._bad is None and self._good is not None and mono - self._good >= INTERRUPTION_S:
             self._bad = mono
         if self._bad is None or mono - self._bad >= INTERRUPTION_S:
+            self.end()
+
+    def close(self) -> None:
+        """There are no more observations. An interruption whose end was not observed has none."""
+        if self._bad is not None:
             self.end()
 
     def end(self) -> None:
@@ -121,7 +129,7 @@ class Series:
         if injection.world is None:
             injection.world = mono
         if self._bad is not None:
-            injection.interruptions += 1
+            injection.interruptions = (injection.interruptions or 0) + 1
             injection.interrupted_s = round(injection.interrupted_s + mono - self._bad, 3)
         if self._good is None or self._bad is not None:
             self._good, self._bad = mono, None

@@ -17,7 +17,7 @@ from sitl.campaign.fault_rows import unexplained
 from sitl.campaign.groups import groups
 from sitl.campaign.metrics import figures
 from sitl.campaign.stats import estimate, rank, stats
-from sitl.campaign.table import beyond
+from sitl.campaign.table import beyond, outside
 from sitl.campaign.targets import METRICS, Result, evaluated, short
 from sitl.campaign.trial import NOMINAL, OFF, Cost, Load, RaisedWarning, Start, Trial
 from sitl.campaign.verdict import ACTION, FLOOR_S, ITSELF
@@ -311,12 +311,12 @@ def test_what_disturbed_a_detection_explains_that_one_alone(alone_s: float, word
     assert compared(group.all)[0].words == words
 
 
-def test_a_class_that_was_only_disturbed_says_so() -> None:
-    """There is no other detection to compare."""
+def test_a_class_that_was_only_disturbed_is_unexplained() -> None:
+    """There is no other detection that shows what the class needs by itself."""
     found = injection(evidence="process event", evidence_s=0.1)
     busy = RaisedWarning(3, "host/cpu", 9, T0 + 1.0, ["cpu_high"], "CPU 92 %")
     (group,) = groups([trial(injections=[found], alarms=[alarm(9.0)], warned=[busy])])
-    assert compared(group.all)[0].words == "1 of 1 disturbed"
+    assert compared(group.all)[0].words == UNEXPLAINED
 
 
 def test_the_earliest_possible_detection_is_that_of_the_detected_faults() -> None:
@@ -343,6 +343,18 @@ def test_the_load_of_the_machine_is_that_of_the_time_of_the_runs() -> None:
     (group,) = groups([trial(machine=loads)])
     (row,) = (row for row in beyond([group]) if row[0].startswith("Machine"))
     assert row[1] == "- / 50 %"
+
+
+def test_interruptions_that_were_not_counted_are_no_zero() -> None:
+    """Records of before 2026-11-25 do not have them."""
+
+    def shown(*counts: int | None) -> str:
+        made = [injection(interruptions=count, interrupted_s=0.5 * (count or 0)) for count in counts]
+        (group,) = groups([trial(number=number, injections=[each]) for number, each in enumerate(made, 1)])
+        (row,) = (row for row in outside([group]) if row[0].startswith("a restored world"))
+        return row[1]
+
+    assert [shown(None, None), shown(0, 0), shown(2, None, 1)] == ["not measured", "0, 0, 0.0", "2, 3, 1.5"]
 
 
 @pytest.mark.parametrize("fault", sorted(WAITS))

@@ -74,11 +74,11 @@ def test_restored_counts_from_the_last_unbroken_series() -> None:
 def test_a_short_interruption_does_not_delay_the_restoration() -> None:
     """Nor does the next one, if the world was as before for long enough in between."""
     made, found = series((1.0, False), (4.0, True), (6.0, False))
-    assert found.interrupted
+    assert found.interrupted(6.0) and not found.interrupted(8.0)
     assert made.world == 4.0
     for mono, restored in ((7.9, True), (9.9, False), (10.4, True)):
         found.add(restored, mono)
-    assert not found.interrupted
+    assert not found.interrupted(10.4)
     assert (made.world, made.interruptions, made.interrupted_s) == (4.0, 2, 2.4)
 
 
@@ -94,7 +94,7 @@ def test_a_short_interruption_does_not_delay_the_restoration() -> None:
 def test_a_world_that_breaks_again_was_not_restored(broken: Sequence[tuple[float, bool]]) -> None:
     """A fault that looks over now and then stays one."""
     made, found = series((1.0, False), (4.0, True), *broken)
-    assert (made.world, found.interrupted) == (None, False)
+    assert (made.world, found.interrupted(8.4)) == (None, False)
 
 
 class Flickering(Observed):
@@ -118,6 +118,20 @@ def test_an_interruption_is_observed_to_its_end() -> None:
     until(lambda: not fault.breaks)
     observer.stop()
     assert (made.world, made.interruptions) == (restored, 1)
+
+
+def test_a_world_that_cannot_be_observed_during_an_interruption_ends_the_observation() -> None:
+    """Nobody saw it restored again, and the campaign goes on."""
+    fault = Observed(False, True)
+    made = unseen(fault="observed", asked=time.monotonic(), moment=time.monotonic())
+    observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
+    observer.start([made])
+    until(lambda: made.world is not None and time.monotonic() - made.world > INTERRUPTION_S + POLL_S)
+    fault.given = [*[True] * (fault.asked + 5), False, None]
+    until(lambda: fault.asked > len(fault.given))
+    observer.stop()
+    assert made.world is None
+    assert not any(thread.name == "world observed" for thread in threading.enumerate())
 
 
 def test_the_world_is_observed_from_the_injection_on() -> None:
