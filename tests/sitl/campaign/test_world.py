@@ -121,7 +121,7 @@ def test_an_interruption_is_observed_to_its_end() -> None:
 
 
 def test_a_world_that_cannot_be_observed_during_an_interruption_ends_the_observation() -> None:
-    """Nobody saw it restored again, and the campaign goes on."""
+    """It was not observed restored again, and the campaign goes on."""
     fault = Observed(False, True)
     made = unseen(fault="observed", asked=time.monotonic(), moment=time.monotonic())
     observer = WorldObserver({"observed": fault}, {3: Agent("p", "agent_3", docker=Mock(), number=3)}, Mock)
