@@ -174,6 +174,7 @@ class Tracker:
         record.had_error = record.had_error or record.failing
         record.error_since = (started if record.error_since is None else record.error_since) if record.failing else None
         record.bad_in_a_row = record.bad_in_a_row + 1 if result.level.bad else 0
+        record.note_end(result)
         if record.published.duration_s != duration_s:
             record.published = replace(record.published, duration_s=duration_s)
         if record.target and result.evidence.generation:
@@ -370,7 +371,7 @@ class Tracker:
             self._count_ok(record, now)
             self._publish(record, result, now, effects)
         if record.fault is not None:
-            by = result.evidence.ended_by or record.fault.by or ITSELF
+            by = record.ended_by or record.fault.by or ITSELF
             self._faults.close(record, Outcome.RESOLVED, by, now, effects)
         if result.level is not Level.OK:  # another problem, reported after the end of the first
             self._publish(record, result, now, effects)

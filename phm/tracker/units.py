@@ -90,6 +90,8 @@ class UnitRecord:
     published: UnitState
     latest: Result | None = None
     started: float = NEVER
+    ended_by: str = ""
+    """What ended its last failure, as a result since then stated (`Evidence.ended_by`); empty: none did, or it fails again."""
     bad_in_a_row: int = 0
     error_since: float | None = None
     """Start of the first run of the present series of ERROR results that count."""
@@ -132,6 +134,13 @@ class UnitRecord:
     @property
     def target(self) -> str:
         return self.spec.unit.target
+
+    def note_end(self, result: Result) -> None:
+        """A check states only for a time what ended the failure; while that is verified, no longer perhaps."""
+        if result.ends_fault:
+            self.ended_by = result.evidence.ended_by or self.ended_by
+        elif result.level.bad:
+            self.ended_by = ""
 
     def grant(self, now: float, until: float) -> None:
         """Start grace until then; bad results from before `now` no longer count."""

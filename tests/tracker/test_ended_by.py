@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from phm.api import Evidence, Level, warn
+from phm.api import Evidence, Level, stale, warn
 from phm.core.model import FaultClosed, Outcome, Transition
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
@@ -59,3 +59,25 @@ def test_an_action_that_ran_meanwhile_is_not_credited() -> None:
     bench.now += 0.5
     bench.see("pilot", REBOOTED)
     assert bench.level("pilot") is Level.WARN, "also in the grace after the action"
+
+
+def test_what_ended_it_is_remembered_until_the_action_is_verified() -> None:
+    """A check states it only for a time; later results say that the unit is OK, no more."""
+    bench = failing("link")
+    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, proving=True))
+    for result in (REBOOTED, stale("not known"), OK):
+        bench.now += 1
+        bench.see("pilot", result)
+    bench.take(bench.tracker.end_action("link", bench.stamp(), worked=True))
+    assert bench.closed == [("pilot", Outcome.RESOLVED, "reboot")]
+
+
+def test_what_ended_a_failure_does_not_end_the_next_one() -> None:
+    """Failing again, it has to be ended again."""
+    bench = failing("link")
+    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, proving=True))
+    for result in (REBOOTED, BAD, OK):
+        bench.now += 1
+        bench.see("pilot", result)
+    bench.take(bench.tracker.end_action("link", bench.stamp(), worked=True))
+    assert bench.closed == [("pilot", Outcome.RESOLVED, "reopen")]
