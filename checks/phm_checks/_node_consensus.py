@@ -99,7 +99,7 @@ def _opinion(
     node: str, beacons: Mapping[str, api.BeaconFact], received: Mapping[str, bool], nodes_of: Mapping[str, list[str]]
 ) -> Opinion:
     votes = {
-        observer: _receives(beacons[observer], beacons[node], node)
+        observer: receives_other(beacons[observer], beacons[node], node)
         for observer in nodes_of
         if node not in nodes_of[observer]
     }
@@ -118,8 +118,8 @@ def _alone(node: str, receives: bool) -> Opinion:
     return Opinion(node, Verdict.ALIVE, (PHM,)) if receives else Opinion(node, Verdict.UNDECIDED, (), (PHM,))
 
 
-def _receives(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> bool | None:
-    """Whether the observer receives the other node; None: no opinion, as they have not had enough time to discover each other, or
+def receives_other(observer: api.BeaconFact, other: api.BeaconFact, node: str) -> bool | None:
+    """Whether the observer receives the other node, `node`; None: no opinion, as they have not had enough time to discover each other, or
     its list of neighbours has no space for the node."""
     view = observer.views.get(node)
     if view is not None:

@@ -6,7 +6,7 @@ than `nodes` ever needs, so that one death raises one alarm.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from phm import api
@@ -75,36 +75,39 @@ class DeadNodes:
         return found
 
 
-class ReceivedNodes:
-    """In which run of its container each node was received by another one: a restart restores only what that run had."""
+class ReceivedBefore:
+    """In which run of its container a node, or a publisher by its subscriber, was received: a restart restores only what that run had."""
 
-    def __init__(self, containers: Mapping[str, str]) -> None:
-        """containers: the container of each node, empty if unknown."""
+    def __init__(self, containers: Mapping[Hashable, str]) -> None:
+        """containers: by what is observed the container whose run counts, empty if unknown."""
         self._containers = containers
         self._runs: dict[str, tuple[str, float]] = {}
         """By container: its generation, and since when it has been seen (monotonic seconds)."""
-        self._received: dict[str, str] = {}
-        """The generation of each node's container when the node was received."""
+        self._received: dict[Hashable, str] = {}
+        """The generation of the container when it was received."""
 
-    def observe(self, world: api.World, agreement: Agreement) -> None:
-        """Take over a consensus."""
+    def observe(self, world: api.World, received: Iterable[Hashable]) -> None:
+        """Take what is received now."""
         now = world.clock.mono()
         for container in set(filter(None, self._containers.values())):
             generation = _generation(world, container)
             if generation != self._runs.get(container, ("", 0.0))[0]:
                 self._runs[container] = generation, now
-        for item in agreement.opinions:
-            generation, since = self._runs.get(self._containers.get(item.node, ""), ("", now))
-            alive = item.verdict in (Verdict.ALIVE, Verdict.HUNG) and any(
-                observer != PHM for observer in item.received_by
-            )
-            if alive and generation and now - since >= MET_S:
-                self._received[item.node] = generation
+        for one in received:
+            generation, since = self._runs.get(self._containers.get(one, ""), ("", now))
+            if generation and now - since >= MET_S:
+                self._received[one] = generation
 
-    def never(self, node: str) -> bool | None:
-        """Whether no other node has received it in this run of its container; None: the run is unknown."""
-        generation, _ = self._runs.get(self._containers.get(node, ""), ("", 0.0))
-        return self._received.get(node) != generation if generation else None
+    def never(self, one: Hashable) -> bool | None:
+        """Whether it has not been received in this run of its container; None: the run is unknown."""
+        generation, _ = self._runs.get(self._containers.get(one, ""), ("", 0.0))
+        return self._received.get(one) != generation if generation else None
+
+
+def received_by_others(agreement: Agreement) -> list[str]:
+    """The living nodes that another node receives."""
+    alive = (item for item in agreement.opinions if item.verdict in (Verdict.ALIVE, Verdict.HUNG))
+    return [item.node for item in alive if any(observer != PHM for observer in item.received_by)]
 
 
 def _generation(world: api.World, container: str) -> str:

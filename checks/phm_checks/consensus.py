@@ -1,19 +1,20 @@
 """Slot 6: the nodes agree on which nodes are alive, and the nodes are not split into groups.
 
 The check `nodes` reports dead and hung nodes by PHM's own evidence. This check reports what only the nodes themselves can observe,
-also a node that most of them do not receive while PHM still considers it alive.
+also a node that most of them do not receive while PHM still considers it alive, and a subscriber that has lost its publisher.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._lost_publishers import SETTLE_S as LOST_SETTLE_S, Connection, LostPublishers, connections
 from phm_checks._node_consensus import PHM, Agreement, Opinion, Verdict, agree
-from phm_checks._quorum import SETTLE_S as QUORUM_SETTLE_S, DeadNodes, ReceivedNodes, ended
-from phm_checks._text import brief, joined, last, listed, span
+from phm_checks._quorum import SETTLE_S as QUORUM_SETTLE_S, DeadNodes, ReceivedBefore, ended, received_by_others
+from phm_checks._text import brief, last, listed, span
 
 OLD_SNAPSHOT_S = 5.0
 """Older snapshots of the graph are not evaluated."""
@@ -46,7 +47,11 @@ class Consensus(api.Check):
         self._open_faults = settings.ros.consensus.open_faults
         self._dead = DeadNodes(self._nodes)
         self._containers = {node: settings.container_of_node(node) for node in self._nodes}
-        self._received = ReceivedNodes(self._containers)
+        subscribed = connections(settings, self._nodes)
+        self._lost = LostPublishers(subscribed)
+        in_run: dict[Hashable, str] = {one: self._containers[one.subscriber] for one in subscribed}
+        in_run.update(self._containers)
+        self._received = ReceivedBefore(in_run)
         keys = list(dict.fromkeys(filter(None, self._containers.values())))
         needs = [f"{check}/{key}" for key in keys for check in ("container", "network")]
         needs += [f"nodes/{api.topic_id(node)}" for node in self._nodes]
@@ -70,13 +75,13 @@ class Consensus(api.Check):
         try:
             fact = world.ros.snapshot()
         except api.CannotTell as reason:
-            self._dead.clear()
+            self._forget()
             return api.stale(str(reason))
         self._dead.list(fact.nodes, now)
         beacons = self._beacons(fact)
         result = self._unknown(fact) or self._lacking(fact, beacons) or (None if beacons else self._none_received(fact))
         if result is not None:
-            self._dead.clear()
+            self._forget()
             return result
         closed = [
             name
@@ -88,10 +93,16 @@ class Consensus(api.Check):
             del beacons[name]
         others = {name: receives(fact, name, self._nodes) for name in self._nodes if name not in beacons}
         agreement = agree(beacons, others, fact.age_s)
-        self._received.observe(world, agreement)
+        lost = self._lost.observe(beacons, fact.age_s, now)
+        self._received.observe(world, [*received_by_others(agreement), *self._lost.received])
         dead = self._dead.observe(agreement, beacons, now)
         result = None if dead and self._open_faults else _copied(fact, beacons)
-        return replace(result or self._judge(agreement, dead, fact, beacons), votes=_votes(agreement))
+        return replace(result or self._judge(agreement, dead, lost, fact, beacons), votes=_votes(agreement))
+
+    def _forget(self) -> None:
+        """The consensus is unknown."""
+        self._dead.clear()
+        self._lost.clear()
 
     @staticmethod
     def _unknown(fact: api.RosFact) -> api.Result | None:
@@ -147,6 +158,7 @@ class Consensus(api.Check):
         self,
         agreement: Agreement,
         dead: Sequence[Opinion],
+        lost: Sequence[Connection],
         fact: api.RosFact,
         beacons: Mapping[str, api.BeaconFact],
     ) -> api.Result:
@@ -163,15 +175,17 @@ class Consensus(api.Check):
             return api.stale("no beacon received at the moment: no peers left for consensus")
         if dead and self._open_faults:
             return self._quorum_dead(agreement, dead, values)
+        if lost and self._open_faults:
+            return self._publisher_not_received(agreement, lost, values)
         if agreement.split:
             count = "|".join(str(len(side)) for side in _sides(agreement))
-            words = [f"{_split(agreement)}: {REMEDY}", *_disagreements(agreement)]
-            return api.Result(Level.WARN, joined(words), brief("nodes split", count), "nodes_split", "", values)
+            words = _statement([_split(agreement), *_disagreements(agreement)], REMEDY)
+            return api.Result(Level.WARN, words, brief("nodes split", count), "nodes_split", "", values)
         disagreements = _disagreements(agreement)
         if disagreements:
             first = agreement.disagreements[0]
             short = brief(last(first.node), f"not seen by {last(first.not_received_by[0])}"[:30])
-            return api.Result(Level.WARN, joined([*disagreements, REMEDY]), short, "partly_received", "", values)
+            return api.Result(Level.WARN, _statement(disagreements, REMEDY), short, "partly_received", "", values)
         stuck = f"; the executor of {_names(hung)} is blocked" if hung else ""
         return api.ok(f"{_agreed(agreement)}{_alone(agreement, beacons)}{stuck}", values=values)
 
@@ -191,13 +205,35 @@ class Consensus(api.Check):
         step = REMEDY if received else "check its log and `docker top`; PHM restarts nothing for this"
         return api.Result(
             Level.ERROR,
-            f"{joined([one for one in words if one])}: {step}",
+            _statement(words, step),
             brief(last(dead[0].node), "dead by majority"),
             "quorum_dead",
             self._containers[received[0]] if received else "",
             values,
             settle_s=0.0 if received else QUORUM_SETTLE_S,
             evidence=api.Evidence(never_ok=self._received.never(received[0]) if received else None),
+        )
+
+    def _publisher_not_received(
+        self, agreement: Agreement, lost: Sequence[Connection], values: Mapping[str, api.Value]
+    ) -> api.Result:
+        """ERROR for subscribers that do not receive the node of their publisher, while PHM receives both."""
+        first = min(lost, key=lambda one: self._received.never(one) is True)
+        words = [
+            f"{_names([one.subscriber])} does not receive {_names([one.publisher])}, which publishes {_names([one.topic])} for it, "
+            "while PHM receives both"
+            for one in lost
+        ]
+        words.append(_split(agreement) if agreement.split else "")
+        return api.Result(
+            Level.ERROR,
+            _statement(words, REMEDY),
+            brief(last(first.subscriber), f"does not receive {last(first.publisher)[:12]}"),
+            "publisher_not_received",
+            self._containers[first.subscriber],
+            values,
+            settle_s=LOST_SETTLE_S,
+            evidence=api.Evidence(never_ok=self._received.never(first)),
         )
 
 
@@ -269,6 +305,11 @@ def _disagreements(agreement: Agreement) -> list[str]:
         f"{'; most do not receive it' if item.verdict is Verdict.DEAD else ''}"
         for item in agreement.disagreements
     ]
+
+
+def _statement(findings: Iterable[str], step: str) -> str:
+    """The findings that are not empty, and what to do."""
+    return f"{'; '.join(filter(None, findings))}: {step}"
 
 
 def _names(nodes: Iterable[str]) -> str:

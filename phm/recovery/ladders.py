@@ -16,6 +16,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
     "node_missing": ("relaunch", "restart"),
     "node_hung": ("restart",),
     "quorum_dead": ("restart",),
+    "publisher_not_received": ("restart",),
     "topic_silent": ("relaunch", "restart"),
     "rate_low": ("relaunch", "restart"),
     "publisher_lost": ("restart",),
@@ -64,10 +65,19 @@ ADVISED = frozenset({"data_gaps", "data_range"})
 """Conditions for which the built-in ladder is only advised: the messages arrive and most of them are usable, and whether a restart
 helps depends on the sensor or input behind the node. A user's own ladder is carried out."""
 ONLY_IF_OK_BEFORE = frozenset(
-    {"transport_blocked", "qos_mismatch", "node_duplicate", "quorum_dead", "data_frozen", "data_stamp", "not_ready"}
+    {
+        "transport_blocked",
+        "qos_mismatch",
+        "node_duplicate",
+        "quorum_dead",
+        "publisher_not_received",
+        "data_frozen",
+        "data_stamp",
+        "not_ready",
+    }
 )
 """Conditions that a restart ends only where the container's own start is not their cause: firewall rules of its network
 namespace, a publisher that was created again, a second node started by an operator, a node that its neighbours no longer
-receive, a source that repeats old data, a wrong clock on another computer, a node that was deactivated. Where the
+receive, or one of them, a source that repeats old data, a wrong clock on another computer, a node that was deactivated. Where the
 unit was OK in this generation, a restart restores what the start had, and is tried once; where it never was, nothing is done. A
 user's own ladder is used unchanged."""

@@ -96,6 +96,7 @@ EXPLAINED: Mapping[str, Explanation] = {
     "partly_received": _VIEWS,
     "nodes_split": _VIEWS,
     "quorum_dead": _VIEWS,
+    "publisher_not_received": _VIEWS,
     "diagnostic_stale": Explanation("its publisher is not scheduled in time", begins_again=True),
     "unhealthy": Explanation(
         "the probe of the health check takes longer than its time-out, or cannot be started; not where it reported the failure "

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import re
+import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,12 +47,13 @@ def overridden(changes: Mapping[str, str]) -> str:
 
 
 def write(text: str, file: Path | None = None) -> Path:
-    """Put a configuration where PHM's container, an ordinary user, can read it; a new file when none is given.
+    """Put a configuration where PHM's container, an ordinary user, can read it; a new file, until this program ends, when none is given.
 
     An existing file keeps its inode, because a container that has it mounted sees that inode alone.
     """
     if file is None:
         folder = Path(tempfile.mkdtemp(prefix="phm-config-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
         folder.chmod(0o755)
         file = folder / "phm.yaml"
     file.write_text(text, "utf-8")

@@ -10,35 +10,7 @@ import pytest
 from phm import api, testing
 from phm_checks._node_consensus import PHM, Agreement, Verdict, agree
 from phm_checks.consensus import Consensus
-
-A, B, C, D = "/agent_1/a", "/agent_1/b", "/agent_1/c", "/agent_1/d"
-ALL = (A, B, C, D)
-
-
-def beacon(receives: Mapping[str, bool] | None = None, **fields: Any) -> api.BeaconFact:
-    """A beacon with heartbeats, of a node that has run for 100 s."""
-    views = {name: api.NeighbourFact(alive, 0.3) for name, alive in (receives or {}).items()}
-    given: dict[str, Any] = {
-        "age_s": 0.1,
-        "period_s": 0.2,
-        "birth": "w.1",
-        "heartbeats": 500,
-        "views": views,
-        "turns": 100,
-    }
-    return api.BeaconFact(**{**given, **fields})
-
-
-def matrix(*names: str, not_received: tuple[tuple[str, str], ...] = ()) -> dict[str, api.BeaconFact]:
-    """Nodes that all receive each other, except for the pairs (observer, observed)."""
-    return {
-        name: beacon({other: (name, other) not in not_received for other in names if other != name}, witness=name)
-        for name in names
-    }
-
-
-def both(*pairs: tuple[str, str]) -> tuple[tuple[str, str], ...]:
-    return (*pairs, *((there, here) for here, there in pairs))
+from tests.fakes.consensus_bench import ALL, A, B, C, D, Quorum, beacon, both, matrix
 
 
 def opinions(agreement: Agreement) -> dict[str, Verdict]:
@@ -196,7 +168,9 @@ def test_a_disagreement_is_a_warning_with_all_names() -> None:
     """The node that is not received, the observers that miss it and those that receive it."""
     result = evaluate(matrix(A, B, C, not_received=((A, B),)))
     assert (result.level, result.condition, result.brief) == (api.Level.WARN, "partly_received", "b not seen by a")
-    assert result.summary.startswith("agent_1/b is not received by agent_1/a, but is received by agent_1/c, PHM. ")
+    assert result.summary.startswith(
+        "agent_1/b is not received by agent_1/a, but is received by agent_1/c, PHM: check the network"
+    )
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
 
 
@@ -324,27 +298,6 @@ def test_while_beacons_are_lost_the_consensus_makes_no_statement() -> None:
 
 
 # ---------------------------------------------------------------- dead by majority
-
-
-class Quorum:
-    """The check over time, every second."""
-
-    def __init__(self, *names: str, **ros: Any) -> None:
-        self.check = Consensus(
-            testing.settings(
-                containers=[{"name": "ros_app"}], ros={"nodes": [{"name": name} for name in names or (A, B, C)], **ros}
-            )
-        )
-        self.clock, self.ros = testing.FakeClock(), testing.FakeRos(nodes=dict.fromkeys(ALL, 1))
-
-    def after(self, seconds: float, beacons: Mapping[str, api.BeaconFact], **ros: Any) -> api.Result:
-        """The result after this state has lasted for this many seconds."""
-        for _ in range(int(seconds) + 1):
-            self.ros.change(beacons=beacons, **ros)
-            result = self.check.run(testing.world(clock=self.clock, ros=self.ros))
-            self.clock.advance(1.0)
-        assert isinstance(result, api.Result)
-        return result
 
 
 UNSEEN = ((A, C), (B, C))

@@ -15,7 +15,7 @@ from phm.core.settings import Settings
 from phm.facts.ros import CONSENSUS
 from phm.probes.ros.supervisor import RosSupervisor
 from phm.reporters.consensus import ConsensusReporter
-from phm_checks import _quorum
+from phm_checks import _lost_publishers, _quorum
 from phm_checks.consensus import Consensus
 from tests.fakes.records import context
 from tests.fakes.ros_bench import Bench, Listener, seen, until
@@ -151,6 +151,27 @@ def test_the_verdict_topic_shows_a_node_that_the_majority_declares_dead(
     until(lambda: received("c", "dead") == expected, f"the verdict {expected}")
     reporter.close()
     until(lambda: listener.received["phm/agent_1/consensus: agent_1/a"][:2] == [3, "PHM has stopped"], "the end")
+
+
+def test_a_subscriber_that_does_not_receive_its_publisher_is_reported(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two real nodes that met, and one returns where the other does not receive it, while PHM receives both."""
+    monkeypatch.setattr(_lost_publishers, "LOST_S", 1.0)
+    flow = {"name": "/agent_1/flow", "publishers": ["/agent_1/c"], "subscribers": ["/agent_1/a"]}
+    nodes = [{"name": "/agent_1/a"}, {"name": "/agent_1/c"}]
+    (check,) = Consensus.build(testing.settings(ros={"nodes": nodes, "topics": [flow]}))
+    made = {name: bench.script(SCRIPT, name) for name in ("a", "c")}
+    world = testing.world(clock=SystemClock(), ros=bench.probe(nodes=nodes))
+    until(lambda: check.run(world).values.get("observers") == 3, "both", limit_s=120.0)
+    made["c"].kill()
+    bench.script(SCRIPT, "c", "--hello", "/elsewhere")
+    result = until(
+        lambda: (found := check.run(world)).condition == "publisher_not_received" and found,
+        "the loss",
+        limit_s=120.0,
+    )
+    assert result.level is api.Level.ERROR and result.brief == "a does not receive c"
 
 
 def test_a_node_without_a_beacon_is_observed_by_its_topic(bench: Bench) -> None:

@@ -116,7 +116,8 @@ class ConsensusSettings(Section):
     publish: bool = True
     """True: PHM publishes it on /phm/consensus, once a node has a beacon."""
     open_faults: bool = True
-    """True: a node that most nodes do not receive is ERROR `quorum_dead`, also while PHM itself receives it. False: WARN `partly_received`."""
+    """True: a node that most nodes do not receive is ERROR `quorum_dead`, also while PHM itself receives it, and a subscriber that has
+    lost its publisher is ERROR `publisher_not_received`. False: WARN `partly_received`."""
 
 
 class RosSettings(Section):

@@ -107,6 +107,7 @@ NOT_COVERED = {
     "data_range": "advised, not acted on; played with real publishers by tests/ros/test_data.py",
     "not_ready": "played with real nodes by tests/ros/test_readiness.py",
     "quorum_dead": "played with real beacons by tests/ros/test_beacon_consensus.py",
+    "publisher_not_received": "played with real beacons by tests/ros/test_beacon_consensus.py",
     "custom_failed": "a check that the user writes; played by tests/recovery/test_custom_recovery_real.py",
     "link_silent": LINKS,
     "radio_silent": LINKS,
