@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from phm.core.duplicate_filter import DuplicateFilter
 from phm.core.scheduling_delay import Late, never_late
 from phm.swarm.agent_count import RECENT_S, STEADY
+from phm.swarm.frame_sequences import FrameSequences
 from phm.swarm.group_loss import NEARLY, lost_together, most_significant_group, silent_peers
 from phm.swarm.heartbeat_stats import HeartbeatStats
 from phm.wire.tunnel import PeerState, PeerView
@@ -31,12 +32,8 @@ VIEW_LATE_PERIODS = 45.0
 """A view is too old to vote when its sender has sent none for this many periods. Views come when something changes, twice,
 and every 20 heartbeats; while its sender is alive and sends no other one, its view remains valid."""
 CLASHES, CLASH_PERIODS = 3, 30.0
-"""An id is used twice when the frames' sequence falls back this often within this many periods: a restart does it once."""
-REORDERED = 8
-"""Frames may be reordered by this many, or arrive by two links: a smaller step back counts only if the frame was not received
-before. Two agents that were switched on together, from copies of one card, are never further apart."""
+"""An id is used twice when so many frames within this many periods show a second sender."""
 REMEMBERED = 32
-MAX_LINKS = 16
 MAX_PEERS = 250
 
 
@@ -52,14 +49,14 @@ class Peer:
     """It sent POWEROFF: the silence that follows is planned."""
     view: PeerView | None = None
     view_s: float | None = None
-    falls: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
+    clashes: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
+    """When a frame showed a second sender with the same id."""
     stats: HeartbeatStats = field(init=False)
     lost_together: bool = False
     """It became silent together with others, and was not received since."""
     lost_alone: bool = False
     """It was received regularly, and is silent for longer than ever before."""
-    frames: dict[str, int] = field(default_factory=dict)
-    """Newest frame number by link."""
+    sequences: FrameSequences = field(default_factory=FrameSequences)
     recent_heartbeats: DuplicateFilter[tuple[str, int, int], bool] = field(
         default_factory=lambda: DuplicateFilter(REMEMBERED)
     )
@@ -70,17 +67,13 @@ class Peer:
         self.stats = HeartbeatStats(self.period_s)
 
     def count(self, frame: int, word: int, link: str, now: float) -> None:
-        """Detect a sequence that goes back: a restart, or two senders with one id."""
-        last, beat = self.frames.get(link), (link, frame, word)
-        known = self.recent_heartbeats.get(beat)
-        if last is not None:
-            back = (last - frame) % 256
-            if back <= 128 and not (known and back <= REORDERED):
-                self.falls.append(now)
+        """Detect two senders with one id."""
+        beat = (link, frame, word)
+        known = bool(self.recent_heartbeats.get(beat))
+        if self.sequences.add(frame, link, known=known):
+            self.clashes.append(now)
         if not known:
             self.recent_heartbeats.add(beat, True)
-        if link in self.frames or len(self.frames) < MAX_LINKS:
-            self.frames[link] = frame
 
     def state(self, now: float) -> PeerState:
         if self.received_s is None:
@@ -221,11 +214,11 @@ class Peers:
         return tuple(sorted(agent for agent, received_s in self._unlisted.items() if now - received_s <= RECENT_S))
 
     def duplicate_ids(self, now: float) -> tuple[int, ...]:
-        """Ids that two agents use: the sequence of their frames goes back repeatedly."""
+        """Ids that two agents use: their frames repeatedly return to an earlier sequence."""
         return tuple(
             agent
             for agent, peer in sorted(self._peers.items())
-            if len(peer.falls) == CLASHES and now - peer.falls[0] <= CLASH_PERIODS * peer.period_s
+            if len(peer.clashes) == CLASHES and now - peer.clashes[0] <= CLASH_PERIODS * peer.period_s
         )
 
     def _listened(self, now: float) -> list[tuple[int, float, HeartbeatStats]]:

@@ -14,8 +14,9 @@ from sitl.campaign.groups import Group, groups
 from sitl.campaign.progress import progress
 from sitl.campaign.report import as_markdown, between_marks, wrapped
 from sitl.campaign.schedule import NOTED
+from sitl.campaign.table import machine_cpu
 from sitl.campaign.targets import percent
-from sitl.campaign.trial import Trial, load
+from sitl.campaign.trial import NOMINAL, Trial, load
 from sitl.harness.compose_stack import ROOT
 
 PAGE = Path("docs/development/results.md")
@@ -108,7 +109,12 @@ def _paragraph(group: Group) -> str:
 
 
 def _named(group: Group) -> str:
-    words = [f"{group.profile} configuration" if group.profile else "", f"{group.load} machine" if group.load else ""]
+    used = machine_cpu(group.all, NOMINAL)
+    words = [
+        f"{group.profile} configuration" if group.profile else "",
+        {"quiet": "no other load"}.get(group.load, f"load: {group.load}") if group.load else "",
+        f"{used:.0f} % of the machine's CPU in use with nothing injected" if used is not None else "",
+    ]
     return ", ".join(word for word in words if word) or "one configuration"
 
 

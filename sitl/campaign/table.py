@@ -173,7 +173,7 @@ def beyond(groups: Sequence[Group]) -> Rows:
     """Figures without a target."""
 
     def in_use(found: Figures) -> str:
-        return " / ".join(number(_machine_cpu(found, kind), "{:.0f} %") for kind in (NOMINAL, TRIAL))
+        return " / ".join(number(machine_cpu(found, kind), "{:.0f} %") for kind in (NOMINAL, TRIAL))
 
     wanted: list[tuple[str, Shown]] = [
         ("Recovery by action, mean / p50 / p95 / max", lambda f: spread(f.recovery, f.injected)),
@@ -195,7 +195,7 @@ def _rows(wanted: Sequence[tuple[str, Shown]], groups: Sequence[Group]) -> Rows:
     return [(name, *(shown(group.all) for group in groups)) for name, shown in wanted]
 
 
-def _machine_cpu(found: Figures, kind: str) -> float | None:
+def machine_cpu(found: Figures, kind: str) -> float | None:
     """Mean over the runs of this kind, in percent of all cores."""
     return stats(each.trial.machine_cpu for each in found.judged if each.trial.kind == kind).mean
 

@@ -244,6 +244,17 @@ def test_a_duplicate_id_is_detected_and_a_restart_is_not() -> None:
     assert peers.duplicate_ids(24.0 + 61 * PERIOD_S) == ()
 
 
+@pytest.mark.parametrize("lived", [20, 70, 130, 200])
+def test_restarts_are_not_a_duplicate_id(lived: int) -> None:
+    """Three within a minute, each soon after the one before: a crash loop, or a power loss after a restart."""
+    peers = Peers(1, PERIOD_S)
+    for turn in range(40):
+        peers.heartbeat(
+            2, HEALTHY | (turn % 2) << 16, 1.5 * turn, frame=(lived + turn if turn < 10 else 3 * (turn % 10)) % 256
+        )
+        assert peers.duplicate_ids(1.5 * turn) == ()
+
+
 @pytest.mark.parametrize("behind", [0, 1, 5, 8])
 def test_duplicates_that_were_started_together_are_detected(behind: int) -> None:
     """Their sequence numbers are always close, and their status words equal except in one of them."""
