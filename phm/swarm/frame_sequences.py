@@ -11,30 +11,32 @@ REORDERED = 8
 before. Two agents that were switched on together, from copies of one card, are never further apart."""
 CONTINUES = 32
 """A frame continues a sequence if its number is at most this much higher: a sender sends fewer others between two heartbeats."""
-SEQUENCES = 3
-"""How many sequences are remembered for each link: those of two senders, and one that a restart has begun."""
+ABANDONED = 4
+"""A sequence that none of so many later frames on its link continues is over: a restart has begun another one."""
 MAX_LINKS = 16
 
 
 class FrameSequences:
-    """The newest number of each sequence, by link, the sequence of the last frame first."""
+    """By link: the newest number of each sequence, and how many frames of others came since; that of the last frame first."""
 
     def __init__(self) -> None:
-        self._newest: dict[str, list[int]] = {}
+        self._newest: dict[str, list[tuple[int, int]]] = {}
 
     def add(self, frame: int, link: str, *, known: bool) -> bool:
         """Take the number of a frame; whether it shows a second sender. known: the same frame was received before."""
         newest = self._newest.get(link)
         if newest is None:
             if len(self._newest) < MAX_LINKS:
-                self._newest[link] = [frame]
+                self._newest[link] = [(frame, 0)]
             return False
-        if (newest[0] - frame) % 256 <= REORDERED:
-            newest[0] = frame
+        if (newest[0][0] - frame) % 256 <= REORDERED:
+            newest[0] = (frame, 0)
             return not known
-        place = next((place for place, last in enumerate(newest) if (frame - last) % 256 <= CONTINUES), None)
-        if place is not None:
-            del newest[place]
-        newest.insert(0, frame)
-        del newest[SEQUENCES:]
-        return bool(place)
+        steps = [(frame - last) % 256 for last, _ in newest]
+        continued = min(range(len(steps)), key=steps.__getitem__)
+        returns = continued > 0 and steps[continued] <= CONTINUES
+        if steps[continued] <= CONTINUES:
+            del newest[continued]
+        others = [(last, age + 1) for last, age in newest if age < ABANDONED]
+        self._newest[link] = [(frame, 0), *others]
+        return returns

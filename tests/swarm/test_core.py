@@ -255,6 +255,16 @@ def test_restarts_are_not_a_duplicate_id(lived: int) -> None:
         assert peers.duplicate_ids(1.5 * turn) == ()
 
 
+@pytest.mark.parametrize("apart", [9, 20, 32, 33, 100, 200, 247])
+def test_duplicates_are_detected_however_far_apart_they_count(apart: int) -> None:
+    """One was started after the other."""
+    peers = Peers(1, PERIOD_S)
+    for turn in range(8):
+        peers.heartbeat(2, HEALTHY, 2.0 * turn, frame=(apart + 2 * turn) % 256)
+        peers.heartbeat(2, HEALTHY, 2.0 * turn + 1.0, frame=2 * turn)
+    assert peers.duplicate_ids(16.0) == (2,)
+
+
 @pytest.mark.parametrize("behind", [0, 1, 5, 8])
 def test_duplicates_that_were_started_together_are_detected(behind: int) -> None:
     """Their sequence numbers are always close, and their status words equal except in one of them."""
