@@ -377,19 +377,12 @@ def test_a_restarted_node_is_another_case() -> None:
 
 def test_a_node_never_received_in_this_run_of_its_container_is_not_restarted() -> None:
     """The unit was OK for long before: of two containers, one was started again, and its node is not received since."""
-    containers = [{"name": "one"}, {"name": "two"}]
     nodes = [{"name": A, "container": "one"}, {"name": B, "container": "one"}, {"name": C, "container": "two"}]
-    check = Consensus(testing.settings(containers=containers, ros={"nodes": nodes}))
-    clock, ros = testing.FakeClock(), testing.FakeRos(nodes=dict.fromkeys((A, B, C), 1))
+    quorum = Quorum(containers=("one", "two"), nodes=nodes)
 
     def after(seconds: int, beacons: Mapping[str, api.BeaconFact], run: str) -> api.Result:
         docker = testing.FakeDocker(testing.container("one"), testing.container("two", started_at=run))
-        for _ in range(seconds + 1):
-            ros.change(beacons=beacons)
-            result = check.run(testing.world(clock=clock, ros=ros, docker=docker))
-            clock.advance(1.0)
-        assert isinstance(result, api.Result)
-        return result
+        return quorum.after(seconds, beacons, docker)
 
     healthy, unseen = matrix(A, B, C), matrix(A, B, C, not_received=UNSEEN)
     after(40, healthy, "first")

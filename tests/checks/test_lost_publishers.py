@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import pytest
 
 from phm import api, testing
-from phm_checks.consensus import Consensus
 from tests.fakes.consensus_bench import A, B, C, Quorum, beacon, matrix
 
 FLOW = [{"name": "/agent_1/flow", "publishers": [A], "subscribers": [B, C]}]
@@ -60,22 +59,11 @@ def test_a_lost_publisher_can_be_switched_off() -> None:
 
 def test_a_publisher_never_received_in_this_run_of_the_container_is_not_restarted() -> None:
     """A restart restores only what the run of the subscriber's container had."""
-    containers = [{"name": "one"}, {"name": "two"}]
     nodes = [{"name": A, "container": "one"}, {"name": B, "container": "two"}, {"name": C, "container": "two"}]
-    check = Consensus(testing.settings(containers=containers, ros={"nodes": nodes, "topics": FLOW}))
-    clock, ros = testing.FakeClock(), testing.FakeRos(nodes=dict.fromkeys((A, B, C), 1))
+    quorum = Quorum(containers=("one", "two"), nodes=nodes, topics=FLOW)
     docker = testing.FakeDocker(testing.container("one"), testing.container("two"))
-
-    def after(seconds: int, beacons: Mapping[str, api.BeaconFact]) -> api.Result:
-        for _ in range(seconds + 1):
-            ros.change(beacons=beacons)
-            result = check.run(testing.world(clock=clock, ros=ros, docker=docker))
-            clock.advance(1.0)
-        assert isinstance(result, api.Result)
-        return result
-
     cut = matrix(A, B, C, not_received=((B, A),))
-    result = after(30, cut)
+    result = quorum.after(30, cut, docker)
     assert (result.condition, result.target, result.evidence.never_ok) == ("publisher_not_received", "two", True)
-    after(20, matrix(A, B, C))
-    assert after(12, cut).evidence.never_ok is False
+    quorum.after(20, matrix(A, B, C), docker)
+    assert quorum.after(12, cut, docker).evidence.never_ok is False

@@ -41,19 +41,27 @@ def both(*pairs: tuple[str, str]) -> tuple[tuple[str, str], ...]:
 class Quorum:
     """The check over time, every second."""
 
-    def __init__(self, *names: str, **ros: Any) -> None:
+    def __init__(self, *names: str, containers: tuple[str, ...] = ("ros_app",), **ros: Any) -> None:
         self.check = Consensus(
             testing.settings(
-                containers=[{"name": "ros_app"}], ros={"nodes": [{"name": name} for name in names or (A, B, C)], **ros}
+                containers=[{"name": name} for name in containers],
+                ros={"nodes": [{"name": name} for name in names or (A, B, C)], **ros},
             )
         )
         self.clock, self.ros = testing.FakeClock(), testing.FakeRos(nodes=dict.fromkeys(ALL, 1))
 
-    def after(self, seconds: float, beacons: Mapping[str, api.BeaconFact], **ros: Any) -> api.Result:
+    def after(
+        self,
+        seconds: float,
+        beacons: Mapping[str, api.BeaconFact],
+        docker: testing.FakeDocker | None = None,
+        **ros: Any,
+    ) -> api.Result:
         """The result after this state has lasted for this many seconds."""
+        more = {} if docker is None else {"docker": docker}
         for _ in range(int(seconds) + 1):
             self.ros.change(beacons=beacons, **ros)
-            result = self.check.run(testing.world(clock=self.clock, ros=self.ros))
+            result = self.check.run(testing.world(clock=self.clock, ros=self.ros, **more))
             self.clock.advance(1.0)
         assert isinstance(result, api.Result)
         return result
