@@ -4,6 +4,10 @@ The kernel has no wall clock for each container: a time namespace has its own mo
 through the vDSO, code that the kernel maps into each process. Here the functions of that code are replaced in the memory of the given
 processes by ones that ask the kernel and add an offset; other processes, the kernel, its file stamps and all other clocks are
 unchanged. A program that such a process starts has the clock of the machine again.
+
+The new functions are written behind the code, where the kernel left room, and the old ones begin with a jump to them. So a thread in
+the middle of an old function finds its end unchanged: a machine may take a CPU away from a thread there, for longer than the look at
+all threads and the change take together.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ PROC = Path("/proc")
 LIMIT_S = 5.0
 GETTIME, GETTIMEOFDAY = "__vdso_clock_gettime", "__vdso_gettimeofday"
 _VDSO = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) .*\[vdso\]$", re.MULTILINE)
+_ROOM = 64  # bytes for a new function
 _LOAD, _DYNAMIC, _STRTAB, _SYMTAB = 1, 2, 5, 6
 
 
@@ -39,24 +44,34 @@ def shift(pid: int, offset_s: int, proc: Path = PROC) -> None:
     own = _own_code()
     if end - start != len(own.image):
         raise LookupError(f"process {pid} has another vDSO than this one: is it a 32-bit program?")
-    new = {GETTIME: _gettime(offset_s), GETTIMEOFDAY: _gettimeofday(offset_s)}
-    codes = {
-        start + at: code if offset_s else own.image[at : at + len(code)]
-        for name, code in new.items()
-        for at in (own.functions[name],)
-    }
+    changes = _changes(own, offset_s)
     with (proc / str(pid) / "mem").open("r+b", buffering=0) as memory:
-        for at, code in codes.items():
+        for at, code in changes:
             # First what is there already: the kernel then gives the process a separate page, which takes longer than the change.
-            memory.seek(at)
+            memory.seek(start + at)
             present = memory.read(len(code))
-            memory.seek(at)
+            memory.seek(start + at)
             memory.write(present)
         with _first():
             _wait_asleep(pid, proc)
-            for at, code in codes.items():
-                memory.seek(at)
+            for at, code in changes:
+                memory.seek(start + at)
                 memory.write(code)
+
+
+def _changes(own: _Code, offset_s: int) -> list[tuple[int, bytes]]:
+    """What is written where in the vDSO, in this order: the new functions before the jumps to them. 0: the old beginnings, no jumps."""
+    added, jumps = [], []
+    room = -(-len(own.image.rstrip(b"\0")) // _ROOM) * _ROOM
+    for number, (name, code) in enumerate({GETTIME: _gettime(offset_s), GETTIMEOFDAY: _gettimeofday(offset_s)}.items()):
+        at, to = own.functions[name], room + number * _ROOM
+        if to + _ROOM > len(own.image):
+            raise LookupError("the vDSO of this kernel has no room behind its code")
+        present = own.image[at : at + 8]
+        added.append((to, code))
+        # Eight aligned bytes at once, of which five change: no thread sees a part of them.
+        jumps.append((at, b"\xe9" + struct.pack("<i", to - at - 5) + present[5:] if offset_s else present))
+    return added + jumps if offset_s else jumps
 
 
 @contextlib.contextmanager
@@ -81,8 +96,8 @@ def _wait_asleep(pid: int, proc: Path) -> None:
 
 
 def _asleep(pid: int, proc: Path) -> bool:
-    """Whether all threads of the process wait in the kernel, so that none is inside of the code. Stopping it as a debugger does would be safer, and
-    is what PHM reports as a hung node."""
+    """Whether all threads of the process wait in the kernel, so that none is at the beginning of a function. Stopping it as a debugger does
+    would be safer, and is what PHM reports as a hung node."""
     states = set()
     for task in (proc / str(pid) / "task").iterdir():
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # this thread has just ended

@@ -74,6 +74,25 @@ def test_a_process_that_reads_the_clock_meanwhile_goes_on(reader: Reader) -> Non
     assert reader.process.poll() is None
 
 
+def test_only_the_beginnings_of_functions_change() -> None:
+    """A thread that was interrupted in the middle of one goes on with the code that it began. 0 undoes the change."""
+    own = _wall_clock._own_code()
+    begins = [own.functions[name] for name in (_wall_clock.GETTIME, _wall_clock.GETTIMEOFDAY)]
+    changed, size = bytearray(own.image), len(own.image.rstrip(b"\0"))
+
+    def change(offset_s: int) -> set[int]:
+        """Which bytes of the old code are now different."""
+        for at, code in _wall_clock._changes(own, offset_s):
+            changed[at : at + len(code)] = code
+        return {at for at in range(size) if changed[at] != own.image[at]}
+
+    for offset_s in (3600, -7200):
+        assert change(offset_s) <= {at + number for at in begins for number in range(5)} and change(offset_s) >= set(
+            begins
+        )
+    assert not change(0)
+
+
 def test_a_process_that_never_sleeps_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of its threads may be inside of the code at any moment."""
     monkeypatch.setattr(_wall_clock, "LIMIT_S", 0.1)
