@@ -131,6 +131,10 @@ class Figures:
         return [alarm for each in self.judged for alarm in each.beside]
 
     @property
+    def real(self) -> list[Alarm]:
+        return [alarm for each in self.judged for alarm in each.real]
+
+    @property
     def clearing(self) -> list[Alarm | RaisedWarning]:
         return [alarm for each in self.judged for alarm in each.clearing]
 

@@ -73,8 +73,7 @@ class Runner:
         self.on_end: Callable[[Trial], None] = lambda trial: None
         self._current: Trial | None = None
         self.agents = {agent.number: agent for agent in swarm.agents}
-        records = {number: agent.record for number, agent in self.agents.items()}
-        self.watch = SwarmWatcher(records, GroundListener(swarm.ground_url), busy=busy is not None)
+        self.watch = SwarmWatcher(self.agents, GroundListener(swarm.ground_url), busy=busy is not None)
         self.meter = CostMeter(self.agents)
         self.injector = Injector(
             faults, self.agents, profile, lambda agent, unit: self.watch.levels[agent].bad(unit), note
@@ -85,8 +84,7 @@ class Runner:
         """Listen, and wait until all agents are OK and received by the ground. Leftovers of a killed campaign are
         undone.
         """
-        self.watch.ground.start()
-        self.watch.machine.start()
+        self.watch.start()
         self._keep_busy()
         left = [
             agent
@@ -113,8 +111,7 @@ class Runner:
 
     def stop(self) -> None:
         self.injector.stop()
-        self.watch.ground.stop()
-        self.watch.machine.stop()
+        self.watch.stop()
         if self.busy is not None:
             self.busy.stop()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 
+from sitl.campaign import application_alarms
 from sitl.campaign.disturbance import disturbed
 from sitl.campaign.host_load import confirmed
 from sitl.campaign.times import measure
@@ -22,6 +23,7 @@ def judge(trial: Trial) -> ScoredTrial:
         verdict.cause = _cause(verdict.injection, verdicts)
     false: list[Alarm] = []
     beside: list[Alarm] = []
+    real: list[Alarm] = []
     clearing: list[Alarm | RaisedWarning] = []
     for alarm in sorted(trial.alarms, key=lambda each: each.mono):
         owner = _owner(alarm, verdicts)
@@ -29,6 +31,8 @@ def judge(trial: Trial) -> ScoredTrial:
             (owner.alarms if alarm.mono <= until(owner.injection) else clearing).append(alarm)
         elif alarm.unit.startswith(BESIDE) and confirmed(alarm, trial.machine):
             beside.append(alarm)
+        elif application_alarms.confirmed(alarm, trial.broken):
+            real.append(alarm)
         else:
             false.append(alarm)
     for verdict in sorted(verdicts, key=lambda each: each.cause is not None):
@@ -39,7 +43,7 @@ def judge(trial: Trial) -> ScoredTrial:
         verdict.wrong = _wrong(verdict, named, {condition for each in warned for condition in each.conditions})
         measure(verdict, trial, sorted([*named, *warned], key=lambda each: each.mono))
         verdict.disturbed = disturbed(verdict, trial)
-    return ScoredTrial(trial, verdicts, false, beside, clearing)
+    return ScoredTrial(trial, verdicts, false, beside, real, clearing)
 
 
 def _cause(fault: Injection, verdicts: Sequence[Verdict]) -> Verdict | None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from sitl.campaign.application_watcher import ApplicationWatcher
 from sitl.campaign.event_collector import Levels, note
 from sitl.campaign.machine_load import MachineMeter
 from sitl.campaign.trial import Line, Trial
 from sitl.harness.log_follower import Record
 from sitl.simulation.ground import Ground
+from sitl.swarm.swarm import SwarmAgent
 
 PHM_COMPONENT = 193
 LAST = 3
@@ -64,21 +65,32 @@ class GroundListener:
 
 
 class SwarmWatcher:
-    """All agents' records and levels, and the ground listener. Call `update` often. busy: as `Levels`."""
+    """All agents' records and levels, the ground listener, the machine's load and the applications, between `start` and `stop`. Call
+    `update` often. busy: as `Levels`."""
 
-    def __init__(self, records: Mapping[int, Path], ground: GroundListener, *, busy: bool = False) -> None:
+    def __init__(self, agents: Mapping[int, SwarmAgent], ground: GroundListener, *, busy: bool = False) -> None:
         self.ground = ground
-        self._records = {agent: Record(path) for agent, path in records.items()}
-        self.levels = {agent: Levels(busy=busy) for agent in records}
-        self.usual: dict[int, dict[str, str]] = {agent: {} for agent in records}
+        self._records = {number: Record(agent.record) for number, agent in agents.items()}
+        self.levels = {number: Levels(busy=busy) for number in agents}
+        self.usual: dict[int, dict[str, str]] = {number: {} for number in agents}
         self._trial: Trial | None = None
         self.machine = MachineMeter()
+        self.applications = ApplicationWatcher(agents)
+
+    def start(self) -> None:
+        for part in (self.ground, self.machine, self.applications):
+            part.start()
+
+    def stop(self) -> None:
+        for part in (self.ground, self.machine, self.applications):
+            part.stop()
 
     def begin(self, trial: Trial) -> None:
         """From now on everything is recorded in this trial."""
         self.update()
         self.ground.begin()
         self.machine.begin()
+        self.applications.begin()
         self._trial = trial
 
     def end(self) -> None:
@@ -87,6 +99,7 @@ class SwarmWatcher:
         if self._trial is not None:
             self._trial.ended = time.monotonic()
             self._trial.machine = self.machine.samples()
+            self._trial.broken = self.applications.broken()
             self.ground.fill(self._trial)
         self._trial = None
 

@@ -159,6 +159,17 @@ class Load:
 
 
 @dataclass
+class Broken:
+    """The application of an agent was observed not to work, whatever was injected: from the first such observation to the next one
+    that it works, or to the last one of the trial.
+    """
+
+    agent: int
+    began: float
+    ended: float
+
+
+@dataclass
 class Line:
     """A STATUSTEXT that the ground received."""
 
@@ -210,6 +221,8 @@ class Trial:
     """When all agents were OK again; None: not within the limit."""
     summaries: list[Summary] = field(default_factory=list)
     machine: list[Load] = field(default_factory=list)
+    broken: list[Broken] = field(default_factory=list)
+    """Of all agents; empty, too, in records of before this was observed."""
     changed: list[str] = field(default_factory=list)
     """With recovery off: what changed nevertheless."""
     differences: list[dict[str, Any]] = field(default_factory=list)
@@ -255,6 +268,7 @@ _PARTS = {
     "cost": Cost,
     "summaries": Summary,
     "machine": Load,
+    "broken": Broken,
 }
 
 
@@ -268,6 +282,7 @@ def from_json(line: str | bytes) -> Trial:
     data = json.loads(line)
     if not isinstance(data, dict) or data.get("v") != VERSION:
         raise ValueError(f"not a trial of version {VERSION}")
+    data.setdefault("broken", [])
     try:
         for key, part in _PARTS.items():
             data[key] = [_made(part, each) for each in data[key]]

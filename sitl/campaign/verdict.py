@@ -191,15 +191,16 @@ class Verdict:
 
 @dataclass
 class ScoredTrial:
-    """A trial: its faults, the alarms that belong to none of them, those about the shared machine that its measured
-    load confirms, and those that clearing has caused, warnings at the unit of the fault included: a fault that was not
-    recovered is mostly cleared by a restart.
+    """A trial: its faults and the alarms that belong to none of them: false ones; `beside`, about the shared machine, that its
+    measured load confirms; `real`, about an application that was observed not to work without a fault; and those that
+    clearing has caused, warnings at the unit of the fault included: a fault that was not recovered is mostly cleared by a restart.
     """
 
     trial: Trial
     verdicts: list[Verdict]
     false: list[Alarm]
     beside: list[Alarm]
+    real: list[Alarm]
     clearing: list[Alarm | RaisedWarning]
 
 

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from docker.models.containers import Container
+
 from sitl.application.app import plans
 from sitl.application.graph import NodePlan
 from sitl.application.reading import RATE_HZ, TOPIC
@@ -25,9 +27,14 @@ STAMP_S = 1.0
 
 def works(agent: Agent, proc: Path = PROC) -> bool:
     """Whether all nodes of the application run, and each receives its topics at their rates. Needs root."""
-    expected = _plans(agent)
+    return container_works(agent.app, proc)
+
+
+def container_works(app: Container, proc: Path = PROC) -> bool:
+    """The same of its container as the engine has described it; one that was started again since then does not work."""
+    expected = _plans(app)
     rates_hz = _rates_hz(expected)
-    records = _records(agent, proc)
+    records = _records(app, proc)
     return all(
         plan.name in records
         and all(_flows(records[plan.name], topic, rates_hz[topic]) for topic in plan.subscribe if topic in rates_hz)
@@ -37,7 +44,7 @@ def works(agent: Agent, proc: Path = PROC) -> bool:
 
 def data_is_good(agent: Agent, proc: Path = PROC) -> bool:
     """Whether the application works and the topic `reading` has new content, right stamps and no missing numbers."""
-    records = _records(agent, proc)
+    records = _records(agent.app, proc)
     received = [record for record in records.values() if _flows(record, TOPIC, RATE_HZ)]
     good = all(
         record[TOPIC]["same"] == 0 and record[TOPIC]["lost"] == 0 and record[TOPIC]["stamp_s"] < STAMP_S
@@ -48,18 +55,22 @@ def data_is_good(agent: Agent, proc: Path = PROC) -> bool:
 
 def seen(agent: Agent, proc: Path = PROC) -> tuple[object, ...]:
     """For a test that fails: what the nodes that run have received, and the end of what the application has printed."""
-    return _records(agent, proc), agent.app.logs(tail=30).decode(errors="replace")
+    return _records(agent.app, proc), agent.app.logs(tail=30).decode(errors="replace")
 
 
 def root(agent: Agent, proc: Path = PROC) -> Path | None:
     """The root folder of the running application container as this machine sees it; None: it does not run."""
-    state = agent.app.attrs["State"]
+    return _root(agent.app, proc)
+
+
+def _root(app: Container, proc: Path) -> Path | None:
+    state = app.attrs["State"]
     running = state["Running"] and not state["Paused"]
     return proc / str(state["Pid"]) / "root" if running else None
 
 
-def _plans(agent: Agent) -> list[NodePlan]:
-    command = list(agent.app.attrs["Config"]["Cmd"] or ())
+def _plans(app: Container) -> list[NodePlan]:
+    command = list(app.attrs["Config"]["Cmd"] or ())
     return plans(command[command.index("sitl.application.app") + 1 :])
 
 
@@ -71,10 +82,10 @@ def _rates_hz(expected: list[NodePlan]) -> dict[str, float]:
     return rates_hz
 
 
-def _records(agent: Agent, proc: Path) -> dict[str, Mapping[str, Any]]:
+def _records(app: Container, proc: Path) -> dict[str, Mapping[str, Any]]:
     """What each node that runs has received, by node and topic."""
     found: dict[str, Mapping[str, Any]] = {}
-    folder = root(agent, proc)
+    folder = _root(app, proc)
     if folder is None:
         return found
     now = time.monotonic()

@@ -56,6 +56,8 @@ def test_a_campaign_detects_and_recovers_one_fault_of_each_layer(name: str, tmp_
     # Of the machine, on which other tests run, nothing is expected.
     assert [each for each in judge(trials[0]).false if not each.unit.startswith(SHARED)] == [], short
     assert trials[1].changed == [], short
+    killed = next(fault for trial in trials[2:] for fault in trial.injections if fault.fault == "node_killed")
+    assert any(each.agent == killed.agent for trial in trials[2:] for each in trial.broken), "observed without PHM"
     for trial in trials[2:]:
         assert trial.healthy_after is not None, short
         # Additional alarms are not scored here: a machine on which other tests run may be too slow for its topics.

@@ -9,7 +9,7 @@ import pytest
 from sitl.campaign.attempts import attempts
 from sitl.campaign.scoring import judge
 from sitl.campaign.statustext import by_others, own
-from sitl.campaign.trial import OFF, Act, Load, RaisedWarning, Start, Summary, Trial
+from sitl.campaign.trial import OFF, Act, Broken, Load, RaisedWarning, Start, Summary, Trial
 from sitl.campaign.verdict import ACTION, DOCKER, INJECTOR, ITSELF, PHM, Verdict
 from tests.fakes.campaign_trials import NODE, T0, alarm, injection, line, started, trial, verified
 
@@ -92,6 +92,26 @@ def test_only_measured_host_load_confirms_an_alarm(unit: str, loads: list[float]
     assert (len(judged.beside), len(judged.false)) == ((1, 0) if confirmed else (0, 1))
     late = judge(trial(alarms=[alarm(0.4), alarm(19.0, unit, 5)], machine=samples))
     assert (late.beside, len(late.false)) == ([], 1), "the load was long over"
+
+
+@pytest.mark.parametrize(
+    ("unit", "agent", "began_s", "ended_s", "real"),
+    [
+        ("consensus", 5, -5.0, 2.0, True),
+        ("nodes/agent_5/node_1", 5, -5.0, 2.0, True),
+        ("consensus", 5, -3.0, 2.0, False),  # for too short a time
+        ("consensus", 5, -9.0, 0.9, False),  # over before the alarm
+        ("consensus", 4, -9.0, 2.0, False),  # another agent
+        ("network/ros_app", 5, -9.0, 2.0, False),  # not what was observed
+    ],
+)
+def test_an_application_that_was_observed_not_to_work_confirms_an_alarm(
+    unit: str, agent: int, began_s: float, ended_s: float, real: bool
+) -> None:
+    """An alarm about an agent without a fault is apart from the false ones if its application did not work for 5 s before it."""
+    broken = [Broken(agent, T0 + began_s, T0 + ended_s)]
+    judged = judge(trial(alarms=[alarm(0.4), alarm(1.0, unit, 5)], broken=broken))
+    assert (len(judged.real), len(judged.false)) == ((1, 0) if real else (0, 1))
 
 
 def test_an_injected_host_load_keeps_its_alarms() -> None:
