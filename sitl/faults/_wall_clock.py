@@ -69,7 +69,7 @@ def _changes(own: _Code, offset_s: int) -> list[tuple[int, bytes]]:
             raise LookupError("the vDSO of this kernel has no room behind its code")
         present = own.image[at : at + 8]
         added.append((to, code))
-        # Eight aligned bytes at once, of which five change: no thread sees a part of them.
+        # Eight aligned bytes together, of which five change: no thread sees a part of them.
         jumps.append((at, b"\xe9" + struct.pack("<i", to - at - 5) + present[5:] if offset_s else present))
     return added + jumps if offset_s else jumps
 

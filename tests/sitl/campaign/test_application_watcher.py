@@ -37,7 +37,7 @@ def test_a_trial_begins_with_what_may_matter_for_it() -> None:
 
 
 def test_an_application_that_cannot_be_observed_does_not_work() -> None:
-    """Without an engine nothing is known of it. The thread goes on, and ends when it is told to."""
+    """Without an engine nothing is known of it. The thread goes on, and ends at `stop`."""
 
     def connect() -> DockerClient:
         return DockerClient("tcp://127.0.0.1:1", version="1.41")
