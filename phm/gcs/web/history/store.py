@@ -102,6 +102,8 @@ class HistoryStore:
         """Whether someone looks at the newest samples."""
         self._urgent, self._write_at = False, 0.0
         self._queue: BoundedQueue[HistorySample | HistoryRow] = BoundedQueue(clock, MAX_WAITING)
+        self._left: list[HistorySample | HistoryRow] = []  # taken from the queue, not on disk yet
+        self._writing = False  # from before they are taken
         self._series: dict[tuple[str, str], int] = {}
         self._connection: sqlite3.Connection | None = None
         self._problem = self._aside = ""
@@ -123,7 +125,7 @@ class HistoryStore:
     @property
     def waiting(self) -> int:
         """Entries that are not on disk yet; there is room for `room`."""
-        return len(self._queue)
+        return len(self._queue) + len(self._left)
 
     room = MAX_WAITING - 1
 
@@ -136,7 +138,7 @@ class HistoryStore:
     def flush(self, limit_s: float) -> bool:
         """Wait until what was put is on disk."""
         end, self._urgent = time.monotonic() + limit_s, True
-        while len(self._queue) or self._connection is None:
+        while self._writing or len(self._queue) or self._connection is None:
             if time.monotonic() > end or self._stop.is_set():
                 return False
             self._clock.wait(self._stop, 0.02)
@@ -152,17 +154,18 @@ class HistoryStore:
     # ------------------------------------------------------------ the thread
 
     def _loop(self) -> None:
-        last, left = False, list[HistorySample | HistoryRow]()
+        last = False
         while not last:
             last = self._stop.is_set()
             try:
                 if self._connection is None and (last or self._clock.mono() >= self._retry_at):
                     self._open()
-                if self._connection is not None and (last or left or self._due()):
+                if self._connection is not None and (last or self._left or self._due()):
                     self._urgent, self._write_at = False, self._clock.mono() + self._idle_s
-                    left = left or list(self._queue.take(0.0))
-                    self._write(self._connection, left)
-                    left, self._problem = [], ""
+                    self._writing = True
+                    self._left = self._left or list(self._queue.take(0.0))
+                    self._write(self._connection, self._left)
+                    self._left, self._writing, self._problem = [], False, ""
                     self._prune(self._connection)
             except _NotOurs:
                 self._fail(f"{self.path} is a database of another program and was not changed: name another file")

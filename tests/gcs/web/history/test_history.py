@@ -7,6 +7,7 @@ import math
 import sqlite3
 import threading
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -325,6 +326,26 @@ def test_a_folder_that_cannot_be_written_does_not_stop_the_page(tmp_path: Path) 
         until(lambda: live.agent("A07"), "the agent")
         until(lambda: "cannot be written" in live.state["ground"]["history"]["problem"], "the note")
         assert "error" in here.client().get("/api/history/events", 503)
+
+
+def test_what_is_being_written_is_not_on_disk_yet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`flush` and `waiting` count it, although it is not in the queue any more."""
+    begun, written, write = threading.Event(), threading.Event(), HistoryStore._write
+
+    def slowly(store: HistoryStore, connection: sqlite3.Connection, rows: Iterable[HistorySample | HistoryRow]) -> None:
+        begun.set()
+        written.wait()
+        write(store, connection, rows)
+
+    monkeypatch.setattr(HistoryStore, "_write", slowly)
+    store = HistoryStore(tmp_path / "history.db", SystemClock())
+    store.put(HistoryRow(EVENT, (1.0, "A07", 0, "text", "line", "{}")))
+    store.start()
+    assert begun.wait(120)
+    assert (store.flush(0.1), store.waiting) == (False, 1)
+    written.set()
+    assert (store.flush(120), store.waiting) == (True, 0)
+    store.close()
 
 
 def test_the_file_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
