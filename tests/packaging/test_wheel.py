@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import configparser
+import hashlib
+import importlib.util
 import json
 import os
 import shutil
@@ -15,57 +17,80 @@ from pathlib import Path
 import pytest
 
 from tests.cli import test_demo
+from tests.fakes import runtime_wheels
 from tests.fakes.engine import FakeEngine, container
 
 ROOT = Path(__file__).resolve().parents[2]
 PLUGIN = Path(__file__).resolve().parent / "plugin"
-LOCKS = ROOT / "scripts" / "locks"
 LIMIT_S = 300.0
+VALIDATE_EACH = """
+import sys
+from phm.cli import main
+for file in sys.argv[1:]:
+    try:
+        main(["validate", file])
+    except SystemExit as end:
+        assert not end.code, file
+"""
+"""`phm validate` of each file in one process: to start takes more CPU time than to validate."""
 pytestmark = pytest.mark.packaging
 
 
-def own_environment() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+def own_environment(**more: str) -> dict[str, str]:
+    """Without the Python settings of this process; the first command leaves bytecode for those after it."""
+    left_out = ("PYTHONPATH", "VIRTUAL_ENV", "PYTHONDONTWRITEBYTECODE")
+    return {**{name: value for name, value in os.environ.items() if name not in left_out}, **more}
 
 
-def run(*words: str | Path, cwd: Path) -> str:
-    """The standard output of a command that must succeed, without the Python settings of this process."""
+def run(*words: str | Path, cwd: Path, code: int = 0, **environment: str) -> str:
+    """The standard output of a command that ends with `code`, in `own_environment`."""
     done = subprocess.run(
         [str(word) for word in words],
         cwd=cwd,
-        env=own_environment(),
+        env=own_environment(**environment),
         capture_output=True,
         text=True,
         timeout=LIMIT_S,
         check=False,
     )
-    assert done.returncode == 0, f"{words} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}"
+    assert done.returncode == code, f"{words} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
 
 def build(source: Path, target: Path) -> Path:
-    """A wheel of `source`, built from a copy with the setuptools of this environment."""
+    """A wheel of `source`, built from a copy with the setuptools of this environment.
+
+    By a call of what pip calls, too: the files are the same to the byte, for half of the CPU time. The images are built by `pip wheel`.
+    """
     copy = target / "source"
     ignored = shutil.ignore_patterns(
         ".git", ".venv*", ".cache", "build", "dist", "*.egg-info", "__pycache__", ".*_cache", "sitl"
     )
     shutil.copytree(source, copy, ignore=ignored)
-    run(
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "--quiet",
-        "--no-index",
-        "--no-deps",
-        "--no-build-isolation",
-        "--wheel-dir",
-        target,
-        copy,
-        cwd=target,
-    )
+    code = "import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])"
+    run(sys.executable, "-c", code, target, cwd=copy)
     (wheel,) = target.glob("*.whl")
     return wheel
+
+
+class Clean:
+    """A new environment without pip, and the pip of this environment working in it: an own one takes 5 s of CPU."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.bin, self._tools = folder, folder / "bin", folder / "tools"
+        run(sys.executable, "-m", "venv", "--without-pip", folder, cwd=folder)
+        found = importlib.util.find_spec("pip")
+        assert found is not None
+        assert found.origin is not None
+        self._tools.mkdir()  # with pip alone, so that nothing else of this environment can be imported
+        (self._tools / "pip").symlink_to(Path(found.origin).parent)
+
+    def pip(self, *words: str | Path) -> str:
+        return run(self.bin / "python", "-m", "pip", *words, cwd=self.folder, PYTHONPATH=str(self._tools))
+
+    def install(self, *words: str | Path) -> None:
+        """Install without network; bytecode is made of what is imported alone, which is a small part of pymavlink and lxml."""
+        self.pip("install", "--quiet", "--no-compile", "--no-index", *words)
 
 
 @pytest.fixture(scope="module")
@@ -74,15 +99,22 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Iterator[Path]:
-    """The bin directory of a new environment with only the locked runtime packages and the wheel."""
-    folder = tmp_path_factory.mktemp("clean")
-    run(sys.executable, "-m", "venv", folder, cwd=folder)
-    pip = (folder / "bin" / "python", "-m", "pip", "install", "--quiet")
-    run(*pip, "--require-hashes", "--requirement", LOCKS / "runtime.lock", cwd=folder)
-    run(*pip, "--no-index", "--no-deps", wheel, cwd=folder)
-    yield folder / "bin"
-    shutil.rmtree(folder)
+def environment(tmp_path_factory: pytest.TempPathFactory, wheel: Path) -> Iterator[Clean]:
+    """A new environment with only the locked runtime packages and the wheel, for which the lock must be enough."""
+    made = Clean(tmp_path_factory.mktemp("clean"))
+    digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    ours = made.folder / "wheel.txt"  # pip wants a hash of each package if it wants one of any
+    ours.write_text(f"{wheel.as_uri()} --hash=sha256:{digest}\n")
+    wanted = ("--requirement", runtime_wheels.LOCK, "--requirement", ours)
+    made.install("--find-links", runtime_wheels.folder(), "--require-hashes", *wanted)
+    yield made
+    shutil.rmtree(made.folder)
+
+
+@pytest.fixture(scope="module")
+def clean(environment: Clean) -> Path:
+    """Its bin directory."""
+    return environment.bin
 
 
 def test_the_wheel_has_only_the_two_packages(wheel: Path) -> None:
@@ -106,11 +138,11 @@ def test_the_wheel_brings_one_command(wheel: Path) -> None:
     assert "gui_scripts" not in points
 
 
-def test_the_command_runs_from_the_wheel_alone(clean: Path) -> None:
+def test_the_command_runs_from_the_wheel_alone(environment: Clean, clean: Path) -> None:
     """In an environment with the locked packages only, `phm --help` names the verbs and pip finds nothing missing."""
     text = run(clean / "phm", "--help", cwd=clean)
     assert {"run", "once", "validate", "checks", "status"} <= set(text.split())
-    run(clean / "python", "-m", "pip", "check", cwd=clean)
+    environment.pip("check")
 
 
 def test_a_folder_is_made_from_the_wheel_alone(clean: Path, tmp_path: Path) -> None:
@@ -131,11 +163,12 @@ def test_schema_and_examples_are_in_the_wheel(clean: Path, tmp_path: Path) -> No
     examples = {f"examples/{path.name}" for path in (ROOT / "config" / "examples").glob("*.yaml")}
     assert found == {name: (ROOT / "config" / name).read_text("utf-8") for name in fixed | examples}
     assert run(clean / "phm", "validate", "--schema", cwd=tmp_path) == found["phm.schema.json"]
-    for name in ("phm.yaml", *examples):
-        assert ": valid, agent " in run(clean / "phm", "validate", folder / name, cwd=tmp_path)
+    files = [str(folder / name) for name in ("phm.yaml", *examples)]
+    assert run(clean / "python", "-c", VALIDATE_EACH, *files, cwd=tmp_path).count(": valid, agent ") == len(files)
 
 
 @pytest.mark.long
+@pytest.mark.xdist_group("packaging/test_wheel.py")  # else a second worker would make wheel and environment again
 def test_the_demo_runs_from_the_wheel_alone(clean: Path, tmp_path: Path) -> None:
     """`phm demo --for` shows its three agents in a clean environment."""
     demo = [str(clean / "phm"), "demo", *test_demo.options(test_demo.free_base(), test_demo.LIMIT_S)]
@@ -164,22 +197,11 @@ def test_without_rclpy_everything_still_loads(clean: Path) -> None:
     assert [entry for entry in entries if entry.get("problem")] == []
 
 
-def test_a_third_party_check_is_found_beside_ours(clean: Path, tmp_path: Path) -> None:
+def test_a_third_party_check_is_found_beside_ours(environment: Clean, tmp_path: Path) -> None:
     """An installed package with an entry point is found, and one that cannot be loaded has a reason."""
-    plugin = build(PLUGIN, tmp_path)
-    pip = (clean / "python", "-m", "pip")
-    run(*pip, "install", "--quiet", "--no-index", "--no-deps", plugin, cwd=tmp_path)
-    try:
-        output = subprocess.run(
-            [clean / "phm", "checks", "--json"],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        ).stdout
-    finally:
-        run(*pip, "uninstall", "--quiet", "--yes", "phm-battery", cwd=tmp_path)
+    target = tmp_path / "installed"  # as into an image; the environment stays as it is for the other tests
+    environment.install("--no-deps", "--target", target, build(PLUGIN, tmp_path))
+    output = run(environment.bin / "phm", "checks", "--json", cwd=tmp_path, code=1, PYTHONPATH=str(target))
     entries = {entry["name"]: entry for entry in json.loads(output)}
     assert "phm-battery 1.2.3" in json.dumps(entries["battery"])
     assert not entries["battery"].get("problem")
