@@ -66,7 +66,7 @@ Parts = tuple["str | None", ...]
 @cache
 def words() -> frozenset[str]:
     """Strings of the code that are one word: levels, conditions, actions, layers; and the sections of the configuration."""
-    found = (text.removesuffix(":").lower() for text in _texts() if WORD.fullmatch(text))
+    found = (text.removesuffix(":").lower() for text in texts() if WORD.fullmatch(text))
     return frozenset((*found, *Settings.model_fields))
 
 
@@ -74,50 +74,56 @@ def words() -> frozenset[str]:
 def messages() -> frozenset[Parts]:
     """All messages of the code that have a word, and those of the operating system for errors of a call."""
     errors = ((os.strerror(number),) for number in errno.errorcode)
-    return frozenset(filter(_says, (*errors, *(parts for tree in trees() for parts in _of(tree)))))
+    return frozenset(filter(_says, (*errors, *_code()[1])))
+
+
+def texts() -> frozenset[str]:
+    """All strings of PHM, also the literal parts of f-strings; without what only explains the code."""
+    return _code()[0]
 
 
 @cache
-def trees() -> tuple[ast.Module, ...]:
-    """The modules of PHM, without what only explains them."""
-    paths = [path for folder in ("phm", "checks", "sitl") for path in (ROOT / folder).rglob("*.py")]
-    return tuple(_without_docstrings(ast.parse(path.read_text("utf-8"))) for path in paths)
+def _code() -> tuple[frozenset[str], frozenset[Parts]]:
+    """Strings and messages of PHM's modules. No tree is kept: all of them are 700 000 objects, a load for each later garbage collection."""
+    found: tuple[set[str], set[Parts]] = (set(), set())
+    for folder in ("phm", "checks", "sitl"):
+        for path in (ROOT / folder).rglob("*.py"):
+            _take(ast.parse(path.read_text("utf-8")), *found)
+    return frozenset(found[0]), frozenset(found[1])
 
 
-def _without_docstrings(tree: ast.Module) -> ast.Module:
-    """Also without the sentences below constants: what explains the code is not printed by it."""
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            node.body = [line for line in body if not _explains(line)]  # type: ignore[attr-defined]
-    return tree
+def _take(tree: ast.AST, strings: set[str], found: set[Parts]) -> None:
+    """Add the strings and the messages in a tree; the literal parts of an f-string are no messages by themselves."""
+    waiting = [tree]
+    while waiting:
+        for node in ast.iter_child_nodes(waiting.pop()):
+            if isinstance(node, ast.JoinedStr | ast.Constant | ast.BinOp):
+                found.add(parts_of(node))
+            if isinstance(node, ast.JoinedStr):
+                strings.update(filter(None, map(_text, node.values)))
+                waiting += [part for part in node.values if isinstance(part, ast.FormattedValue)]
+            elif isinstance(node, ast.Constant):
+                strings.add(_text(node))
+            elif not _explains(node):
+                found.update(_joined(node))
+                waiting.append(node)
 
 
-def _explains(line: ast.stmt) -> bool:
-    return isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
+def _explains(node: ast.AST) -> bool:
+    """Whether it is a docstring, or a sentence below a constant: what explains the code is not printed by it."""
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
-def _texts() -> Iterator[str]:
-    for tree in trees():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                yield node.value
+def _text(node: ast.AST) -> str:
+    """Of a string of the code; empty for anything else."""
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
 
 
-def _of(tree: ast.AST) -> Iterator[Parts]:
-    """The messages in a tree; the literal parts of an f-string are no messages by themselves."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.JoinedStr | ast.Constant | ast.BinOp):
-            yield parts_of(node)
-        if isinstance(node, ast.Call) and (between := JOINED.get(_name(node))):
-            texts = zip(node.args, (*between, ""), strict=False)
-            yield _merged(part for text, blank in texts for part in (*parts_of(text), blank))
-        if isinstance(node, ast.JoinedStr):
-            inserted = [part for part in node.values if isinstance(part, ast.FormattedValue)]
-            for part in inserted:
-                yield from _of(part)
-        else:
-            yield from _of(node)
+def _joined(node: ast.AST) -> Iterator[Parts]:
+    """The message that a call of JOINED composes."""
+    if isinstance(node, ast.Call) and (between := JOINED.get(_name(node))):
+        given = zip(node.args, (*between, ""), strict=False)
+        yield _merged(part for text, blank in given for part in (*parts_of(text), blank))
 
 
 def _name(call: ast.Call) -> str:
@@ -200,6 +206,9 @@ class _Line:
 
     def __post_init__(self) -> None:
         self._cuts = [cut.start() for cut in re.finditer(re.escape(CUT), self.text)]
+        # (where the text before it ends, where it ends) of each cut that something is before, with and without the blank between.
+        before = {(end, cut + len(CUT)) for cut in self._cuts for end in (cut, len(self.text[:cut].rstrip())) if end}
+        self._broken_off = sorted(before)
         self._prefixes: dict[str, list[tuple[int, int, int]]] = {}
         # By place: the messages whose first literal part is there, that begin with it or with a value.
         self._beginning: dict[int, list[Parts]] = defaultdict(list)
@@ -240,13 +249,21 @@ class _Line:
         """(where it begins, where the cut ends) of each place where the line breaks off in a literal part."""
         if part not in self._prefixes:
             self._prefixes[part] = [
-                (end - size, cut + len(CUT), len(re.findall(r"\w", part[:size])))
-                for cut in self._cuts
-                for end in {cut, len(self.text[:cut].rstrip())}
-                for size in range(1, min(len(part), end) + 1)
-                if self.text.startswith(part[:size], end - size)
+                (before - size, end, len(re.findall(r"\w", part[:size])))
+                for before, end in self._broken_off
+                for size in self._sizes(part, before)
             ]
         return [(begin, end) for begin, end, letters in self._prefixes[part] if letters >= least]
+
+    def _sizes(self, part: str, before: int) -> Iterator[int]:
+        """The lengths of beginnings of a part which the text has before this place. Compared only where the last character is equal:
+        a comparison for each length took half of the time of these tests."""
+        last = self.text[before - 1]
+        size = part.find(last) + 1
+        while 0 < size <= before:
+            if self.text.startswith(part[:size], before - size):
+                yield size
+            size = part.find(last, size) + 1
 
     def _chain(self, start: int) -> Ends:
         """Where messages that begin here, one after the other, end."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from functools import cache
 from typing import get_args
@@ -14,7 +13,7 @@ from phm.core.model import Layer, Phase
 from phm.core.settings.recovery import ManualStopSettings
 from phm.recovery.base import Action
 from tests.docs.examples import ROOT, pages
-from tests.docs.messages import trees
+from tests.docs.messages import texts
 
 NAME = re.compile(r"`([a-z]+(?:_[a-z]+)*)`")
 COMPOSED = frozenset({"diagnostic_warn", "diagnostic_error"})
@@ -24,16 +23,7 @@ COMPOSED = frozenset({"diagnostic_warn", "diagnostic_error"})
 @cache
 def constants() -> frozenset[str]:
     """All strings of the code that are one word."""
-    return COMPOSED | frozenset(text for text in _strings() if re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", text))
-
-
-def _strings() -> set[str]:
-    return {
-        node.value
-        for tree in trees()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    }
+    return COMPOSED | frozenset(text for text in texts() if re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", text))
 
 
 def cells(header: str) -> list[tuple[str, str]]:

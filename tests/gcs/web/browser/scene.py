@@ -31,6 +31,7 @@ CHROMIUM = "/usr/bin/chromium"
 SWITCHES = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync",
+    "--renderer-process-limit=1",  # else two spare processes start with each tab
 )  # fmt: skip
 COMPLETE = "document.readyState === 'complete' && sessionStorage.getItem('phm-loads') === null"
 """No file of the page is missing (phm/gcs/web/static/js/boot.js)."""

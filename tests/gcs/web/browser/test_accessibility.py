@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -20,7 +19,7 @@ SHOWN = {
     "#/views": "#v-matrix .slot",
     "#/events": "#view-events .log",
 }
-Theme = Literal["dark", "light"]
+THEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
 
 
 @pytest.fixture(scope="module")
@@ -33,46 +32,50 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GroundProcess]
         yield made
 
 
-@pytest.fixture
-def locked(tmp_path: Path) -> Iterator[GroundProcess]:
+@pytest.fixture(scope="module")
+def locked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GroundProcess]:
     """Asks for a token."""
-    (tmp_path / "tokens").write_text(f"view: {'v' * 32}\noperate: {'o' * 32}\n")
-    (tmp_path / "tokens").chmod(0o600)
-    with ground(tmp_path, "--token-file", str(tmp_path / "tokens"), "--edit", "config/phm.yaml") as made:
+    folder = tmp_path_factory.mktemp("locked")
+    tokens = folder / "tokens"
+    tokens.write_text(f"view: {'v' * 32}\noperate: {'o' * 32}\n")
+    tokens.chmod(0o600)
+    with ground(folder, "--token-file", str(tokens), "--edit", "config/phm.yaml") as made:
         yield made
 
 
 def violations(page: Page) -> list[str]:
-    """Rule and place of each."""
-    found = Axe().run(page, options=RULES).response["violations"]
-    return [f"{one['id']}: {node['target']} {node['failureSummary'][:200]}" for one in found for node in one["nodes"]]
+    """Theme, rule and place of each, in light and in dark: the page follows the browser's setting without another tab."""
+    found: list[str] = []
+    for theme in THEMES:
+        page.emulate_media(color_scheme=theme, reduced_motion="reduce")
+        assert page.evaluate(f"matchMedia('(prefers-color-scheme: {theme})').matches")
+        for one in Axe().run(page, options=RULES).response["violations"]:
+            found += [f"{theme}: {one['id']}: {node['target']} {node['failureSummary'][:200]}" for node in one["nodes"]]
+    return found
 
 
 @pytest.mark.parametrize("place", list(SHOWN))
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_contrast_names_and_roles(browser: Browser, station: GroundProcess, theme: Theme, place: str) -> None:
+def test_contrast_names_and_roles(browser: Browser, station: GroundProcess, place: str) -> None:
     """Also at the width of a tablet."""
-    with tab(browser, station.url + place, color_scheme=theme, reduced_motion="reduce") as page:
+    with tab(browser, station.url + place, reduced_motion="reduce") as page:
         expect(page.locator(SHOWN[place]).first).to_be_visible()
         assert violations(page) == []
         page.set_viewport_size({"width": 820, "height": 1180})
         assert violations(page) == []
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_an_open_question(browser: Browser, station: GroundProcess, theme: Theme) -> None:
+def test_an_open_question(browser: Browser, station: GroundProcess) -> None:
     """Also the dialog that asks before a request is sent."""
-    with tab(browser, f"{station.url}#/agent/A07", color_scheme=theme, reduced_motion="reduce") as page:
+    with tab(browser, f"{station.url}#/agent/A07", reduced_motion="reduce") as page:
         page.get_by_role("button", name="approve restart ros_app (#17)").click()
         expect(page.get_by_role("dialog", name="A07: approve")).to_be_visible()
         assert violations(page) == []
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("place", ["", "checks"])
-def test_the_log_in(browser: Browser, locked: GroundProcess, theme: Theme, place: str) -> None:
+def test_the_log_in(browser: Browser, locked: GroundProcess, place: str) -> None:
     """Also with the refusal of a wrong token; of both pages."""
-    with tab(browser, locked.url + place, color_scheme=theme, reduced_motion="reduce") as page:
+    with tab(browser, locked.url + place, reduced_motion="reduce") as page:
         expect(page.locator("#token")).to_be_visible()
         assert violations(page) == []
         page.locator("#token").fill("x" * 32)

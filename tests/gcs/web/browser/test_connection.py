@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Route, expect
 
 from tests.fakes.until import until
-from tests.gcs.web.browser.scene import fleet, ground, tab
+from tests.gcs.web.browser.scene import GroundProcess, fleet, ground, tab
 
 pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GroundProcess]:
+    """Without agents, and not changed by a test."""
+    with ground(tmp_path_factory.mktemp("alone")) as made:
+        yield made
 
 
 def test_a_killed_server_is_shown_and_its_return_needs_no_hand(browser: Browser, tmp_path: Path) -> None:
@@ -33,7 +41,7 @@ def test_a_killed_server_is_shown_and_its_return_needs_no_hand(browser: Browser,
 
 
 @pytest.mark.parametrize("file", ["**/js/live.js", "**/js/main.js", "**/css/page.css"])
-def test_a_page_of_which_a_file_did_not_load_is_loaded_again(browser: Browser, tmp_path: Path, file: str) -> None:
+def test_a_page_of_which_a_file_did_not_load_is_loaded_again(browser: Browser, alone: GroundProcess, file: str) -> None:
     """A browser ends all requests when the network of its computer changes; without its modules the page could not say so."""
     failures = 2
 
@@ -45,9 +53,9 @@ def test_a_page_of_which_a_file_did_not_load_is_loaded_again(browser: Browser, t
         else:
             route.continue_()
 
-    with ground(tmp_path) as station, tab(browser, "about:blank") as page:
+    with tab(browser, "about:blank") as page:
         page.route(file, fail)
-        page.goto(station.url)
+        page.goto(alone.url)
         until(lambda: failures < 0, f"the third request of {file}", step=lambda: page.wait_for_timeout(50))
         expect(page.locator("#link")).to_contain_text("Live")
 
