@@ -76,7 +76,9 @@ class Consensus:
 def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
     """The state of the swarm. own_gcs: whether this agent receives a ground station."""
     seen = peers.states(now)
-    views: dict[int, PeerView] = {agent: view for agent, peer in peers.all().items() if (view := peer.votes(now))}
+    views = {
+        agent: view for agent, peer in peers.all().items() if seen[agent] in THERE and (view := peer.fresh_view(now))
+    }
     observers = tuple(sorted((peers.own, *views)))
     # Usually all observers receive the same agents: those need no counting, and 100 agents do not cost 10 000 comparisons.
     received = frozenset(agent for agent, how in seen.items() if how in THERE)

@@ -12,6 +12,7 @@ The line, at most 50 characters: how many of how many agents are OK, the worst l
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from functools import lru_cache
 
 from phm.core.model import Level, Slot
 from phm.swarm.consensus import Consensus, MemberState
@@ -37,6 +38,7 @@ _GRAVITY = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 _WORD = {Level.OK: "OK", Level.STALE: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL"}
 
 
+@lru_cache(maxsize=256)  # words change seldom, and the leader asks about each agent every moment
 def worst_slot(word: int, *, no_gcs: bool = False) -> tuple[Level, Slot | None]:
     """The worst level in a status word and the first slot that has it; STALE, None for an empty word.
 

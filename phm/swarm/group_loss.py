@@ -71,9 +71,9 @@ class SilentGroup:
         )
 
 
-def silent_peers(peers: Iterable[tuple[int, float, HeartbeatStats]], now: float) -> list[SilentPeer]:
-    """Agent, time of its last heartbeat, and its statistics, for each peer that is not lost."""
-    return [SilentPeer(agent, received, stats, stats.missed(now - received)) for agent, received, stats in peers]
+def silent_peer(agent: int, received_s: float, stats: HeartbeatStats, now: float) -> SilentPeer:
+    """A peer that is not lost, by the time of its last heartbeat and its statistics."""
+    return SilentPeer(agent, received_s, stats, stats.missed(now - received_s))
 
 
 def most_significant_group(peers: Sequence[SilentPeer]) -> SilentGroup | None:

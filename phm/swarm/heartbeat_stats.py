@@ -87,11 +87,12 @@ class HeartbeatStats:
 
     def missed(self, silent_s: float) -> int:
         """How many heartbeats are overdue by now."""
+        if silent_s < self.period_s:
+            return 0  # most are silent for less, and there may be hundreds
         return max(0, math.floor((silent_s - self.slack_s) / self.period_s))
 
-    def is_lost(self, silent_s: float) -> bool:
-        """Whether its silence alone proves that it is lost: only if it was received regularly."""
-        missed = self.missed(silent_s)
+    def is_lost(self, missed: int) -> bool:
+        """Whether so many missed heartbeats prove that it is lost: only if it was received regularly."""
         if missed < FEWEST_MISSED or self.weight(missed) < SURE:
             return False
         return missed >= MORE_THAN_EVER + max(self._runs, default=0)

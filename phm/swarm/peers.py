@@ -15,7 +15,7 @@ from phm.core.duplicate_filter import DuplicateFilter
 from phm.core.scheduling_delay import Late, never_late
 from phm.swarm.agent_count import RECENT_S, STEADY
 from phm.swarm.frame_sequences import FrameSequences
-from phm.swarm.group_loss import NEARLY, lost_together, most_significant_group, silent_peers
+from phm.swarm.group_loss import NEARLY, SilentPeer, lost_together, most_significant_group, silent_peer
 from phm.swarm.heartbeat_stats import HeartbeatStats
 from phm.wire.tunnel import PeerState, PeerView
 
@@ -93,11 +93,10 @@ class Peer:
             return age_s  # most are, and there may be hundreds
         return max(0.0, age_s - self.late_s(self.received_s, LOST_PERIODS * self.period_s))
 
-    def votes(self, now: float) -> PeerView | None:
-        """Its view, if it is alive and the view is new enough to count."""
-        if self.view is None or self.view_s is None or self.state(now) not in (PeerState.ALIVE, PeerState.LATE):
-            return None
-        return self.view if now - self.view_s <= VIEW_LATE_PERIODS * self.period_s else None
+    def fresh_view(self, now: float) -> PeerView | None:
+        """Its view, if that is new enough to count while the peer is alive."""
+        fresh = self.view_s is not None and now - self.view_s <= VIEW_LATE_PERIODS * self.period_s
+        return self.view if fresh else None
 
 
 class Peers:
@@ -182,10 +181,10 @@ class Peers:
         recent = [length for ended, length in self._fades if now - ended <= FADE_S]
         least_s = FADE_MARGIN * max(recent, default=0.0)
         listened = self._listened(now)
-        for agent in lost_together(silent_peers(listened, now), now, least_s):
+        for agent in lost_together(listened, now, least_s):
             self._peers[agent].lost_together = True
-        for agent, received_s, stats in listened:
-            self._peers[agent].lost_alone = stats.is_lost(now - received_s)
+        for entry in listened:
+            self._peers[entry.agent].lost_alone = entry.stats.is_lost(entry.missed)
 
     def states(self, now: float) -> dict[int, PeerState]:
         """The state of each other member, by agent id."""
@@ -221,11 +220,11 @@ class Peers:
             if len(peer.clashes) == CLASHES and now - peer.clashes[0] <= CLASH_PERIODS * peer.period_s
         )
 
-    def _listened(self, now: float) -> list[tuple[int, float, HeartbeatStats]]:
+    def _listened(self, now: float) -> list[SilentPeer]:
         """Peers that are expected to send and whose id is unique, with the time of their last heartbeat and their statistics."""
         mixed = self.duplicate_ids(now)
         return [
-            (agent, now - peer.silent_s(now), peer.stats)
+            silent_peer(agent, now - peer.silent_s(now), peer.stats, now)
             for agent, peer in self._peers.items()
             if peer.received_s is not None
             and not peer.leaving
@@ -243,7 +242,7 @@ class Peers:
             if silent_s <= LOST_PERIODS * peer.period_s:
                 self._fades.append((now, silent_s))
             return
-        group = most_significant_group(silent_peers(self._listened(now), now))
+        group = most_significant_group(self._listened(now))
         if group is not None and group.weight >= NEARLY and peer.agent in group.agents:
             self._fades.append((now, now - group.since_s))
 

@@ -316,5 +316,8 @@ def _merely_starved(other: UnitRecord, context: RuleContext) -> bool:
 
 
 def _blocked(context: RuleContext, cause: str) -> Decision:
+    published = context.record.published
+    if context.record.published_from is context.result and published.blocked_by == cause:
+        return Decision(published.result, blocked_by=cause)  # made before: this is asked several times a second
     summary = f"blocked by {cause}: {context.result.summary}"
     return Decision(replace(context.result, level=Level.STALE, summary=summary), blocked_by=cause)

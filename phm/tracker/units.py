@@ -92,6 +92,10 @@ class UnitRecord:
     started: float = NEVER
     ended_by: str = ""
     """What ended its last failure, as a result since then stated (`Evidence.ended_by`); empty: none did, or it fails again."""
+    duration_s: float = 0.0
+    """How long the run of the newest result took."""
+    published_from: Result | None = None
+    """The newest result when `published` was published."""
     bad_in_a_row: int = 0
     error_since: float | None = None
     """Start of the first run of the present series of ERROR results that count."""

@@ -26,6 +26,7 @@ BOOT, ACTIVE, CRITICAL, EMERGENCY = 1, 4, 5, 6
 _VERSION_SHIFT = 30
 _CODE = {Level.STALE: 0, Level.OK: 1, Level.WARN: 2, Level.ERROR: 3}
 _LEVEL = {code: level for level, code in _CODE.items() if code}
+_SHIFT = {slot: 2 * (slot - 1) for slot in Slot}
 
 
 def encode(levels: Mapping[Slot, Level]) -> int:
@@ -48,8 +49,7 @@ def decode(word: int) -> dict[Slot, Level]:
     version = word >> _VERSION_SHIFT
     if version != VERSION:
         raise ValueError(f"0x{word:08X} is a status word of version {version}; this program reads version {VERSION}")
-    codes = {slot: word >> 2 * (slot - 1) & 3 for slot in Slot}
-    return {slot: _LEVEL[code] for slot, code in codes.items() if code}
+    return {slot: _LEVEL[code] for slot, shift in _SHIFT.items() if (code := word >> shift & 3)}
 
 
 def system_status(states: Iterable[UnitState], *, complete: bool) -> int:

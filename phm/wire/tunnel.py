@@ -35,6 +35,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from itertools import chain
 
 from phm.core.model import Level
 
@@ -48,6 +49,8 @@ MAX_PARTS = 16
 """Of a DETAIL: about 1.7 kB of text, more than any fault has to say."""
 
 _LEVELS = (Level.STALE, Level.OK, Level.WARN, Level.ERROR)
+_CODES = [(byte & 3, byte >> 2 & 3, byte >> 4 & 3, byte >> 6) for byte in range(256)]
+"""The codes of four agents, by the byte that holds them."""
 
 
 class TunnelError(ValueError):
@@ -61,6 +64,9 @@ class PeerState(IntEnum):
     ALIVE = 1
     LATE = 2
     LOST = 3
+
+
+_STATES = tuple(PeerState)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,10 +193,8 @@ def _pack_bits(codes: Mapping[int, int]) -> tuple[int, bytes]:
 
 
 def _bits(payload: bytes, at: int) -> dict[int, int]:
-    first = _first(payload, at)
-    whole = int.from_bytes(payload[at + 1 :], "little")
-    codes = {first + i: whole >> 2 * i & 3 for i in range(4 * max(0, len(payload) - at - 1))}
-    said = {agent: code for agent, code in codes.items() if code}
+    codes = chain.from_iterable(_CODES[byte] for byte in payload[at + 1 :])
+    said = {agent: code for agent, code in enumerate(codes, _first(payload, at)) if code}
     if said and max(said) not in AGENTS:
         raise TunnelError(f"it names agent {max(said)}; ids are 1 to 250")
     return said
@@ -215,7 +219,7 @@ def _pack_words(words: Mapping[int, int]) -> bytes:
 def _view(payload: bytes) -> PeerView:
     filled = payload.ljust(4, b"\0")
     flags, codes = filled[2], _bits(filled, 3)
-    peers = {agent: PeerState(code) for agent, code in codes.items()}
+    peers = {agent: _STATES[code] for agent, code in codes.items()}
     return PeerView(filled[1], bool(flags & 1), bool(flags & 2), bool(flags & 4), peers)
 
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -78,6 +78,8 @@ FIXES = {
     "relaunch": {"node_1", "node_2", "node_3", "silent_1", "silent_2", "silent_3"},
     "restart": set(CAUSES) - {"file", "device", "disk", "engine", "apart", *STARVING},
 }
+UNEXPLAINED = CAUSES.keys() - HIDDEN - {"overload"}
+"""Whose process is gone: starvation does not explain it."""
 LOST = "lost"
 """Not a cause: nodes that a repair has left cut off."""
 BY_ENGINE = ("container/", "health/", "files/", "network/")
@@ -246,19 +248,17 @@ class World:
             return Result(Level.STALE, "not judged while the container does not run")
         if self._is_stale_name(unit, at):
             return OK
-        evidence = Evidence(generation=self.fact(at).generation if unit == f"container/{TARGET}" else "")
-        target = TARGET if unit in targeted() else ""
+        generation = self.fact(at).generation if unit == f"container/{TARGET}" else ""
         found = [span for span in self.bad.get(unit, ()) if span.covers(at)]
         if not found:
-            return Result(Level.OK, "healthy", evidence=evidence)
+            return Result(Level.OK, "healthy", evidence=Evidence(generation)) if generation else OK
+        target = TARGET if unit in targeted() else ""
         probing_s = self._running_since(at) + PROBING_S - at
         if unit.startswith("health/") and probing_s > 0:
             return Result(Level.STALE, "starting", target=target, decides_s=PROBING_S)
         span = next(filter(self._conclusive, found), found[0])
         if span.condition == "restarting":
-            return Result(Level.STALE, "the engine is about to restart it", evidence=evidence)
-        if self._conclusive(span):
-            evidence = replace(evidence, conclusive=True)
+            return Result(Level.STALE, "the engine is about to restart it", evidence=Evidence(generation))
         condition = span.condition
         sure = 0.0 if self._surely_silent(span) else None
         # The engine's probes come every few seconds: the newest was at one of the moments, or started this one.
@@ -271,13 +271,12 @@ class World:
             target,
             settle_s=sure,
             age_s=age_s,
-            evidence=evidence,
+            evidence=Evidence(generation, conclusive=self._conclusive(span)),
         )
 
     def _conclusive(self, span: Bad) -> bool:
         """A primary fault that starvation does not explain: its process is gone."""
-        unexplained = set(CAUSES) - HIDDEN - {"overload"}
-        return any(spans[0] is span for kind, spans in self.active.items() if kind in unexplained and spans)
+        return any(spans and spans[0] is span for kind, spans in self.active.items() if kind in UNEXPLAINED)
 
     def _surely_silent(self, span: Bad) -> bool:
         """The node has been alive since; every second node has no evidence of that."""
@@ -296,9 +295,10 @@ class World:
     def changing(self, begin: float, end: float) -> set[str]:
         """The units of which something changes in that time. Only those that are bad at some time, and the health."""
         changing = {
-            unit
-            for unit, spans in self.bad.items()
-            if any(begin <= span.begin < end or begin <= span.end < end for span in spans)
+            span.unit
+            for spans in self.bad.values()
+            for span in spans
+            if begin <= span.begin < end or begin <= span.end < end
         }
         starts = (*(life.at for life in self.lives), *(span.end for span in self.bad.get(f"container/{TARGET}", ())))
         if any(begin <= start + PROBING_S < end for start in starts):
@@ -373,10 +373,9 @@ class Sim:
 
     def _assert_visible(self) -> None:
         """A unit in ERROR always has a fault that an operator can see, open or given up."""
-        seen = {fault.unit for fault in (*self.tracker.open_faults(), *self.tracker.given_up())}
-        hidden = [
-            state.unit for state in self.tracker.states() if state.level is Level.ERROR and state.unit not in seen
-        ]
+        hidden = self.units_at(Level.ERROR)
+        if hidden:
+            hidden -= {fault.unit for fault in (*self.tracker.open_faults(), *self.tracker.given_up())}
         assert not hidden, f"in ERROR without a fault at {self.now:.1f}: {hidden}"
 
     def _begin(self, index: int, at: float) -> None:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 
 from phm.core.model import Level
 from phm.transport.dialect import mavlink
 from phm.transport.priority import RADIO_BYTES_S, SWARM_BYTES_S
+from phm.wire import tunnel
 from sitl.simulation.fleet import Fleet
 from tests.fakes.mavlink import Sender, heartbeat
+
+
+@pytest.fixture(autouse=True)
+def decode_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All agents are in one process and receive the same bytes: only the first of a hundred decodes them."""
+    monkeypatch.setattr(tunnel, "decode", cache(tunnel.decode))
 
 
 def test_one_agent_leads_and_its_line_is_not_repeated() -> None:

@@ -66,12 +66,12 @@ class LivingWorld(World):
         )
 
     def result(self, unit: str, at: float) -> Result:
-        fact = self.fact(at)
         if unit == UNIT:
-            result = self.check.run(testing.world(clock=testing.FakeClock(at), docker=testing.FakeDocker(fact)))
+            docker = testing.FakeDocker(self.fact(at))
+            result = self.check.run(testing.world(clock=testing.FakeClock(at), docker=docker))
             assert isinstance(result, Result)
             return result
-        if not fact.running and unit.startswith(("network/", "health/")):
+        if unit.startswith(("network/", "health/")) and not self.fact(at).running:
             return Result(Level.STALE, "not judged while the container does not run")
         # Not super() without arguments: dataclass slots replace this class.
         return World.result(self, unit, at)
