@@ -92,7 +92,7 @@ def _records(app: Container, proc: Path) -> dict[str, Mapping[str, Any]]:
     for file in (folder / FOLDER.relative_to("/")).glob("*.json"):
         try:
             record = json.loads(file.read_text("ascii"))
-        except OSError:  # the container has ended meanwhile
+        except (OSError, ValueError):  # the container has ended meanwhile, or two nodes of one name write the same file
             continue
         if now - record["at"] < FRESH_S:
             found[file.stem] = record["topics"]
