@@ -12,6 +12,7 @@ from docker.errors import DockerException
 from docker.models.containers import Container
 
 from sitl.campaign.application_alarms import LASTS_S
+from sitl.campaign.observer_thread import ObserverThread
 from sitl.campaign.trial import Broken
 from sitl.faults._application import container_works
 from sitl.faults.base import Agent
@@ -23,30 +24,16 @@ Connect = Callable[[], DockerClient]
 
 
 class ApplicationWatcher:
-    """Looks at all agents every PERIOD_S between `start` and `stop`, in a thread."""
+    """Looks at all agents every PERIOD_S between `start` and `stop`, in a thread. What it has observed remains."""
 
     def __init__(self, agents: Mapping[int, Agent], connect: Connect = DockerClient.from_env) -> None:
         self._agents, self._connect = agents, connect
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
+        thread = ObserverThread("applications", self._run, JOIN_S)
+        self.start, self.stop = thread.start, thread.stop
         self._lock = threading.Lock()
         self._over: list[Broken] = []
         self._present: dict[int, Broken] = {}
         self._apps: dict[int, Container] = {}
-
-    def start(self) -> None:
-        """Start the thread; a second start does nothing."""
-        if self._thread is None:
-            self._ending.clear()
-            self._thread = threading.Thread(target=self._run, name="applications", daemon=True)
-            self._thread.start()
-
-    def stop(self) -> None:
-        """Stop the thread; what it has observed remains."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join(JOIN_S)
-            self._thread = None
 
     def begin(self) -> None:
         """A trial begins: drop what is too old to matter for it."""
@@ -72,11 +59,11 @@ class ApplicationWatcher:
             if works and present is not None:
                 self._over.append(self._present.pop(agent))
 
-    def _run(self) -> None:
+    def _run(self, ending: threading.Event) -> None:
         client = self._connect()  # a client belongs to one thread
         agents = {number: replace(agent, docker=client) for number, agent in self._agents.items()}
         try:
-            while not self._ending.wait(PERIOD_S):
+            while not ending.wait(PERIOD_S):
                 for number, agent in agents.items():
                     began = time.monotonic()
                     self.add(number, began, works=self._works(number, agent))

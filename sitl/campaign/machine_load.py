@@ -9,6 +9,7 @@ from pathlib import Path
 import psutil
 
 from sitl.campaign.host_load import BEFORE_S
+from sitl.campaign.observer_thread import ObserverThread
 from sitl.campaign.trial import Load
 
 PERIOD_S = 0.5
@@ -17,28 +18,14 @@ IO_PRESSURE = Path("/proc/pressure/io")
 
 
 class MachineMeter:
-    """Samples every PERIOD_S between `start` and `stop`, in a thread."""
+    """Samples every PERIOD_S between `start` and `stop`, in a thread. The samples remain."""
 
     def __init__(self, io_pressure: Path = IO_PRESSURE) -> None:
         self._io_pressure = io_pressure
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
+        thread = ObserverThread("machine-load", self._run, 2 * PERIOD_S)
+        self.start, self.stop = thread.start, thread.stop
         self._lock = threading.Lock()
         self._samples: list[Load] = []
-
-    def start(self) -> None:
-        """Start the thread; a second start does nothing."""
-        if self._thread is None:
-            self._ending.clear()
-            self._thread = threading.Thread(target=self._run, name="machine-load", daemon=True)
-            self._thread.start()
-
-    def stop(self) -> None:
-        """Stop the thread; the samples remain."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join(2 * PERIOD_S)
-            self._thread = None
 
     def begin(self) -> None:
         """A trial begins: drop what is too old to matter for it."""
@@ -51,9 +38,9 @@ class MachineMeter:
         with self._lock:
             return list(self._samples)
 
-    def _run(self) -> None:
+    def _run(self, ending: threading.Event) -> None:
         psutil.cpu_percent()
-        while not self._ending.wait(PERIOD_S):
+        while not ending.wait(PERIOD_S):
             found = sample(self._io_pressure)
             with self._lock:
                 self._samples.append(found)

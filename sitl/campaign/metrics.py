@@ -131,8 +131,8 @@ class Figures:
         return [alarm for each in self.judged for alarm in each.beside]
 
     @property
-    def real(self) -> list[Alarm]:
-        return [alarm for each in self.judged for alarm in each.real]
+    def app_broken(self) -> list[Alarm]:
+        return [alarm for each in self.judged for alarm in each.app_broken]
 
     @property
     def clearing(self) -> list[Alarm | RaisedWarning]:

@@ -23,7 +23,7 @@ def judge(trial: Trial) -> ScoredTrial:
         verdict.cause = _cause(verdict.injection, verdicts)
     false: list[Alarm] = []
     beside: list[Alarm] = []
-    real: list[Alarm] = []
+    app_broken: list[Alarm] = []
     clearing: list[Alarm | RaisedWarning] = []
     for alarm in sorted(trial.alarms, key=lambda each: each.mono):
         owner = _owner(alarm, verdicts)
@@ -32,7 +32,7 @@ def judge(trial: Trial) -> ScoredTrial:
         elif alarm.unit.startswith(BESIDE) and confirmed(alarm, trial.machine):
             beside.append(alarm)
         elif application_alarms.confirmed(alarm, trial.broken):
-            real.append(alarm)
+            app_broken.append(alarm)
         else:
             false.append(alarm)
     for verdict in sorted(verdicts, key=lambda each: each.cause is not None):
@@ -43,7 +43,7 @@ def judge(trial: Trial) -> ScoredTrial:
         verdict.wrong = _wrong(verdict, named, {condition for each in warned for condition in each.conditions})
         measure(verdict, trial, sorted([*named, *warned], key=lambda each: each.mono))
         verdict.disturbed = disturbed(verdict, trial)
-    return ScoredTrial(trial, verdicts, false, beside, real, clearing)
+    return ScoredTrial(trial, verdicts, false, beside, app_broken, clearing)
 
 
 def _cause(fault: Injection, verdicts: Sequence[Verdict]) -> Verdict | None:

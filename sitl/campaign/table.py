@@ -151,7 +151,10 @@ def left_out(groups: Sequence[Group]) -> Rows:
         ("response, paper: in the mean as when it was due, after the trial", lambda f: str(f.published_due)),
         ("recovery: ended otherwise or not confirmed; PHM's claims", lambda f: spread(f.recovery_other, f.injected)),
         ("false alarms: `host/*`, confirmed by the measured load", lambda f: str(len(f.beside))),
-        ("false alarms: an application without a fault, observed not to work for 5 s", lambda f: str(len(f.real))),
+        (
+            "false alarms: an application without a fault, observed not to work for 5 s",
+            lambda f: str(len(f.app_broken)),
+        ),
         ("alarms and warnings: caused by clearing", lambda f: str(len(f.clearing))),
         ("alarms: before the fault, by its injection", lambda f: str(f.before)),
         ("actions: interrupted by the end of the trial", lambda f: str(f.unfinished)),

@@ -192,7 +192,7 @@ class Verdict:
 @dataclass
 class ScoredTrial:
     """A trial: its faults and the alarms that belong to none of them: false ones; `beside`, about the shared machine, that its
-    measured load confirms; `real`, about an application that was observed not to work without a fault; and those that
+    measured load confirms; `app_broken`, about an application that was observed not to work without a fault; and those that
     clearing has caused, warnings at the unit of the fault included: a fault that was not recovered is mostly cleared by a restart.
     """
 
@@ -200,7 +200,7 @@ class ScoredTrial:
     verdicts: list[Verdict]
     false: list[Alarm]
     beside: list[Alarm]
-    real: list[Alarm]
+    app_broken: list[Alarm]
     clearing: list[Alarm | RaisedWarning]
 
 

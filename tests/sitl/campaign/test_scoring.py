@@ -111,7 +111,7 @@ def test_an_application_that_was_observed_not_to_work_confirms_an_alarm(
     """An alarm about an agent without a fault is apart from the false ones if its application did not work for 5 s before it."""
     broken = [Broken(agent, T0 + began_s, T0 + ended_s)]
     judged = judge(trial(alarms=[alarm(0.4), alarm(1.0, unit, 5)], broken=broken))
-    assert (len(judged.real), len(judged.false)) == ((1, 0) if real else (0, 1))
+    assert (len(judged.app_broken), len(judged.false)) == ((1, 0) if real else (0, 1))
 
 
 def test_an_injected_host_load_keeps_its_alarms() -> None:
