@@ -96,7 +96,7 @@ class Consensus(api.Check):
         lost = self._lost.observe(beacons, fact.age_s, now)
         self._received.observe(world, [*received_by_others(agreement), *self._lost.received])
         dead = self._dead.observe(agreement, beacons, now)
-        result = None if dead and self._open_faults else _copied(fact, beacons)
+        result = None if (dead or lost) and self._open_faults else _copied(fact, beacons)
         return replace(result or self._judge(agreement, dead, lost, fact, beacons), votes=_votes(agreement))
 
     def _forget(self) -> None:
@@ -218,7 +218,8 @@ class Consensus(api.Check):
         self, agreement: Agreement, lost: Sequence[Connection], values: Mapping[str, api.Value]
     ) -> api.Result:
         """ERROR for subscribers that do not receive the node of their publisher, while PHM receives both."""
-        first = min(lost, key=lambda one: self._received.never(one) is True)
+        # A restart restores only what was received before, and needs a container.
+        first = min(lost, key=lambda one: (self._received.never(one) is True, not self._containers[one.subscriber]))
         words = [
             f"{_names([one.subscriber])} does not receive {_names([one.publisher])}, which publishes {_names([one.topic])} for it, "
             "while PHM receives both"

@@ -17,7 +17,8 @@ starvation have to disappear (docs/development/architecture.md)."""
 
 IN_TIME_S, IN_TIME_PROBES = 1.0, 2
 """So many probes in a row that failed by themselves within this time: the engine started a program in the container, and it ran to
-its end, without delay. So the application in the same container is not delayed either."""
+its end, without delay. So a busy CPU of the machine has not delayed this container much. What its own pressure unit reports still
+explains the failure: the probe may ask how old the application's data are."""
 OWN_CODES = range(1, 128)
 """Exit codes of a program that ended by itself; above them are signals, e.g. of the kernel for lack of memory."""
 

@@ -93,8 +93,8 @@ class Evidence:
     observed:     when a certain result was observed (monotonic seconds), if that was before the run of the check, such as in an
                   earlier list of processes; infinity: in that run.
     conclusive:   the problem itself was observed, not inferred from delay or silence: resource starvation cannot explain it.
-    in_time:      the observation that failed was made without delay: of the kinds of starvation, only one that delays nothing
-                  (a limit of processes) can explain it.
+    in_time:      the observation that failed was made without delay: a busy CPU of the machine (`cpu_high`) does not explain it.
+                  What delays the container itself may, e.g. if the observation asks how old the application's data are.
     never_ok:     whether the subject has never been OK since its container was started; None: the check does not know.
     listed:       how many times the ROS graph still lists the name of the missing node; None: unknown.
     file:         path of the faulty file inside the container.

@@ -26,6 +26,8 @@ RESUME_S = 30.0
 """A reader that has not followed for so long after a reload is of a check that is no longer configured."""
 HAND_OVER_S = 3.0
 """A reload waits so long for readers that read or search: longer than one search, `pattern_matcher.LIMIT_S`."""
+UNSEARCHED_BYTES = 2 * READ_BYTES
+"""Of what was read and not searched yet, at most the newest bytes are kept: reads may be late for hours."""
 MOST_PARTS = 40
 """This many parts of READ_BYTES are as much as TAIL lines of LINE_CHARS."""
 _STAMPED = re.compile(rb"(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.(\d{1,9}))?Z ?(.*)", re.DOTALL)
@@ -50,8 +52,9 @@ class _Reader:
     def read_on(self) -> None:
         """Read the file. What a read that was given up finds later is there for the next one."""
         data, skipped = self.file.read()
-        self.unsearched += data
-        self.skipped += skipped
+        kept = self.unsearched + data
+        self.unsearched = kept[-UNSEARCHED_BYTES:]
+        self.skipped += skipped + len(kept) - len(self.unsearched)
 
     def searched(self) -> None:
         self.unsearched, self.skipped, self.failed = b"", 0, False

@@ -195,7 +195,7 @@ class ActionContext:
     armed:      the armed state of the vehicle now.
     relief:     lowers CPU weights and restores them later.
     restart_ros: starts PHM's own ROS process again, for the reason given; the application is not touched.
-    on_hold:    why a container must not be restarted as a dependent: it is on hold, or an operator stopped it; empty: it may.
+    on_hold:    why a container must not be restarted as a dependent: it is on hold, or somebody stops or has stopped it; empty: it may.
     lock_dependent: locks a dependent; inside this context, failures of the dependent are consequences of this recovery.
     """
 

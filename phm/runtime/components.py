@@ -155,7 +155,9 @@ class Components:
             autopilot=self.probes.world.links.autopilot,
             clock=clock,
             reopen=self.probes.reopen,
-            on_hold=lambda key: held.why_not_start(key, clock.stamp()),
+            on_hold=lambda key: (
+                held.why_not_start(key, clock.stamp()) or ("being stopped" if pipeline.is_stopping(key) else "")
+            ),
             relief=self.relief,
             restart_ros=self.probes.restart_ros,
         )

@@ -99,8 +99,8 @@ EXPLAINED: Mapping[str, Explanation] = {
     "publisher_not_received": _VIEWS,
     "diagnostic_stale": Explanation("its publisher is not scheduled in time", begins_again=True),
     "unhealthy": Explanation(
-        "the probe of the health check takes longer than its time-out, or cannot be started; not where it reported the failure "
-        "itself within 1 s, twice",
+        "the probe of the health check takes longer than its time-out, or cannot be started; by a busy CPU of the machine, "
+        "not where it reported the failure itself within 1 s, twice",
         WAITING | {"pids_limit"},
     ),
     "autopilot_silent": replace(
@@ -134,7 +134,7 @@ def explanation(result: Result) -> Explanation | None:
     symptom = EXPLAINED.get(result.condition)
     if symptom is None or not result.evidence.in_time:
         return symptom
-    by = symptom.by - WAITING
+    by = symptom.by - {"cpu_high"}
     return replace(symptom, by=by) if by else None
 
 

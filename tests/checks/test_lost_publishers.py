@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import pytest
 
 from phm import api, testing
-from tests.fakes.consensus_bench import A, B, C, Quorum, beacon, matrix
+from tests.fakes.consensus_bench import A, B, C, D, Quorum, beacon, matrix
 
 FLOW = [{"name": "/agent_1/flow", "publishers": [A], "subscribers": [B, C]}]
 
@@ -67,3 +67,22 @@ def test_a_publisher_never_received_in_this_run_of_the_container_is_not_restarte
     assert (result.condition, result.target, result.evidence.never_ok) == ("publisher_not_received", "two", True)
     quorum.after(20, matrix(A, B, C), docker)
     assert quorum.after(12, cut, docker).evidence.never_ok is False
+
+
+def test_a_lost_publisher_is_reported_beside_a_copied_beacon() -> None:
+    """Any participant of the domain can copy one, e.g. a recording that is played."""
+    quorum = Quorum(topics=FLOW)
+    quorum.after(20, matrix(A, B, C))
+    cut = matrix(A, B, C, not_received=((B, A),))
+    copied = {**cut, C: beacon({A: True, B: True}, witness=C, copied_by="/elsewhere/bag")}
+    assert quorum.after(12, copied).condition == "publisher_not_received"
+
+
+def test_the_subscriber_that_a_restart_can_help_is_the_target() -> None:
+    """Another one is on the host, without a container."""
+    nodes = [{"name": A, "container": "one"}, {"name": B}, {"name": C, "container": "two"}, {"name": D}]
+    quorum = Quorum(containers=("one", "two"), nodes=nodes, topics=FLOW)
+    docker = testing.FakeDocker(testing.container("one"), testing.container("two"))
+    quorum.after(20, matrix(A, B, C, D), docker)
+    result = quorum.after(12, matrix(A, B, C, D, not_received=((B, A), (C, A))), docker)
+    assert (result.condition, result.target) == ("publisher_not_received", "two")

@@ -106,6 +106,16 @@ def test_lines_of_a_read_that_was_given_up_are_searched_later(place: Place, monk
     assert place.follow() == (1, 0)
 
 
+def test_reads_that_are_always_late_keep_a_bounded_amount(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a failing disk each read may take too long; what it finds is kept for the next one."""
+    reader: Any = place.logs._readers["app"]
+    monkeypatch.setattr(reader.file, "read", lambda: (b"x" * logs.READ_BYTES, 1))
+    for _ in range(5):
+        reader.read_on()
+    assert len(reader.unsearched) == logs.UNSEARCHED_BYTES
+    assert reader.skipped == 5 + 3 * logs.READ_BYTES
+
+
 def test_a_reload_waits_for_a_search_in_progress(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """The position in the log is handed over: lines that are written after it are found."""
     monkeypatch.setattr(logs, "HAND_OVER_S", 60.0)

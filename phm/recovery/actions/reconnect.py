@@ -82,13 +82,15 @@ class Reconnect(Action):
         """
         settings = context.settings
         ladder = settings.recovery.ladders.get(fault.result.condition, [Restart.name])
+        if not settings.nodes.get(target.key) or Restart.name not in ladder:
+            return ""
+        armed = _armed(context)  # this may take seconds, so the container is looked at after it
         fact = context.container(target.key)
-        if not settings.nodes.get(target.key) or Restart.name not in ladder or fact is None or not fact.running:
+        if fact is None or not fact.running:
             return ""
         later = (
             f"; nodes that start later do not find those of {target.key} until it is restarted, which is not done now"
         )
-        armed = _armed(context)
         if why := armed.why if armed.restricts else context.on_hold(target.key):
             return f"{later}: {why}"
         try:

@@ -93,8 +93,8 @@ class HoldRegistry:
         """Targets, or ALL, of which anything is known here. The set is replaced and never changed: any thread may read it."""
         self.armed_before = False
         """Whether the vehicle was armed as far as the previous PHM knew: what was on hold then may stay so."""
-        self.explained_until: Callable[[float], float | None] = lambda now: None
-        """Until when an event may arrive that explains why a container has exited (monotonic seconds); None: none is expected."""
+        self.explained_until: Callable[[str, float], float | None] = lambda target, now: None
+        """Until when an event may arrive that explains why the target has exited (monotonic seconds); None: none is expected."""
         self._lock = threading.Lock()
         self.changed: Callable[[], None] = lambda: None
 
@@ -152,7 +152,7 @@ class HoldRegistry:
         """
         until = self._undecided.get(target)
         if until is None or now >= until + LATE_S:
-            return self.explained_until(now) if ended else None
+            return self.explained_until(target, now) if ended else None
         return max(until, now)
 
     def status(self, target: str, now: float, *, ended: bool = False) -> HoldStatus:

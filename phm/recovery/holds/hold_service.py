@@ -40,7 +40,9 @@ REPLAYED_S = 0.15
 CLOSED_S = 3.0
 """While the event stream is closed, recovery of an exited container waits at most until this long after the stream closed."""
 POLL_S = 0.1
-"""While the event stream is closed, it is checked this often."""
+"""While the event stream is closed or a `die` is awaited, it is checked this often."""
+DIE_FOLLOWS_S = 1.0
+"""The `die` of a container that a check finds exited arrives within this time: within milliseconds on an idle machine."""
 STOP_MAX_S = 121.0
 """The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.event_decoder.STOP_S`)."""
 _DONE = {StopVerdict.STOPPED: "stopped", StopVerdict.REMOVED: "removed"}
@@ -99,6 +101,10 @@ class HoldService:
         """The newest data of each container, also of a removed one: containers in its namespaces depend on it."""
         self._flight = FlightRules(containers, world.armed, self._facts, world.inspect)
         self._seen: set[str] = set()
+        self._died: set[str] = set()
+        """Containers whose `die` has arrived, and no `start` after it, and those that had exited before PHM looked."""
+        self._exit_known: dict[str, float] = {}
+        """Since when recovery knows of an exit whose `die` has not arrived yet (monotonic seconds)."""
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False
         self._thread = threading.Thread(target=self._loop, name="phm-holds", daemon=True)
@@ -161,7 +167,8 @@ class HoldService:
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
             late = own and not self._pipeline.action_on(container)
-            missed = now - self._world.stream().complete_since < STOP_MAX_S
+            missed = self._kill_missed(now)
+            self._note_exit(container, action)
             self._stops.event(
                 container, action, detail, now, own=own, late=late, missed=missed, container_id=container_id
             )
@@ -190,13 +197,28 @@ class HoldService:
 
     # ------------------------------------------------------------ inside
 
-    def _explained_until(self, now: float) -> float | None:
-        """While the event stream is closed, a stop looks like a crash; events are replayed when it is open again."""
+    def _explained_until(self, key: str, now: float) -> float | None:
+        """While the event stream is closed, a stop looks like a crash; events are replayed when it is open again.
+
+        So does an exit that a periodic check finds before its `die` arrives, unless a `kill` would have come before it.
+        """
         stream = self._world.stream()
         until = stream.since + (REPLAYED_S if stream.open else CLOSED_S)
-        if now >= until:
+        if now < until:
+            return until if stream.open else min(until, now + POLL_S)
+        if not stream.open or key in self._died or not self._kill_missed(now):
             return None
-        return until if stream.open else min(until, now + POLL_S)
+        until = self._exit_known.setdefault(key, now) + DIE_FOLLOWS_S
+        return min(until, now + POLL_S) if now < until else None
+
+    def _kill_missed(self, now: float) -> bool:
+        """Whether the `kill` of a container that exits now may have been missed."""
+        return now - self._world.stream().complete_since < STOP_MAX_S
+
+    def _note_exit(self, key: str, action: str) -> None:
+        if action in ("die", "start"):
+            self._exit_known.pop(key, None)
+            (self._died.add if action == "die" else self._died.discard)(key)
 
     def _loop(self) -> None:
         while not self._stopping:
@@ -313,6 +335,10 @@ class HoldService:
             if fact is not None and fact.running and (key not in self._seen or key in stopped):
                 with self._lock:
                     self._runs(key)
+            if fact is not None and fact.running:
+                self._died.discard(key)  # the event of its start may have been lost
+            elif key not in self._seen:
+                self._died.add(key)
             self._seen.add(key)
         self._flight.observe()
 

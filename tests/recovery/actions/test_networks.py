@@ -240,6 +240,25 @@ def test_a_suspension_of_phm_delays_the_restart_and_does_not_prevent_it(
     assert ("and restarted it" in words) is not armed
 
 
+def test_a_container_that_an_operator_stops_during_that_wait_is_not_started(
+    fake: FakeEngine, ask: DockerEngine
+) -> None:
+    """What was known before the wait is old after it."""
+    agent(fake, ask, exists=True)
+    made = bench(ask, containers=[APP], ros=NODES)
+    clock = Stepping()
+    began = clock.mono()
+
+    def status() -> ArmedStatus:
+        if clock.mono() == began:
+            return ArmedStatus(ArmedState.UNKNOWN, "suspended", 2.5)
+        fake.containers["app"] = container("app", status="exited", networks={"swarm": "new"})
+        return ArmedStatus(ArmedState.DISARMED, "known")
+
+    Reconnect().run(made.target("app"), OFF, replace(made.context(), armed=status, clock=clock))
+    assert changes(fake) == ["connect"]
+
+
 def test_phm_joins_the_existing_networks(fake: FakeEngine, ask: DockerEngine) -> None:
     """A missing network does not prevent it from joining the others."""
     made = agent(fake, ask, exists=True)

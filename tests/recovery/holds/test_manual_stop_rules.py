@@ -8,9 +8,10 @@ import pytest
 
 from phm.core.model import Level, Phase
 from phm.facts import EventStreamFact
-from phm.recovery.holds.hold_service import CLOSED_S
+from phm.recovery.holds.hold_service import CLOSED_S, DIE_FOLLOWS_S, LABELS_S
 from phm.recovery.safety.armed_state import ArmedState as ArmedState
 from tests.recovery.holds.scene import STOP, Scene, stopped
+from tests.recovery.simulated_agent import Containers
 
 
 def test_a_stop_is_respected_for_a_while_on_the_ground(scene: Scene) -> None:
@@ -144,6 +145,50 @@ def test_a_stop_with_a_missed_signal_is_not_undone(scenes: Any, monkeypatch: pyt
     scene.happen(STOP[2])
     scene.agent.rest(30)
     assert scene.changes() == [("app", True)] and scene.agent.runs == []
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_an_exit_found_before_its_event_waits_for_it(scenes: Any, stops: bool) -> None:
+    """A periodic check may be earlier than the `die`. Without one, the container is started all the same."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    scene.agent.rest(1)
+    scene.containers.end("app")
+    scene.agent.bad = {"container/app": "exited"}
+    scene.agent.rest(DIE_FOLLOWS_S / 2)
+    assert scene.agent.opened() == ["container/app"] and scene.agent.runs == []
+    scene.happen(*(STOP[1:] if stops else ()))
+    scene.agent.rest(30)
+    assert bool(scene.agent.runs) is not stops
+    assert scene.changes() == ([("app", True)] if stops else [])
+
+
+def test_a_container_that_had_exited_before_phm_looked_is_not_waited_for(scenes: Any) -> None:
+    """Its `die` was before the stream."""
+    containers = Containers("app", "cam")
+    containers.end("app")
+    scene = scenes(containers=containers, bad={"container/app": "exited"}, on_manual_stop="respect")
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    assert scene.holds.undecided("app", scene.clock.mono() + 1.0, ended=True) is None
+    assert scene.holds.undecided("cam", scene.clock.mono() + 1.0, ended=True) is not None
+
+
+def test_an_exit_is_waited_for_again_once_the_container_was_seen_running(scenes: Any) -> None:
+    """It had exited before PHM looked, and the event of its start was lost."""
+    containers = Containers("app", "cam")
+    containers.end("app")
+    scene = scenes(containers=containers, on_manual_stop="respect")
+    containers.start("app")
+    scene.agent.rest(LABELS_S + 1)
+    scene.stream = EventStreamFact(True, scene.clock.mono(), scene.clock.mono())
+    assert scene.holds.undecided("app", scene.clock.mono() + 1.0, ended=True) is not None
+
+
+def test_no_event_is_waited_for_while_the_stream_is_closed_for_long(scenes: Any) -> None:
+    """Where the engine's events are not permitted, the stream never opens."""
+    scene = scenes(on_manual_stop="respect")
+    scene.stream = EventStreamFact(False, scene.clock.mono() - 2 * CLOSED_S)
+    assert scene.holds.undecided("app", scene.clock.mono(), ended=True) is None
 
 
 def test_a_crash_after_the_stream_was_opened_is_recovered(scenes: Any) -> None:
