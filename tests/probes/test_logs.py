@@ -12,6 +12,7 @@ import pytest
 from phm import testing
 from phm.facts import CannotTell
 from phm.probes import logs
+from phm.probes.log_file import READ_BYTES
 from phm.probes.logs import Logs
 from phm.probes.pattern_matcher import PatternMatcher
 from phm.transport.docker import DockerEngine
@@ -109,11 +110,11 @@ def test_lines_of_a_read_that_was_given_up_are_searched_later(place: Place, monk
 def test_reads_that_are_always_late_keep_a_bounded_amount(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a failing disk each read may take too long; what it finds is kept for the next one."""
     reader: Any = place.logs._readers["app"]
-    monkeypatch.setattr(reader.file, "read", lambda: (b"x" * logs.READ_BYTES, 1))
+    monkeypatch.setattr(reader.file, "read", lambda: (b"x" * READ_BYTES, 1))
     for _ in range(5):
         reader.read_on()
     assert len(reader.unsearched) == logs.UNSEARCHED_BYTES
-    assert reader.skipped == 5 + 3 * logs.READ_BYTES
+    assert reader.skipped == 5 + 3 * READ_BYTES
 
 
 def test_a_reload_waits_for_a_search_in_progress(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
