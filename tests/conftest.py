@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from functools import cache
@@ -31,6 +32,13 @@ def pytest_configure() -> None:
     os.environ.pop("COLUMNS", None)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    gc.disable()  # what is collected here stays until the end
+
+
+def pytest_collection_finish() -> None:
+    """From here on, garbage is collected, without a look at the millions of objects that are not."""
+    gc.freeze()
+    gc.enable()
 
 
 @cache

@@ -73,6 +73,7 @@ def test_three_agents_report_to_the_ground_until_ctrl_c(tmp_path: Path, monkeypa
     assert_nothing_left(base, tmp_path)
 
 
+@pytest.mark.long
 def test_the_demo_ends_after_its_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With exit code 0, without processes or files left."""
     base = free_base()

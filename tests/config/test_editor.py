@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from phm.config import yaml_text, yaml_tree
 from phm.config.editor import Edit, EditError, apply, diff, values
 
 REFERENCE = (Path(__file__).parents[2] / "config" / "phm.yaml").read_text(encoding="utf-8")
@@ -111,6 +113,15 @@ def test_every_text_is_read_back_as_it_was_given(text: str) -> None:
     assert (data["agent"]["name"], data["x"], data["y"]) == (text, [text], {text: text})
 
 
+@pytest.fixture
+def parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An edit parses its text several times, and these tests edit the same text hundreds of times. No code changes the tree."""
+    cached = lru_cache(maxsize=4)(yaml_tree.compose)
+    for module in (yaml_tree, yaml_text):
+        monkeypatch.setattr(module, "compose", cached)
+
+
+@pytest.mark.usefixtures("parsed_once")
 @pytest.mark.parametrize("text", SECTIONS, ids=[text.partition(":")[0] for text in SECTIONS])
 def test_every_value_of_the_reference_can_be_set_and_removed(text: str) -> None:
     """Setting it to what it is changes nothing; removing it keeps every other value and every comment outside of it."""
@@ -126,6 +137,7 @@ def test_every_value_of_the_reference_can_be_set_and_removed(text: str) -> None:
         assert isinstance(value, dict | list) or not gone, path
 
 
+@pytest.mark.usefixtures("parsed_once")
 def test_every_section_of_the_reference_can_be_removed() -> None:
     """It keeps the others."""
     assert REFERENCE.endswith("".join(SECTIONS))

@@ -14,6 +14,8 @@ PAGE = ROOT / "docs" / "development" / "architecture.md"
 
 def names_settings(source: str) -> bool:
     """Whether a module names `Settings`, the class of the whole configuration."""
+    if "Settings" not in source:
+        return False  # most modules, without parsing them
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.alias) and node.name.rpartition(".")[2] == "Settings":
             return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from dataclasses import dataclass
+from functools import cache
 
 from tests.docs.examples import MARK, ROOT, pages
 
@@ -34,6 +35,11 @@ class Block:
 
 def blocks(*languages: str) -> list[Block]:
     """All blocks of these languages, in all documents."""
+    return [block for block in _all() if block.language in languages] if languages else list(_all())
+
+
+@cache
+def _all() -> tuple[Block, ...]:
     found = []
     for page in pages():
         text = page.read_text("utf-8")
@@ -43,7 +49,7 @@ def blocks(*languages: str) -> list[Block]:
             line = text.count("\n", 0, match.start()) + 1
             name = str(page.relative_to(ROOT))
             found.append(Block(name, line, match[2], textwrap.dedent(match[3]), generated))
-    return [block for block in found if block.language in languages] if languages else found
+    return tuple(found)
 
 
 def containing(language: str, words: str) -> list[Block]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import resource
 import sqlite3
 import struct
 import tempfile
@@ -18,27 +17,16 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
-from phm.review import mcap_stream, source_mcap, source_rosbag2
+from phm.review import mcap_stream, source_rosbag2
 from phm.review.cdr_read import line, statuses
-from phm.review.events import Event
 from phm.review.lines import FileSegment, Problems
 from phm.review.recording import MOST_TOPICS, Recording
 from phm.review.sources import source_of
 from phm.review.topic_times import MOST_GAPS, SAMPLES, TopicTimes
 from tests.review import bags
+from tests.review.little_memory import problems_in_little_memory, read_mcap
 from tests.review.records import T0, report
 from tests.review.test_recordings import problems
-
-MOST_MB = 450
-"""More than the interpreter has with its libraries; the bombs would unpack to more."""
-
-
-def read_mcap(content: bytes) -> tuple[list[Event], list[str]]:
-    with tempfile.NamedTemporaryFile() as file:
-        file.write(content)
-        file.flush()
-        found = Problems()
-        return list(source_mcap.read(FileSegment(file.name), found)), [what for what, _ in found.found]
 
 
 def record(opcode: int, body: bytes) -> bytes:
@@ -111,13 +99,6 @@ def bomb(name: str) -> bytes:
     return zstandard.compress(begin + record(Opcode.ATTACHMENT, bytes(600 << 20)) + end, 1)
 
 
-def _in_little_memory(content: bytes, answer: Any) -> None:
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + (MOST_MB << 20)
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    answer.send(read_mcap(content)[1])
-
-
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -134,7 +115,7 @@ def test_a_recording_that_unpacks_to_more_than_allowed_is_left_out_and_named(nam
     """In a process without enough memory for it."""
     spawned = get_context("spawn")
     mine, theirs = spawned.Pipe(duplex=False)
-    worker = spawned.Process(target=_in_little_memory, args=(bomb(name), theirs))
+    worker = spawned.Process(target=problems_in_little_memory, args=(bomb(name), theirs))
     worker.start()
     theirs.close()
     try:

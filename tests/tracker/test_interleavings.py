@@ -33,13 +33,15 @@ def examples(count: int) -> settings:
     return settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck))
 
 
+NEEDS = Sim(0).tracker.graph
+
+
 def independent(one: str, other: str) -> bool:
     """Whether the two units differ, neither is upstream of the other, and neither fault explains the other."""
-    needs = Sim(0).tracker.graph
     if STARVING.intersection((one, other)) and HIDDEN.intersection((one, other)):
         return False
     a, b = CAUSES[one][0], CAUSES[other][0]
-    return a != b and a not in needs.upstream(b) and b not in needs.upstream(a)
+    return a != b and a not in NEEDS.upstream(b) and b not in NEEDS.upstream(a)
 
 
 PAIRS = st.sampled_from([(a, b) for a in sorted(CAUSES) for b in sorted(CAUSES) if a < b and independent(a, b)])
