@@ -134,8 +134,7 @@ def explanation(result: Result) -> Explanation | None:
     symptom = EXPLAINED.get(result.condition)
     if symptom is None or not result.evidence.in_time:
         return symptom
-    by = symptom.by - {"cpu_high"}
-    return replace(symptom, by=by) if by else None
+    return replace(symptom, by=symptom.by - {"cpu_high"})
 
 
 def pressure_units(record: UnitRecord, view: TrackerView) -> list[UnitRecord]:

@@ -91,8 +91,10 @@ class Reconnect(Action):
         later = (
             f"; nodes that start later do not find those of {target.key} until it is restarted, which is not done now"
         )
-        if why := armed.why if armed.restricts else context.on_hold(target.key):
-            return f"{later}: {why}"
+        if armed.restricts:
+            return f"{later}: {armed.why}"
+        if held := context.on_hold(target.key):
+            return f"{later}: it is {held}"
         try:
             restart_gracefully(fact, context)
         except (FlightCriticalError, NotPermitted) as error:  # the reconnection itself was permitted

@@ -332,11 +332,11 @@ class HoldService:
             self._labels[key] = fact.maintenance if fact is not None else ""
             if fact is not None:
                 self._facts[key] = fact
-            if fact is not None and fact.running and (key not in self._seen or key in stopped):
-                with self._lock:
-                    self._runs(key)
             if fact is not None and fact.running:
-                self._died.discard(key)  # the event of its start may have been lost
+                self._died.discard(key)
+                if key not in self._seen or key in stopped:
+                    with self._lock:
+                        self._runs(key)
             elif key not in self._seen:
                 self._died.add(key)
             self._seen.add(key)

@@ -201,9 +201,9 @@ def test_nodes_that_an_operator_holds_meanwhile_are_not_restarted(fake: FakeEngi
     """Reconnecting takes seconds: what is true when it begins need not be true when it ends."""
     agent(fake, ask, exists=True)
     made = bench(ask, containers=[APP], ros=NODES)
-    context = replace(made.context(), on_hold=lambda key: f"{key} is on hold")
+    context = replace(made.context(), on_hold=lambda key: "on hold until 12:34:05 UTC by operator (uid 0)")
     words = Reconnect().run(made.target("app"), OFF, context)
-    assert words.endswith("which is not done now: app is on hold")
+    assert words.endswith("which is not done now: it is on hold until 12:34:05 UTC by operator (uid 0)")
     assert changes(fake) == ["connect"]
 
 
