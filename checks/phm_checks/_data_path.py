@@ -91,7 +91,7 @@ class DataPath:
             fact = world.ros.snapshot()
         except api.CannotTell:
             return ""
-        if fact.age_s > OLD_SNAPSHOT_S:
+        if fact.age_s > OLD_SNAPSHOT_S or self._others_receive(fact):
             return ""
         silent = [found for node in self._wanted if (found := self._silent_s(node, fact)) is not None]
         # Data from before this generation came from other processes, whose names may stay listed until their lease ends.
@@ -152,6 +152,8 @@ class DataPath:
         listed_ones = [node.name for node in self._wanted if fact.nodes.get(node.name)]
         if fact.age_s > OLD_SNAPSHOT_S or fact.up_s < self._grace_s or listed_ones or not received:
             return ""
+        if self._others_receive(fact):
+            return ""
         silent_s = min(received) - fact.age_s
         if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) != ASLEEP:
             return ""
@@ -159,6 +161,11 @@ class DataPath:
             f"none of its {len(self._wanted)} nodes is listed, and nothing has been received from them for {span(silent_s)}, "
             "though their processes are running"
         )
+
+    def _others_receive(self, fact: api.RosFact) -> bool:
+        """Whether a node elsewhere, which PHM receives, still receives one of them: their container's network is intact."""
+        here = {node.name for node in self._wanted}
+        return any(fact.received_elsewhere(name, without=here) is not None for name in here)
 
     def _silent_s(self, node: Wanted, fact: api.RosFact) -> float | None:
         """Seconds since the last sign of life of a listed node. None if it is not listed, or never gave a sign and so proves nothing."""

@@ -108,6 +108,8 @@ class GraphEvidence:
             self.suspicions.add("beacon irregular")
         if silent_s > max(SILENT_PERIODS * beacon.period_s, SILENT_S):
             self.suspicions.add("beacon silent")
+            if (report := fact.received_only_elsewhere(self._node)) is not None:
+                return _as_others_receive_it(report)
             words = f"its beacon has been silent for {span(silent_s)}"
             return Evidence(Kind.BEACON, Observation.SILENT, words, fact.age_s, silent_s)
         if beacon.turns and beacon.late_s > LATE_S:
@@ -193,6 +195,15 @@ class GraphEvidence:
         """Whether an endpoint of its topics has no node name: it may be this node's own, whose name only PHM has lost."""
         seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
         return any(not end.node for topic in seen for end in (*topic.publishers, *topic.subscribers))
+
+
+def _as_others_receive_it(report: api.Reception) -> Evidence:
+    """A node that another one has received since its last beacon here is not silent: PHM's own participant is at fault."""
+    words = f"PHM does not receive its beacon, but {report.by} does"
+    if report.late_s > LATE_S:
+        words += f"; its executor has been blocked for {span(report.late_s)}"
+        return Evidence(Kind.BEACON, Observation.LATE, words, report.ago_s, report.late_s)
+    return Evidence(Kind.BEACON, Observation.ALIVE, words, report.ago_s)
 
 
 def _waver_s(rate: api.RateFact, expected_hz: float) -> float:

@@ -153,6 +153,12 @@ class Rates(api.Check):
         self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, now: float
     ) -> api.Result:
         assert seen.rate is not None
+        reports = [fact.received_only_elsewhere(node) for node in _nodes(seen)]
+        if reports and all(reports):
+            return api.stale(
+                f"{case.name} is silent here, and so is its node, which other nodes receive: PHM's own participant may have lost it",
+                values=case.values,
+            )
         limit_s = seen.rate.limit_s
         limit = "" if limit_s is None else f" and no gap over {span(limit_s)}"
         known = (seen.rate.sample_bytes or 0.0) * case.rate <= LARGE_BPS

@@ -62,6 +62,7 @@ from phm.facts.ros import (
     NeighbourFact as NeighbourFact,
     OutsideFact as OutsideFact,
     RateFact as RateFact,
+    Reception as Reception,
     RosFact as RosFact,
     RosProbe as RosProbe,
     TopicFact as TopicFact,

@@ -5,9 +5,9 @@ Times named `age_s` or `silent_s` are seconds before the call on the monotonic c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 DIAGNOSTICS, CONSENSUS = "/diagnostics", "/phm/consensus"
 """Topics on which PHM publishes diagnostic_msgs/DiagnosticArray."""
@@ -156,6 +156,19 @@ class NeighbourFact:
     late_s: float = 0.0
 
 
+VIEWS_S = 1.5
+"""A beacon repeats what its node receives from others once a second (`phm.beacon`), so its newest report is at most this much older than
+its newest heartbeat."""
+
+
+class Reception(NamedTuple):
+    """A node as another one receives it. by: full name of the other one. ago_s: at most this long ago. late_s: delay of its executor."""
+
+    by: str
+    ago_s: float
+    late_s: float
+
+
 @dataclass(frozen=True, slots=True)
 class BeaconFact:
     """The newest beacon of one node (`phm.beacon`).
@@ -280,6 +293,26 @@ class RosFact:
     def listened_for_s(self) -> float:
         """How long PHM has listened for messages that are sent rarely: an interruption only loses its own duration."""
         return max(self.up_s, self.listened_s)
+
+    def received_elsewhere(self, node: str, without: Collection[str] = ()) -> Reception | None:
+        """The newest report of another process that it receives this node's beacon; None: there is none, or the node has no beacon.
+        without: names of nodes whose reports do not count."""
+        own = self.beacons.get(node)
+        if own is None:
+            return None
+        reports = (
+            Reception(name, view.age_s + VIEWS_S + other.age_s, view.late_s)
+            for name, other in self.beacons.items()
+            if other.witness != own.witness and name not in without
+            if (view := other.views.get(node)) is not None and view.alive
+        )
+        return min(reports, key=lambda report: report.ago_s, default=None)
+
+    def received_only_elsewhere(self, node: str) -> Reception | None:
+        """Proof that the node has sent since PHM last received its beacon: PHM's own participant receives nothing from it."""
+        report = self.received_elsewhere(node)
+        silent_s = self.beacons[node].silent_s - self.age_s if report is not None else 0.0
+        return report if report is not None and report.ago_s < silent_s else None
 
 
 class RosProbe(Protocol):

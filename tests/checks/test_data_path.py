@@ -70,6 +70,21 @@ def path() -> DataPath:
     return DataPath()
 
 
+@pytest.mark.parametrize(
+    ("observer", "alive", "blocked"), [("/b/far", True, False), ("/b/far", False, True), ("/a/one", True, True)]
+)
+def test_a_container_whose_nodes_others_receive_is_not_cut_off(
+    path: DataPath, observer: str, alive: bool, blocked: bool
+) -> None:
+    """Its network is intact, and connecting it again would interrupt it; what its own nodes receive does not show that."""
+    path.clock.advance(10.0)
+    views = {"/a/two": api.NeighbourFact(alive, 0.5)}
+    silent = {name: api.BeaconFact(4.0, 0.2, witness=name) for name in NODES}
+    far = api.BeaconFact(4.0 if observer in NODES else 0.1, 0.2, views=views, witness=observer)
+    path.ros.change(beacons={**silent, observer: far})
+    assert (path.observe().condition == "transport_blocked") is blocked
+
+
 def test_nodes_that_fall_silent_together_are_a_blocked_transport(path: DataPath) -> None:
     """Listed and running, but not received: one fault, without a restart of any node."""
     result = path.later(10.0, 4.0, 4.4)

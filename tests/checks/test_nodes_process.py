@@ -173,6 +173,25 @@ def test_a_sleeping_executor_is_hung() -> None:
     assert levels[int(2.5 * 4)] is api.Level.STALE
 
 
+@pytest.mark.parametrize(("late_s", "condition"), [(0.0, ""), (20.0, "node_hung")])
+def test_a_node_that_only_phm_does_not_receive_is_judged_by_what_others_receive(late_s: float, condition: str) -> None:
+    """PHM's own participant lost it: asleep, silent here, and alive, or hung, according to another node. Later no other node receives it either."""
+    bench = rated()
+    bench.after(3.0)
+
+    def unreceived(passed: float, *, alive: bool = True) -> None:
+        views = {NAME: api.NeighbourFact(alive, 0.5, late_s)}
+        own = replace(live_beacon(passed)[NAME], witness="one")
+        other = api.BeaconFact(0.1, 0.2, turns=20, views=views, witness="other")
+        bench.ros.change(topics=active_topic(passed), beacons={NAME: own, "/agent_1/node_9": other})
+
+    result = bench.after(3 * HANG_S, unreceived)
+    assert result.condition == condition
+    assert result.level is (api.Level.ERROR if condition else api.Level.OK)
+    assert not condition or "PHM does not receive its beacon, but /agent_1/node_9 does" in result.summary
+    assert bench.after(0.5, lambda passed: unreceived(3 * HANG_S + passed, alive=False)).condition == "node_hung"
+
+
 def test_a_silent_topic_of_a_live_node_is_not_a_fault_of_the_node() -> None:
     """Its process runs and it is listed: the topic has its own report."""
     bench = rated()

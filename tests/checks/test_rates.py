@@ -222,6 +222,17 @@ def test_silence_of_a_publisher_that_was_discovered_again_may_follow_from_starva
     assert (result.condition, result.evidence.conclusive) == ("topic_silent", conclusive)
 
 
+@pytest.mark.parametrize(("received_s", "level"), [(0.5, api.Level.STALE), (5.0, api.Level.ERROR)])
+def test_silence_of_a_node_that_only_others_receive_is_not_reported(received_s: float, level: api.Level) -> None:
+    """PHM's own participant has lost the node, whose other topics it would not receive either: a restart would be for nothing."""
+    views = {"/agent_1/node_1": api.NeighbourFact(alive=True, age_s=received_s)}
+    own, other = api.BeaconFact(5.0, 0.2, witness="one"), api.BeaconFact(0.1, 0.2, views=views, witness="other")
+    beacons = {"/agent_1/node_1": own, "/agent_1/node_9": other}
+    result = Bench().known_for(30.0).evaluate(0.0, 5.0, nodes={"/agent_1/node_1": 1}, beacons=beacons)
+    assert result.level is level
+    assert (result.condition == "topic_silent") == (level is api.Level.ERROR)
+
+
 def test_silence_without_evidence_of_the_node_may_follow_from_starvation() -> None:
     """It is not conclusive."""
     assert not Bench().evaluate(0.0, 60.0).evidence.conclusive

@@ -3,7 +3,9 @@
     python tests/fakes/ros_beaconed.py NAME... [--executor single|multi] [--hello TOPIC] [--hang callback|own] ...
 
 SIGUSR1 hangs a callback of the first node permanently, asleep (`--hang own`: in its own callback group); SIGUSR2
-destroys the first node and creates it again. `--hello` has the process announce itself, and listen, on a separate
+destroys the first node and creates it again, or, with `--lose`, makes its beacon lose the present subscriptions: it sends
+again when there is a new one, as a participant that has dropped another one whose announcements it considers as
+acknowledged. `--hello` has the process announce itself, and listen, on a separate
 topic: PHM receives it and its neighbours do not.
 """
 
@@ -45,6 +47,9 @@ class Nodes:
         """Handle requests between two iterations of the executor."""
         if self.renew:
             self.renew = False
+            if self._options.lose:
+                _lose_subscriptions(self._nodes[0])
+                return
             self.executor.remove_node(self._nodes[0])
             self._nodes[0].destroy_node()
             self._nodes[0] = self._make(self._options.names[0])
@@ -68,6 +73,17 @@ class Nodes:
             self._never_released.acquire()
 
 
+def _lose_subscriptions(node: Any) -> None:
+    """Let no beacon of this process be sent before there is another subscription."""
+
+    def subscriptions() -> set[bytes]:
+        return {bytes(info.endpoint_gid) for info in node.get_subscriptions_info_by_topic(beacon.BEACON)}
+
+    (hub,) = beacon._hubs.values()
+    lost, send = subscriptions(), hub._beacon.say
+    hub._beacon.say = lambda said: send(said) if subscriptions() - lost else None
+
+
 def _steady() -> Any:
     return Clock(clock_type=ClockType.STEADY_TIME)
 
@@ -81,6 +97,7 @@ def main() -> int:
     parser.add_argument("--hello", default=beacon.HELLO)
     parser.add_argument("--period", type=float, default=beacon.PERIOD_S)
     parser.add_argument("--lifecycle", action="store_true")
+    parser.add_argument("--lose", action="store_true")
     parser.add_argument("--sim-time", action="store_true")
     parser.add_argument("--no-spin", action="store_false", dest="spin")
     parser.add_argument("--no-watch", action="store_false", dest="watch")

@@ -6,7 +6,8 @@ import signal
 from itertools import pairwise
 
 from phm.facts import EndpointFact, RateFact, RosFact, TopicFact
-from phm.probes.ros.unnamed_participants import REST_MOST_S, REST_S, UNNAMED_S, UnnamedParticipants
+from phm.probes.ros.renewal_pace import REST_MOST_S, REST_S
+from phm.probes.ros.unnamed_participants import UNNAMED_S, UnnamedParticipants
 from tests.fakes.ros_bench import Bench, seen
 
 STRING = "std_msgs/msg/String"

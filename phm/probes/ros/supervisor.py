@@ -42,6 +42,7 @@ from phm.probes.ros.protocol import (
 from phm.probes.ros.self_reports import SILENT_MISSES, ConfiguredNames, SelfReports
 from phm.probes.ros.stale_nodes import DOUBT_S, StaleNodes
 from phm.probes.ros.unnamed_participants import UNNAMED_S, UnnamedParticipants
+from phm.probes.ros.unreceived_nodes import UNRECEIVED_S, UnreceivedNodes
 from phm.probes.ros.wanted import wanted
 
 NOT_INSTALLED = (
@@ -70,6 +71,7 @@ class SupervisorLimits:
     weigh_s: float = 1.0
     doubt_s: float = DOUBT_S
     unnamed_s: float = UNNAMED_S
+    unreceived_s: float = UNRECEIVED_S
     backoff_s: float = 0.5
     backoff_max_s: float = 30.0
     steady_s: float = 60.0
@@ -121,6 +123,7 @@ class RosSupervisor:
         self._limits = limits
         self._stale_nodes = StaleNodes(limits.doubt_s)
         self._unnamed = UnnamedParticipants(limits.unnamed_s)
+        self._unreceived = UnreceivedNodes(limits.unreceived_s)
         self._lock = threading.Lock()
         self._view = self._blank
         self._late = SchedulingDelay()
@@ -308,7 +311,8 @@ class RosSupervisor:
         self._sandbox = message.missing
 
     def _doubt(self, now_s: float) -> None:
-        """A node that is listed twice, or without a name, for too long may be a defect of this participant: replace it."""
+        """A node that is listed twice or without a name for too long, or that only others receive, is a defect of this participant:
+        replace it."""
         graph = self._view.graph
         if graph is None:
             return
@@ -324,6 +328,9 @@ class RosSupervisor:
             self.renew(
                 f"{names} is in use, but the graph has not listed all its nodes for {self._limits.unnamed_s:g} s"
             )
+        elif unreceived := self._unreceived.observe(fact, self._nodes, now_s):
+            names = ", ".join(f"{name}, which {by} receives" for name, by in [*unreceived.items()][:3])
+            self.renew(f"it receives no beacon of {names}")
 
     def _finish(self, child: ChildProcess) -> None:
         """The waiting array may be PHM's last one: the child reads it before the end of its input."""

@@ -10,15 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from phm.core.backoff import Backoff
 from phm.facts.ros import TopicFact
+from phm.probes.ros.renewal_pace import RenewalPace
 
 UNNAMED_S = 5.0
 """An endpoint is listed some milliseconds before the name of its node; on an overloaded machine seconds."""
 FLOWS_S = 1.0
-REST_S, REST_MOST_S = 60.0, 900.0
-"""Time between two new participants. Doubled while they do not help: any participant can create endpoints without a
-name."""
 
 
 class UnnamedParticipants:
@@ -29,8 +26,8 @@ class UnnamedParticipants:
         self._named: set[str] = set()
         """Topics whose endpoints all had names at the last poll, or before they lost them."""
         self._since: dict[str, float] = {}
-        self._polled_at: float | None = None
-        self._backoff = Backoff(REST_S, REST_MOST_S)
+        self._pace = RenewalPace()
+        """Any participant can create endpoints without a name."""
 
     def observe(self, topics: Mapping[str, TopicFact], now: float, unlisted: Collection[str] = ()) -> tuple[str, ...]:
         """Names of topics and nodes. topics: of the newest graph. now: monotonic seconds. unlisted: nodes that send
@@ -48,14 +45,8 @@ class UnnamedParticipants:
             else:
                 self._since.setdefault(name, now)
         due = tuple(sorted(name for name, at in self._since.items() if now - at >= self._unnamed_s))
-        rest_s = self._backoff.pause_s
-        if not due or (self._polled_at is not None and now - self._polled_at < rest_s):
+        if not due or not self._pace.allows(now):
             return ()
-        if self._polled_at is not None and now - self._polled_at < 2 * rest_s:
-            self._backoff.next_s()
-        else:
-            self._backoff.reset()
-        self._polled_at = now
         self._since.clear()
         return due
 
