@@ -16,6 +16,8 @@ LATE_S = 1.5
 WAVER_PERIODS = 2.0
 """A beacon or topic that is silent for this many periods is not evidence yet, but a reason to check the processes."""
 WAVER_S = 0.2
+OVERDUE_S = 2.0
+"""For this long the last message of a slow topic counts more than a process that has ended."""
 LARGE_BPS, PAUSE_S = 0.8e6, 2.75
 """PHM samples topics above this many bytes per second with pauses of this length (`phm.probes.ros.rates.topic_monitor`), so they
 appear to be interrupted."""
@@ -112,11 +114,13 @@ class GraphEvidence:
                 return _as_others_receive_it(report)
             words = f"its beacon has been silent for {span(silent_s)}"
             return Evidence(Kind.BEACON, Observation.SILENT, words, fact.age_s, silent_s)
+        overdue = silent_s > WAVER_PERIODS * beacon.period_s
         if beacon.turns and beacon.late_s > LATE_S:
             self.suspicions.add("executor late")
             words = f"its executor has been blocked for {span(beacon.late_s)}, according to its beacon"
-            return Evidence(Kind.BEACON, Observation.LATE, words, beacon.age_s, beacon.late_s)
-        return Evidence(Kind.BEACON, Observation.ALIVE, f"its last beacon was {span(beacon.age_s)} ago", beacon.age_s)
+            return Evidence(Kind.BEACON, Observation.LATE, words, beacon.age_s, beacon.late_s, overdue=overdue)
+        words = f"its last beacon was {span(beacon.age_s)} ago"
+        return Evidence(Kind.BEACON, Observation.ALIVE, words, beacon.age_s, overdue=overdue)
 
     def _topics(self, fact: api.RosFact) -> Evidence | None:
         """Topics that only this node publishes: data on one is a sign of life, silence of all a reason to check the processes."""
@@ -131,7 +135,8 @@ class GraphEvidence:
                 continue
             known_s = max(0.0, rate.silent_s - rate.not_counted_s - fact.age_s)
             if known_s <= _waver_s(rate, rate_hz):
-                return Evidence(Kind.TOPICS, Observation.ALIVE, f"data arrives on {last(topic)}", rate.silent_s)
+                words, overdue = f"data arrives on {last(topic)}", known_s > OVERDUE_S
+                return Evidence(Kind.TOPICS, Observation.ALIVE, words, rate.silent_s, overdue=overdue)
             silent.append((known_s, topic))
             limits.append(rate.limit_s or 3.0 / rate_hz)
         if not silent:

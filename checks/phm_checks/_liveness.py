@@ -66,6 +66,8 @@ GOODBYE_S = 0.3
 """Nodes that shut down cleanly leave the graph a moment before PHM sees that their container has exited."""
 BARE_S = 2.0
 """A name may stay listed this long after its endpoints."""
+DISPROVED_S = 2.0
+"""Messages of an ended process may arrive this late on a busy machine."""
 NEWER_S = 0.3
 """A sign of life counts as newer than a process list only by at least one topic poll; topics are polled every 0.25 s."""
 
@@ -73,7 +75,7 @@ NEWER_S = 0.3
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """age_s: time since it was observed. lasted_s: how long the state has lasted. words: a clause for the operator. measured: for a
-    process, whether its CPU use is known."""
+    process, whether its CPU use is known. overdue: for a beacon or topic that is alive, whether the next message is late."""
 
     kind: Kind
     says: Observation
@@ -81,6 +83,7 @@ class Evidence:
     age_s: float = 0.0
     lasted_s: float = 0.0
     measured: bool = True
+    overdue: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,13 +128,25 @@ class Findings:
         found = self.of.get(kind)
         return found if found is not None and found.says in what else None
 
-    def alive_since(self, then: Evidence) -> bool:
-        """Whether the node sent a beacon or published after `then` was observed."""
+    @property
+    def signs(self) -> list[Evidence]:
+        """Its beacon and its topics, in this order, as far as they are received."""
         signs = (
             self.evidence(Kind.BEACON, Observation.ALIVE, Observation.LATE),
             self.evidence(Kind.TOPICS, Observation.ALIVE),
         )
-        return any(sign is not None and sign.age_s + NEWER_S < then.age_s for sign in signs)
+        return [sign for sign in signs if sign is not None]
+
+    def alive_since(self, then: Evidence) -> bool:
+        """Whether the node sent a beacon or published after `then` was observed."""
+        return any(sign.age_s + NEWER_S < then.age_s for sign in self.signs)
+
+    @property
+    def sends(self) -> bool:
+        """Whether it is listed and what it sends is not late: its beacon, which is the first to be, or its topics if it has none."""
+        if self.evidence(Kind.NAME, Observation.ALIVE) is None or self.evidence(Kind.BEACON, Observation.SILENT):
+            return False
+        return any(not sign.overdue for sign in self.signs[:1])
 
 
 RuleResult = tuple[NodeState, Kind | None] | None
@@ -154,6 +169,13 @@ def judge_node(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
     return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed, certain, age_s)
 
 
+def disproved(evidence: Iterable[Evidence]) -> bool:
+    """Whether the node has sent for DISPROVED_S after the process that was taken for its own had ended: it was another program's."""
+    case = Findings({piece.kind: piece for piece in evidence}, NodeHistory())
+    gone = case.evidence(Kind.PROCESS, Observation.GONE)
+    return gone is not None and any(sign.age_s + DISPROVED_S < gone.lasted_s for sign in case.signs)
+
+
 def container(case: Findings) -> RuleResult:
     """1. Nothing is alive in a container that is not running, and nothing runs in a paused one. A node that is missing from a
     terminating container ends with it: the engine will report that."""
@@ -165,12 +187,13 @@ def container(case: Findings) -> RuleResult:
 
 
 def process(case: Findings) -> RuleResult:
-    """2. If its process has ended, the node is dead; if its process is stopped, the node is hung, unless it gave a sign of life since.
+    """2. If its process has ended, the node is dead; if its process is stopped, the node is hung, unless it gave a sign of life since,
+    or its next one is not late yet: a program that only has the node's name in its command line may have ended.
 
     A node that has just left the graph may be terminating with its container: PHM waits for that.
     """
     found = case.evidence(Kind.PROCESS, Observation.GONE, Observation.STOPPED)
-    if found is None or case.alive_since(found):
+    if found is None or case.alive_since(found) or case.sends:
         return None
     if found.says is Observation.STOPPED:
         return NodeState.HUNG, Kind.PROCESS

@@ -35,6 +35,9 @@ WINDOW_S, BUSY_SHARE = 3.0, 0.5
 ENDING_S = 11.0
 """The engine reports a container as running until all its processes have ended: up to 1.5 s, measured, after its first process was
 killed, while the others disappear one by one. The engine itself waits 10 s before it gives up on a killed container."""
+YOUNGER_S = 2.0
+"""A process that began this much later than the node appeared in the graph is not the node's: ages of processes are whole seconds, and
+lists take a moment."""
 _KEPT = 12
 NEVER = float("-inf")
 
@@ -112,6 +115,10 @@ class ProcessTable:
         self._ending_since: float | None = None
         self._born_at = NEVER
         self._began_at: dict[str, float] = {}
+        self._appeared_at: dict[str, float] = {}
+        """When each node appeared in the graph, or appeared one more time."""
+        self._vanished_at: dict[str, float] = {}
+        """When a process that an earlier generation had was first missing in this one."""
         self._listed_at: float | None = None
         self._asked_at = NEVER
         self._again_s = QUIET_S
@@ -180,6 +187,7 @@ class ProcessTable:
                 self._ways = dict.fromkeys(self._ways, BARE)
             self._generation, self._first, self._ending_since = generation, 0, None
             self._known.clear()
+            self._vanished_at.clear()
 
     def _take(self, processes: Sequence[api.ProcessFact], now: float) -> None:
         self._listed_at = now
@@ -188,11 +196,23 @@ class ProcessTable:
         found, self._unclear = match(self._nodes, processes, wrappers, self._ways)
         for node in self._nodes:
             known, matched = self._known.get(node.name), found.get(node.name)
+            if (
+                matched is not None
+                and (known is None or known.pid in by_pid)
+                and self._younger(node.name, matched, now)
+            ):
+                matched = None
             if matched is not None and (known is None or known.pid not in by_pid or matched.way < known.match.way):
                 known = self._renew(node.name, known, matched, now)
             if known is None:
                 continue
             known.observe(now, by_pid.get(known.pid))
+
+    def _younger(self, name: str, matched: Match, now: float) -> bool:
+        """Whether the node was in the graph, in this generation, before the process began: then it is another program, such as a tool
+        that was started by hand with the node's name in its command line."""
+        appeared_at, age_s = self._appeared_at.get(name, NEVER), matched.process.age_s
+        return self._born_at < appeared_at and age_s is not None and now - age_s > appeared_at + YOUNGER_S
 
     def _renew(self, name: str, known: KnownProcess | None, matched: Match, now: float) -> KnownProcess:
         """Assign another process to the node: it is the first in this generation, or the old one has ended, or the old match was wrong:
@@ -201,6 +221,7 @@ class ProcessTable:
         if known is not None and known.match.way <= matched.way:
             self._began_at[name] = now
         self._ways[name] = min(matched.way, self._ways.get(name, matched.way))
+        self._vanished_at.pop(name, None)
         self._known[name] = KnownProcess(matched, first)
         return self._known[name]
 
@@ -216,13 +237,19 @@ class ProcessTable:
         """When the first node process of this generation was started; infinite if none was seen."""
         return min((known.began_at for known in self._known.values()), default=float("inf"))
 
-    def forget(self, name: str, since: float) -> None:
-        """Forget the node's process if it had ended before `since`, when the node appeared in the graph: it now runs as another process."""
+    def appeared(self, name: str, since: float) -> None:
+        """The node appeared in the graph at `since`. Forget its process if it had ended before, or if none is in a newer list of this
+        generation: it now runs as another process."""
+        self._appeared_at[name] = since
         known = self._known.get(name)
-        if known is not None and known.ended_at < since:
-            del self._known[name]
-            for kept in (self._ways, self._commands, self._late_s):
-                kept.pop(name, None)
+        unmatched = known is None and not self._unclear.get(name) and self._born_at < since < (self._listed_at or NEVER)
+        if unmatched or (known is not None and known.ended_at < since):
+            self.forget(name)
+
+    def forget(self, name: str) -> None:
+        """Forget all that was learned about the node's process: it was another program's."""
+        for kept in (self._known, self._ways, self._commands, self._late_s, self._vanished_at):
+            kept.pop(name, None)
 
     # ------------------------------------------------------------ results
 
@@ -258,10 +285,17 @@ class ProcessTable:
         age_s = now - self._listed_at
         if known is None:
             words = "no process in its container matches it"
-            return Evidence(Kind.PROCESS, Observation.GONE, words, age_s) if self._vanished(name, now) else None
+            if not self._vanished(name, now):
+                return None
+            lasted_s = now - self._vanished_at.setdefault(name, self._listed_at)
+            return Evidence(Kind.PROCESS, Observation.GONE, words, age_s, lasted_s)
         if not known.there:
-            words = f"its process {known.pid} has ended"
-            return Evidence(Kind.PROCESS, Observation.GONE, words, age_s) if self._unclear.get(name, 0) < 2 else None
+            words, lasted_s = f"its process {known.pid} has ended", now - known.ended_at
+            return (
+                Evidence(Kind.PROCESS, Observation.GONE, words, age_s, lasted_s)
+                if self._unclear.get(name, 0) < 2
+                else None
+            )
         if known.state in ("T", "t"):
             words = f"its process {known.pid} is stopped (state {known.state}: SIGSTOP or a debugger)"
             return Evidence(Kind.PROCESS, Observation.STOPPED, words, age_s)

@@ -8,7 +8,7 @@ from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
 from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
-from phm_checks._liveness import Evidence, Kind, NodeHistory, NodeState, NodeVerdict, Observation, judge_node
+from phm_checks._liveness import Evidence, Kind, NodeHistory, NodeState, NodeVerdict, Observation, disproved, judge_node
 from phm_checks._process_matching import Wanted, wanted_nodes
 from phm_checks._process_table import NEVER, ProcessTable
 from phm_checks._text import brief, did_you_mean, last, span
@@ -172,7 +172,7 @@ class Nodes(api.Check):
         table, name = self._tables.get(node.wanted.container), node.wanted.name
         found = node.graph.observe(fact, now, table.began_at(name) if table is not None else NEVER)
         if table is not None:
-            table.forget(name, node.graph.appeared_at)
+            table.appeared(name, node.graph.appeared_at)
         return found
 
     def _result(
@@ -192,6 +192,8 @@ class Nodes(api.Check):
             began_at, process, fit = table.began_at(name), table.describe(name), table.fit(name, now)
         unlisted = table is not None and table.unlisted
         judgement = node.judge(evidence, began_at, now, self._grace_s, fit, unlisted=unlisted)
+        if table is not None and disproved(evidence):
+            table.forget(name)
         node.record_alive(table, evidence, now)
         level, words, short, condition = self._words(node, judgement, fact, why, world)
         values: dict[str, api.Value] = {"listed": node.graph.count, "process": process}

@@ -92,7 +92,7 @@ class Executor:
             self._closed(event.fault)
         elif isinstance(event, FaultOpened):
             self._opened(event.fault)
-        elif isinstance(event, Transition) and event.changed_text and event.state.fault:
+        elif isinstance(event, Transition) and event.new is Level.ERROR and event.state.fault:
             self._changed(event)
         elif isinstance(event, Transition) and event.new is Level.OK:
             fault = self._given_up.pop(event.unit, None)
@@ -113,7 +113,7 @@ class Executor:
             self._worker(fault.result.target).opened(fault)
 
     def _changed(self, event: Transition) -> None:
-        """The same fault has another condition now (exited, then dead): the ladder may be another."""
+        """The same fault may have another condition now (exited, then dead), and with it another ladder or target."""
         for fault in self._pipeline.open_faults():
             if fault.id == event.state.fault:
                 self._opened(fault)
@@ -174,7 +174,8 @@ class Executor:
 
     def _restore_generations(self, recovery: RecoveryState) -> None:
         self._generations.restore(recovery.generations)
-        starts = {name for name, cut in recovery.under_way.items() if self.catalog.may_start(cut.attempt.action)}
+        cut_off = {name: cut for name, cut in recovery.under_way.items() if not cut.returned}
+        starts = {name for name, cut in cut_off.items() if self.catalog.may_start(cut.attempt.action)}
         for key, who in {**recovery.unfinished, **{name: name for name in starts}}.items():
             self._generations.add_unfinished(key, who)
 

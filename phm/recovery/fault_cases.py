@@ -45,6 +45,8 @@ class AttemptRecord:
     """It does not count as a failure of the target."""
     partly: bool = False
     """The unit itself recovered, but not everything that needs it."""
+    took_s: float = 0.0
+    """Until it was known whether it had helped."""
 
 
 @dataclass(slots=True)
@@ -101,6 +103,8 @@ class UnfinishedAction:
 
     fault: str
     attempt: AttemptRecord
+    returned: bool = False
+    """Its effect has not been verified, but it has ended: nothing more can be started by it."""
 
 
 @dataclass(slots=True)

@@ -349,7 +349,7 @@ class Failures:
         failures: list[AttemptRecord] = []
         broke_again = self.fault.opened.mono
         for attempt in newest_first:
-            if attempt.worked and broke_again - attempt.at > self.lasting_s:
+            if attempt.worked and broke_again - attempt.at - attempt.took_s > self.lasting_s:
                 break
             if attempt.not_counted or (attempt.worked and not self._own(attempt)):
                 continue

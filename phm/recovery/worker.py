@@ -35,6 +35,7 @@ from phm.recovery.policy import Act, ActionRules, Advise, Decision, GiveUp, Wait
 logger = logging.getLogger(__name__)
 
 POLL_S = 0.05
+ANY_TIME = float("-inf")
 RETRY_S = 0.5
 """How often PHM checks again a target on which another attempt acts, and a fault that a new run must confirm."""
 INTERRUPTED_S = 20.0
@@ -188,11 +189,14 @@ class TargetWorker:
             return [self._wait_for_confirmation(case.fault.unit, recheck_from)]
         case.recheck_from = None
         decision = self._decide(case.fault, approved=case.approval is not None)
-        if isinstance(decision, Act):
-            if decision.action not in self._catalog.unrestricted and self._changes.generation_changed(case):
-                return [0]  # a run must find the fault in this generation
-            return [self._perform(case, decision)]
-        return self._wait_until(self._report(case, decision))
+        if not isinstance(decision, Act):
+            return self._wait_until(self._report(case, decision))
+        if decision.action not in self._catalog.unrestricted and self._changes.generation_changed(case):
+            return [0]  # a run must find the fault in this generation
+        if not self._pipeline.bad_since(case.fault.unit, ANY_TIME):
+            # The decision waited, and the fault may be over: it stays open while its unit is unknown or only a warning.
+            return [self._wait_for_confirmation(case.fault.unit, ANY_TIME)]
+        return [self._perform(case, decision)]
 
     def _restart_manually(self, requests: OperatorRequests) -> float:
         case = requests.next()
@@ -327,7 +331,13 @@ class TargetWorker:
 
     def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> None:
         worked, before = False, self._generations.current(self._name)
-        report = partial(self._reporter.report, case.fault, act.action, attempt=act.attempt)
+        publish = partial(self._reporter.report, case.fault, act.action, attempt=act.attempt)
+
+        def report(phase: Phase, detail: str) -> None:
+            if phase is Phase.DONE and self._under_way is not None:
+                self._under_way = replace(self._under_way, returned=True)
+            publish(phase, detail)
+
         try:
             outcome = attempt.run(report, lambda: self._stopping, lambda: self._another_calls(case))
             if self._stopping and not outcome.worked:
@@ -335,7 +345,10 @@ class TargetWorker:
             worked = outcome.worked or outcome.undecided
             case.refused = outcome.refused
             self._changes.attempted(self._current(), case, before, superseded=outcome.superseded)
-            done = replace(record, worked=outcome.worked, not_counted=outcome.not_counted, partly=outcome.partly)
+            took_s = self._clock.mono() - record.at
+            done = replace(
+                record, worked=outcome.worked, not_counted=outcome.not_counted, partly=outcome.partly, took_s=took_s
+            )
             self._end(None if outcome.postponed else done)
             report(outcome.phase, outcome.detail)
         finally:

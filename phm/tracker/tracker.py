@@ -241,7 +241,8 @@ class Tracker:
                 self._evaluate(owner, now, effects)
         if not worked:
             for record in self._units.values():
-                if record.fault is not None and record.fault.by == action.action:
+                own = record.target == target or record.id == action.owner
+                if own and record.fault is not None and record.fault.by == action.action:
                     record.fault = replace(record.fault, by="")
         return effects
 
@@ -449,9 +450,13 @@ class Tracker:
         changed = old.level is not level
         reworded = not changed and level.bad and _statement(old.result) != _statement(result)
         since = now if changed else old.since
+        before = record.fault or record.given_up
         if level is Level.ERROR:
             self._faults.open(record, result, now, effects)
-        if reworded:
+            self._withdraw_credit(record)
+        if reworded or (
+            level is Level.ERROR and before is not None and _statement(before.result) != _statement(result)
+        ):
             record.update_condition(result)
         if changed:
             record.ok_before_s = record.ok_since_start_s(now.mono)
@@ -465,6 +470,12 @@ class Tracker:
             effects.events.append(Transition(now, old.level, record.published, changed_text=reworded))
         if changed and level is Level.ERROR:
             self._evaluate_dependents(record, now, effects)
+
+    def _withdraw_credit(self, record: UnitRecord) -> None:
+        """It still fails after an action on its target and the grace that follows: what ends it later is something else."""
+        acting = record.target in self._actions or any(each.owner == record.id for each in self._actions.values())
+        if record.fault is not None and record.fault.by and not acting and record.started > record.grace_until:
+            record.fault = replace(record.fault, by="")
 
 
 def _statement(result: Result) -> tuple[str, str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from random import Random
 
 import pytest
@@ -12,6 +13,7 @@ from phm_checks._liveness import (
     BARE_S,
     BLIND_HANG_S,
     CERTAIN_HANG_S,
+    DISPROVED_S,
     GOODBYE_S,
     HANG_S,
     LOST_S,
@@ -21,6 +23,7 @@ from phm_checks._liveness import (
     NodeHistory,
     NodeState,
     Observation,
+    disproved,
     judge_node,
 )
 
@@ -71,13 +74,39 @@ def test_a_stopped_process_is_a_hung_node() -> None:
     assert state(STOPPED, UNLISTED, piece(Kind.BEACON, Observation.SILENT, lasted_s=9.0)) is NodeState.HUNG
 
 
-@pytest.mark.parametrize("sign", [BEACON_ALIVE, TOPICS_ACTIVE, piece(Kind.BEACON, Observation.LATE, age_s=0.1)])
+SIGNS = [BEACON_ALIVE, TOPICS_ACTIVE, piece(Kind.BEACON, Observation.LATE, age_s=0.1)]
+
+
+@pytest.mark.parametrize("sign", SIGNS)
 @pytest.mark.parametrize("says", [Observation.GONE, Observation.STOPPED])
 def test_a_sign_of_life_newer_than_the_process_list_contradicts_it(sign: Evidence, says: Observation) -> None:
     """The node was restarted as another process, or resumed since."""
+    overdue = replace(sign, overdue=True)
     older, same = piece(Kind.PROCESS, says, age_s=1.0), piece(Kind.PROCESS, says, age_s=0.2)
-    assert state(older, sign, LISTED) is not judge_node([same, sign, LISTED], NodeHistory()).state
-    assert state(same, sign, LISTED) in (NodeState.DEAD, NodeState.HUNG)
+    assert state(older, overdue, LISTED) is not judge_node([same, overdue, LISTED], NodeHistory()).state
+    assert state(same, overdue, LISTED) in (NodeState.DEAD, NodeState.HUNG)
+
+
+@pytest.mark.parametrize("sign", SIGNS)
+@pytest.mark.parametrize("says", [Observation.GONE, Observation.STOPPED])
+def test_a_listed_node_whose_next_message_is_not_late_may_have_another_process(
+    sign: Evidence, says: Observation
+) -> None:
+    """What ended or is stopped may be a tool with its name. Without its name in the graph, or when its beacon is late, it counts."""
+    found = piece(Kind.PROCESS, says, age_s=0.2)
+    assert state(found, sign, LISTED) in (NodeState.ALIVE, NodeState.UNKNOWN)
+    assert state(found, sign, UNLISTED) in (NodeState.DEAD, NodeState.HUNG)
+    late = piece(Kind.BEACON, Observation.SILENT, lasted_s=0.7)
+    assert state(found, late, TOPICS_ACTIVE, LISTED) in (NodeState.DEAD, NodeState.HUNG)
+
+
+@pytest.mark.parametrize("sign", SIGNS)
+def test_an_ended_process_is_disproved_by_messages_that_are_certainly_newer(sign: Evidence) -> None:
+    """Later than any message of the process may arrive; a stopped process may have been resumed."""
+    assert disproved([piece(Kind.PROCESS, Observation.GONE, lasted_s=DISPROVED_S + 0.2), sign])
+    assert not disproved([piece(Kind.PROCESS, Observation.GONE, lasted_s=DISPROVED_S), sign])
+    assert not disproved([piece(Kind.PROCESS, Observation.STOPPED, lasted_s=60.0), sign])
+    assert not disproved([piece(Kind.PROCESS, Observation.GONE, lasted_s=60.0), LISTED])
 
 
 def test_a_node_that_unregisters_may_stop_with_its_container() -> None:

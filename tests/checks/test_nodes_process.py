@@ -9,7 +9,7 @@ import pytest
 from phm import api
 from phm.recovery.ladders import LADDERS
 from phm_checks._liveness import HANG_S, LOST_S
-from phm_checks._process_table import BLIND_S
+from phm_checks._process_table import BLIND_S, QUIET_S
 from phm_checks.nodes import BUSY_S
 from tests.fakes.nodes_bench import (
     MAIN,
@@ -321,3 +321,90 @@ def test_another_publisher_is_not_a_sign_of_life() -> None:
     other = api.TopicFact((api.EndpointFact("/agent_1/other", ""),), (), api.RateFact(10.0, 0.0))
     bench.ros.change(nodes={}, topics={TOPIC: other})
     assert bench.after(1.0).brief == "node_1 dead"
+
+
+# ---------------------------------------------------------------- processes of others
+
+
+NAMELESS = api.ProcessFact(71, 1, "S", 5.0, "python -m acme.node", 60.0)
+
+
+def tool(age_s: float) -> api.ProcessFact:
+    """A program with the node's name in its command line, e.g. of `docker exec`."""
+    return api.ProcessFact(90, 0, "S", 1.0, "tail -f /logs/node_1/out", age_s)
+
+
+def never_bad(bench: Bench, seconds: float, silent_s: float = 0.05) -> None:
+    """The node's topic flows for so long, and it is OK in each run."""
+
+    def ok(passed: float) -> None:
+        if bench.ros.fact.topics:
+            bench.ros.change(topics=active_topic(silent_s))
+        assert bench.result().level is api.Level.OK, bench.result().summary
+
+    bench.after(seconds, ok)
+
+
+@pytest.mark.parametrize("flows", [True, False])
+def test_a_tool_that_names_the_node_and_ends_does_not_end_the_node(flows: bool) -> None:
+    """The node's own command line does not name it: a tool that began after the node had appeared is not its process."""
+    bench = rated() if flows else Bench()
+    bench.processes(MAIN, NAMELESS)
+    never_bad(bench, 20.0)
+    bench.processes(MAIN, NAMELESS, tool(1.0))
+    never_bad(bench, 20.0)
+    assert bench.result().values["process"] == "none found"
+    bench.processes(MAIN, NAMELESS)
+    never_bad(bench, 30.0)
+
+
+def test_the_end_of_another_program_is_disproved_by_what_the_node_sends() -> None:
+    """The program began before the node, so it is taken for its process. It ends, and the topic flows: it was not, and it is not missing
+    from the next start either."""
+    bench = rated()
+    bench.processes(MAIN, NAMELESS, tool(60.0))
+    never_bad(bench, 20.0)
+    assert bench.result().values["process"] == "90 S"
+    bench.processes(MAIN, NAMELESS)
+    never_bad(bench, 20.0)
+    assert bench.result().values["process"] == "none found"
+    bench.restart_container(MAIN, NAMELESS)
+    never_bad(bench, 30.0)
+
+
+def test_a_duplicate_is_not_missing_after_the_restart_that_ended_it() -> None:
+    """It alone had the node's name in its command line, and its restarted original never has: seen in a campaign, where the container
+    was restarted again and again."""
+    bench = rated()
+    bench.processes(MAIN, NAMELESS)
+    never_bad(bench, 20.0)
+    bench.ros.change(nodes={NAME: 2})
+    bench.processes(MAIN, NAMELESS, replace(ONE, pid=95, age_s=0.0))
+    bench.after(12.0)
+    assert bench.result().values["process"] == "95 S"
+    bench.restart_container(MAIN, NAMELESS)
+    bench.ros.change(nodes={NAME: 1}, topics=active_topic(0.05))
+    never_bad(bench, 40.0)
+
+
+def test_a_node_without_data_that_appears_after_a_restart_runs_as_another_process() -> None:
+    """Nothing matches it in the new container, which may name its processes differently: the graph lists it, so it runs."""
+    bench = Bench()
+    bench.after(3.0)
+    bench.ros.change(nodes={})
+    bench.restart_container(MAIN, NAMELESS)
+    bench.after(2.0)
+    bench.ros.change(nodes={NAME: 1})
+    never_bad(bench, 40.0)
+
+
+def test_a_killed_node_with_a_slow_topic_is_dead_when_its_message_is_late() -> None:
+    """Its process is missing from a list that was made for another reason, less than OVERDUE_S after its last message."""
+    bench = Bench(topics=[{"name": TOPIC, "rate": 0.2, "publishers": [NAME]}])
+    bench.ros.change(topics=active_topic())
+    bench.after(3.0)
+    bench.processes(MAIN)
+    bench.clock.advance(QUIET_S)
+    assert bench.after(1.0, lambda passed: bench.ros.change(topics=active_topic(passed))).level is api.Level.OK
+    result = bench.after(2.0, lambda passed: bench.ros.change(topics=active_topic(1.0 + passed)))
+    assert result.condition == "node_missing" and result.evidence.certain

@@ -223,6 +223,12 @@ def seen_by_phm(happenings: list[tuple[str, float]]) -> bool:
 @examples(150)
 @example(happenings=[("container", 6.5), ("apart", 17.0), ("starved", 6.5)], seed=0, helps=0.0, critical=False)
 @example(happenings=[("apart", 8.0), ("apart", 28.0), ("unhealthy", 7.0)], seed=0, helps=0.0, critical=False)
+@example(  # given up as dead, and unanswering for a moment when it returns
+    happenings=[("unhealthy", 13.0), ("device", 14.0), ("node_1", 18.0), ("device", 24.0), ("starved", 37.0)],
+    seed=0,
+    helps=0.0,
+    critical=False,
+)
 @given(HAPPENINGS.filter(seen_by_phm), SEEDS, st.floats(0.0, 1.0), st.booleans())
 def test_recovery_respects_budget_hold_and_arming(
     happenings: list[tuple[str, float]], seed: int, helps: float, critical: bool
@@ -284,11 +290,21 @@ def test_a_unit_in_error_always_has_a_visible_fault(
 
 def reasons_to_publish_again(sim: Sim) -> Counter[str]:
     """Causes whose fault may be published again: after each start, during which the container did not run, the fault
-    may have been found to be a consequence; or it was given up and recovery attempts were reset from outside.
+    may have been found to be a consequence; or it was given up, and recovery attempts were reset from outside, or it failed in
+    another way.
     """
     again = Counter({f"container/{TARGET}": len(sim.world.lives) - 1})
     again.update(event.fault.unit for event in sim.closed if event.fault.outcome is Outcome.REATTRIBUTED)
     again.update(sim.reset_units)
+    given_up = {
+        (event.fault.unit, event.fault.result.condition)
+        for event in sim.closed
+        if event.fault.outcome is Outcome.ESCALATED
+    }
+    opened = {
+        (event.fault.unit, event.fault.result.condition) for _, event in sim.events if isinstance(event, FaultOpened)
+    }
+    again.update(unit for unit, _ in opened - given_up if unit in {one for one, _ in given_up})
     return again
 
 

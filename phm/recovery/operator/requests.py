@@ -13,6 +13,7 @@ from phm.core.model import Fault, Level, Phase, Result, Stamp, UnitState
 from phm.core.settings import RecoverySettings
 from phm.recovery.base import Target
 from phm.recovery.fault_cases import ActionReporter, FaultCase, History
+from phm.recovery.ladders import GENTLE
 from phm.recovery.operator.approval import Approval, NotAllowed, NotApprovable, NotNow, Situation
 from phm.recovery.ownership import Shared
 from phm.recovery.policy import Act, ActionRules, Advise, Decision, GiveUp, Skip, Wait
@@ -192,9 +193,9 @@ def check_permitted(
         raise NotAllowed(f"{target.key} has not opted in (recover: true)")
     if forbidden:
         raise NotNow(f"{target.key} is not restarted: {forbidden}")
-    recent = history.within(now - settings.window)
+    recent = [made for made in history.within(now - settings.window) if made.action not in GENTLE]
     if len(recent) >= settings.budget:
-        left_s = recent[0].at + settings.window - now
+        left_s = recent[-settings.budget].at + settings.window - now
         raise NotNow(f"the budget of {settings.budget} actions on {target.key} is used up for {left_s:.0f} s")
 
 

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from typing import Any
 
 from phm.core.clock import MAX_STEPS
-from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.base import LoweredWeight
 from phm.recovery.fault_cases import CLEAN_S, KEPT, MAX_REPORTED, AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.holds.hold_registry import MAX_DONE, MAX_HOLDS, Hold, PersistedHold, carried
@@ -52,7 +52,11 @@ def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
             for name, case in list(recovery.cases.items())[:MAX_FAULTS]
         },
         "under_way": {
-            target: {"fault": action.fault, "attempt": _attempt(action.attempt, now)}
+            target: {
+                "fault": action.fault,
+                "attempt": _attempt(action.attempt, now),
+                "returned": action.returned,
+            }
             for target, action in list(recovery.under_way.items())[:MAX_TARGETS]
         },
         "stops": list(recovery.stops[:MAX_TARGETS]),
@@ -87,8 +91,11 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
         def attempt(body: Any) -> AttemptRecord:
             when = carried(_read_stamp(body["at"]), max(window_s, CLEAN_S))
             unit, condition, action = (str(body[key]) for key in ("unit", "condition", "action"))
-            flags = (body.get(key) is True for key in ("worked", "backoff_reset", "not_counted", "partly"))
-            return AttemptRecord(when.mono, unit, condition, action, *flags)
+            worked, reset, uncounted, partly = (
+                body.get(key) is True for key in ("worked", "backoff_reset", "not_counted", "partly")
+            )
+            took_s = float(body.get("took_s", 0.0))
+            return AttemptRecord(when.mono, unit, condition, action, worked, reset, uncounted, partly, took_s)
 
         def fault(body: Any) -> Fault:
             return _read_fault(body, carried(_read_stamp(body["opened"]), FAULT_AGE_S))
@@ -122,7 +129,9 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
                 for name, case in list(document["cases"].items())[:MAX_FAULTS]
             },
             {
-                str(target): UnfinishedAction(str(action["fault"]), attempt(action["attempt"]))
+                str(target): UnfinishedAction(
+                    str(action["fault"]), attempt(action["attempt"]), action.get("returned") is True
+                )
                 for target, action in list(document["under_way"].items())[:MAX_TARGETS]
             },
             {str(target): generation(body) for target, body in list(document["generations"].items())[:MAX_TARGETS]},
@@ -224,6 +233,7 @@ def _attempt(attempt: AttemptRecord, now: Stamp) -> dict[str, Any]:
         "backoff_reset": attempt.backoff_reset,
         "not_counted": attempt.not_counted,
         "partly": attempt.partly,
+        "took_s": attempt.took_s,
     }
 
 
@@ -247,6 +257,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
             "brief": result.brief[:MAX_TEXT],
             "condition": result.condition[:MAX_TEXT],
             "target": result.target[:MAX_TEXT],
+            "never_ok": result.evidence.never_ok,
         },
     }
 
@@ -273,4 +284,6 @@ def _read_result(body: Any) -> Result:
     summary, brief, condition, target = (
         str(body[key])[:MAX_TEXT] for key in ("summary", "brief", "condition", "target")
     )
-    return Result(Level.ERROR, summary, brief, condition, target)
+    never_ok = body.get("never_ok")
+    known = Evidence(never_ok=never_ok if isinstance(never_ok, bool) else None)
+    return Result(Level.ERROR, summary, brief, condition, target, evidence=known)
