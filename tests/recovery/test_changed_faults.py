@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from phm.api import error
+from phm.api import Result, error, stale, warn
 from phm.core.model import Fault, Level, Outcome, Phase
 from phm.recovery.base import ActionContext
 from phm.testing import FakeClock
@@ -58,6 +58,58 @@ def test_a_hung_node_that_becomes_unreachable_is_not_restarted_after_landing(sta
     assert agent.acted() == []
     assert visible(agent)
     assert agent.opened() == ["nodes/one"]
+
+
+UNKNOWN = stale("the graph is not known")
+BUSY = warn("busy", brief="busy", condition="node_busy")
+
+
+@pytest.mark.parametrize("newer", [UNKNOWN, BUSY])
+def test_nothing_is_done_for_what_is_unknown_or_only_a_warning_now(start: Start, newer: Result) -> None:
+    """The fault is open and was only advised in flight; after landing a run must find it again. It did for the first attempt, too."""
+    agent = start(critical=("app",))
+    agent.armed = True
+    agent.found["nodes/one"] = HUNG
+    agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
+    agent.found["nodes/one"] = newer
+    agent.rest(5.0)
+    agent.armed = False
+    agent.rest(30.0)
+    assert agent.acted() == []
+    agent.found["nodes/one"] = HUNG
+    agent.until(lambda: agent.acted() == ["restart"], "the restart")
+
+
+@pytest.mark.parametrize("between", [UNKNOWN, BUSY])
+def test_a_condition_that_changes_while_it_is_unknown_or_a_warning_changes_the_fault(
+    start: Start, between: Result
+) -> None:
+    """Hung, then unknown, then unreachable: as if it had become unreachable directly."""
+    agent = start(critical=("app",))
+    agent.armed = True
+    agent.found["nodes/one"] = HUNG
+    agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
+    agent.found["nodes/one"] = between
+    agent.rest(2.0)
+    agent.found["nodes/one"] = UNREACHABLE
+    agent.rest(5.0)
+    (fault,) = agent.pipeline.open_faults()
+    assert (fault.result.condition, fault.result.target) == ("node_unreachable", "")
+    agent.armed = False
+    agent.rest(30.0)
+    assert agent.acted() == []
+    assert agent.opened() == ["nodes/one"]
+
+
+def test_a_fault_that_gets_a_target_while_it_is_unknown_is_acted_on(start: Start) -> None:
+    """Unreachable, unknown, then hung: the worker of the new target gets the fault."""
+    agent = start()
+    agent.found["nodes/one"] = UNREACHABLE
+    agent.rest(5.0)
+    agent.found["nodes/one"] = UNKNOWN
+    agent.rest(2.0)
+    agent.found["nodes/one"] = HUNG
+    agent.until(lambda: agent.acted() == ["restart"], "the restart")
 
 
 def test_a_fault_that_loses_its_target_is_not_acted_on_after_landing(start: Start) -> None:

@@ -253,6 +253,13 @@ def test_a_lasting_recovery_resets_the_count_even_when_not_counted() -> None:
     assert say(history, settings=replace_rules(reserve=0)) == Act("restart", 1)
 
 
+def test_an_attempt_lasted_from_when_it_was_verified() -> None:
+    """A stop of 40 s and a start of 8 s are not a recovery of 48 s: what fails 5 s later is failing still."""
+    slow = [AttemptRecord(at, "health/app", "unhealthy", "restart", True, took_s=48.0) for at in (840.0, 893.0, 946.0)]
+    assert isinstance(say(History(slow), settings=replace_rules(verify=30.0)), GiveUp)
+    assert say(History(slow[:2]), now=1100.0, fault=fault(opened=1100.0)) == Act("restart", 1)
+
+
 def test_attempts_during_an_outage_are_not_counted() -> None:
     """All attempts on dependents have their back-off reset; only those made during the outage are not counted."""
     history = History(

@@ -114,6 +114,40 @@ def test_an_ineffective_repair_gets_no_credit() -> None:
     assert bench.closed == [("nodes", Outcome.RESOLVED, "itself")]
 
 
+def test_what_still_fails_after_an_action_is_not_credited_to_it() -> None:
+    """Another fault of the container, which a restart cannot repair, ends an hour later: somebody plugged the device in again."""
+    bench = Bench([unit("nodes", target="app"), unit("devices", target="app", grace_s=5.0)])
+    bench.later(10)
+    bench.all_healthy()
+    bench.see("devices", BAD)
+    bench.see("nodes", BAD)
+    bench.take(bench.tracker.begin_action("app", "nodes", "restart", bench.stamp(), 60.0))
+    bench.later(2)
+    bench.see("nodes", OK)
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
+    bench.see("devices", BAD)
+    bench.later(10)
+    bench.see("devices", BAD)
+    bench.later(3600)
+    bench.see("devices", OK)
+    assert bench.closed == [("nodes", Outcome.RESOLVED, "restart"), ("devices", Outcome.RESOLVED, "itself")]
+
+
+def test_a_failed_action_takes_no_credit_from_that_of_another_container() -> None:
+    """Both are restarted at the same time."""
+    bench = Bench([unit("one", target="a"), unit("two", target="b")])
+    bench.later(10)
+    bench.all_healthy()
+    for name, target in (("one", "a"), ("two", "b")):
+        bench.see(name, BAD)
+        bench.take(bench.tracker.begin_action(target, name, "restart", bench.stamp(), 60.0))
+    bench.take(bench.tracker.end_action("a", bench.stamp(), worked=False))
+    bench.later(1)
+    bench.see("one", OK)
+    bench.see("two", OK)
+    assert bench.closed == [("one", Outcome.RESOLVED, "itself"), ("two", Outcome.RESOLVED, "restart")]
+
+
 def test_a_hold_ends_even_if_its_owner_has_died() -> None:
     """A crashed executor must not mask its target permanently."""
     bench = holding()

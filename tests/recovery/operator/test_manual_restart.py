@@ -7,7 +7,11 @@ from collections.abc import Iterator
 import pytest
 
 from phm.core.model import ActionEvent, Phase
+from phm.core.settings import ContainerSettings, RecoverySettings
+from phm.recovery.base import Target
 from phm.recovery.executor import NotAllowed, NotNow
+from phm.recovery.fault_cases import AttemptRecord, History
+from phm.recovery.operator.requests import check_permitted
 from phm.testing import FakeClock
 from tests.recovery.simulated_agent import Agent, Containers, Of
 
@@ -74,6 +78,16 @@ def test_the_budget_applies_to_requested_restarts(agents: list[Agent]) -> None:
         made.executor.restart("app", "255/190")
     made.rest(2.0)
     assert len(made.runs) == 2
+
+
+def test_the_budget_of_restarts_leaves_out_what_disturbs_no_container() -> None:
+    """`relieve` lowers the CPU weight of others. Where more was done than the budget allows, the newest of it count."""
+    target, settings = Target.of(ContainerSettings(name="app", recover=True)), RecoverySettings(budget=2, window=600.0)
+    gentle = [AttemptRecord(100.0 + at, "pressure/app", "cpu_starved", "relieve", True) for at in range(5)]
+    check_permitted(target, History(gentle), 200.0, forbidden="", settings=settings)
+    starts = [AttemptRecord(at, "container/app", "exited", "start", False) for at in (100.0, 150.0, 190.0)]
+    with pytest.raises(NotNow, match="used up for 550 s"):
+        check_permitted(target, History(starts), 200.0, forbidden="", settings=settings)
 
 
 def test_a_flight_critical_container_is_left_alone_in_flight(agents: list[Agent]) -> None:

@@ -199,6 +199,21 @@ def test_an_interrupted_action_is_an_attempt_and_repeated(lives: Callable[..., L
     assert [made.worked for made in second.executor.persisted().attempts["app"]] == [False, True]
 
 
+@pytest.mark.parametrize("returned", [False, True])
+def test_only_a_call_without_a_response_may_still_start_the_container(
+    lives: Callable[..., Life], returned: bool
+) -> None:
+    """PHM is killed while it verifies an action that has returned: what is started later, or stopped, is somebody else's."""
+    first, stuck = lives(same_failure=5), threading.Event()
+    first.hangs = not returned
+    first.behave = lambda name: None if returned else cast(None, stuck.wait(120))
+    first.until(lambda: Phase.DONE in first.phases() if returned else bool(first.runs))
+    first.die()
+    second = lives(same_failure=5)
+    assert second.executor.persisted().unfinished == ({} if returned else {"app": "app"})
+    stuck.set()
+
+
 def test_a_unit_that_recovered_meanwhile_is_not_acted_on(lives: Callable[..., Life]) -> None:
     """The first new result decides: the interrupted action did work, and gets the credit."""
     first, stuck = lives(), threading.Event()

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.core.model import Fault, Layer, Level, Result, Slot, Stamp
+from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
 from phm.recovery.base import LoweredWeight
 from phm.recovery.fault_cases import AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.ownership import Generation, StartedBy
@@ -27,7 +27,7 @@ WINDOW_S = 600.0
 
 
 def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
-    result = Result(Level.ERROR, "app has exited", "app exited", "exited", "app")
+    result = Result(Level.ERROR, "app has exited", "app exited", "exited", "app", evidence=Evidence(never_ok=True))
     when = opened or Stamp(1000.0, 90.0)
     return Fault(
         name,
@@ -54,7 +54,7 @@ FULL = PersistedState(
     RecoveryState(
         {"app": (replace(attempt(90.0), backoff_reset=True, not_counted=True), attempt())},
         {"ab12-1": PersistedCase(True, ("advised start",), "start")},
-        {"app": UnfinishedAction("ab12-1", attempt(99.0))},
+        {"app": UnfinishedAction("ab12-1", replace(attempt(99.0), took_s=1.5), returned=True)},
         {
             "app": Generation("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, StartedBy.PHM, "app"),
             "side": Generation("id1", "t"),
