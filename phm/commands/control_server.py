@@ -51,6 +51,10 @@ class ControlServer:
     def start(self) -> None:
         threads.start(self._thread)
 
+    def pause(self) -> None:
+        """Refuse requests until `execute` is replaced: what they changed would be lost."""
+        self.execute = _not_ready
+
     def problem(self) -> str:
         return self._problem
 

@@ -15,18 +15,19 @@ MAX_COPIES = 2048
 
 
 class IngressFilter:
-    """A sender that floods a link loses its own frames only. Not thread-safe."""
+    """A sender that floods a link loses its own frames only, and one without the key none of those that are signed. Not thread-safe."""
 
     def __init__(self) -> None:
         self._senders = RateLimiter(RATE, BURST, MAX_SENDERS)
-        self._new = RateLimiter(NEW_RATE, NEW_BURST)
+        self._new = {signed: RateLimiter(NEW_RATE, NEW_BURST) for signed in (False, True)}
         self._frames: DuplicateFilter[bytes, str] = DuplicateFilter(MAX_COPIES, COPY_S)
         self.refused = 0
         """Number of frames that exceeded a limit."""
 
-    def allow(self, sender: tuple[int, int], now: float) -> bool:
-        """Whether one more frame of a sender (system, component) is within the limits."""
-        allowed = (sender in self._senders or self._new.allow(now)) and self._senders.allow(now, sender)
+    def allow(self, sender: tuple[int, int], now: float, *, signed: bool = False) -> bool:
+        """Whether one more frame of a sender (system, component) is within the limits. signed: with a valid signature."""
+        key = (*sender, signed)
+        allowed = (key in self._senders or self._new[signed].allow(now)) and self._senders.allow(now, key)
         self.refused += not allowed
         return allowed
 

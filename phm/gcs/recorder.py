@@ -8,6 +8,7 @@ Stamps are of the ground's clocks alone. A line torn by a power cut stays on a s
 from __future__ import annotations
 
 import json
+import logging
 import threading
 
 from phm.core import threads
@@ -18,6 +19,8 @@ from phm.gcs.samples import Samples
 from phm.gcs.station import GroundStation, Received
 from phm.gcs.subscriber_queue import SubscriberQueue
 from phm.reporters.rotating_file import RotatingFile
+
+logger = logging.getLogger(__name__)
 
 MAX_SIZE, FILES = 20_000_000, 5
 """Bytes of a file, and number of rotated files: 120 MB in all."""
@@ -65,14 +68,20 @@ class Recorder:
             last = self._stop.is_set()
             for item in self._queue.take(0.0 if last else POLL_S):
                 self._lines.write(item.line)
-            if (received := self._station.received()) is not None:
-                self._lines.write(self._station.line(*received))
-            self._record_samples(last=last)
-            self._lines.retry()
-            if self._clock.mono() >= self._snapshot_at or last:
-                self._snapshot_at = self._clock.mono() + SNAPSHOT_S
-                self._lines.write(self._station.line(*self._station.snapshot()))
+            try:
+                self._record_state(last=last)
+            except Exception:  # a defect there must not end the record of events
+                logger.exception("recording samples or a snapshot failed")
         self._lines.close()
+
+    def _record_state(self, *, last: bool) -> None:
+        if (received := self._station.received()) is not None:
+            self._lines.write(self._station.line(*received))
+        self._record_samples(last=last)
+        self._lines.retry()
+        if self._clock.mono() >= self._snapshot_at or last:
+            self._snapshot_at = self._clock.mono() + SNAPSHOT_S
+            self._lines.write(self._station.line(*self._station.snapshot()))
 
     def _record_samples(self, *, last: bool) -> None:
         for received in self._frames.take(0.0):

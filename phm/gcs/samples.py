@@ -41,7 +41,8 @@ class Samples:
         frame = received.frame
         if isinstance(frame, RadioStatus):
             for kind in RADIO:
-                self._put(link_name(received.link), kind, float(getattr(frame, kind)))
+                if (level := getattr(frame, kind)) is not None:
+                    self._put(link_name(received.link), kind, float(level))
             return
         name = sender_name(frame.system, frame.component)
         if isinstance(frame, Heartbeat):

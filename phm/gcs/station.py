@@ -45,6 +45,7 @@ LATE_MOST_S = 5.0
 MAX_WAITING = 4096
 """Frames between the endpoints' threads and the station's."""
 CLOSE_LIMIT_S = 3.0
+MEASURED = (frames.ComputerStatus, frames.NamedValue)
 TAKEN = frozenset((errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES, errno.EPERM))
 """Errors of a listening port that waiting does not fix."""
 _LISTENING = ("udpin:", "tcpin:")
@@ -82,6 +83,8 @@ class GroundStation:
         self._mode = 0 if pilot else MONITOR
         # Each PHM with the key signs all that it sends.
         signed = settings.signing.key is not None and settings.signing.unsigned != "all"
+        self._signed = signed
+        """Unsigned frames are not PHM's."""
         self._store, self._hub = FleetState(expected, self.ids, signed=signed), MavlinkHub(settings, system, clock)
         self._filter = IngressFilter()
         self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_WAITING, refuse_new=True)
@@ -202,10 +205,11 @@ class GroundStation:
                 )
             return
         frame = frames.parse(message)
-        if frame is None:
+        signed = bool(message.get_signed())
+        if frame is None or (isinstance(frame, MEASURED) and self._signed and not signed):
             return
         with self._limits:
-            allowed = self._filter.allow(sender, at.mono)
+            allowed = self._filter.allow(sender, at.mono, signed=signed)
         if allowed:
             if isinstance(frame, frames.Heartbeat):
                 self._received.receive(*sender, message.get_seq())
@@ -217,18 +221,16 @@ class GroundStation:
         while not self._stop.is_set():
             try:
                 self._turn()
-            except Exception:  # a defect in handling one frame must not end the thread
-                logger.exception("processing a received frame failed")
+            except Exception:  # a defect must not end the thread
+                logger.exception("a turn of the ground station failed")
             self._frames.wait(TICK_S)
 
     def _turn(self) -> None:
         for one in self._frames.take(0.0):
-            if not self._filter.is_copy(one.raw, one.link, one.at.mono):
-                with self._lock:
-                    self._publish(self._store.receive(one.frame, one.link, one.at))
-                beat = isinstance(one.frame, frames.Heartbeat) and self._store.is_agent(one.frame)
-                for queue in self._watchers:
-                    queue.put(replace(one, of_agent=beat) if beat else one)
+            try:
+                self._process(one)
+            except Exception:  # a defect in handling one frame must not lose the others
+                logger.exception("processing a received frame failed")
         now = self._clock.mono()
         if now - self._beat_at >= HEARTBEAT_S:
             self._beat_at = now
@@ -236,6 +238,15 @@ class GroundStation:
         if now - self._tick_at >= TICK_S:
             self._tick_at = now
             self._tick()
+
+    def _process(self, one: Received) -> None:
+        if self._filter.is_copy(one.raw, one.link, one.at.mono):
+            return
+        with self._lock:
+            self._publish(self._store.receive(one.frame, one.link, one.at))
+        beat = isinstance(one.frame, frames.Heartbeat) and self._store.is_agent(one.frame)
+        for queue in self._watchers:
+            queue.put(replace(one, of_agent=beat) if beat else one)
 
     def _heartbeat(self, state: int) -> None:
         if not self.silent:

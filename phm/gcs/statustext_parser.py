@@ -117,7 +117,7 @@ def parse(text: str) -> ParsedLine | None:
             agent > 250
             or slot > 15
             or (kind is not LineKind.SWARM and agent < 1)
-            or (kind is LineKind.CHANGE and slot < 1)
+            or (found.get("slot") is not None and slot < 1)
         ):
             return None
         word, rest = found.get("word") or "", found.get("text") or ""

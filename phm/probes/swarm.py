@@ -132,7 +132,7 @@ class SwarmMonitor:
 
     def _receive(self, message: Any, link: str) -> None:
         agent = message.get_srcSystem()
-        if agent == self._own or message.get_srcComponent() != self._component:
+        if agent == self._own or agent not in tunnel.AGENTS or message.get_srcComponent() != self._component:
             return
         if self._signed and not message.get_signed():
             return

@@ -168,6 +168,7 @@ class Daemon:
         so that HEARTBEATs continue until the next daemon sends its own.
         """
         parts, closing = self.components, ShutdownSequence(self.clock, STOP_S)
+        parts.control.pause()
         self._stop_recovery(closing)
         self._stop_checks(closing)
         self._logs = parts.probes.logs.hand_over()

@@ -101,10 +101,9 @@ class MavlinkHub:
         """Send queued messages for at most a third of a second, and close all endpoints."""
         for endpoint in self._endpoints:
             endpoint.stop()
-        for endpoint in self._endpoints:
-            endpoint.join(CLOSE_LIMIT_S)
+        ended = [endpoint.join(CLOSE_LIMIT_S) for endpoint in self._endpoints]
         if self._signing is not None:
-            self._signing.close()
+            self._signing.close(ended=all(ended))
 
     def send(
         self,

@@ -121,8 +121,10 @@ class Endpoint:
         self._soon.set()
         self._ring()
 
-    def join(self, timeout_s: float) -> None:
+    def join(self, timeout_s: float) -> bool:
+        """Whether its thread has ended, so that nothing more is sent."""
         threads.join(self._thread, timeout_s)
+        return not self._thread.is_alive()
 
     # ------------------------------------------------------------ the thread
 

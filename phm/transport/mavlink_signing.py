@@ -112,10 +112,10 @@ class Signing:
         self.save()
         threads.start(self._thread)
 
-    def close(self) -> None:
-        """Save the timestamps for the last time."""
+    def close(self, *, ended: bool = True) -> None:
+        """Save the timestamps for the last time. ended: nothing is signed after this."""
         self._stop.set()
-        self.save()
+        self.save(ended=ended)
 
     def stamp(self) -> int:
         """The time for the next frame: later than all before, in units of 10 microseconds since 2015."""
@@ -162,14 +162,17 @@ class Signing:
 
     # ------------------------------------------------------------ over a restart
 
-    def save(self) -> str:
-        """Store the time and the senders now. Returns a sentence if that failed, as does `problem`. Waits for the disk."""
+    def save(self, *, ended: bool = False) -> str:
+        """Store the time and the senders now. Returns a sentence if that failed, as does `problem`. Waits for the disk. ended: nothing
+        is signed after this."""
         if self._path is None:
             return ""
-        with self._lock:
-            newest = sorted(self._streams.items(), key=lambda item: item[1])[-KEPT_STREAMS:]
-            state = {"v": 1, "time": self._time, "streams": [[*stream, time] for stream, time in newest]}
         with self._file:
+            # With the file's lock held: an older state must not replace a newer one.
+            with self._lock:
+                newest = sorted(self._streams.items(), key=lambda item: item[1])[-KEPT_STREAMS:]
+                state = {"v": 1, "time": self._time, "streams": [[*stream, time] for stream, time in newest]}
+            state["ended"] = ended
             if state == self._saved:
                 return ""
             try:
@@ -209,9 +212,10 @@ class Signing:
         except (ValueError, KeyError, TypeError, RecursionError):
             self._problem = f"{self._path} is damaged: signing timestamps start from the clock"
             return
-        # If the clock has advanced since, it bounds the times used after the save; otherwise it does not.
-        gone_on = self._now() > time
-        self._time, self._streams = min(time if gone_on else time + round(SAVE_S * TICKS), LAST), streams
+        # If the clock has advanced since, it bounds the times used after the save; otherwise it does not. After an orderly end there
+        # are none: added at each restart, they would run ahead of the clocks of all agents, which follow.
+        exact = state.get("ended") is True or self._now() > time
+        self._time, self._streams = min(time if exact else time + round(SAVE_S * TICKS), LAST), streams
 
     def _now(self) -> int:
         return min(max(0, round((self._clock.utc() - EPOCH_S) * TICKS)), LAST)

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import struct
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from phm.testing import FakeClock
+from phm.transport import mavlink_signing
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_signing import (
@@ -293,6 +295,58 @@ def test_a_companion_without_a_clock_continues_with_its_saved_time(tmp_path: Pat
     assert first.check(heartbeat_frame(ticks(NOW))) is SignatureResult.GOOD
     first.save()
     assert Signing(KEY, at(0.0), str(tmp_path)).stamp() == ticks(NOW) + SAVE_S * TICKS + 1
+
+
+def test_orderly_restarts_of_a_companion_without_a_clock_do_not_run_ahead(tmp_path: Path) -> None:
+    """All times that were used are saved then. All agents follow the newest time, and refuse commands while it is ahead of theirs."""
+    first = Signing(KEY, at(0.0), str(tmp_path))
+    assert first.check(heartbeat_frame(ticks(NOW))) is SignatureResult.GOOD
+    first.close()
+    for n in range(100):
+        signing = Signing(KEY, at(0.0), str(tmp_path))
+        assert signing.stamp() == ticks(NOW) + n + 1
+        signing.close()
+
+
+@pytest.mark.parametrize("ends", ["killed", "an endpoint still sends"])
+def test_a_time_is_not_used_twice_after_an_end_that_was_not_orderly(tmp_path: Path, ends: str) -> None:
+    """A start marks the file, and so does an end at which a thread hangs that may sign more."""
+    first = Signing(KEY, at(0.0), str(tmp_path))
+    assert first.check(heartbeat_frame(ticks(NOW))) is SignatureResult.GOOD
+    first.close()
+    second = Signing(KEY, at(0.0), str(tmp_path))
+    second.start()
+    if ends == "killed":
+        second._stop.set()
+    else:
+        second.close(ended=False)
+    assert Signing(KEY, at(0.0), str(tmp_path)).stamp() == ticks(NOW) + SAVE_S * TICKS + 1
+
+
+def test_a_slower_save_does_not_replace_a_newer_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads save: what was recorded before a command is executed stays recorded."""
+    signing, write = Signing(KEY, at(), str(tmp_path)), mavlink_signing._write
+    began, go = threading.Event(), threading.Event()
+
+    def slow(path: Path, data: bytes) -> None:
+        if not began.is_set():
+            began.set()
+            go.wait(60)
+        write(path, data)
+
+    monkeypatch.setattr(mavlink_signing, "_write", slow)
+    signing.check(heartbeat_frame(ticks(NOW)))
+    older = threading.Thread(target=signing.save)
+    older.start()
+    assert began.wait(60)
+    recorded = heartbeat_frame(ticks(NOW) + 1)
+    assert signing.check(recorded) is SignatureResult.GOOD
+    newer = threading.Thread(target=signing.save)
+    newer.start()
+    go.set()
+    for thread in (older, newer):
+        thread.join(60)
+    assert Signing(KEY, at(NOW + 5), str(tmp_path)).check(recorded) is SignatureResult.OLD
 
 
 def test_consecutive_restarts_do_not_run_ahead_of_a_good_clock(tmp_path: Path) -> None:

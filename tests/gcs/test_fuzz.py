@@ -134,6 +134,19 @@ def test_a_sender_uses_up_its_own_share() -> None:
     assert ingress.allow((9, 1), 100.1)
 
 
+def test_unsigned_frames_do_not_displace_signed_ones() -> None:
+    """Neither under the ids of an agent, nor under many invented ones before an agent is known."""
+    ingress = IngressFilter()
+    for _ in range(5000):
+        ingress.allow((7, 193), 100.0)
+    for system in range(20):
+        for component in range(200, 250):
+            ingress.allow((system, component), 100.0)
+    assert not ingress.allow((7, 193), 100.0)
+    assert ingress.allow((7, 193), 100.0, signed=True)
+    assert ingress.allow((8, 193), 100.0, signed=True)
+
+
 def test_forged_senders_share_one_limit() -> None:
     """And those that are known already continue."""
     ingress = IngressFilter()

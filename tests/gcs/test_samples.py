@@ -18,6 +18,7 @@ from phm.gcs.recorder import Recorder
 from phm.gcs.samples import EACH_S, Samples
 from phm.gcs.station import GroundStation, Received
 from phm.gcs.web.options import ListenOptions
+from phm.gcs.web.replay import record
 from phm.gcs.web.replay.page import ReplayPage
 from phm.gcs.web.replay.record import RecordError, load
 from phm.transport.dialect import mavlink
@@ -66,6 +67,30 @@ def test_what_is_not_known_is_left_out() -> None:
     assert made.take(1.0) == {"A08": {"temperature": 5.0}}
 
 
+def test_what_a_radio_does_not_measure_is_left_out() -> None:
+    """255 is `unknown` in RADIO_STATUS, for one value or for all; a replay keeps it so."""
+    made = Samples()
+    add(made, 0.0, RadioStatus(51, 68, None, 180, None, 41, 99))
+    assert made.take(0.0) == {"link:udp": {"remrssi": 180.0, "remnoise": 41.0, "txbuf": 99.0}}
+    radio = {"rssi": None, "remrssi": 180, "noise": None, "remnoise": 41, "txbuf": 99}
+    assert record._radio(radio) == RadioStatus(51, 68, None, 180, None, 41, 99)
+
+
+def test_a_defect_in_samples_does_not_end_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Events are recorded, and a snapshot at the end."""
+
+    def fail(samples: Samples, one: Received) -> None:
+        raise TypeError("float")
+
+    monkeypatch.setattr(Samples, "add", fail)
+    path = _record(tmp_path)
+    kinds = {line["event"] for line in json_log.read(path)}
+    assert {"agent", "snapshot"} <= kinds
+    assert "recording samples or a snapshot failed" in caplog.text
+
+
 def test_senders_and_series_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Names come from the air, so their number is limited; those that are known go on."""
     monkeypatch.setattr(module, "MAX_SERIES", 3)
@@ -79,6 +104,10 @@ def test_senders_and_series_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
+    return _record(tmp_path)
+
+
+def _record(tmp_path: Path) -> Path:
     """A record of a station that has received two heartbeats of agent 7, its load, and the rate of a topic."""
     port = free_port(socket.SOCK_DGRAM)
     station, path = GroundStation(links(port), 254, SystemClock()), tmp_path / "ground.jsonl"

@@ -107,6 +107,8 @@ def test_a_swarm_line_names_agents_that_are_not_ok() -> None:
         "A07 FAIL",
         "A07 FAIL 16 x",
         "A07 FAIL 0 x",
+        "A07 FAIL 11111111 0 x",
+        "A07 FAIL 11111111 00",
         "A07 OK 1111",
         "A7 OK 11111111",
         "A000 OK 11111111",

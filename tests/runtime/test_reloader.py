@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -19,7 +20,7 @@ import pytest
 from phm.wire import control, json_log, status_file
 from tests.fakes.mavlink import free_port
 from tests.fakes.until import until
-from tests.runtime.running import LIMIT_S, ROOT
+from tests.runtime.running import LIMIT_S, PATIENT, ROOT, RUN, Running
 
 HEARTBEAT, POWEROFF = 0, 8
 LONG_LIMITS = """
@@ -156,6 +157,46 @@ def test_a_hold_outlives_a_reload(agent: Agent) -> None:
     until(lambda: [hold["reason"] for hold in agent.status().get("holds", [])] == ["maintenance"], "the hold")
     control.ask(run_dir, {"do": "release", "container": ""})
     until(lambda: agent.status().get("holds") == [], "the release")
+
+
+HANDING_OVER = """
+import pathlib, sys, time
+from phm.runtime.daemon import Daemon
+stop = Daemon._stop_recovery
+def slow(daemon, closing):
+    folder = pathlib.Path(sys.argv[-1]).parent
+    (folder / "handing-over").touch()
+    while not (folder / "go").exists():
+        time.sleep(0.01)
+    stop(daemon, closing)
+Daemon._stop_recovery = slow
+"""
+
+
+def test_a_request_during_a_reload_is_refused_and_not_lost(tmp_path: Path) -> None:
+    """The old daemon would execute it and the new one would not know of it: a hold would end at once."""
+    phm, run_dir = Running(tmp_path, "-c", HANDING_OVER + PATIENT + RUN), str(tmp_path / "run")
+    try:
+        until(lambda: (tmp_path / "run" / "status.json").exists(), "the status", limit_s=LIMIT_S)
+        phm.write(interval="3s")
+        phm.process.send_signal(signal.SIGHUP)
+        until((tmp_path / "handing-over").exists, "the reload", limit_s=LIMIT_S)
+        request = {"do": "hold", "container": "", "for_s": 600.0, "reason": "maintenance"}
+        with pytest.raises(control.Refused, match="PHM is starting"):
+            control.ask(run_dir, request)
+        (tmp_path / "go").touch()
+
+        def accepted() -> bool:
+            with contextlib.suppress(control.Refused):
+                control.ask(run_dir, request)
+                return True
+            return False
+
+        until(accepted, "an answer of the new daemon", limit_s=LIMIT_S)
+    finally:
+        (tmp_path / "go").touch()
+        phm.process.terminate()
+        phm.process.communicate(timeout=LIMIT_S)
 
 
 def test_an_invalid_configuration_is_rejected_and_the_old_one_stays(agent: Agent) -> None:

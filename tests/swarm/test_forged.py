@@ -143,6 +143,19 @@ def test_invented_agents_do_not_slow_heartbeats_immediately(start: Start) -> Non
     assert default_periods(agent.hub.agents)[0] <= SIZES[1][1]
 
 
+@pytest.mark.parametrize("system", [0, 251, 255])
+def test_a_system_that_cannot_be_an_agent_is_ignored(start: Start, system: int) -> None:
+    """Agents are 1 to 250: a view with another id could not be encoded, so this agent would send none any more."""
+    agent = start([])
+    for _turn in range(3):
+        agent.send(system, heartbeat(HEALTHY), LOST)
+        agent.send(2, heartbeat(HEALTHY))
+    agent.read()
+    until(lambda: 2 in states(agent), "agent 2")
+    assert system not in states(agent)
+    assert {*agent.swarm.snapshot().peers} <= {*tunnel.AGENTS}
+
+
 def test_with_signing_an_unsigned_frame_is_ignored(start: Start) -> None:
     """A forged shutdown of a live agent, and heartbeats of agents that do not exist, change nothing."""
     agent = start([*OURS], signs=True)

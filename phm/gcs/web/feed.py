@@ -17,6 +17,7 @@ from phm.core.clock import Clock
 from phm.core.model import Slot
 from phm.gcs.events import GcsEvent
 from phm.gcs.frames import CommandAck, ComputerStatus
+from phm.gcs.samples import sender_name
 from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.gcs.web import events, rows
@@ -74,7 +75,8 @@ class StationFeed:
         self._events = SubscriberQueue(clock)
         self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_FRAMES)
         self._dirty: set[int] = set()
-        self._values: dict[int, Json] = {}
+        self._values: dict[str, Json] = {}
+        """By the name of the agent."""
         self._all_at = float("-inf")
         self.ground: Callable[[], Json] = dict
         """Returns further keys of the ground's state."""
@@ -148,7 +150,10 @@ class StationFeed:
         if not isinstance(frame, CommandAck):
             self._dirty.add(frame.system)
         if isinstance(frame, ComputerStatus):
-            self._values[frame.system] = {**frame.values(), "at": round(received.at.mono, 2)}
+            self._values[sender_name(frame.system, frame.component)] = {
+                **frame.values(),
+                "at": round(received.at.mono, 2),
+            }
         for listener in self._listeners:
             listener.frame(received)
 
@@ -175,7 +180,7 @@ class StationFeed:
         return body, {agent["name"]: self._row(agent, now) for agent in body.pop("agents")}
 
     def _row(self, agent: Mapping[str, Any], now: float) -> Json:
-        alarm, values = self._alarms.row(agent["name"], now), self._values.get(agent["agent"], {})
+        alarm, values = self._alarms.row(agent["name"], now), self._values.get(agent["name"], {})
         return rows.row(agent, alarm=alarm, values=values)
 
     def _about(self) -> Json:

@@ -212,8 +212,9 @@ def _tunnel(name: object, message: TunnelMessage) -> TunnelPayload:
 
 
 def _radio(radio: Json) -> RadioStatus:
-    rssi, remrssi, noise, remnoise = (radio[key] for key in ("rssi", "remrssi", "noise", "remnoise"))
-    return RadioStatus(51, 68, *map(int, (rssi, remrssi, noise, remnoise, radio["txbuf"])))
+    levels = (radio[key] for key in ("rssi", "remrssi", "noise", "remnoise"))
+    rssi, remrssi, noise, remnoise = (None if level is None else int(level) for level in levels)
+    return RadioStatus(51, 68, rssi, remrssi, noise, remnoise, int(radio["txbuf"]))
 
 
 # ---------------------------------------------------------------- heartbeats
