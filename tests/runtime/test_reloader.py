@@ -174,7 +174,7 @@ Daemon._stop_recovery = slow
 
 
 def test_a_request_during_a_reload_is_refused_and_not_lost(tmp_path: Path) -> None:
-    """The old daemon would execute it and the new one would not know of it: a hold would end at once."""
+    """The old daemon would execute it and the new one would not know of it: a hold would end immediately."""
     phm, run_dir = Running(tmp_path, "-c", HANDING_OVER + PATIENT + RUN), str(tmp_path / "run")
     try:
         until(lambda: (tmp_path / "run" / "status.json").exists(), "the status", limit_s=LIMIT_S)
