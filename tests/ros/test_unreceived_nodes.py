@@ -73,15 +73,16 @@ def test_reports_of_some_nodes_may_be_left_out() -> None:
 
 
 def test_a_new_participant_is_requested_when_it_lasts_and_not_repeatedly() -> None:
-    """Found twice; then at intervals that grow while it does not help."""
+    """Not while nodes are discovered again one by one; then at intervals that grow while it does not help."""
     unreceived = UnreceivedNodes()
-    assert unreceived.observe(fact(0.1), [A, B], 0.0) == {}
-    assert unreceived.observe(fact(4.0), [A, B], 1.0) == {}
-    assert unreceived.observe(fact(0.1), [A, B], 1.5) == {}
-    assert unreceived.observe(fact(4.0), [A, B], 2.0) == {}
-    assert unreceived.observe(fact(4.0), [A, B], 2.0 + UNRECEIVED_S) == {A: B}
-    asked = [at for at in range(4, 2200) if unreceived.observe(fact(4.0), [A, B], float(at))]
-    assert [later - earlier for earlier, later in pairwise([3, *asked])] == [
+    assert unreceived.observe(fact(0.1), [A, B], -10.0) == {}
+    assert unreceived.observe(fact(4.0), [A, B], -9.0) == {}
+    assert unreceived.observe(fact(0.1), [A, B], -1.0) == {}
+    assert unreceived.observe(fact(4.0), [A, B], 0.0) == {}
+    assert unreceived.observe(fact(4.0), [A, B], UNRECEIVED_S - 0.1) == {}
+    assert unreceived.observe(fact(4.0), [A, B], UNRECEIVED_S) == {A: B}
+    asked = [at for at in range(11, 2200) if unreceived.observe(fact(4.0), [A, B], float(at))]
+    assert [later - earlier for earlier, later in pairwise([10, *asked])] == [
         REST_S,
         2 * REST_S,
         4 * REST_S,

@@ -12,8 +12,9 @@ from collections.abc import Collection
 from phm.facts.ros import RosFact
 from phm.probes.ros.renewal_pace import RenewalPace
 
-UNRECEIVED_S = 1.0
-"""It must have lasted this long, so it is found twice."""
+UNRECEIVED_S = 10.0
+"""It must have lasted this long: after an interruption of the network, nodes are discovered again one by one, on a busy machine within
+10 s. Meanwhile what others receive keeps the node from being reported."""
 
 
 class UnreceivedNodes:
