@@ -12,6 +12,7 @@ from phm.core.clock import SystemClock
 from phm.core.model import Stamp
 from phm.core.settings import MavlinkSettings
 from phm.gcs.frames import ComputerStatus, Frame
+from phm.gcs.samples import MAX_SENDERS
 from phm.gcs.station import COMPONENT, GroundStation, Received
 from phm.gcs.web.feed import StationFeed
 from phm.gcs.web.view import View
@@ -71,9 +72,13 @@ def test_with_a_key_unsigned_measurements_are_not_the_agents(
 
 
 def test_the_load_of_another_component_is_not_the_agents() -> None:
-    """An autopilot or a camera of the same vehicle may send it, too."""
+    """An autopilot or a camera of the same vehicle may send it, too. The number of senders is limited."""
     feed = StationFeed(station(), View(SystemClock()), SystemClock(), cast(Any, None))
     feed._frame(received(ComputerStatus(7, 100, 99, None, None), b""))
     assert feed._values.get("A07", {}) == {}
     feed._frame(received(ComputerStatus(7, 193, 40, None, None), b""))
     assert feed._values["A07"]["cpu"] == 40
+    for component in range(1, 251):
+        for system in range(1, 11):
+            feed._frame(received(ComputerStatus(system, component, 1, None, None), b""))
+    assert len(feed._values) == MAX_SENDERS

@@ -43,14 +43,20 @@ def visible(agent: Agent) -> bool:
     return bad <= {fault.unit for fault in (*agent.pipeline.open_faults(), *agent.pipeline.given_up())}
 
 
-def test_a_hung_node_that_becomes_unreachable_is_not_restarted_after_landing(start: Start) -> None:
-    """`node_hung` is only advised in flight; it becomes `node_unreachable`, for which nothing is restarted, also on the
-    ground.
-    """
+def hung_in_flight(start: Start) -> Agent:
+    """A flight-critical node is hung, and a restart is only advised."""
     agent = start(critical=("app",))
     agent.armed = True
     agent.found["nodes/one"] = HUNG
     agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
+    return agent
+
+
+def test_a_hung_node_that_becomes_unreachable_is_not_restarted_after_landing(start: Start) -> None:
+    """`node_hung` is only advised in flight; it becomes `node_unreachable`, for which nothing is restarted, also on the
+    ground.
+    """
+    agent = hung_in_flight(start)
     agent.found["nodes/one"] = UNREACHABLE
     agent.rest(5.0)
     agent.armed = False
@@ -67,10 +73,7 @@ BUSY = warn("busy", brief="busy", condition="node_busy")
 @pytest.mark.parametrize("newer", [UNKNOWN, BUSY])
 def test_nothing_is_done_for_what_is_unknown_or_only_a_warning_now(start: Start, newer: Result) -> None:
     """The fault is open and was only advised in flight; after landing a run must find it again. It did for the first attempt, too."""
-    agent = start(critical=("app",))
-    agent.armed = True
-    agent.found["nodes/one"] = HUNG
-    agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
+    agent = hung_in_flight(start)
     agent.found["nodes/one"] = newer
     agent.rest(5.0)
     agent.armed = False
@@ -85,10 +88,7 @@ def test_a_condition_that_changes_while_it_is_unknown_or_a_warning_changes_the_f
     start: Start, between: Result
 ) -> None:
     """Hung, then unknown, then unreachable: as if it had become unreachable directly."""
-    agent = start(critical=("app",))
-    agent.armed = True
-    agent.found["nodes/one"] = HUNG
-    agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
+    agent = hung_in_flight(start)
     agent.found["nodes/one"] = between
     agent.rest(2.0)
     agent.found["nodes/one"] = UNREACHABLE
@@ -114,10 +114,7 @@ def test_a_fault_that_gets_a_target_while_it_is_unknown_is_acted_on(start: Start
 
 def test_a_fault_that_loses_its_target_is_not_acted_on_after_landing(start: Start) -> None:
     """Condition and text are the same as before: the newest result says that no restart helps."""
-    agent = start(critical=("app",))
-    agent.armed = True
-    agent.found["nodes/one"] = HUNG
-    agent.until(lambda: agent.acted(Phase.ADVISED) == ["restart"], "the advice")
+    agent = hung_in_flight(start)
     agent.found["nodes/one"] = replace(HUNG, target="")
     agent.rest(5.0)
     agent.armed = False

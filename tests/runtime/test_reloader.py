@@ -160,21 +160,22 @@ def test_a_hold_outlives_a_reload(agent: Agent) -> None:
 
 
 HANDING_OVER = """
-import pathlib, sys, time
+import pathlib, sys
 from phm.runtime.daemon import Daemon
 stop = Daemon._stop_recovery
 def slow(daemon, closing):
     folder = pathlib.Path(sys.argv[-1]).parent
     (folder / "handing-over").touch()
-    while not (folder / "go").exists():
-        time.sleep(0.01)
+    (folder / "go").read_bytes()  # a pipe: waits until the test has opened and closed it
     stop(daemon, closing)
+    Daemon._stop_recovery = stop
 Daemon._stop_recovery = slow
 """
 
 
 def test_a_request_during_a_reload_is_refused_and_not_lost(tmp_path: Path) -> None:
     """The old daemon would execute it and the new one would not know of it: a hold would end immediately."""
+    os.mkfifo(tmp_path / "go")
     phm, run_dir = Running(tmp_path, "-c", HANDING_OVER + PATIENT + RUN), str(tmp_path / "run")
     try:
         until(lambda: (tmp_path / "run" / "status.json").exists(), "the status", limit_s=LIMIT_S)
@@ -184,7 +185,7 @@ def test_a_request_during_a_reload_is_refused_and_not_lost(tmp_path: Path) -> No
         request = {"do": "hold", "container": "", "for_s": 600.0, "reason": "maintenance"}
         with pytest.raises(control.Refused, match="PHM is starting"):
             control.ask(run_dir, request)
-        (tmp_path / "go").touch()
+        (tmp_path / "go").write_bytes(b"")
 
         def accepted() -> bool:
             with contextlib.suppress(control.Refused):
@@ -194,8 +195,7 @@ def test_a_request_during_a_reload_is_refused_and_not_lost(tmp_path: Path) -> No
 
         until(accepted, "an answer of the new daemon", limit_s=LIMIT_S)
     finally:
-        (tmp_path / "go").touch()
-        phm.process.terminate()
+        phm.process.kill()
         phm.process.communicate(timeout=LIMIT_S)
 
 

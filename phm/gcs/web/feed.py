@@ -17,7 +17,7 @@ from phm.core.clock import Clock
 from phm.core.model import Slot
 from phm.gcs.events import GcsEvent
 from phm.gcs.frames import CommandAck, ComputerStatus
-from phm.gcs.samples import sender_name
+from phm.gcs.samples import MAX_SENDERS, sender_name
 from phm.gcs.station import Received
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
 from phm.gcs.web import events, rows
@@ -150,10 +150,9 @@ class StationFeed:
         if not isinstance(frame, CommandAck):
             self._dirty.add(frame.system)
         if isinstance(frame, ComputerStatus):
-            self._values[sender_name(frame.system, frame.component)] = {
-                **frame.values(),
-                "at": round(received.at.mono, 2),
-            }
+            name = sender_name(frame.system, frame.component)
+            if name in self._values or len(self._values) < MAX_SENDERS:
+                self._values[name] = {**frame.values(), "at": round(received.at.mono, 2)}
         for listener in self._listeners:
             listener.frame(received)
 
