@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from phm import api
-from phm_checks._liveness import Evidence, Kind, Observation
+from phm_checks._evidence import Evidence, Kind, Observation
 from phm_checks._text import last, listed, span
 
 SILENT_PERIODS, SILENT_S = 3.0, 0.5

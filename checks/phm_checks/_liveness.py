@@ -8,34 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import Enum
 
-
-class Kind(IntEnum):
-    """The source of a piece of evidence, the most reliable first."""
-
-    CONTAINER = 1
-    PROCESS = 2
-    BEACON = 3
-    TOPICS = 4
-    ENDPOINTS = 5
-    NAME = 6
-
-
-class Observation(Enum):
-    """What a piece of evidence says about the node."""
-
-    ALIVE = "alive"
-    BUSY = "busy"
-    """The node's process uses the CPU."""
-    LATE = "late"
-    """It sends beacons, but its executor does not run."""
-    STOPPED = "stopped"
-    """Frozen from outside: it does nothing until it is resumed."""
-    SILENT = "silent"
-    GONE = "gone"
-    ENDING = "ending"
-    """Of a container: it is terminating with everything in it, and the engine has not noticed yet."""
+from phm_checks._evidence import Evidence, Kind, Observation
 
 
 class NodeState(Enum):
@@ -70,20 +45,6 @@ DISPROVED_S = 2.0
 """Messages of an ended process may arrive this late on a busy machine."""
 NEWER_S = 0.3
 """A sign of life counts as newer than a process list only by at least one topic poll; topics are polled every 0.25 s."""
-
-
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """age_s: time since it was observed. lasted_s: how long the state has lasted. words: a clause for the operator. measured: for a
-    process, whether its CPU use is known. overdue: for a beacon or topic that is alive, whether the next message is late."""
-
-    kind: Kind
-    says: Observation
-    words: str
-    age_s: float = 0.0
-    lasted_s: float = 0.0
-    measured: bool = True
-    overdue: bool = False
 
 
 @dataclass(frozen=True, slots=True)

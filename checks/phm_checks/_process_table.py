@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 from phm import api
-from phm_checks._liveness import Evidence, Kind, Observation
+from phm_checks._evidence import Evidence, Kind, Observation
+from phm_checks._known_process import KnownProcess
 from phm_checks._process_matching import BARE, Match, Wanted, match
 
 QUIET_S = 10.0
@@ -30,68 +29,13 @@ after the first process started, or after LATER times the node's start delay in 
 are whole seconds."""
 SLOWER = 2.0
 """The same as a multiple of the slowest other node's start delay, in case this start is slow."""
-WINDOW_S, BUSY_SHARE = 3.0, 0.5
-"""A process that used this share of one CPU over at least this time is busy. `ps` reports whole seconds."""
 ENDING_S = 11.0
 """The engine reports a container as running until all its processes have ended: up to 1.5 s, measured, after its first process was
 killed, while the others disappear one by one. The engine itself waits 10 s before it gives up on a killed container."""
 YOUNGER_S = 2.0
 """A process that began this much later than the node appeared in the graph is not the node's: ages of processes are whole seconds, and
 lists take a moment."""
-_KEPT = 12
 NEVER = float("-inf")
-
-
-@dataclass(slots=True)
-class KnownProcess:
-    """The process of one node. used: the times of its readings, each with the CPU time used until then."""
-
-    match: Match
-    first: bool = True
-    """It started with the container, or before PHM: no other process of the node was seen in this generation."""
-    began_at: float = float("inf")
-    """When it was started, or a little later: the earliest start time that the readings have shown."""
-    used: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_KEPT))
-    state: str = ""
-    command: str = ""
-    ended_at: float = float("inf")
-    """When the process was first found missing."""
-
-    @property
-    def pid(self) -> int:
-        return self.match.process.pid
-
-    @property
-    def there(self) -> bool:
-        return self.ended_at == float("inf")
-
-    def observe(self, now: float, process: api.ProcessFact | None) -> None:
-        if process is None:
-            self.ended_at = min(self.ended_at, now)
-            return
-        self.state, self.command = process.state, process.command
-        self.began_at = min(self.began_at, now - (process.age_s or 0.0))
-        if process.cpu_s is None:
-            self.used.clear()  # earlier CPU use says nothing about the present
-        else:
-            self.used.append((now, process.cpu_s))
-            while len(self.used) > 2 and now - self.used[1][0] >= WINDOW_S:
-                self.used.popleft()
-
-    @property
-    def measured(self) -> bool:
-        """Whether its CPU use is known: its CPU time was measured over WINDOW_S, or it is running on a CPU now."""
-        return self.state == "R" or (len(self.used) > 1 and self.used[-1][0] - self.used[0][0] >= WINDOW_S)
-
-    @property
-    def busy(self) -> bool:
-        """Whether its main thread is running on a CPU, or all its threads together have used much of one CPU."""
-        if self.state == "R":
-            return True
-        if not self.used:
-            return False
-        (first, before), (last, after) = self.used[0], self.used[-1]
-        return last - first >= WINDOW_S and after - before >= BUSY_SHARE * (last - first)
 
 
 class ProcessTable:

@@ -7,8 +7,9 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
+from phm_checks._evidence import Evidence, Kind, Observation
 from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
-from phm_checks._liveness import Evidence, Kind, NodeHistory, NodeState, NodeVerdict, Observation, disproved, judge_node
+from phm_checks._liveness import NodeHistory, NodeState, NodeVerdict, disproved, judge_node
 from phm_checks._process_matching import Wanted, wanted_nodes
 from phm_checks._process_table import NEVER, ProcessTable
 from phm_checks._text import brief, did_you_mean, last, span

@@ -9,6 +9,7 @@ from random import Random
 import pytest
 
 from phm.tracker.rules import UNKNOWN_NEED_S
+from phm_checks._evidence import Evidence, Kind, Observation
 from phm_checks._liveness import (
     BARE_S,
     BLIND_HANG_S,
@@ -18,11 +19,8 @@ from phm_checks._liveness import (
     HANG_S,
     LOST_S,
     MUTE_S,
-    Evidence,
-    Kind,
     NodeHistory,
     NodeState,
-    Observation,
     disproved,
     judge_node,
 )
