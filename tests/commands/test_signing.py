@@ -8,13 +8,12 @@ import os
 import struct
 import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from hypothesis import given, strategies as st
 
 from phm.testing import FakeClock
-from phm.transport import mavlink_signing
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_signing import (
@@ -323,29 +322,32 @@ def test_a_time_is_not_used_twice_after_an_end_that_was_not_orderly(tmp_path: Pa
     assert Signing(KEY, at(0.0), str(tmp_path)).stamp() == ticks(NOW) + SAVE_S * TICKS + 1
 
 
-def test_a_slower_save_does_not_replace_a_newer_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two threads save: what was recorded before a command is executed stays recorded."""
-    signing, write = Signing(KEY, at(), str(tmp_path)), mavlink_signing._write
-    began, go = threading.Event(), threading.Event()
+def test_a_slower_save_does_not_replace_a_newer_one(tmp_path: Path) -> None:
+    """Two threads save, and one of them loses its CPU: what was recorded before a command is executed stays recorded."""
+    signing = Signing(KEY, at(), str(tmp_path))
+    began, go, lock = threading.Event(), threading.Event(), signing._file
 
-    def slow(path: Path, data: bytes) -> None:
-        if not began.is_set():
-            began.set()
-            go.wait(60)
-        write(path, data)
+    class Slow:
+        """The lock of the file, which the slower thread gets last."""
 
-    monkeypatch.setattr(mavlink_signing, "_write", slow)
-    signing.check(heartbeat_frame(ticks(NOW)))
-    older = threading.Thread(target=signing.save)
-    older.start()
+        def __enter__(self) -> None:
+            if threading.current_thread() is slower:
+                began.set()
+                go.wait(60)
+            lock.acquire()
+
+        def __exit__(self, *_: object) -> None:
+            lock.release()
+
+    signing._file = cast(Any, Slow())
+    slower = threading.Thread(target=signing.save)
+    slower.start()
     assert began.wait(60)
     recorded = heartbeat_frame(ticks(NOW) + 1)
     assert signing.check(recorded) is SignatureResult.GOOD
-    newer = threading.Thread(target=signing.save)
-    newer.start()
+    signing.save()
     go.set()
-    for thread in (older, newer):
-        thread.join(60)
+    slower.join(60)
     assert Signing(KEY, at(NOW + 5), str(tmp_path)).check(recorded) is SignatureResult.OLD
 
 
