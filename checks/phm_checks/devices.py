@@ -13,6 +13,8 @@ from phm_checks._text import brief, clean, joined, last, listed
 
 _SERIAL_MAJORS = frozenset({166, 188, 204})
 """ttyACM, ttyUSB and the UARTs of ARM boards, from the kernel's devices.txt; ttyS is 4 from minor 64 on."""
+_SERIAL_NAME = re.compile(r"/dev/(tty[A-Za-z]|rfcomm)[^/]*")
+"""Other drivers, such as ttyTHS of a Jetson, get a number when they are loaded."""
 SETTLE_S = 0.1
 """udev rules may recreate a device file and its links within a moment; the check runs on each change of the folder."""
 _RULE = re.compile(r"^([acb])\s+(\d+|\*):(\d+|\*)(?:\s+[rwm]+)?$")
@@ -20,7 +22,8 @@ _RULE = re.compile(r"^([acb])\s+(\d+|\*):(\d+|\*)(?:\s+[rwm]+)?$")
 
 def is_serial(fact: api.DeviceFact) -> bool:
     """Whether opening it could raise a modem line and so reset the hardware behind it."""
-    return fact.major in _SERIAL_MAJORS or (fact.major == 4 and fact.minor >= 64) or bool(fact.description)
+    numbered = fact.major in _SERIAL_MAJORS or (fact.major == 4 and fact.minor >= 64)
+    return numbered or _SERIAL_NAME.fullmatch(fact.path) is not None or bool(fact.description)
 
 
 @dataclass(slots=True)
@@ -97,7 +100,8 @@ class Devices(PerContainer):
         if fact is None:
             return self._missing(world, path)
         if not fact.character:
-            words = f"{path} is not a character device{_because(fact.reason)}: remove what is in its place"
+            advice = "list character devices only" if fact.block else "correct the path, or remove what is in its place"
+            words = f"{path} is not a character device{_because(fact.reason)}: {advice}"
             return self._bad(path, words, "not a device", "device_wrong_type")
         if fact.openable is False:
             words = (
@@ -136,7 +140,8 @@ class Devices(PerContainer):
                 problem = f"it appears there as {listed(names)}, expected {inside}"
         elif not container.privileged:
             problem = self._through_mount(wanted.path, fact, container)
-        if not problem and self._lost(wanted.path, container):
+        used = inside or (_shown(mapped[0], wanted.path) if mapped else wanted.path)
+        if not problem and self._lost(wanted.path, used, container):
             words = (
                 f"{wanted.path} was disconnected and is back, but {self.key} still has the old device file from its start: "
                 f"restart {self.key} so that it can use the device again"
@@ -159,10 +164,10 @@ class Devices(PerContainer):
             return False
         return other is not None and other.character and (other.major, other.minor) == (fact.major, fact.minor)
 
-    def _lost(self, path: str, container: api.ContainerFact) -> bool:
+    def _lost(self, path: str, inside: str, container: api.ContainerFact) -> bool:
         """Whether the container has an outdated copy of the device file. A stopped container gets a new one at its start."""
         alive = container.status in ("running", "paused")
-        return alive and self._known[path].away and not _follows_host(path, container)
+        return alive and self._known[path].away and not _follows_host(path, inside, container)
 
     def _remember(self, path: str, fact: api.DeviceFact | None, container: api.ContainerFact) -> None:
         """Track changes of a device. Docker copies its file when the container starts, so a replaced device needs a restart."""
@@ -194,10 +199,17 @@ class Devices(PerContainer):
         return api.error(words, brief=brief(last(path), short), condition=condition, target=self.key)
 
 
-def _follows_host(path: str, container: api.ContainerFact) -> bool:
-    """Whether a bind-mounted folder such as /dev contains the device, so that the container sees the host's changes."""
-    folders = (one.source.rstrip("/") for one in container.mounts if one.kind == "bind")
-    return any(path.startswith(f"{folder}/") for folder in folders)
+def _shown(mapping: api.DeviceMapping, path: str) -> str:
+    """The path of a device inside the container. A mapped folder has it by its own name."""
+    host = mapping.host_path.rstrip("/")
+    return mapping.container_path + path[len(host) :] if path.startswith(f"{host}/") else mapping.container_path
+
+
+def _follows_host(path: str, inside: str, container: api.ContainerFact) -> bool:
+    """Whether a bind-mounted folder such as /dev shows the device where the container uses it, so that it sees the host's
+    changes. Elsewhere, as with / at /host, the device file that it uses is still that of its start."""
+    folders = ((one.source.rstrip("/"), one.destination.rstrip("/")) for one in container.mounts if one.kind == "bind")
+    return any(path.startswith(f"{source}/") and inside == here + path[len(source) :] for source, here in folders)
 
 
 def _because(text: str) -> str:

@@ -150,8 +150,10 @@ class Network(PerContainer):
         me = world.docker.own_container()
         beside = me is None or me.network_mode == "host" or any(one.network_id == network_id for one in me.networks)
         if not beside:
+            shared = me is not None and me.network_mode.startswith("container:")
+            connect = "the container whose network PHM shares" if shared else "PHM's container"
             return self._bad(
-                f"PHM itself is not on {name}, so it cannot reach {self.key} there: connect PHM's container to {name}",
+                f"PHM itself is not on {name}, so it cannot reach {self.key} there: connect {connect} to {name}",
                 f"PHM not on {name}",
                 "sidecar_disconnected",
                 subject="",

@@ -97,8 +97,12 @@ def command(
         answers = _with_nodes(machine, answers, engine)
     texts = _checked(machine, answers, directory)
     try:
+        folder.check(directory, texts, force=force)
+        logs = Path(os.path.normpath(directory / answers.logs))
+        if not logs.is_relative_to(directory):
+            folder.make_log_folder(logs)  # nothing is written if that fails
         folder.write(directory, texts, force=force)
-        folder.make_log_folder(directory / answers.logs)
+        folder.make_log_folder(logs)
         owned = not deliver or _prepare_deliveries(directory)
     except folder.FilesExist as error:
         _fail(str(error))

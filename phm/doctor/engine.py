@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
-from phm.facts import CannotTell, NotPermitted
+from phm.facts import CannotTell, ContainerFact, NotPermitted
+from phm.probes.docker_facts import container_fact
+from phm.transport.docker import EngineMissing
 
 OLDEST_API = (1, 41)
 """The API version of Docker 20.10."""
@@ -47,10 +49,38 @@ def _version(version: str, api: str) -> Row:
 
 
 def _configured(context: DoctorContext) -> Iterator[Row]:
+    """Looked up as by the daemon, by the name of the container alone."""
     for entry in context.settings.containers:
-        if entry.name and context.machine().application(entry.name) is None:
-            text = f"container {entry.name} of the configuration does not exist"
-            yield missing(f"container {entry.key}", text, "start it, or correct its name: `docker ps` lists the names")
+        if not entry.name:
+            continue
+        row = f"container {entry.key}"
+        try:
+            fact = _container(context, entry.name)
+        except CannotTell as error:
+            yield limited(row, *_remedied(str(error)))
+            continue
+        if fact is None:
+            yield missing(
+                row, f"container {entry.name} of the configuration does not exist", _name(context, entry.name)
+            )
+        elif fact.status not in ("running", "paused"):
+            yield limited(row, f"container {entry.name} is {fact.status}", f"start it: docker start {entry.name}")
+
+
+def _container(context: DoctorContext, name: str) -> ContainerFact | None:
+    try:
+        fact = container_fact(context.engine.inspect(name))
+    except EngineMissing:
+        return None
+    return fact if fact.name == name else None  # the engine finds it by a part of its id, too
+
+
+def _name(context: DoctorContext, wanted: str) -> str:
+    """What to do about a name that no container has."""
+    same = [one.name for one in context.machine().applications if one.service == wanted]
+    if same:
+        return f"{wanted} is a Compose service: use the name of its container, {' or '.join(same)}"
+    return "start it, or correct its name: `docker ps --all` lists the names"
 
 
 def _remedied(text: str) -> tuple[str, str]:

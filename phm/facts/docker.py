@@ -29,6 +29,8 @@ class Mount:
     destination: str
     name: str = ""
     writable: bool = True
+    subpath: str = ""
+    """Of a volume: the only folder of it that is mounted; empty: all of it."""
 
 
 @dataclass(frozen=True, slots=True)

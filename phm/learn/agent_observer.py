@@ -173,20 +173,24 @@ class AgentObserver:
         except CannotTell:
             processes = ()
         answers = {entry.name: self._answers(docker, entry.address) for entry in now.networks}
-        return ObservedContainer(
-            now, key, answers, processes, now.generation != before.generation, self._unseen(devices, now)
-        )
+        unseen, others = self._not_learned(devices, now)
+        restarted = now.generation != before.generation
+        return ObservedContainer(now, key, answers, processes, restarted, unseen, others)
 
     @staticmethod
-    def _unseen(devices: Devices, fact: ContainerFact) -> tuple[str, ...]:
-        found = []
-        for mapping in fact.devices:
+    def _not_learned(devices: Devices, fact: ContainerFact) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Mapped paths that PHM does not see, and those that are no character devices."""
+        unseen, others = [], []
+        for path in (mapping.host_path for mapping in fact.devices):
             try:
-                if devices.inspect(mapping.host_path, open_it=False) is None:
-                    found.append(mapping.host_path)
+                found = devices.inspect(path, open_it=False)
             except CannotTell:
-                found.append(mapping.host_path)
-        return tuple(found)
+                found = None
+            if found is None:
+                unseen.append(path)
+            elif not found.character:
+                others.append(path)
+        return tuple(unseen), tuple(others)
 
     @staticmethod
     def _answers(docker: Docker, address: str) -> bool | None:

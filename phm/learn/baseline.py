@@ -133,7 +133,7 @@ def _container(one: ObservedContainer, seen: Observations, folders: Mapping[str,
     nested["devices"] = [
         _device(mapping.host_path, mapping.container_path)
         for mapping in fact.devices
-        if mapping.host_path not in one.unseen_devices
+        if mapping.host_path not in (*one.unseen_devices, *one.other_devices)
     ]
     return Learned(values, notes, {key: entries for key, entries in nested.items() if entries}, one.key)
 
@@ -284,6 +284,11 @@ def _general(seen: Observations) -> tuple[str, ...]:
         f"device {path} of {one.key} is left out, since PHM does not see it: mount the host's /dev for PHM and set host.dev_root"
         for one in seen.containers
         for path in one.unseen_devices
+    ]
+    notes += [
+        f"{path} of {one.key} is left out, since it is a folder or a block device: name the character devices in it"
+        for one in seen.containers
+        for path in one.other_devices
     ]
     notes += [
         f"serial port {port.path} ({port.description or 'no description'}) is not mapped into a container"

@@ -22,6 +22,8 @@ class ObservedContainer:
     restarted: bool = False
     unseen_devices: tuple[str, ...] = ()
     """Devices that are mapped into it, and that PHM does not see on the host."""
+    other_devices: tuple[str, ...] = ()
+    """What is mapped into it as a device and is a folder or a block device, which PHM does not check."""
 
 
 @dataclass(frozen=True, slots=True)

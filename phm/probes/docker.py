@@ -6,15 +6,24 @@ import itertools
 import re
 import socket
 import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, DockerSettings
 from phm.facts import CannotTell, ContainerFact, OtherContainer, ProcessFact
 from phm.probes import ping
-from phm.probes.docker_facts import TimeBudget, container_fact, find, is_configured, other_container
+from phm.probes.docker_facts import (
+    TimeBudget,
+    container_fact,
+    find,
+    is_configured,
+    is_phm,
+    other_container,
+    summary_of,
+)
 from phm.probes.docker_processes import Processes
 from phm.transport.docker import DockerEngine, EngineMissing
 
@@ -170,20 +179,42 @@ class Docker:
         configured = self._own_container
         if configured:
             try:
-                return container_fact(self._engine.inspect(configured, deadline_s=budget.left_s()))
+                return self._with_networks(self._engine.inspect(configured, deadline_s=budget.left_s()), budget)
             except EngineMissing as error:
                 raise CannotTell(
                     f"PHM's own container {configured} (docker.container) does not exist: correct or remove the key"
                 ) from error
         for candidate in [self._my_id] if self._my_id else own_ids(self._proc):
             try:
-                fact = container_fact(self._engine.inspect(candidate, deadline_s=budget.left_s()))
+                answer = self._engine.inspect(candidate, deadline_s=budget.left_s())
             except EngineMissing:
                 continue  # the id of a container of another engine, or a host name that looks like one
+            fact = self._with_networks(answer, budget)
             if fact.id.startswith(candidate):
+                self._refuse_application(answer, fact)
                 self._my_id = fact.id
                 return fact
         return None
+
+    def _refuse_application(self, answer: Mapping[str, Any], fact: ContainerFact) -> None:
+        """With the network namespace of another container, PHM has that one's /etc/hostname, and so its id (cgroup v2)."""
+        listed = summary_of(answer)
+        if not is_phm(answer) and any(is_configured(entry, listed) for entry in self._containers.values()):
+            raise CannotTell(
+                f"PHM shares the network of {fact.name} and cannot find its own container: set docker.container to its name"
+            )
+
+    def _with_networks(self, answer: Mapping[str, Any], budget: TimeBudget) -> ContainerFact:
+        """With the networks of the container whose namespace it shares: PHM is on them, too."""
+        fact = container_fact(answer)
+        mode, _, owner = fact.network_mode.partition(":")
+        if mode != "container":
+            return fact
+        try:
+            there = container_fact(self._engine.inspect(owner, deadline_s=budget.left_s()))
+        except EngineMissing:
+            return fact
+        return replace(fact, networks=there.networks)
 
 
 def own_ids(proc: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 from collections.abc import Mapping, Sequence
@@ -24,6 +25,8 @@ from phm.facts import (
 )
 from phm.transport.docker import DockerEngine, EngineMissing
 
+ENTRYPOINT = ("ros-entrypoint", "phm")
+"""The entry point of PHM's image."""
 _OUTPUT_CHARS = 200
 _ALIVE = ("running", "paused", "restarting")
 _LEAST_S = 0.05
@@ -85,8 +88,18 @@ def is_configured(entry: ContainerSettings, summary: Mapping[str, Any]) -> bool:
     return label in labels and (not has_value or _text(labels[label]) == value)
 
 
+def summary_of(answer: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The part of an inspect response that `is_configured` compares, as the engine lists it."""
+    return {"Names": [_text(answer.get("Name"))], "Labels": _part(_part(answer, "Config"), "Labels")}
+
+
 def other_container(summary: Mapping[str, Any]) -> OtherContainer:
     return OtherContainer(_name(summary), _text(summary.get("Image"))[:_OUTPUT_CHARS])
+
+
+def is_phm(answer: Mapping[str, Any]) -> bool:
+    """Whether an inspect response describes a container of PHM's image."""
+    return _texts(_part(answer, "Config"), "Entrypoint") == ENTRYPOINT
 
 
 def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
@@ -116,7 +129,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         ipc_mode=_text(host.get("IpcMode")),
         ros_variables=ros_variables(_environment(_texts(_part(answer, "Config"), "Env"))),
         networks=_networks(_part(_part(answer, "NetworkSettings"), "Networks")),
-        mounts=_mounts(_several(answer, "Mounts"), _part(host, "Tmpfs")),
+        mounts=_mounts(_several(answer, "Mounts"), host),
         devices=tuple(
             DeviceMapping(
                 host_path=_text(device.get("PathOnHost")),
@@ -206,8 +219,12 @@ def _networks(networks: Mapping[str, Any]) -> tuple[Attachment, ...]:
     return tuple(found)
 
 
-def _mounts(mounts: Sequence[Mapping[str, Any]], tmpfs: Mapping[str, Any]) -> tuple[Mount, ...]:
-    """Mounts, including `--tmpfs`, which the engine lists separately."""
+def _mounts(mounts: Sequence[Mapping[str, Any]], host: Mapping[str, Any]) -> tuple[Mount, ...]:
+    """Mounts, including `--tmpfs`, which the engine lists separately, as it does the subpath of a volume."""
+    subpaths = {
+        os.path.normpath(_text(asked.get("Target"))): _text(_part(asked, "VolumeOptions").get("Subpath"))
+        for asked in _several(host, "Mounts")
+    }
     found = [
         Mount(
             kind=_text(mount.get("Type")),
@@ -215,10 +232,11 @@ def _mounts(mounts: Sequence[Mapping[str, Any]], tmpfs: Mapping[str, Any]) -> tu
             destination=_text(mount.get("Destination")),
             name=_text(mount.get("Name")),
             writable=bool(mount.get("RW", True)),
+            subpath=subpaths.get(_text(mount.get("Destination")), ""),
         )
         for mount in mounts
     ]
-    return (*found, *(Mount(kind="tmpfs", source="", destination=path) for path in tmpfs))
+    return (*found, *(Mount(kind="tmpfs", source="", destination=path) for path in _part(host, "Tmpfs")))
 
 
 def _output(health: Mapping[str, Any]) -> str:

@@ -164,7 +164,8 @@ class Files:
         if me is not None:
             seen = {mount.destination: _my_view(mount, me.mounts) for mount in mounts}
         else:
-            seen = {mount.destination: mount.source if self._same_host else "" for mount in mounts}
+            here = self._same_host
+            seen = {mount.destination: mount.source if here and not mount.subpath else "" for mount in mounts}
         return {destination: here for destination, here in seen.items() if here}
 
     def _sum_of_file(self, number: int, info: os.stat_result, path: str) -> str:
@@ -274,11 +275,17 @@ def _too_large(path: str, size: int) -> CannotTell:
 
 
 def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> str:
-    """The path in PHM's own container of what `mount` shows to another one, or empty."""
+    """The path in PHM's own container of what `mount` shows to another one, or empty.
+
+    A subpath is not followed within a volume that PHM sees as a whole: the application could replace it by a link.
+    """
     for own in mine:
-        if mount.kind == "volume" == own.kind and mount.name and mount.name == own.name:
+        if mount.kind == "volume" == own.kind and mount.name and (mount.name, mount.subpath) == (own.name, own.subpath):
             return own.destination
-    covering = [own for own in mine if own.source and os.path.commonpath((own.source, mount.source)) == own.source]
+    if mount.subpath:
+        return ""
+    whole = [own for own in mine if own.source and not own.subpath]
+    covering = [own for own in whole if os.path.commonpath((own.source, mount.source)) == own.source]
     if not covering:
         return ""
     nearest = max(covering, key=lambda own: len(own.source))

@@ -66,6 +66,15 @@ class _Reader:
         self.failed = not self.failed
 
 
+@dataclass(frozen=True)
+class _Newer:
+    """Lines that are newer, without their timestamps, and the time up to which all are known. skipped: bytes left out."""
+
+    lines: Sequence[bytes]
+    known: tuple[int, int]
+    skipped: int = 0
+
+
 class Logs:
     """Implements `phm.facts.LogProbe`. Thread-safe; readers are named by the configuration, so there are few."""
 
@@ -170,30 +179,43 @@ class Logs:
             # Older lines have a later time if the clock was set back, as at a start without a battery-backed clock.
             until = self._clock.mono() + timeout_s
             for _ in range(MOST_PARTS):
-                found, newest = self._newer(fact.id, since, max(0.1, until - self._clock.mono()))
-                if newest == since:
+                newer = self._newer(fact.id, since, max(0.1, until - self._clock.mono()))
+                if newer.known == since:
                     break
-                since = newest
+                since = newer.known
             place.since = since
             return b""
         if (ahead_s := place.since[0] - now) > CLOCK_S:
             raise CannotTell(
                 f"the newest line of its log is from {ahead_s:.0f} s after the present time: the clock was set back"
             )
-        found, place.since = self._newer(fact.id, place.since, timeout_s)
-        return b"".join(line + b"\n" for line in found)
+        newer = self._newer(fact.id, place.since, timeout_s)
+        place.since, place.skipped = newer.known, place.skipped + newer.skipped
+        return b"".join(line + b"\n" for line in newer.lines)
 
-    def _newer(self, container: str, known: tuple[int, int], timeout_s: float) -> tuple[list[bytes], tuple[int, int]]:
-        """Lines that are newer, without their timestamps, and the time of the newest."""
+    def _newer(self, container: str, known: tuple[int, int], timeout_s: float) -> _Newer:
         since, newest = f"{known[0]}.{known[1]:09d}", known
         data = self._engine.logs(container, since, tail=TAIL, limit=READ_BYTES, deadline_s=timeout_s)
+        whole = data.rfind(b"\n") + 1
         found = []
-        for line in data[: data.rfind(b"\n") + 1].split(b"\n"):
+        for line in data[:whole].split(b"\n"):
             match = _STAMPED.fullmatch(line)
             if match is not None and (stamp := _stamp(match)) > known:
                 found.append(match[8])
                 newest = max(newest, stamp)
-        return found, newest
+        if not found and len(data) >= READ_BYTES:
+            match = _STAMPED.fullmatch(data[whole:])
+            if match is not None and _stamp(match) > known:
+                return _endless(match)
+        return _Newer(found, newest)
+
+
+def _endless(match: re.Match[bytes]) -> _Newer:
+    """The beginning of a line that is longer than one read, such as a progress bar. All of its parts have one time, so the
+    next read begins after it."""
+    seconds, nanoseconds = _stamp(match)
+    after = (seconds, nanoseconds + 1) if nanoseconds < 999_999_999 else (seconds + 1, 0)
+    return _Newer([match[8][:LINE_CHARS]], after, len(match[8]) - LINE_CHARS)
 
 
 def _stamp(match: re.Match[bytes]) -> tuple[int, int]:

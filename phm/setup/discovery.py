@@ -11,7 +11,7 @@ from typing import Any
 from phm.core.clock import SystemClock
 from phm.facts import CannotTell, ContainerFact, ProcessFact
 from phm.probes.docker import own_ids
-from phm.probes.docker_facts import container_fact
+from phm.probes.docker_facts import container_fact, is_phm
 from phm.probes.docker_processes import Processes
 from phm.probes.ros.environment import of_container, of_host_processes
 from phm.probes.ros.sandbox import PROFILE_VARIABLES
@@ -20,8 +20,6 @@ from phm.transport.docker import DockerEngine, EngineMissing
 
 MAX_CONTAINERS = 200
 MAX_PROFILE_BYTES = 64 * 1024
-_ENTRYPOINT = ["ros-entrypoint", "phm"]
-"""The entry point of PHM's image."""
 _SERIAL = ("serial/by-id/*", "ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*")
 
 
@@ -32,16 +30,17 @@ def inspect_machine(engine: DockerEngine, dev: Path = Path("/dev"), proc: Path =
     own = own_ids(proc / "self")  # `docker run ... init` is a container of PHM's image, too
     names = {str(answer["Id"]): str(answer.get("Name", "")).lstrip("/") for answer in answers}
     applications = [
-        _application(engine, answer, names, proc) for answer in answers if not _is_phm(answer) and _usable(answer)
+        _application(engine, answer, names, proc) for answer in answers if not is_phm(answer) and _usable(answer)
     ]
     return Machine(
         engine=version,
         url=engine.url,
         socket_group_id=_group(engine.url.removeprefix("unix://")),
         applications=tuple(sorted(applications, key=lambda one: one.name)),
-        sidecars=tuple(container_fact(one) for one in answers if _is_phm(one) and one["Id"] not in own),
+        sidecars=tuple(container_fact(one) for one in answers if is_phm(one) and one["Id"] not in own),
         serial_ports=tuple(serial_ports(dev)),
         host_ros=of_host_processes(proc),
+        other_devices=frozenset(_other_devices(applications, dev)),
     )
 
 
@@ -58,10 +57,6 @@ def _usable(answer: Mapping[str, Any]) -> bool:
     state, host = answer.get("State") or {}, answer.get("HostConfig") or {}
     policy = (host.get("RestartPolicy") or {}).get("Name") or "no"
     return state.get("Status") in ("running", "paused", "restarting") or policy not in ("no", "on-failure")
-
-
-def _is_phm(answer: Mapping[str, Any]) -> bool:
-    return (answer.get("Config") or {}).get("Entrypoint") == _ENTRYPOINT
 
 
 def _application(engine: DockerEngine, answer: Mapping[str, Any], names: Mapping[str, str], proc: Path) -> Application:
@@ -115,6 +110,17 @@ def serial_ports(dev: Path) -> Iterator[SerialPort]:
             if stat.S_ISCHR(state.st_mode) and state.st_rdev not in seen:
                 seen.add(state.st_rdev)
                 yield SerialPort(f"/dev/{path.relative_to(dev)}", state.st_gid)
+
+
+def _other_devices(applications: Sequence[Application], dev: Path) -> Iterator[str]:
+    """Mapped paths of the host that exist below `dev` and are no character devices."""
+    for path in {device.host_path for one in applications for device in one.fact.devices}:
+        try:
+            mode = os.stat(dev / os.path.relpath(path, "/dev")).st_mode
+        except OSError:
+            continue  # the check says that it is missing
+        if not stat.S_ISCHR(mode):
+            yield path
 
 
 def _group(path: str) -> int | None:

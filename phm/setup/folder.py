@@ -26,13 +26,18 @@ def existing(folder: Path, names: Mapping[str, str]) -> list[str]:
     return sorted(name for name in names if os.path.lexists(folder / name))
 
 
+def check(folder: Path, texts: Mapping[str, str], *, force: bool) -> None:
+    """Raises FilesExist."""
+    found = existing(folder, texts)
+    if found and not force:
+        raise FilesExist(folder, found)
+
+
 def write(folder: Path, texts: Mapping[str, str], *, force: bool) -> None:
     """Write all files, by their paths in the folder, readable for PHM's user whatever the umask is. As root, e.g. in a container, they
     and new folders belong to the owner of the folder they are in, who edits them later. Raises FilesExist before anything is
     written, and OSError."""
-    found = existing(folder, texts)
-    if found and not force:
-        raise FilesExist(folder, found)
+    check(folder, texts, force=force)
     new = list(takewhile(lambda one: not one.exists(), (folder, *folder.parents)))
     where = (new[-1].parent if new else folder).stat()
     if not folder.is_dir():

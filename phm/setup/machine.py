@@ -54,6 +54,7 @@ class Machine:
     socket_group_id: the group of that socket, None when it cannot be read.
     sidecars:  other containers of PHM.
     host_ros:  ROS environments of processes that run without a container and may be read.
+    other_devices: mapped paths of the host that are folders or block devices, which PHM does not check.
     """
 
     engine: str
@@ -63,6 +64,7 @@ class Machine:
     sidecars: tuple[ContainerFact, ...] = ()
     serial_ports: tuple[SerialPort, ...] = ()
     host_ros: tuple[RosEnvironment, ...] = ()
+    other_devices: frozenset[str] = frozenset()
 
     @property
     def socket(self) -> str:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib.resources import files
 from string import Template
 
 from phm.config.loader import DELIVERED
+from phm.facts import DeviceMapping
 from phm.setup import answers as decided
 from phm.setup.answers import NO_MAVLINK, Answers
 from phm.setup.machine import Application, Machine
@@ -33,7 +34,7 @@ def render(machine: Machine, answers: Answers) -> dict[str, str]:
         answers.configuration: Template(_template(CONFIGURATION)).substitute(
             agent=answers.name,
             id=answers.id,
-            containers=_containers(watched, keys, answers),
+            containers=_containers(watched, keys, answers, machine.other_devices),
             ros=_ros(answers, keys),
             mavlink=_mavlink(answers),
             delivery=_delivery(answers),
@@ -62,15 +63,20 @@ def _template(name: str) -> str:
 # ------------------------------------------------------------ phm.yaml
 
 
-def _containers(watched: Sequence[Application], keys: dict[str, str], answers: Answers) -> str:
+def _containers(
+    watched: Sequence[Application], keys: dict[str, str], answers: Answers, other_devices: Collection[str]
+) -> str:
     if not watched:
         return f"{_EMPTY}\n  #- name: ros_app            # as in `docker ps`"
     return "".join(
-        "\n" + "\n".join(_container(one, keys[one.name], answers, first=one is watched[0])) for one in watched
+        "\n" + "\n".join(_container(one, keys[one.name], answers, other_devices, first=one is watched[0]))
+        for one in watched
     )
 
 
-def _container(one: Application, key: str, answers: Answers, *, first: bool) -> list[str]:
+def _container(
+    one: Application, key: str, answers: Answers, other_devices: Collection[str], *, first: bool
+) -> list[str]:
     lines = [f"  - name: {quoted(one.name)}"]
     if key != one.name:
         lines.append(f"    alias: {quoted(key)}")
@@ -86,14 +92,22 @@ def _container(one: Application, key: str, answers: Answers, *, first: bool) -> 
         lines.append(f"    networks: [{', '.join(map(quoted, one.networks))}]")
     elif one.fact.network_mode == "host":
         lines.append("    # It uses the host's network, as PHM does.")
-    if one.fact.devices:
-        lines.append("    devices:")
-        for device in one.fact.devices:
-            inside = device.container_path
-            mapped = f", in_container: {quoted(inside)}" if inside and inside != device.host_path else ""
-            lines.append(f"      - {{path: {quoted(device.host_path)}{mapped}}}")
+    lines += _mapped(one.fact.devices, other_devices)
     lines.append("    # files: [{path: /ws/install/setup.bash}]")
     return lines
+
+
+def _mapped(devices: Sequence[DeviceMapping], other_devices: Collection[str]) -> list[str]:
+    lines = []
+    for device in devices:
+        path, inside = device.host_path, device.container_path
+        mapped = f", in_container: {quoted(inside)}" if inside and inside != path else ""
+        if path in other_devices:
+            lines.append(f"      # {quoted(path)} is a folder or a block device: name the character devices in it.")
+        else:
+            lines.append(f"      - {{path: {quoted(path)}{mapped}}}")
+    listed = any(line.lstrip().startswith("-") for line in lines)
+    return [f"    {'' if listed else '#'}devices:", *lines] if lines else []
 
 
 def _ros(answers: Answers, keys: dict[str, str]) -> str:

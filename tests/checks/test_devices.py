@@ -76,13 +76,24 @@ def test_missing_permissions_of_phm_are_not_a_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    ("opening", "major", "opened"),
-    [("auto", 166, False), ("auto", 188, False), ("auto", 10, True), ("always", 166, True), ("never", 10, False)],
+    ("opening", "path", "major", "opened"),
+    [
+        ("auto", PATH, 166, False),
+        ("auto", "/dev/radio", 188, False),
+        ("auto", "/dev/ttyTHS1", 238, False),
+        ("auto", "/dev/ttymxc2", 207, False),
+        ("auto", "/dev/rfcomm0", 216, False),
+        ("auto", "/dev/tty1", 4, True),
+        ("auto", "/dev/gpiochip0", 254, True),
+        ("always", PATH, 166, True),
+        ("never", "/dev/gpiochip0", 254, False),
+    ],
 )
-def test_serial_ports_are_opened_only_on_request(opening: str, major: int, opened: bool) -> None:
-    """Opening a port raises DTR, which resets some autopilots and radios."""
-    devices = there(major=major)
-    evaluate(build(open=opening), devices)
+def test_serial_ports_are_opened_only_on_request(opening: str, path: str, major: int, opened: bool) -> None:
+    """Opening a port raises DTR, which resets some autopilots and radios. The numbers of many ports depend on the board."""
+    devices = testing.FakeDevices()
+    devices.put(path, major=major, minor=1)
+    evaluate(build(path=path, open=opening), devices, devices=(api.DeviceMapping(path, path),))
     assert bool(devices.opened) is opened
 
 
@@ -134,19 +145,36 @@ def test_the_device_name_inside_the_container_must_be_the_configured_one() -> No
     assert evaluate(build(in_container="/dev/fmu"), there(), devices=mapped).level is api.Level.OK
 
 
-@pytest.mark.parametrize("back", [{"minor": 1}, {"inode": 8}, {}])
-def test_a_replugged_device_is_lost_for_the_container(back: dict[str, int]) -> None:
-    """Docker copies device files when it starts a container: a replugged device exists on the host only, until a restart."""
+@pytest.mark.parametrize(
+    ("back", "container"),
+    [
+        ({"minor": 1}, {}),
+        ({"inode": 8}, {}),
+        ({}, {}),
+        ({}, {"mounts": (api.Mount("bind", "/", "/host"),)}),
+        ({}, {"mounts": (api.Mount("bind", "/dev", "/host/dev"),)}),
+        (
+            {},
+            {
+                "mounts": (api.Mount("bind", "/dev", "/dev"),),
+                "devices": (api.DeviceMapping(PATH, "/run/fmu"),),
+            },
+        ),
+    ],
+)
+def test_a_replugged_device_is_lost_for_the_container(back: dict[str, int], container: dict[str, Any]) -> None:
+    """Docker copies device files when it starts a container: a replugged device exists on the host only, until a restart.
+    A bind mount that shows it at another path does not help a program that uses the copy."""
     check, devices = build(), there(inode=7)
-    assert evaluate(check, devices).level is api.Level.OK
+    assert evaluate(check, devices, **container).level is api.Level.OK
     if not back:
         del devices.devices[PATH]
-        assert evaluate(check, devices).condition == "device_missing"
+        assert evaluate(check, devices, **container).condition == "device_missing"
     devices.put(PATH, **{"major": 166, "inode": 7, **back})
-    result = evaluate(check, devices)
+    result = evaluate(check, devices, **container)
     assert (result.condition, result.target) == ("device_replugged", "ros_app")
     assert "restart ros_app" in result.summary
-    assert evaluate(check, devices, started_at="later").level is api.Level.OK
+    assert evaluate(check, devices, **container, started_at="later").level is api.Level.OK
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,16 @@ def test_yes_asks_nothing_and_the_result_is_valid(fake: FakeEngine, tmp_path: Pa
     assert "ROS_DOMAIN_ID=7" in (tmp_path / "phm" / "agent.env").read_text()
 
 
+def test_nothing_is_written_where_the_log_folder_cannot_be_made(fake: FakeEngine, tmp_path: Path) -> None:
+    """So the same command with another folder succeeds, without --force."""
+    (tmp_path / "file").write_text("")
+    folder = tmp_path / "phm"
+    done = init(fake, folder, "--yes", "--logs", str(tmp_path / "file" / "logs"))
+    assert (done.exit_code, folder.exists()) == (1, False), done.output
+    assert init(fake, folder, "--yes", "--logs", str(tmp_path / "logs")).exit_code == 0
+    assert (tmp_path / "logs").is_dir()
+
+
 def test_options_answer_the_questions(fake: FakeEngine, tmp_path: Path) -> None:
     """`phm init` with options asks nothing and writes what they say."""
     options = ["--id", "9", "--container", "ros_app", "--recover", "--mavlink", "none", "--image", "phm:2"]

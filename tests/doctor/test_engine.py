@@ -21,6 +21,24 @@ def test_an_engine_that_answers_is_ok(tmp_path: Path) -> None:
     assert row(found, "version").text == "Docker Engine 20.10.24, API 1.41"
 
 
+def test_a_container_is_found_by_its_name_alone(tmp_path: Path) -> None:
+    """As the daemon finds it: a Compose service is another name, and one that has exited exists."""
+    with FakeEngine(tmp_path / "engine.sock") as fake:
+        fake.containers["drone-app-1"] = described("drone-app-1")
+        fake.containers["drone-app-1"]["Config"]["Labels"]["com.docker.compose.service"] = "app"
+        fake.containers["job"] = described("job", status="exited")
+        part = fake.containers["job"]["Id"][:12]
+        containers = [{"name": name} for name in ("drone-app-1", "app", "job", part)]
+        found = list(rows(doctor_context(tmp_path, docker={"socket": fake.url}, containers=containers)))
+    assert {name: state for name, state in states(found).items() if name.startswith("container ")} == {
+        "container app": "missing",
+        "container job": "limited",
+        f"container {part}": "missing",
+    }
+    assert "drone-app-1" in row(found, "container app").remedy
+    assert "exited" in row(found, "container job").text
+
+
 def test_an_engine_that_is_too_old_is_limited(tmp_path: Path) -> None:
     """The remedy names the oldest version that is supported."""
     with FakeEngine(tmp_path / "engine.sock", api="1.40") as fake:

@@ -137,6 +137,14 @@ def test_a_device_that_phm_does_not_see_is_left_out() -> None:
     assert any("dev_root" in note for note in found.notes)
 
 
+def test_a_mapped_folder_is_left_out() -> None:
+    """The check knows character devices only: it would be a fault from the start."""
+    one = container(devices=(DeviceMapping("/dev/dri", "/dev/dri"),), other_devices=("/dev/dri",))
+    found = learn(Observations(60.0, (one,)))
+    assert "devices" not in found.containers[0].nested
+    assert any("character devices" in note for note in found.notes)
+
+
 def test_uncertain_values_of_a_container_have_notes() -> None:
     """No HEALTHCHECK, an address that does not answer, a restart."""
     net = (Attachment("net", "id", "172.20.0.2"),)

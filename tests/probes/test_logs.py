@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -132,3 +133,42 @@ def test_a_reload_waits_for_a_search_in_progress(place: Place, monkeypatch: pyte
     place.logs = after
     place.write("FATAL 2\n")
     assert place.follow() == (1, 0)
+
+
+class LongLine:
+    """The part of an engine that a log needs: parts of 16 KiB of one line have one time, and ``since`` includes its time."""
+
+    def __init__(self) -> None:
+        self.entries: list[tuple[int, bytes]] = []
+
+    def logs(self, ref: str, since: str, *, tail: int, limit: int, deadline_s: float) -> bytes:
+        first = int(since.replace(".", ""))
+        newer = [entry for entry in self.entries if entry[0] >= first][-tail:]
+        return b"".join(stamped(time_ns) + text for time_ns, text in newer)[:limit]
+
+
+def stamped(time_ns: int) -> bytes:
+    seconds, nanoseconds = divmod(time_ns, 10**9)
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z ".encode()
+
+
+def test_a_line_of_a_container_that_is_longer_than_one_read_does_not_hide_what_follows() -> None:
+    """A progress bar never ends its line. Its beginning is searched, and the rest counts as left out."""
+    engine, clock, matcher = LongLine(), testing.FakeClock(), Matcher()
+    container = testing.container("app")
+    found = Logs(engine, lambda key: container, clock, matcher)  # type: ignore[arg-type]
+
+    def follow() -> tuple[int, int, int]:
+        fact = found.follow("app", patterns=["FATAL"], timeout_s=60.0, container="app")
+        return fact.lines, fact.counts[0], fact.skipped
+
+    assert follow() == (0, 0, 0)
+    now_ns = int(clock.utc() * 1e9) + 10**9
+    engine.entries = [(now_ns, b"FATAL" + b"x" * 16384)] * 20
+    clock.advance(2)
+    lines, matches, skipped = follow()
+    assert (lines, matches) == (1, 1) and skipped > READ_BYTES // 2
+    engine.entries.append((now_ns + 1000, b"\n"))
+    engine.entries.append((now_ns + 2000, b"FATAL again\n"))
+    assert follow()[1] == 1
+    assert follow() == (0, 0, 0)

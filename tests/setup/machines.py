@@ -47,5 +47,7 @@ def application(name: str, *, service: str = "", owner: str = "", profile: str =
     )
 
 
-def machine(*applications: Application, url: str = SOCKET, ports: Sequence[SerialPort] = ()) -> Machine:
-    return Machine("27.0", url, 998, tuple(applications), (), tuple(ports))
+def machine(
+    *applications: Application, url: str = SOCKET, ports: Sequence[SerialPort] = (), other_devices: Sequence[str] = ()
+) -> Machine:
+    return Machine("27.0", url, 998, tuple(applications), (), tuple(ports), other_devices=frozenset(other_devices))

@@ -74,6 +74,14 @@ def test_an_engine_that_refuses_is_named(fake: FakeEngine, tmp_path: Path) -> No
         inspect_machine(DockerEngine(f"unix://{tmp_path}/none.sock"), tmp_path)
 
 
+def test_mapped_folders_and_disks_are_no_character_devices(fake: FakeEngine, tmp_path: Path) -> None:
+    """Docker maps all devices of a folder. One that is missing now may be a character device."""
+    (tmp_path / "bus" / "usb").mkdir(parents=True)
+    (tmp_path / "ttyACM0").symlink_to("/dev/null")
+    fake.containers["app"] = described("app", devices=["/dev/bus/usb", "/dev/ttyACM0", "/dev/ttyACM1"])
+    assert inspect_machine(DockerEngine(fake.url, LIMIT_S), tmp_path).other_devices == {"/dev/bus/usb"}
+
+
 def test_each_serial_port_is_listed_once_by_its_stable_name(tmp_path: Path) -> None:
     """Ordinary files and other devices are not serial ports."""
     by_id = tmp_path / "serial" / "by-id"

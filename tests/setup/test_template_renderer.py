@@ -82,6 +82,15 @@ def test_a_bridged_application_has_its_networks_and_devices() -> None:
     assert service(texts)["extra_hosts"] == ["host.docker.internal:host-gateway"]
 
 
+@pytest.mark.parametrize("more", [[], ["/dev/ttyACM0"]])
+def test_only_character_devices_are_checked(more: list[str]) -> None:
+    """A mapped folder or disk would be a fault from the start."""
+    app = application("app", devices=["/dev/dri", *more])
+    texts = render(machine(app, other_devices=["/dev/dri"]), answers("app"))
+    assert [device.path for device in settings(texts).containers[0].devices] == more
+    assert "/dev/dri is a folder" in texts["phm.yaml"]
+
+
 def test_an_application_on_the_hosts_network_has_phm_there_too() -> None:
     """There is no network to reconnect."""
     texts = made(application("app", mode="host"), network="host", mavlink="udpout:127.0.0.1:14550")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
-from phm.facts import NotPermitted
+from phm.facts import ContainerFact, NotPermitted
 from phm.recovery.actions._networks import missing, network_id, not_there
-from phm.recovery.base import Action, ActionContext, NotNeeded, Target, container_settings
+from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded, Target, container_settings
 
 
 class JoinNetwork(Action):
@@ -27,8 +27,16 @@ class JoinNetwork(Action):
         return not_there(gone) if gone and len(gone) == len(networks) else ""
 
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
+        me = context.own_container()
+        if me is not None and shares_network(me):
+            raise ActionFailed("PHM shares the network of another container: connect that one")
         joined = rejoin_networks(container_settings(target), context)
         return joined or NotNeeded(f"PHM is on the networks of {target.key} already")
+
+
+def shares_network(me: ContainerFact) -> bool:
+    """Whether PHM uses the network namespace of another container: the engine connects that one to networks, not PHM."""
+    return me.network_mode.startswith("container:")
 
 
 def rejoin_networks(container: ContainerSettings, context: ActionContext) -> str:
@@ -42,7 +50,7 @@ def rejoin_networks(container: ContainerSettings, context: ActionContext) -> str
 def join_networks(container: ContainerSettings, context: ActionContext) -> str:
     """Join every network of the container that exists and PHM's container is not on; what was joined, in words, or empty."""
     me = context.own_container()
-    if me is None or me.network_mode == "host":
+    if me is None or me.network_mode == "host" or shares_network(me):
         return ""
     joined = []
     for name in container.networks:

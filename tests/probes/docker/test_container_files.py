@@ -14,6 +14,7 @@ import pytest
 
 from phm.facts import CannotTell, ContainerFact, DockerProbe, FileFact, Mount
 from phm.probes import file_tree
+from phm.probes.docker_facts import container_fact
 from phm.probes.files import MAX_BYTES, Files
 from phm.probes.inotify import FileWatcher
 from phm.probes.volume_path import OutsideVolumes, resolve
@@ -82,6 +83,33 @@ def test_a_missing_file_and_a_directory_in_a_volume_are_distinguished(mounted: M
     directory = mounted.read("/data", digest=True)
     assert directory is not None
     assert (directory.kind, directory.sha256) == ("directory", "")
+
+
+@pytest.mark.parametrize(("own", "seen_through"), [("", "engine"), ("install", "volume")])
+def test_a_volume_with_a_subpath_is_another_folder_than_the_whole_volume(
+    own: str, seen_through: str, tmp_path: Path, fake: FakeEngine, ask: DockerEngine
+) -> None:
+    """PHM would report the application's files as missing. The application may replace that folder of the volume by a
+    link, so PHM does not look for it there."""
+    (tmp_path / "setup.bash").write_text("")
+    app = container("app", container_id="c1", mounts=[volume("/ws")])
+    app["HostConfig"]["Mounts"] = [
+        {"Type": "volume", "Source": "app", "Target": "/ws", "VolumeOptions": {"Subpath": "install"}}
+    ]
+    me = container("phm", container_id="c2", mounts=[volume(str(tmp_path))])
+    me["HostConfig"]["Mounts"] = [
+        {"Type": "volume", "Source": "app", "Target": str(tmp_path), "VolumeOptions": {"Subpath": own}}
+    ]
+    probe = FakeDocker(container_fact(app), me=container_fact(me))
+    fake.containers["app"] = app
+    app["_files"]["/ws/setup.bash"] = b""
+    seen = Files(probe, ask, settings().docker, FakeClock()).inspect("app", "/ws/setup.bash", digest=False)
+    assert seen is not None and seen.seen_through == seen_through
+
+
+def volume(destination: str) -> dict[str, object]:
+    source = "/var/lib/docker/volumes/app/_data"
+    return {"Type": "volume", "Name": "app", "Source": source, "Destination": destination, "RW": True}
 
 
 def test_a_file_outside_of_volumes_is_read_through_the_engine(mounted: Mounted) -> None:

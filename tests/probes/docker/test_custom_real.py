@@ -11,6 +11,7 @@ from phm.core.clock import SystemClock
 from phm.core.model import Level, Result
 from phm.facts import CannotTell, World
 from phm.probes.docker import Docker
+from phm.probes.log_file import READ_BYTES
 from phm.probes.logs import Logs
 from phm.probes.pattern_matcher import PatternMatcher
 from phm.probes.programs import OUTPUT_BYTES, Programs
@@ -152,6 +153,20 @@ def test_a_line_in_the_log_of_a_container_is_found_once(place: Place) -> None:
     say("fine")
     until(lambda: place.run(check).values["lines"] == 1, "the other line")
     assert place.run(check).values == {"lines": 0, "matches": 1}
+
+
+def test_a_line_after_one_that_never_ends_is_found(place: Place) -> None:
+    """A progress bar writes more than PHM reads at once, without an end of line. What follows counts."""
+    check = place.check(type="log", patterns=[{"pattern": "PUMP dry"}])
+    assert place.run(check).level is Level.OK
+    place.programs.run(
+        ["sh", "-c", "head -c 600000 /dev/zero | tr '\\0' x > /tmp/said"], timeout_s=60, container=place.name
+    )
+    place.programs.run(["mv", "/tmp/said", "/tmp/say"], timeout_s=60, container=place.name)
+    # Counted as one line, of which the rest was left out.
+    until(lambda: place.run(check).values.get("skipped_bytes", 0) > READ_BYTES // 2, "the long line")
+    place.programs.run(saying("\nPUMP dry"), timeout_s=60, container=place.name)
+    until(lambda: place.run(check).level is Level.ERROR, "the line after it")
 
 
 def test_processes_of_a_container_are_counted(place: Place) -> None:

@@ -339,6 +339,34 @@ def test_a_configured_own_container_must_exist(fake: FakeEngine, ask: DockerEngi
     assert docker.own_container() is not None
 
 
+@pytest.mark.parametrize(
+    "named", [{"name": "app"}, {"label": "com.docker.compose.service=app"}], ids=["by name", "by label"]
+)
+def test_the_application_is_never_the_own_container(
+    named: dict[str, str], fake: FakeEngine, ask: DockerEngine, tmp_path: Path
+) -> None:
+    """With `network_mode: service:app`, PHM has the application's /etc/hostname: it would connect and exempt that one."""
+    fake.containers["app"] = container("app", container_id=MINE, labels={"com.docker.compose.service": "app"})
+    line = f"269 252 254:0 /var/lib/docker/containers/{MINE}/hostname /etc/hostname rw - ext4 /dev/vda rw\n"
+    chosen = settings(containers=[named])
+    docker = Docker(ask, chosen.containers, chosen.docker, FakeClock(), proc=proc(tmp_path, line, "0::/\n"))
+    with pytest.raises(CannotTell, match=r"set docker\.container"):
+        docker.own_container()
+    fake.containers["app"]["Config"]["Entrypoint"] = ["ros-entrypoint", "phm"]  # PHM itself is configured
+    docker.invalidate()
+    assert docker.own_container() is not None
+
+
+def test_with_the_network_of_another_container_phm_is_on_the_same_networks(fake: FakeEngine, ask: DockerEngine) -> None:
+    """The engine lists no networks for PHM's own container then."""
+    fake.containers["app"] = container("app", container_id=OTHER, networks=["swarm"])
+    fake.containers["phm"] = container("phm", container_id=MINE)
+    fake.containers["phm"]["HostConfig"]["NetworkMode"] = f"container:{OTHER}"
+    fact = probe(ask, docker={"container": "phm"}).own_container()
+    assert fact is not None
+    assert [attached.name for attached in fact.networks] == ["swarm"]
+
+
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1"])
 def test_the_local_machine_responds(ask: DockerEngine, address: str) -> None:
     """A closed port that refuses proves that the address responds."""
