@@ -156,7 +156,7 @@ def test_a_line_in_the_log_of_a_container_is_found_once(place: Place) -> None:
 
 
 def test_a_line_after_one_that_never_ends_is_found(place: Place) -> None:
-    """A progress bar writes more than PHM reads at once, without an end of line. What follows counts."""
+    """A progress bar writes more than one read of PHM, without an end of line. What follows counts."""
     check = place.check(type="log", patterns=[{"pattern": "PUMP dry"}])
     assert place.run(check).level is Level.OK
     place.programs.run(
