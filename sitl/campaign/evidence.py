@@ -34,10 +34,7 @@ SNAPSHOTS_S = 0.5
 """Two snapshots of the ROS graph, which come four times a second: the evidence may just miss the first."""
 READ_S = 1.0
 """Counters of the kernel are read once a second."""
-_EXECUTOR = (
-    f"an executor must not have run for {_liveness.HANG_S:g} s while its process uses no CPU, and for {_liveness.CERTAIN_HANG_S:g} s while "
-    "`host/cpu` is ERROR: neither a long callback nor a busy machine is a fault"
-)
+_EXECUTOR = f"an executor must not have run for {_liveness.HANG_S:g} s while its process uses no CPU: a long callback is not a fault"
 _PROCESS = (
     "PHM asks the engine for the processes when more than two heartbeats of a beacon, one every 0.2 s, are missing: it "
     "is not informed of their end"
@@ -54,10 +51,7 @@ _LOG = (
 )
 _AGAIN = f"PHM asks the engine about the container, and again before it reports, at the latest {ASK_AGAIN_S:g} s later"
 _FILE = f"it must last {files.SETTLE_S:g} s, as programs replace a file by another, and be found again, at the latest {ASK_AGAIN_S:g} s later"
-_DUPLICATE = (
-    f"a restarted node may overlap with the old one for {nodes.BOTH_S:g} s, unless both send beacons; after an action of PHM on the container, "
-    "`join_network` included, nodes have `ros.grace`"
-)
+_DUPLICATE = f"a restarted node may overlap with the old one for {nodes.BOTH_S:g} s, unless both send beacons"
 _REMOVAL = (
     "its end by a signal may be the beginning of `docker rm -f` or of a restart: PHM waits up to 0.5 s for what follows, and "
     f"asks the engine again before it reports, at the latest {ASK_AGAIN_S:g} s later"
@@ -67,10 +61,16 @@ _PHM_DOWN = "nothing of PHM runs until Docker has restarted its container and Py
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why a class is detected later than twice its limit; it explains a ratio of at most `up_to`."""
+    """Why a class is detected later than twice its limit; it explains a ratio of at most `up_to`, which follows from constants of
+    PHM (`Wait`), or was set from measurements.
+    """
 
     words: str
     up_to: float
+    derived: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.words} (up to {self.up_to:g}{'' if self.derived else ', set from measurements'})"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Wait:
 
     @property
     def explanation(self) -> Explanation:
-        return Explanation(self.words, round((self.limit_s + self.waits_s) / self.limit_s, 1))
+        return Explanation(self.words, round((self.limit_s + self.waits_s) / self.limit_s, 1), derived=True)
 
 
 _DATA_PATH_S = _data_path.SOON_S + _data_path.CONFIRM_S + SNAPSHOTS_S
@@ -99,7 +99,7 @@ WAITS = {
     "address_silent": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
     "autopilot_reboot": Wait(_AUTOPILOT, 0.5, _AUTOPILOT_S),
     "autopilot_silent": Wait(_AUTOPILOT, 0.5, _AUTOPILOT_S),
-    "callback_blocked": Wait(_EXECUTOR, 0.1, _liveness.CERTAIN_HANG_S + READ_S),
+    "callback_blocked": Wait(_EXECUTOR, 0.1, _liveness.HANG_S + READ_S),
     "clock_stepped": Wait("the clock is read once a second", 0.1, READ_S),
     "container_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
     "container_stopped": Wait(_REMOVAL, 0.1, _REMOVAL_S),
@@ -111,7 +111,7 @@ WAITS = {
     "cpu_limited": Wait(_WINDOW, 0.25, _WINDOW_S),
     "crash_loop": Wait(_REMOVAL, 0.1, _REMOVAL_S),
     "disk_slow": Wait(_DISK, 1.0, pressure.IO_S + READ_S),
-    "executor_deadlocked": Wait(_EXECUTOR, 0.1, _liveness.CERTAIN_HANG_S + READ_S),
+    "executor_deadlocked": Wait(_EXECUTOR, 0.1, _liveness.HANG_S + READ_S),
     "file_altered": Wait(_FILE, 0.1, _FILE_S),
     "file_deleted": Wait(_FILE, 0.1, _FILE_S),
     "file_not_executable": Wait(_FILE, 0.1, _FILE_S),
@@ -123,7 +123,7 @@ WAITS = {
     "network_disconnected": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
     "network_lost_together": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
     "network_recreated": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
-    "node_duplicate": Wait(_DUPLICATE, 0.1, nodes.BOTH_S + RosSettings().grace + SNAPSHOTS_S),
+    "node_duplicate": Wait(_DUPLICATE, 0.1, nodes.BOTH_S + SNAPSHOTS_S),
     "node_never_started": Wait(_LEFT_OUT, 1.0, _process_table.LATER + 1.0 + _process_table.SOON_S),
     "peer_lost": Wait(_PEER, 1.0, _PEER_S),
     "peer_split": Wait(_PEER, 1.0, _PEER_S),
@@ -168,7 +168,7 @@ EXPLANATIONS = {
         "a rate must be wrong in two measurements, made once a second: jitter is not a fault", 12
     ),
 }
-"""By fault. `up_to` is the longest time that the words and the measurements allow, divided by the limit."""
+"""By fault."""
 UNEXPLAINED = "unexplained"
 
 
@@ -216,4 +216,4 @@ def _explained(each: ClassMetrics, ratio: float) -> str:
 
 def _known(fault: str, ratio: float) -> str:
     known = EXPLANATIONS.get(fault)
-    return "" if ratio <= RATIO or known is None or ratio > known.up_to else f"{known.words} (up to {known.up_to:g})"
+    return "" if ratio <= RATIO or known is None or ratio > known.up_to else str(known)

@@ -121,6 +121,6 @@ def problems(groups: Sequence[Group]) -> list[str]:
     """Missed targets, unexplained ratios, and the problems of single faults."""
     return [
         *missed_targets(groups),
-        *(sentence for group in groups[:1] for sentence in fault_rows.unexplained(group)),
+        *(sentence for group in groups for sentence in fault_rows.unexplained(group)),
         *(sentence for group in groups for sentence in fault_rows.short(group)),
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from sitl.campaign import uptime
 from sitl.campaign.groups import Group
@@ -160,9 +161,18 @@ def left_out(groups: Sequence[Group]) -> Rows:
         ("actions: interrupted by the end of the trial", lambda f: str(f.unfinished)),
         ("cost: agents of runs without measurement", lambda f: str(f.without_cost)),
         ("uptime: agent cut from the ground by the campaign", blind),
+        ("all events: pauses between the runs of a seed, which are not recorded", _pauses),
         ("uptime: run with recovery off", lambda f: f"{sum(each.trial.kind == OFF for each in f.judged)} runs"),
     ]
     return _rows(wanted, groups)
+
+
+def _pauses(found: Figures) -> str:
+    """How long the swarm ran between runs, beside the time of the runs."""
+    runs = sorted((each.trial for each in found.judged), key=lambda trial: trial.began)
+    pairs = [(one, two) for one, two in pairwise(runs) if one.setting.get("seed") == two.setting.get("seed")]
+    paused_s = sum(max(0.0, two.began - one.ended) for one, two in pairs)
+    return f"{paused_s / 60:.0f} min beside {sum(trial.seconds for trial in runs) / 60:.0f} min"
 
 
 def _without_recovery(found: Figures) -> int:

@@ -32,10 +32,10 @@ def measure(verdict: Verdict, trial: Trial, first: Sequence[Alarm | RaisedWarnin
             _claim(verdict, trial, begun, until)
     else:
         _restarted(verdict, trial, begun, until)
-    _logged(verdict, trial, begun, until)
-    _published(verdict, trial, begun)
     if verdict.claimed_s is not None:
         verdict.ended_by = _ended_by(verdict, trial, begun)
+    _logged(verdict, trial, begun, until)
+    _published(verdict, trial, begun)
 
 
 def _reported(
@@ -148,16 +148,20 @@ def _restored_before(verdict: Verdict, trial: Trial, begun: float) -> bool:
 
 
 def _logged(verdict: Verdict, trial: Trial, begun: float, until: float) -> None:
-    """The last step of PHM's response was in its log; the alarm alone where PHM took no step."""
+    """The last step of PHM's response was in its log; the alarm alone where PHM took no step.
+
+    An action that a restart of PHM interrupted is complete when PHM says that its fault is over.
+    """
     fault = verdict.injection
     if verdict.detected_s is None:
         return
-    steps = [
-        act.mono - begun
+    steps = {
+        act.mono - begun: act.phase
         for act in trial.acts
         if act.phase in STEPS and act.agent == fault.agent and act.unit in places(fault) and begun <= act.mono <= until
-    ]
-    own = [verdict.claimed_s] if fault.phm and verdict.claimed_s is not None else []
+    }
+    unverified = verdict.ended_by == ACTION and "verified" not in steps.values()
+    own = [verdict.claimed_s] if verdict.claimed_s is not None and (fault.phm or unverified) else []
     verdict.logged_s = max([verdict.detected_s, *steps, *own])
 
 

@@ -366,6 +366,14 @@ def test_the_definitions_of_the_paper() -> None:
     assert (reported_only.logged_s, reported_only.published_s) == (pytest.approx(0.4), None)
 
 
+def test_the_response_of_a_phm_that_was_killed_meanwhile_ends_with_its_claim() -> None:
+    """The new process does not verify the action of the old one, so the log has no such step."""
+    before = only(trial())
+    interrupted = only(trial(acts=[started(0.5)]))
+    assert interrupted.ended_by == before.ended_by == ACTION
+    assert interrupted.logged_s == interrupted.claimed_s
+
+
 def test_a_report_after_the_trial_counts_when_it_was_due() -> None:
     """Leaving it out would make the mean too small: only early reports would be in it."""
     before = [Summary(3, T0 - 6, [], T0 - 5)]
