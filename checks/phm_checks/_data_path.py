@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from phm import api
-from phm_checks._graph_evidence import NodeTopics
+from phm_checks._graph_evidence import SILENT_PERIODS, NodeTopics
 from phm_checks._process_matching import Wanted, match, wanted_nodes
 from phm_checks._text import listed, span
 
@@ -37,6 +38,13 @@ PAUSE, REMEMBER_S = 2.0, 600.0
 ABSENT_S = 4.0
 """Nothing must have been received for this long from nodes that are not listed either. Below the time after which each node is
 reported separately."""
+
+
+class _Sign(NamedTuple):
+    """The newest sign of life of one kind: its age, and the age from which on the next one is overdue."""
+
+    age_s: float
+    limit_s: float
 
 
 class DataPath:
@@ -96,16 +104,12 @@ class DataPath:
         silent = [found for node in self._wanted if (found := self._silent_s(node, fact)) is not None]
         # Data from before this generation came from other processes, whose names may stay listed until their lease ends.
         in_this_generation = silent and now - max(silent) > self._met_at
-        if in_this_generation and len(silent) >= WITNESSES:
-            # A reported fault persists until something is received.
-            long = _together(silent, SILENT_S, TOGETHER_S) or now - min(silent) <= self._cut_at
-            silent_s = min(silent) if long and self._run(world) else self._soon(world, fact, silent)
-            if silent_s:
-                self.never_received, self._cut_at = False, world.clock.mono() - silent_s + NOISE_S
-                return (
-                    f"nothing received from any of its {len(silent)} nodes for {span(silent_s)}, though discovery lists them and "
-                    "their processes are running"
-                )
+        if in_this_generation and len(silent) >= WITNESSES and (silent_s := self._cut_off_s(world, fact, silent)):
+            self.never_received, self._cut_at = False, world.clock.mono() - silent_s + NOISE_S
+            return (
+                f"nothing received from any of its {len(silent)} nodes for {span(silent_s)}, though discovery lists them and "
+                "their processes are running"
+            )
         if not silent and now - self._met_at > self._grace_s and self._nameless(fact) and self._run(world):
             self.never_received = True
             return (
@@ -113,6 +117,15 @@ class DataPath:
                 f"the processes of {listed([node.short for node in self._wanted], 3)} are running"
             )
         return ""
+
+    def _cut_off_s(self, world: api.World, fact: api.RosFact, silent: Sequence[float]) -> float:
+        """How long the listed nodes, silent for these times, have been cut off; 0 if they may not be."""
+        # A reported fault persists until something is received.
+        reported = world.clock.mono() - min(silent) <= self._cut_at
+        if not reported and not self._all_overdue(fact, listed_only=True):
+            return 0.0
+        long = reported or _together(silent, SILENT_S, TOGETHER_S)
+        return min(silent) if long and self._run(world) else self._soon(world, fact, silent)
 
     def _soon(self, world: api.World, fact: api.RosFact, silent: Sequence[float]) -> float:
         """How long all of them have been silent, if that is certain before SILENT_S; otherwise 0."""
@@ -148,11 +161,11 @@ class DataPath:
             fact = world.ros.snapshot()
         except api.CannotTell:
             return ""
-        received = [age_s for node in self._wanted for age_s in self._signs(node, fact)]
+        received = [sign.age_s for node in self._wanted for sign in self._signs(node, fact)]
         listed_ones = [node.name for node in self._wanted if fact.nodes.get(node.name)]
         if fact.age_s > OLD_SNAPSHOT_S or fact.up_s < self._grace_s or listed_ones or not received:
             return ""
-        if self._others_receive(fact):
+        if self._others_receive(fact) or not self._all_overdue(fact, listed_only=False):
             return ""
         silent_s = min(received) - fact.age_s
         if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) != ASLEEP:
@@ -171,17 +184,24 @@ class DataPath:
         """Seconds since the last sign of life of a listed node. None if it is not listed, or never gave a sign and so proves nothing."""
         if not fact.nodes.get(node.name):
             return None
-        ages = list(self._signs(node, fact))
+        ages = [sign.age_s for sign in self._signs(node, fact)]
         return max(0.0, min(ages) - fact.age_s) if ages else None
 
-    def _signs(self, node: Wanted, fact: api.RosFact) -> Iterable[float]:
+    def _all_overdue(self, fact: api.RosFact, *, listed_only: bool) -> bool:
+        """Whether the next sign of life of each node is overdue: between two messages of a slow topic or beacon, nothing is received
+        either."""
+        nodes = [node for node in self._wanted if fact.nodes.get(node.name) or not listed_only]
+        signs = [list(self._signs(node, fact)) for node in nodes]
+        return all(_overdue(of_node, fact.age_s) for of_node in signs if of_node)
+
+    def _signs(self, node: Wanted, fact: api.RosFact) -> Iterable[_Sign]:
         beacon = fact.beacons.get(node.name)
         if beacon is not None:
-            yield beacon.silent_s
-        for topic, _ in self._ends[node.name].rates:
+            yield _Sign(beacon.silent_s, SILENT_PERIODS * beacon.period_s)
+        for topic, rate_hz in self._ends[node.name].rates:
             rate = fact.topics.get(topic, api.TopicFact()).rate
             if rate is not None and rate.silent_s is not None:
-                yield max(0.0, rate.silent_s - rate.not_counted_s)
+                yield _Sign(max(0.0, rate.silent_s - rate.not_counted_s), rate.limit_s or SILENT_PERIODS / rate_hz)
 
     def _nameless(self, fact: api.RosFact) -> bool:
         """Whether publishers are discovered without node names: names arrive as data, publishers through discovery."""
@@ -202,6 +222,14 @@ class DataPath:
         if len(states) != len(self._wanted) or any(state in ("T", "t") for state in states):
             return ""
         return ASLEEP if all(state == "S" for state in states) else AWAKE
+
+
+def _overdue(signs: Sequence[_Sign], delay_s: float) -> bool:
+    """Whether a node should have given another sign of life since its newest one. delay_s: age of the snapshot, which does not count as silence."""
+    newest_s = min(sign.age_s for sign in signs)
+    # A topic that had ended before the newest sign does not show that the next one is overdue.
+    limits = [sign.limit_s for sign in signs if sign.age_s - newest_s <= sign.limit_s]
+    return newest_s - delay_s > min(limits)
 
 
 def _together(silent: Sequence[float], limit_s: float, apart_s: float) -> bool:

@@ -75,8 +75,11 @@ class GraphEvidence:
         self.blind = True
         """The graph is the only source: the node has neither a beacon nor a topic with a rate."""
 
-    def observe(self, fact: api.RosFact | None, now: float, began_at: float) -> list[Evidence]:
-        """Evidence from the newest snapshot; None if there is none. began_at: older data belongs to an earlier node of this name."""
+    def observe(
+        self, fact: api.RosFact | None, now: float, began_at: float, *, same_process: bool = False
+    ) -> list[Evidence]:
+        """Evidence from the newest snapshot; None if there is none. began_at: older data belongs to an earlier node of this name, and so
+        does data from before its name appeared, unless its process is known to be the same."""
         if fact is None:
             self.suspicions, self.blind = {"no snapshot"}, True
             return []
@@ -86,7 +89,7 @@ class GraphEvidence:
         self.suspicions = set()
         name = self._name(fact, now)
         self._count_ends(fact, now)
-        beacon = self._beacon(fact, now, max(began_at, self.appeared_at))
+        beacon = self._beacon(fact, now, began_at if same_process else max(began_at, self.appeared_at))
         topics = self._topics(fact)
         self.blind = beacon is None and topics is None
         return [piece for piece in (beacon, topics, self._endpoints(fact, now), name) if piece is not None]

@@ -51,7 +51,8 @@ NEWER_S = 0.3
 class NodeHistory:
     """alive: the previous verdict was alive. seen: the node was alive in the current container generation. starting: it, or its
     container, started a moment ago. twice: it has been listed more than once for longer than any lease. contained: it runs in a
-    container whose processes PHM requests from the engine. unlisted: the engine could not list them.
+    container whose processes PHM requests from the engine. unlisted: the engine could not list them. hung: it was hung according to
+    its beacon, and has given no sign of life since, in the same process.
     """
 
     alive: bool = True
@@ -60,6 +61,7 @@ class NodeHistory:
     twice: bool = False
     contained: bool = False
     unlisted: bool = False
+    hung: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,9 +259,15 @@ def bare_name(case: Findings) -> RuleResult:
 
 
 def listed(case: Findings) -> RuleResult:
-    """8. Otherwise the graph decides. A silent topic alone is not evidence of death: it is a separate fault."""
+    """8. Otherwise the graph decides. A silent topic alone is not evidence of death: it is a separate fault.
+
+    A hung process may still announce its name: after a replacement of the ROS child, which has never received its beacon, the name
+    does not show that the process runs again.
+    """
     if case.evidence(Kind.NAME, Observation.ALIVE) is None:
         return None
+    if case.past.hung and not case.past.twice and case.evidence(Kind.PROCESS, Observation.BUSY) is None:
+        return NodeState.UNKNOWN, Kind.NAME
     return (NodeState.DUPLICATE if case.past.twice else NodeState.ALIVE), Kind.NAME
 
 

@@ -206,6 +206,11 @@ class ProcessTable:
         """Whether a process of the node was seen in this generation."""
         return name in self._known
 
+    def running(self, name: str) -> tuple[str, int] | None:
+        """The node's process as container generation and process id, to compare; None if it is unknown or has ended."""
+        known = self._known.get(name)
+        return (self._generation, known.pid) if known is not None and known.there else None
+
     def began_at(self, name: str) -> float:
         """When the node or its container was last seen to start, on the monotonic clock; -inf if no start was seen."""
         return max(self._born_at, self._began_at.get(name, NEVER))

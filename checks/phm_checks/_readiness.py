@@ -141,9 +141,8 @@ class Requirements:
             what = "was never received" if seen.publishers else "has no publisher"
             young = self._young or self._fact.listened_for_s < limit_s
             return Finding(f"topic {name} {what}", f"no {last(name)}", unknown=young)
-        kept = {(end.durability, end.reliability) == ("transient_local", "reliable") for end in seen.publishers}
-        if kept == {True}:
-            return None  # latched: one message is enough
+        if any((end.durability, end.reliability) == ("transient_local", "reliable") for end in seen.publishers):
+            return None  # latched: one message is enough, whatever else publishes beside the one that keeps it
         large = (rate.sample_bytes or 0.0) * (rate.hz or 0.0) > LARGE_BPS
         silent_s = rate.silent_s - rate.not_counted_s
         if silent_s <= limit_s + (LARGE_PAUSE_S if large else 0.0):

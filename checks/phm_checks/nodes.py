@@ -41,6 +41,8 @@ class _Node:
         self.copies = 0
         """Number of its processes if there is more than one for a while, else 0. Above 0 the node certainly runs twice,
         regardless of discovery leases."""
+        self._hung_as: tuple[str, int] | None = None
+        """Its process, if that was hung according to its beacon, and nothing has been received from the node since."""
         self._both_since: float | None = None
         self._generation = ""
 
@@ -51,14 +53,21 @@ class _Node:
         reported = set() if healthy or self.state is None else {self.state.value}
         return {(self.wanted.name, why) for why in self.graph.suspicions | reported}
 
+    def still_hung(self, table: ProcessTable | None) -> bool:
+        """Whether it was hung, and nothing has shown since that it runs: neither a sign of life nor another process."""
+        return self._hung_as is not None and table is not None and table.running(self.wanted.name) == self._hung_as
+
     def judge(
-        self, evidence: Iterable[Evidence], began_at: float, now: float, grace_s: float, fit: int, *, unlisted: bool
+        self, evidence: Sequence[Evidence], table: ProcessTable | None, now: float, grace_s: float
     ) -> NodeVerdict:
-        """Combine the evidence. `fit`: how many processes match the node; `unlisted`: processes cannot be listed.
+        """Combine the evidence.
 
         Once two processes were reported, the node stays a duplicate while both exist: a new graph may not list both yet
         (`phm.probes.ros.stale_nodes`).
         """
+        name = self.wanted.name
+        began_at = NEVER if table is None else table.began_at(name)
+        fit = 0 if table is None else table.fit(name, now)
         both = fit > 1 and (self.graph.duplicated or self.copies > 0)
         self._both_since = (self._both_since or now) if both else None
         lasts = self._both_since is not None and (self.graph.rivals > 0 or now - self._both_since >= BOTH_S)
@@ -70,11 +79,24 @@ class _Node:
             starting,
             self.copies > 0 or self.graph.twice(now),
             contained=bool(self.wanted.container),
-            unlisted=unlisted,
+            unlisted=table is not None and table.unlisted,
+            hung=self.still_hung(table),
         )
         judgement = judge_node(evidence, past)
         self.state = judgement.state
+        self._record_hang(evidence, None if table is None else table.running(name), now - began_at)
         return judgement
+
+    def _record_hang(self, evidence: Iterable[Evidence], process: tuple[str, int] | None, ran_s: float) -> None:
+        """Only a hang that the beacon shows: a process that was stopped and is resumed may have nothing to send. `ran_s`: how long the
+        process has run at most; a longer silence is that of an earlier one."""
+        said = {(piece.kind, piece.says): piece for piece in evidence}
+        if (Kind.BEACON, Observation.ALIVE) in said or (Kind.TOPICS, Observation.ALIVE) in said:
+            self._hung_as = None
+            return
+        stopped = said.get((Kind.BEACON, Observation.SILENT)) or said.get((Kind.BEACON, Observation.LATE))
+        if self.state in (NodeState.HUNG, NodeState.UNANSWERING) and stopped is not None and stopped.lasted_s < ran_s:
+            self._hung_as = process
 
     def record_alive(self, table: ProcessTable | None, evidence: Iterable[Evidence], now: float) -> None:
         """Record whether the node was alive since its container started.
@@ -171,7 +193,8 @@ class Nodes(api.Check):
 
     def _from_graph(self, node: _Node, fact: api.RosFact | None, now: float) -> list[Evidence]:
         table, name = self._tables.get(node.wanted.container), node.wanted.name
-        found = node.graph.observe(fact, now, table.began_at(name) if table is not None else NEVER)
+        began_at = table.began_at(name) if table is not None else NEVER
+        found = node.graph.observe(fact, now, began_at, same_process=node.still_hung(table))
         if table is not None:
             table.appeared(name, node.graph.appeared_at)
         return found
@@ -188,11 +211,8 @@ class Nodes(api.Check):
         world: api.World,
     ) -> api.Result:
         table, name = self._tables.get(node.wanted.container), node.wanted.name
-        began_at, process, fit = NEVER, "", 0
-        if table is not None:
-            began_at, process, fit = table.began_at(name), table.describe(name), table.fit(name, now)
-        unlisted = table is not None and table.unlisted
-        judgement = node.judge(evidence, began_at, now, self._grace_s, fit, unlisted=unlisted)
+        process = table.describe(name) if table is not None else ""
+        judgement = node.judge(evidence, table, now, self._grace_s)
         if table is not None and disproved(evidence):
             table.forget(name)
         node.record_alive(table, evidence, now)
@@ -247,8 +267,10 @@ class Nodes(api.Check):
             )
             return Level.WARN, words, "runs twice", "node_duplicate"
         if state is NodeState.UNKNOWN:
+            table = self._tables.get(node.wanted.container)
             looked = f"PHM has observed the graph for only {span(fact.up_s)}" if fact is not None else why
-            words = f"not yet known whether node {name} is alive: {evidence or looked}"
+            was = "; it was hung, and has given no sign of life since" if node.still_hung(table) else ""
+            words = f"not yet known whether node {name} is alive: {evidence or looked}{was}"
             return Level.STALE, words, "", ""
         if state is NodeState.UNANSWERING:
             words = (

@@ -10,15 +10,12 @@ from phm.api import Layer, Level, Slot
 from phm_checks._endpoint_history import EndpointHistory, Key
 from phm_checks._endpoint_matching import (
     SHOWN,
-    Pair,
+    Matching,
+    Pairs,
     all_ends,
     full,
-    level_of,
-    mismatch_text,
     named_sides,
-    needed,
     needed_end,
-    pairs_of,
     same_definition,
     same_type,
     sides,
@@ -27,7 +24,6 @@ from phm_checks._endpoint_matching import (
 )
 from phm_checks._graph_gaps import GraphGaps
 from phm_checks._node_activity import all_alive
-from phm_checks._qos import mismatches
 from phm_checks._similar_names import sentence, similar_names
 from phm_checks._text import brief, clean, did_you_mean, joined, last, listed, span
 
@@ -149,7 +145,8 @@ class Topics(api.Check):
         known = self._audits.get(topic.name)
         if known is not None and known[0] == ends:
             return known[1]
-        problems = (self._type(topic, seen), self._definition(topic, seen), self._qos(topic, seen))
+        matching = Matching(topic, seen)
+        problems = [find(topic, seen, matching) for find in (self._type, self._definition, self._qos)]
         found = [problem for problem in problems if problem is not None]
         self._audits[topic.name] = (ends, found)
         return found
@@ -230,19 +227,19 @@ class Topics(api.Check):
             if self._ends.lost(key, there=key[2] in names, listed=bool(fact.nodes.get(key[2])), now=now)
         ]
 
-    def _type(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
+    def _type(self, topic: api.TopicSettings, seen: api.TopicFact, matching: Matching) -> api.Result | None:
         """ERROR if a configured endpoint has the wrong type or a configured pair has different types; WARN for others."""
         name = full(topic.name)
         if topic.type is None:
             types = dict.fromkeys(end.type for _, end in all_ends(seen) if end.type)
             if len(types) < 2:
                 return None
-            differing = [pair for pair in pairs_of(seen) if not same_type(*pair)]
+            differing = [pairs for pairs in matching.pairs if not same_type(*pairs.first)]
             ends = [f"{clean(end.type, 80)} at {side} {who(end)}" for side, end in sides(differing) or all_ends(seen)]
             return self._bad(
                 topic,
                 seen,
-                level_of(topic, seen, differing),
+                matching.level_of(differing),
                 "type_wrong",
                 "mixed types",
                 f"topic {name} is used with different types, and endpoints of different types do not connect: {some(ends)}; "
@@ -263,44 +260,45 @@ class Topics(api.Check):
             "against the same message package",
         )
 
-    def _definition(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
+    def _definition(self, topic: api.TopicSettings, seen: api.TopicFact, matching: Matching) -> api.Result | None:
         """Types with the same name and different content: they connect, but messages are wrong or cannot be decoded."""
-        found = [(out, into) for out, into in pairs_of(seen) if same_type(out, into) and not same_definition(out, into)]
+        found = [pairs for pairs in matching.pairs if same_type(*pairs.first) and not same_definition(*pairs.first)]
         if not found:
             return None
         ends = [f"{side} {who(end)} has {clean(end.type_hash, 20)}" for side, end in sides(found)]
         return self._bad(
             topic,
             seen,
-            level_of(topic, seen, found),
+            matching.level_of(found),
             "type_wrong",
             "type versions differ",
-            f"topic {full(topic.name)}: {clean(found[0][0].type, 80)} is not the same type everywhere. {some(ends)}; build all "
+            f"topic {full(topic.name)}: {clean(found[0].publishers[0].type, 80)} is not the same type everywhere. {some(ends)}; build all "
             "endpoints against the same version of its package",
         )
 
-    def _qos(self, topic: api.TopicSettings, seen: api.TopicFact) -> api.Result | None:
+    def _qos(self, topic: api.TopicSettings, seen: api.TopicFact, matching: Matching) -> api.Result | None:
         """Pairs whose publisher offers less than its subscriber requests, so that DDS does not connect them."""
-        found = [(pair, wrong) for pair in pairs_of(seen) if same_type(*pair) and (wrong := mismatches(*pair))]
+        found = [pairs for pairs in matching.pairs if pairs.wrong]
         if not found:
             return None
-        configured = [entry for entry in found if needed(topic, seen, entry[0])]
-        words = [mismatch_text(seen, pair, mismatch) for pair, wrong in configured or found for mismatch in wrong]
+        needed = [*filter(None, map(matching.needed, found))]
+        words = matching.mismatch_texts(needed or found)
+        others = sum(pairs.mismatches for pairs in needed or found) - len(words)
         return self._bad(
             topic,
             seen,
-            Level.ERROR if configured else Level.WARN,
+            Level.ERROR if needed else Level.WARN,
             "qos_mismatch",
             "QoS mismatch",
-            f"topic {full(topic.name)} does not connect all its endpoints. {joined(words[:SHOWN])}"
-            + (f" And {len(words) - SHOWN} more." if len(words) > SHOWN else ""),
-            self._home(topic, [pair for pair, _ in configured]),
+            f"topic {full(topic.name)} does not connect all its endpoints. {joined(words)}"
+            + (f" And {others} more." if others else ""),
+            self._home(topic, needed),
         )
 
-    def _home(self, topic: api.TopicSettings, pairs: Iterable[Pair]) -> str:
+    def _home(self, topic: api.TopicSettings, found: Iterable[Pairs]) -> str:
         """The topic's container if it contains all endpoints of the pairs; empty when the cause may be elsewhere."""
         default = self._targets[_unit(topic)]
-        homes = {self._homes.get(end.node, default) for pair in pairs for end in pair}
+        homes = {self._homes.get(end.node, default) for _, end in sides(found)}
         return default if homes <= {default} else ""
 
     def _unfed(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> list[api.Result]:

@@ -43,10 +43,10 @@ class Pipeline:
         """Set how to run units again, and what to call when `waiting` becomes true."""
         self._wake_units, self._wake_loop = wake_units, wake_loop
 
-    def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault]) -> tuple[Event, ...]:
+    def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault], fault_count: int = 0) -> tuple[Event, ...]:
         """Before anything runs: see `Tracker.restore`. The caller publishes the events once subscribers exist."""
         with self._lock:
-            return tuple(self._tracker.restore(faults, given_up, self._clock.stamp()).events)
+            return tuple(self._tracker.restore(faults, given_up, self._clock.stamp(), fault_count).events)
 
     # ------------------------------------------------------------ from the scheduler
 
@@ -106,6 +106,10 @@ class Pipeline:
 
     def end_action(self, target: str, *, worked: bool) -> None:
         self._apply(lambda now: self._tracker.end_action(target, now, worked=worked))
+
+    def action_not_needed(self, target: str) -> None:
+        """The action in progress on the target found nothing to do: see `Tracker.action_not_needed`."""
+        self._apply(lambda now: self._tracker.action_not_needed(target))
 
     def clear_action_credit(self, unit: str) -> None:
         self._apply(lambda now: self._tracker.clear_action_credit(unit))
@@ -203,6 +207,11 @@ class Pipeline:
     def open_faults(self) -> tuple[Fault, ...]:
         with self._lock:
             return self._tracker.open_faults()
+
+    def fault_count(self) -> int:
+        """The number of the last fault that was opened."""
+        with self._lock:
+            return self._tracker.fault_count
 
     def given_up(self) -> tuple[Fault, ...]:
         """Escalated faults of units that have not been OK since."""

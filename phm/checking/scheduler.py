@@ -10,16 +10,18 @@ import logging
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from phm.api import CannotTell, Check, World, stale
 from phm.core import threads
 from phm.core.clock import Clock
-from phm.core.model import Result
+from phm.core.model import Level, Result
 
 logger = logging.getLogger(__name__)
 
 MIN_GAP_S = 0.05
 """Minimum pause between two runs of a check, however often it is woken."""
+_MISSING = stale("the check returned no result for this unit")
 WATCH_S = 0.1
 """How often `tick` runs while a unit settles; part of the time to detect a dead node."""
 
@@ -130,19 +132,26 @@ class CheckThread:
 
     def _evaluate(self) -> dict[str, Result]:
         try:
-            answer = self.scheduled.check.run(self._world)
+            answer: Any = self.scheduled.check.run(self._world)
+            answers = answer if isinstance(answer, Mapping) else self._all(answer)
+            return {unit: _checked(answers.get(unit, _MISSING)) for unit in self.units}
         except CannotTell as error:
             return self._all(stale(str(error)))
         except BaseException as error:  # a plug-in may raise anything, SystemExit included: PHM goes on
             logger.exception("check %s crashed", self.units[0])
             return self._all(stale(f"the check crashed: {type(error).__name__}: {error}"))
-        if isinstance(answer, Result):
-            return self._all(answer)
-        missing = stale("the check returned no result for this unit")
-        return {unit: answer.get(unit, missing) for unit in self.units}
 
-    def _all(self, result: Result) -> dict[str, Result]:
+    def _all(self, result: Any) -> dict[str, Any]:
         return dict.fromkeys(self.units, result)
+
+
+def _checked(answer: Any) -> Result:
+    """What a check returned for one unit. A plug-in may return anything; only a result with a level may go further."""
+    if isinstance(answer, Result) and isinstance(answer.level, Level):
+        words = (answer.summary, answer.brief, answer.condition, answer.target)
+        if all(isinstance(text, str) for text in words):
+            return answer
+    return stale(f"the check returned {type(answer).__name__}, not a Result with a level and texts")
 
 
 class CheckScheduler:

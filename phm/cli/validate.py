@@ -14,6 +14,9 @@ from phm.cli.options import EX_CONFIG, config_option, json_option
 if TYPE_CHECKING:
     from phm.runtime.configuration import Configuration
 
+COUNTED = ("units", "containers", "nodes", "topics", "endpoints")
+"""In the line for a valid file; one of it is named without the last letter."""
+
 
 @click.command(epilog="Example: phm validate -c config/phm.yaml")
 @click.argument("file", required=False, type=click.Path())
@@ -126,5 +129,5 @@ def _facts(good: Configuration) -> dict[str, str | int | float]:
 
 def _line(good: Configuration) -> str:
     facts = _facts(good)
-    counted = ", ".join(f"{facts[key]} {key}" for key in ("units", "containers", "nodes", "topics", "endpoints"))
+    counted = ", ".join(f"{facts[key]} {key if facts[key] != 1 else key[:-1]}" for key in COUNTED)
     return f"{good.file}: valid, agent {facts['agent']} (id {facts['id']}), every {facts['interval_s']:g} s: {counted}"

@@ -28,6 +28,7 @@ class BoundedQueue(Generic[T]):
         self._lock = threading.Lock()
         self._ready = threading.Event()
         self.dropped = 0
+        self.dropped_at = float("-inf")
 
     def __len__(self) -> int:
         return len(self._items)
@@ -39,7 +40,8 @@ class BoundedQueue(Generic[T]):
             key = self._number if self._key is None else self._key(item)
             self._items.pop(key, None)
             full = len(self._items) >= self._size
-            self.dropped += full
+            if full:
+                self.dropped, self.dropped_at = self.dropped + 1, self._clock.mono()
             if full and self._refuse_new:
                 return False
             if full:

@@ -17,6 +17,9 @@ from phm.core.model import Event
 
 logger = logging.getLogger(__name__)
 
+REPORTED_S = 60.0
+"""How long an error of a subscriber, or the loss of an event, is reported as a problem of PHM. One that works again has none."""
+
 Handler = Callable[[Event], None]
 
 
@@ -42,12 +45,17 @@ class Subscription:
         self._closing = False
         self.errors = 0
         self.last_error = ""
+        self.failed_at = float("-inf")
         self._thread = threading.Thread(target=self._loop, name=f"phm-bus-{name}", daemon=True)
         threads.start(self._thread)
 
     @property
     def dropped(self) -> int:
         return self._queue.dropped
+
+    @property
+    def dropped_at(self) -> float:
+        return self._queue.dropped_at
 
     @property
     def waiting(self) -> int:
@@ -83,7 +91,7 @@ class Subscription:
             call()
         except Exception as error:  # a reporter may be a plug-in: its errors must not affect others
             self.errors += 1
-            self.last_error = f"{self.name}: {type(error).__name__}: {error}"
+            self.last_error, self.failed_at = f"{self.name}: {type(error).__name__}: {error}", self._clock.mono()
             if self.errors in (1, 10, 100) or self.errors % 1000 == 0:
                 logger.exception("subscriber %s failed (%d times)", self.name, self.errors)
 
@@ -118,14 +126,18 @@ class Bus:
             subscription.put(event)
 
     def dropped(self) -> dict[str, int]:
-        return {entry.name: entry.dropped for entry in self._subscriptions if entry.dropped}
+        """How many events were dropped, by subscriber, where that happened in the last REPORTED_S."""
+        now = self._clock.mono()
+        return {entry.name: entry.dropped for entry in self._subscriptions if now - entry.dropped_at <= REPORTED_S}
 
     def queues(self) -> dict[str, tuple[int, int]]:
         """How many events wait, and how many were dropped, by subscriber."""
         return {entry.name: (entry.waiting, entry.dropped) for entry in self._subscriptions}
 
     def problems(self) -> tuple[str, ...]:
-        return tuple(entry.last_error for entry in self._subscriptions if entry.errors)
+        """The newest error of each subscriber that has failed in the last REPORTED_S."""
+        now = self._clock.mono()
+        return tuple(entry.last_error for entry in self._subscriptions if now - entry.failed_at <= REPORTED_S)
 
     def close(self, timeout_s: float = 2.0) -> None:
         """Deliver queued events, within `timeout_s` in total."""

@@ -256,7 +256,8 @@ class Fault:
                       fault opens.
     suspects:         units that were in ERROR when it opened and can cause any fault, such as a full disk: a hint, not a
                       diagnosis.
-    ok_s:             for how many seconds the unit had been published as OK, without interruption, when it failed.
+    ok_s:             the longest time for which the unit was published as OK without interruption, in seconds: either until
+                      it failed, or earlier, since its last fault opened and its container was started.
     ok_since_start_s: total seconds for which the unit was published as OK since PHM last saw its target container start;
                       interruptions do not reset it.
     start_seen:       whether PHM saw that start at all. If not, the container has been running for longer than PHM.

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from phm.core.duplicate_filter import DuplicateFilter
+from phm.logs.line_filter import number
 from phm.wire.text import one_line
 
 Json = Mapping[str, Any]
@@ -82,7 +83,7 @@ def _said(event: Json) -> str:
         return f"{unit}: {_text(event, 'summary')}{_was(event)}"
     if name == "fault_closed":
         by, lasted = _text(event, "by"), event.get("duration_s")
-        after = f" after {lasted:.1f} s" if isinstance(lasted, (int, float)) else ""
+        after = f" after {number(lasted):.1f} s" if isinstance(lasted, (int, float)) else ""
         return f"{unit}: {_text(event, 'outcome')}{f' by {by}' if by else ''}{after}"
     if name == "action":
         return f"{unit}: {_text(event, 'action')} {_text(event, 'phase')}: {_text(event, 'detail')}"

@@ -70,7 +70,7 @@ class TakeOff:
         if self._mark is None:
             return _begins(event)
         boot, seq = self._mark
-        return event.get("boot_id") == boot and _number(event.get("seq")) >= seq
+        return event.get("boot_id") == boot and number(event.get("seq")) >= seq
 
 
 NOTHING = TakeOff((object(), 0))
@@ -88,7 +88,7 @@ def take_off(reader: LogReader) -> TakeOff | None:
         if event is None or not _begins(event):
             continue
         if found is None or event.get("number") != found[0]:
-            found = (event.get("number"), event.get("boot_id"), int(_number(event.get("seq"))))
+            found = (event.get("number"), event.get("boot_id"), int(number(event.get("seq"))))
     return None if found is None else TakeOff(found[1:])
 
 
@@ -103,10 +103,11 @@ def level(event: Json) -> str:
 
 def utc_s(event: Json) -> float:
     """UTC seconds of a line; 0 for a line without a time."""
-    return _number(event.get("utc_s"))
+    return number(event.get("utc_s"))
 
 
-def _number(value: object) -> float:
+def number(value: object) -> float:
+    """As a float; 0 for what is none, or is too large for one. Python reads integers of any length."""
     return float(value) if isinstance(value, (int, float)) and abs(value) < 1e15 else 0.0
 
 

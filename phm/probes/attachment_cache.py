@@ -5,6 +5,8 @@ Once a container is disconnected, the engine forgets its aliases and its fixed a
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from phm.facts import Attachment, ContainerFact, DockerProbe, OtherContainer, ProcessFact
 
 
@@ -42,6 +44,11 @@ class AttachmentCache:
 
     def reachable(self, address: str) -> bool:
         return self._inner.reachable(address)
+
+    def resume(self, before: AttachmentCache, containers: Collection[str]) -> None:
+        """Keep what is known of these containers after a reload: one that is disconnected now is not seen attached again."""
+        earlier = before._seen.copy()  # in one step: a check of the former daemon that hangs may still write
+        self._seen = {place: seen for place, seen in earlier.items() if place[0] in containers} | self._seen
 
     def remembered(self, container: str, network: str) -> Attachment | None:
         return self._seen.get((container, network))

@@ -33,6 +33,9 @@ logger = logging.getLogger(__name__)
 
 MARGIN_S = 20.0
 """For the tracker an action lasts this much longer than the action's deadline and `verify`: what needs the target may recover last."""
+HUNG_S = 600.0
+"""An abandoned action that has not returned after this time has a defect: each call of the engine ends sooner. It then no longer blocks
+its target."""
 READS = frozenset(
     {
         "ping",
@@ -133,10 +136,16 @@ class Attempt:
         self._action_key = name if action_type.impact is not Impact.OTHERS else f"{action_type.name}:{name}"
         self._began, self._credited = self._clock.mono(), True
         self._result: list[str | AttemptOutcome] = []
-        self._go, self._finished, self._abandoned = threading.Event(), threading.Event(), False
+        self._go, self._finished = threading.Event(), threading.Event()
+        self._allowed_s = self._until = 0.0
+        self._abandoned_at: float | None = None
+        self._lock = threading.Lock()
 
     def waits_for(self) -> str:
         """What the action needs and is missing. Also empty if that cannot be determined: then the action reports the problem."""
+        earlier = self._still_running()
+        if earlier is not None and not earlier.hangs:
+            return f"an earlier {earlier._type.name} for {earlier._fault.unit} still runs"
         try:
             return self._action.waits_for(self._target, self._fault, self._context)
         except (CannotTell, ActionFailed):
@@ -151,16 +160,15 @@ class Attempt:
         Reasons: another attempt acts on the target, the container is stopping after a signal (a restart would kill it before
         its stop timeout is over), or no thread can be started.
         """
-        name = self._target.name
-        if self._pipeline.is_stopping(name) or not self._locks.acquire(name, self):
+        name, allowed_s = self._target.name, self._action.limit_s(self._context)
+        if self._pipeline.is_stopping(name) or not (self._locks.acquire(name, self) or self._take_over()):
             return False
         thread = threading.Thread(target=self._in_thread, name=f"phm-act-{self._type.name}-{name}", daemon=True)
         if not threads.start_now(thread):
-            self._unlock()
+            self._locks.release(name, self)
             return False
-        at_most_s = self._type.deadline_s + self._verify_s + MARGIN_S
-        key, proving = self._action_key, self._action_key == name
-        self._locks.begin_action(key, self, self._fault.unit, self._type.name, at_most_s, proving=proving)
+        self._allowed_s, self._until = allowed_s, self._clock.mono() + allowed_s
+        self._begin_action()
         return True
 
     def run(
@@ -175,6 +183,8 @@ class Attempt:
         said = self._act()
         if isinstance(said, AttemptOutcome):
             return said
+        if isinstance(said, NotNeeded):
+            self._pipeline.action_not_needed(self._action_key)
         report(Phase.DONE, said)
         hooks = VerificationHooks(stopping, self._end_action, wanted)
         verified = self._verifier.verify(self._fault, target, self._action, hooks)
@@ -214,34 +224,83 @@ class Attempt:
     def _end_action(self) -> None:
         self._locks.end_action(self._action_key, self, worked=True)
 
+    # ------------------------------------------------------------ an action that does not return
+
+    @property
+    def hangs(self) -> bool:
+        """Whether the action was abandoned so long ago that no call of the engine can still be the reason."""
+        return self._abandoned_at is not None and self._clock.mono() - self._abandoned_at >= HUNG_S
+
+    def _still_running(self) -> Attempt | None:
+        """An abandoned attempt whose action still runs, and has the target locked."""
+        owner = self._locks.owner(self._target.name)
+        return owner if isinstance(owner, Attempt) and owner._abandoned_at is not None else None
+
+    def _take_over(self) -> bool:
+        """Lock the target in place of an action that hangs; False if none does."""
+        earlier = self._still_running()
+        if earlier is None or not earlier.hangs:
+            return False
+        self._locks.release(self._target.name, earlier)
+        return self._locks.acquire(self._target.name, self)
+
+    def _allow(self, more_s: float) -> None:
+        """The action may take this much longer. Raises TargetBusy if it was abandoned before."""
+        with self._lock:
+            if self._abandoned_at is not None:
+                raise TargetBusy(f"{self._type.name} of {self._target.name} was abandoned meanwhile")
+            self._allowed_s, self._until = self._allowed_s + more_s, self._until + more_s
+            self._begin_action()
+
+    def _begin_action(self) -> None:
+        """Begin the action in the tracker, or extend its time there."""
+        at_most_s = self._until - self._clock.mono() + self._verify_s + MARGIN_S
+        key, proving = self._action_key, self._action_key == self._target.name
+        self._locks.begin_action(key, self, self._fault.unit, self._type.name, at_most_s, proving=proving)
+
+    def _abandon_when_due(self) -> bool:
+        """Abandon the action if its time is over. Returns whether it is."""
+        with self._lock:
+            if self._clock.mono() < self._until:
+                return False
+            self._abandoned_at = self._clock.mono()
+            return True
+
     # ------------------------------------------------------------ acting
 
     def _act(self) -> str | AttemptOutcome:
         """Run the action and unlock the target. Returns what the action said, or how the attempt failed.
 
-        An action that hangs is abandoned at its deadline.
+        An action that has not returned when its time is over is abandoned.
         """
         self._go.set()
         try:
-            if self._clock.wait(self._finished, self._type.deadline_s):
-                return self._result[0]
-            return AttemptOutcome(False, f"{self._type.name} did not return within {self._type.deadline_s:g} s")
+            while not self._clock.wait(self._finished, max(0.0, self._until - self._clock.mono())):
+                if self._abandon_when_due():
+                    return AttemptOutcome(False, f"{self._type.name} did not return within {self._allowed_s:g} s")
+            return self._result[0]
         finally:
             self._unlock()
 
     def _unlock(self) -> None:
-        """From now on others may act on the target; an action that still runs begins nothing more."""
-        self._abandoned = True
+        """An action that still runs begins nothing more. Others may act on the target now, or once it has returned."""
+        begun = self._go.is_set()
+        with self._lock:
+            self._abandoned_at = self._clock.mono() if self._abandoned_at is None else self._abandoned_at
+        self._engine.abandoned = True
         self._go.set()
-        self._locks.release(self._target.name, self)
+        if self._finished.is_set() or not begun:
+            self._locks.release(self._target.name, self)
 
     def _in_thread(self) -> None:
         self._go.wait()
         try:
-            if not self._abandoned:
+            if self._abandoned_at is None:
                 self._result.append(self._run_action())
         finally:
             self._finished.set()
+            if self._abandoned_at is not None:
+                self._locks.release(self._target.name, self)
 
     def _run_action(self) -> str | AttemptOutcome:
         context = replace(self._context, engine=cast(DockerEngine, self._engine), lock_dependent=self._lock_dependent)
@@ -273,11 +332,11 @@ class Attempt:
     def _lock_dependent(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
         """Lock a dependent; meanwhile it raises no separate faults, and its new generation is attributed to PHM."""
         name = self._target.name
+        self._allow(at_most_s)
         with self._locks.locked_dependent(key, self, at_most_s):
-            if self._abandoned:
-                raise TargetBusy(f"{action} of {name} was abandoned meanwhile")
             if self._pipeline.is_stopping(key):
                 raise TargetBusy(f"{key} is being stopped")
+            self._allow(at_most_s)
             self._locks.begin_action(key, self, fault.unit, action, at_most_s)
             try:
                 with self._generations.acting(key, name, self._engine.take_unanswered, lambda: self._engine.disturbs):
@@ -301,6 +360,8 @@ class GuardedEngine:
         self._engine, self._guard, self._approved_at = engine, guard, approved_at
         self._down: set[str] = set()
         self._unanswered = 0
+        self.abandoned = False
+        """Whether the action was given up: it may only finish what it has begun."""
         self.disturbs = False
         """Whether a call that begins or ends the life of a container has been made: until then, a stop is an operator's."""
 
@@ -329,9 +390,12 @@ class GuardedEngine:
         return count
 
     def _ask(self, call: str, ref: str) -> None:
-        """Raises FlightCriticalError, and CannotTell when the engine does not say which container is meant."""
+        """Raises FlightCriticalError, and CannotTell when the action was abandoned or the engine does not say which container is
+        meant."""
         if call in NOT_ABOUT_A_CONTAINER or (call in BRINGS_BACK and ref in self._down):
             return
+        if self.abandoned:
+            raise CannotTell(f"{call} of {ref} was not done: the action had taken too long")
         if self._guard is not None:
             reach = REACH.get(call, Impact.CONTAINER)
             why = self._guard.refusal(call, ref, reach, self._approved_at)

@@ -106,7 +106,8 @@ class ActionFailed(Exception):
 
 
 class NotYet(ActionFailed):
-    """Something that the action needs is missing, and nothing was changed. The action is done later; this is not an attempt.
+    """Something that the action needs is missing, and nothing was changed that has to be verified. The action is done later; this is
+    not an attempt.
 
     The message says what is missing.
     """
@@ -194,9 +195,11 @@ class ActionContext:
     reopen:     closes and opens the MAVLink endpoint of this name; whether it was open again within this many seconds.
     armed:      the armed state of the vehicle now.
     relief:     lowers CPU weights and restores them later.
+    alone:      dependents of the target are left alone: this action is repeated for as long as the container is down.
     restart_ros: starts PHM's own ROS process again, for the reason given; the application is not touched.
     on_hold:    why a container must not be restarted as a dependent: it is on hold, or somebody stops or has stopped it; empty: it may.
-    lock_dependent: locks a dependent; inside this context, failures of the dependent are consequences of this recovery.
+    lock_dependent: locks a dependent; inside this context, failures of the dependent are consequences of this recovery. It may be
+                waited for, and then acted on, for the given time each, by which the action may take longer.
     """
 
     engine: DockerEngine
@@ -214,6 +217,7 @@ class ActionContext:
     armed: Callable[[], ArmedStatus] = _not_known_armed
     relief: CpuRelief | None = None
     restart_ros: Callable[[str], None] = lambda reason: None
+    alone: bool = False
 
 
 class Action(ABC):
@@ -245,6 +249,13 @@ class Action(ABC):
     def applies(cls, target: Target, fault: Fault, settings: ActionSettings) -> bool:
         """Whether the configuration has what this step needs; a step that does not apply is left out of the ladder."""
         return True
+
+    def limit_s(self, context: ActionContext) -> float:
+        """How long `run` may take before it is abandoned, without what `lock_dependent` adds for each dependent.
+
+        For actions whose calls to the engine may last longer if the configuration says so.
+        """
+        return self.deadline_s
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         """What the step needs and is missing, as a sentence; empty: nothing.

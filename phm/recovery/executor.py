@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from phm.checking.pipeline import Pipeline
 from phm.core.clock import Clock
@@ -67,7 +68,7 @@ class Executor:
         self._shared = Shared(pipeline, clock, self.locks, self._generations, grace_s)
         self._rules = ActionRules(settings.recovery, settings.start_s, self.catalog, self.holds, armed, guard)
         self._new_attempt = partial(
-            Attempt,
+            _new_attempt,
             context=replace(context, armed=armed),
             shared=self._shared,
             guard=guard,
@@ -242,6 +243,11 @@ class Executor:
         """Have all workers begin nothing more."""
         for worker in self._workers.values():
             worker.stop()
+
+
+def _new_attempt(*args: Any, context: ActionContext, alone: bool = False, **more: Any) -> Attempt:
+    """alone: as of `ActionContext`."""
+    return Attempt(*args, context=replace(context, alone=alone), **more)
 
 
 def _listed(faults: Iterable[Fault]) -> str:

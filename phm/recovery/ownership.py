@@ -268,6 +268,10 @@ class TargetLocks:
         with self._lock:
             return self._owners.setdefault(target, owner) is owner
 
+    def owner(self, target: str) -> object | None:
+        """Who has locked the target; None: it is not locked."""
+        return self._owners.get(target)
+
     def release(self, target: str, owner: object) -> None:
         """Unlock the target, if this owner has it."""
         with self._lock:

@@ -3,7 +3,8 @@
 The first rule that matches decides:
 
 1. No ladder for the condition, or no step of it applies: skip.
-2. A restart ends the condition only if the unit was OK earlier in this generation, and it was not: skip.
+2. A restart ends the condition only if the unit was OK earlier in this generation, and it was not: skip, unless that
+   generation is due to an attempt for the same fault.
 3. Recovery is off, the target is not configured or has not opted in: skip.
 4. The container is on hold: wait for its end. Not decided whether an operator is stopping it: wait for that.
 5. Starvation explains the condition: wait until it is over.
@@ -77,10 +78,11 @@ class ActionRules:
 
 @dataclass(frozen=True, slots=True)
 class Act:
-    """Carry out the action."""
+    """Carry out the action. alone: without restarting dependents (`ActionContext.alone`)."""
 
     action: str
     attempt: int
+    alone: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,18 +153,20 @@ def decide(
     start_s: how long the parts of a container may take to start (`ros.grace`).
     container_wide: actions on the entire container: one that did not help one fault is not repeated for another.
     starved: the pressure unit that explains the condition; empty: none does.
-    given_up: recovery has given up on the fault, and its container is down: only the first step is tried, once per `backoff_max`.
+    given_up: recovery has given up on the fault, and its container is down: only a start is tried, once per `backoff_max`.
     """
     condition = fault.result.condition
     ladder = tuple(step for step in ladder_of(condition, settings) if usable is None or step in usable)
-    hopeless = _hopeless(fault, ladder, settings, start_s)
-    if hopeless:
-        return Skip(hopeless)
-    if given_up and START not in ladder:
-        return Skip("only a start is tried again after recovery has given up")
+    if not ladder:
+        return Skip(f"no action is known for {condition or 'this'}")
     failures = Failures(history, fault, now, settings.verify)
     same = failures.of_the_unit()
-    action = START if given_up else _step(ladder, condition, same, settings)
+    if _never_ok(fault, settings, start_s) and not same and not failures.tried:
+        return Skip("it was never OK since its container started, so a restart would not help")
+    if given_up and START not in ladder:
+        return Skip("only a start is tried again after recovery has given up")
+    alone = given_up or (condition in DOWN and START in ladder and len(failures.recent(settings)) >= settings.budget)
+    action = START if alone else _step(ladder, condition, same, settings)
     if action not in unrestricted:
         refused = _refused(target, settings, hold, undecided)
         if refused is not None:
@@ -191,7 +195,7 @@ def decide(
     advised = _only_advised(condition, settings, stopped_by_hand=stopped_by_hand) if bound else ""
     if advised:
         return Advise(action, advised)
-    act = Act(action, len(same) + 1)
+    act = Act(action, len(same) + 1, alone)
     return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted)
 
 
@@ -246,18 +250,16 @@ def _when(
 ) -> Act | Wait:
     """The action, or until when budget and back-off hold it back. free: it disturbs no container."""
     now, down = failures.now, failures.fault.result.condition in DOWN
-    recent = [made for made in failures.history.within(now - settings.window) if made.action not in GENTLE]
-    free = free or act.action in GENTLE
-    if act.action in GENTLE:
-        recent = []
-    most = settings.budget if down or free else max(1, settings.budget - settings.reserve)
-    if len(recent) >= most and not down:
-        kept = f", {settings.budget - most} kept for a container that is down" if most < settings.budget else ""
-        return Wait(recent[-most].at + settings.window, f"budget of {most} actions used up{kept}", report=True)
-    if recent and (given_up or len(recent) >= most):
+    gentle = act.action in GENTLE
+    recent = [] if gentle else failures.recent(settings)
+    most = settings.budget if down or free or gentle else max(1, settings.budget - settings.reserve)
+    if recent and act.alone:
         ready = recent[-1].at + settings.backoff_max
         why = f"budget of {most} actions used up, one attempt every {settings.backoff_max:g} s"
         return Wait(ready, why, report=not given_up) if now < ready else act
+    if len(recent) >= most:
+        kept = f", {settings.budget - most} kept for a container that is down" if most < settings.budget else ""
+        return Wait(recent[-most].at + settings.window, f"budget of {most} actions used up{kept}", report=True)
     ready = failures.ready_at(settings, elsewhere)
     return Wait(ready, "backing off") if now < ready else act
 
@@ -273,17 +275,13 @@ def _once(condition: str, settings: RecoverySettings) -> bool:
     return condition in ONLY_IF_OK_BEFORE and condition not in settings.ladders
 
 
-def _hopeless(fault: Fault, ladder: tuple[str, ...], settings: RecoverySettings, start_s: float) -> str:
-    """Why nothing that PHM knows can help; empty: something may."""
-    condition = fault.result.condition
-    if not ladder:
-        return f"no action is known for {condition or 'this'}"
+def _never_ok(fault: Fault, settings: RecoverySettings, start_s: float) -> bool:
+    """Whether the unit must have been OK in this generation for a restart to help, and was not."""
+    if not _once(fault.result.condition, settings):
+        return False
     least_s = start_s + OK_AFTER_START_S if fault.start_seen else OK_AFTER_FOUND_S
     known = fault.result.evidence.never_ok
-    never_ok = fault.ok_since_start_s < least_s if known is None else known
-    if _once(condition, settings) and never_ok:
-        return "it was never OK since its container started, so a restart would not help"
-    return ""
+    return fault.ok_since_start_s < least_s if known is None else known
 
 
 def _in_vain_elsewhere(action: str, attempts: int, unit: str) -> str:
@@ -309,6 +307,22 @@ class Failures:
     fault: Fault
     now: float
     lasting_s: float
+
+    @property
+    def tried(self) -> bool:
+        """Whether an action for this fault may have started the present generation, also if it is not counted as a failure.
+
+        Attempts on an earlier generation are both `backoff_reset` and `not_counted`.
+        """
+        return any(
+            self._own(attempt) and attempt.at >= self.fault.opened.mono
+            for attempt in self._within()
+            if not (attempt.backoff_reset and attempt.not_counted)
+        )
+
+    def recent(self, settings: RecoverySettings) -> list[AttemptRecord]:
+        """What counts in the budget."""
+        return [made for made in self.history.within(self.now - settings.window) if made.action not in GENTLE]
 
     def of_the_unit(self) -> list[AttemptRecord]:
         """Attempts for the same unit and condition that did not help, since the last one that did."""

@@ -313,7 +313,7 @@ class TargetWorker:
             return 0
         last = self._catalog.is_last(self._target, fault, act.action)
         approved_at = case.approval.situation.armed if case.approval is not None else None
-        attempt = self._new_attempt(self._target, fault, action, last=last, approved_at=approved_at)
+        attempt = self._new_attempt(self._target, fault, action, last=last, approved_at=approved_at, alone=act.alone)
         missing = attempt.waits_for()
         if missing:
             self._reporter.report_once(case, act.action, Phase.REFUSED, f"no action on {self._name} for now: {missing}")

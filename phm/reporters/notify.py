@@ -14,7 +14,7 @@ from typing import Any
 
 from phm.core import threads
 from phm.core.bounded_queue import BoundedQueue
-from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Phase
+from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Outcome, Phase
 from phm.core.rate_limiter import RateLimiter
 from phm.reporters.base import Reporter, ReporterContext
 from phm.wire.report import fault_json
@@ -24,8 +24,8 @@ MISSING = "notify.urls needs Apprise: pip install 'phm-sidecar[notify]', or buil
 MAX_WAITING = 100
 COMMAND_S = 10.0
 CLOSE_LIMIT_S = 2.0
-_KINDS = {"open": "failure", "escalate": "failure", "close": "success"}
-"""Apprise's type of notification."""
+_ENDS = {Outcome.RESOLVED: "success", Outcome.REATTRIBUTED: "info"}
+"""Apprise's type of the notification that a fault is closed. One with another outcome, or that is not closed: failure."""
 
 Alert = dict[str, Any]
 Send = Callable[[Alert], str]
@@ -41,7 +41,9 @@ class NotifyReporter(Reporter):
     def __init__(self, context: ReporterContext, senders: Sequence[Send]) -> None:
         settings = context.settings.notify
         self._agent, self._clock, self._senders = context.settings.agent, context.clock, tuple(senders)
-        self._events, self._open_faults = frozenset(settings.events), context.open_faults
+        self._events = frozenset(settings.events)
+        self._why: dict[str, str] = {}
+        """Why PHM gives up on faults, by their id."""
         self._limiter = RateLimiter(settings.per_minute / 60.0, float(settings.per_minute))
         self._queue: BoundedQueue[Alert] = BoundedQueue(context.clock, MAX_WAITING)
         self._left_out = 0
@@ -62,11 +64,15 @@ class NotifyReporter(Reporter):
         if isinstance(event, FaultOpened):
             self._put("open", event.fault)
         elif isinstance(event, FaultClosed):
-            self._put("close", event.fault)
+            why = self._why.pop(event.fault.id, "")
+            if event.fault.outcome is Outcome.ESCALATED:
+                self._put("escalate", event.fault, why)
+            else:
+                self._put("close", event.fault)
         elif isinstance(event, ActionEvent) and event.phase is Phase.ESCALATED:
-            fault = next((fault for fault in self._open_faults() if fault.id == event.fault), None)
-            if fault is not None:
-                self._put("escalate", fault, event.detail)
+            self._why[event.fault] = event.detail  # the fault is closed next
+            while len(self._why) > MAX_WAITING:
+                del self._why[next(iter(self._why))]
 
     def close(self) -> None:
         """Send what waits, for at most CLOSE_LIMIT_S."""
@@ -96,6 +102,7 @@ class NotifyReporter(Reporter):
                 "title": f"{agent_name(self._agent.id)} {words} {int(fault.slot)} {brief}",
                 "body": f"{self._agent.name}: {body}{more}",
                 "left_out": left_out,
+                "type": _ENDS.get(fault.outcome, "failure") if event == "close" else "failure",
                 "fault": fault_json(fault),
             }
         )
@@ -120,7 +127,7 @@ def send_to_urls(alert: Alert, urls: Sequence[str]) -> str:
     refused = [number for number, url in enumerate(urls) if not target.add(url)]
     if refused:
         return f"notify.urls[{refused[0]}] is not a URL that Apprise knows"
-    sent = target.notify(title=alert["title"], body=alert["body"], notify_type=_KINDS[alert["event"]])
+    sent = target.notify(title=alert["title"], body=alert["body"], notify_type=alert["type"])
     return "" if sent else "an alert could not be sent to all of notify.urls: address, network or password"
 
 

@@ -56,8 +56,8 @@ class Daemon:
         if previous is None:
             parts.health.crashed_before = self.marker.begin()
         parts.memory.restore(previous._hand_over() if previous is not None else None)
-        if previous is not None and previous._logs is not None:
-            parts.probes.logs.resume(previous._logs)
+        if previous is not None:
+            self._resume_probes(previous)
         restored = parts.pipeline.open_faults()
         parts.reporters.start(dataclasses.replace(parts.reporter_context, restored=restored))
         self._start_recovery()
@@ -71,6 +71,16 @@ class Daemon:
         threads.start(threading.Thread(target=self._join_networks, name="phm-join", daemon=True))
         parts.scheduler.start()
         parts.loop.start()
+
+    def _resume_probes(self, previous: Daemon) -> None:
+        """Keep what cannot be read again: where logs were, and how containers that are disconnected now were connected."""
+        parts, before = self.components, previous.components
+        if previous._logs is not None:
+            parts.probes.logs.resume(previous._logs)
+        # A key may be that of another container now.
+        known = {(one.key, one.name, one.label) for one in before.settings.containers}
+        kept = {one.key for one in parts.settings.containers if (one.key, one.name, one.label) in known}
+        parts.probes.docker.resume(before.probes.docker, kept)
 
     def _start_recovery(self) -> None:
         parts, executor, relief = self.components, self.components.executor, self.components.relief
@@ -174,9 +184,9 @@ class Daemon:
         self._logs = parts.probes.logs.hand_over()
         for name, close in parts.probes.closers(links=False):
             closing.step(name, close, PROBE_S)
-        state = parts.memory.state()
         parts.loop.stop()
         closing.step("loop", partial(parts.loop.join, 1.0), 1.0)
+        state = parts.memory.state()  # the loop opens faults, at the end of their grace
         closing.step("events", partial(parts.bus.close, 1.0), 1.5)
         for name, close in parts.reporters.closers(last=False):
             closing.step(name, close, 1.0)

@@ -49,6 +49,9 @@ class Peer:
     """It sent POWEROFF: the silence that follows is planned."""
     view: PeerView | None = None
     view_s: float | None = None
+    timed_link: str = ""
+    timed_s: float | None = None
+    """The link by which its period is learned, and when a heartbeat came by it last."""
     clashes: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
     """When a frame showed a second sender with the same id."""
     stats: HeartbeatStats = field(init=False)
@@ -74,6 +77,17 @@ class Peer:
             self.clashes.append(now)
         if not known:
             self.recent_heartbeats.add(beat, True)
+
+    def time_heartbeat(self, link: str, now: float) -> float | None:
+        """Take the time of a heartbeat. Returns the seconds since the one before, if both came by the timed link.
+
+        Other links deliver the same heartbeats with another delay, so the gaps between links are shorter than the period.
+        """
+        timed = link == self.timed_link
+        gap_s = now - self.timed_s if timed and self.timed_s is not None else None
+        if timed or self.timed_s is None or now - self.timed_s > LATE_PERIODS * self.period_s:
+            self.timed_link, self.timed_s = link, now
+        return gap_s
 
     def state(self, now: float) -> PeerState:
         if self.received_s is None:
@@ -133,9 +147,10 @@ class Peers:
         if frame is not None:
             peer.count(frame, word, link, now)
         before = (peer.state(now), peer.word, peer.leaving)
-        gap_s = float("inf") if peer.received_s is None else now - peer.received_s
-        if before[0] in (PeerState.ALIVE, PeerState.LATE) or (
-            gap_s <= LOST_PERIODS * peer.period_s and not peer.leaving
+        gap_s = peer.time_heartbeat(link, now)
+        if gap_s is not None and (
+            before[0] in (PeerState.ALIVE, PeerState.LATE)
+            or (gap_s <= LOST_PERIODS * peer.period_s and not peer.leaving)
         ):
             gap_s = min(gap_s, MAX_PERIOD_S)
             # Two heartbeats in one moment come from an answer to a ground station, and are not a period.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from dataclasses import replace
 
 from phm.core.model import Fault, FaultClosed, FaultOpened, Level, Outcome, Result, Stamp
@@ -12,6 +14,8 @@ ITSELF = "itself"
 """`Fault.by` of a fault that no action of PHM ended."""
 CONFIGURATION = "configuration"
 """`Fault.by` of a fault whose unit is no longer configured."""
+MOST_COUNTED = 10_000
+"""A start of PHM after as many faults begins at 1 again: a line of the ground has 50 characters."""
 RESTORED = "restored after a restart of PHM"
 
 
@@ -20,13 +24,16 @@ class FaultRecords:
 
     def __init__(self, view: TrackerView, prefix: str, starts: StartDedup) -> None:
         self._view, self._prefix, self._starts = view, prefix, starts
-        self._count = 0
-        self._taken: frozenset[str] = frozenset()
+        self.count = 0
+        """The number of the last fault. The ground names a fault by its number alone."""
+        self._taken: frozenset[int] = frozenset()
 
-    def restore(self, faults: tuple[Fault, ...], given_up: tuple[Fault, ...], now: Stamp) -> Effects:
-        """See `Tracker.restore`. Fault ids of an earlier run of PHM are not reused."""
+    def restore(self, faults: tuple[Fault, ...], given_up: tuple[Fault, ...], count: int, now: Stamp) -> Effects:
+        """See `Tracker.restore`. count: of the earlier run of PHM, continued, as the ground may still show its numbers; those of
+        restored faults are not used again."""
         effects = Effects()
-        self._taken = frozenset(fault.id for fault in (*faults, *given_up))
+        self._taken = frozenset(_number(fault.id) for fault in (*faults, *given_up))
+        self.count = _continued(count, self._taken)
         for fault in faults:
             record = self._view.units.get(fault.unit)
             if record is None:
@@ -63,7 +70,7 @@ class FaultRecords:
             now,
             consequences=self._consequences(record),
             suspects=self._suspects(record),
-            ok_s=now.mono - record.published.since.mono if record.published.level is Level.OK else 0.0,
+            ok_s=max(record.longest_ok_s, _present_ok_s(record, now)),
             ok_since_start_s=record.ok_since_start_s(now.mono),
             start_seen=record.container_started != NEVER,
             pause_s=record.pause_s,
@@ -71,6 +78,7 @@ class FaultRecords:
             node=spec.unit.node,
             confirmed_s=None if record.error_since is None else max(0.0, now.mono - record.error_since),
         )
+        record.longest_ok_s = 0.0
         effects.events.append(FaultOpened(now, record.fault))
 
     def close(self, record: UnitRecord, outcome: Outcome, by: str, now: Stamp, effects: Effects) -> None:
@@ -85,10 +93,10 @@ class FaultRecords:
         effects.events.append(FaultClosed(now, closed))
 
     def _next_id(self) -> str:
-        self._count += 1
-        while f"{self._prefix}{self._count}" in self._taken:
-            self._count += 1
-        return f"{self._prefix}{self._count}"
+        self.count += 1
+        while self.count in self._taken:
+            self.count += 1
+        return f"{self._prefix}{self.count}"
 
     def _consequences(self, record: UnitRecord) -> tuple[str, ...]:
         """Names of the checks that cannot be OK while this unit is not, in slot order."""
@@ -102,6 +110,23 @@ class FaultRecords:
             for other in self._view.units.values()
             if other.spec.unit.suspect and other.published.level is Level.ERROR and other is not record
         )
+
+
+def _number(fault_id: str) -> int:
+    """The number at the end of an id; 0: none. The state file may have been damaged."""
+    found = re.search(r"[0-9]{1,9}$", fault_id)
+    return int(found[0]) if found else 0
+
+
+def _continued(count: int, taken: Iterable[int]) -> int:
+    """Where the numbers go on. State files of earlier versions have no count: then after the restored faults."""
+    if count >= MOST_COUNTED:
+        return 0
+    return max(0, count, *(number for number in taken if number < MOST_COUNTED))
+
+
+def _present_ok_s(record: UnitRecord, now: Stamp) -> float:
+    return now.mono - record.published.since.mono if record.published.level is Level.OK else 0.0
 
 
 def _restored(record: UnitRecord, fault: Fault, name: str) -> None:

@@ -111,8 +111,9 @@ def on_hold(context: RuleContext) -> Decision | None:
 def blocked(context: RuleContext) -> Decision | None:
     """4. A result that is not OK while a dependency is bad is a consequence: STALE `blocked_by` the first cause.
 
-    An open fault of the unit is closed as reattributed. If the cause is not published yet, because it is in grace or may follow
-    from starvation, or if the dependency is down because recovery acts on it for another unit, only once that is decided.
+    An open fault of the unit is closed as reattributed. If the cause is not published yet, because it is being confirmed (a single
+    failed run may be no fault), is in grace or may follow from starvation, or if the dependency is down because recovery acts on
+    it for another unit, only once that is decided.
     Dependencies that are bad by starvation alone are handled by rule 5. A network does not explain that a process has ended or is
     stopped: that is a separate fault, also behind a lost network.
     """
@@ -120,8 +121,9 @@ def blocked(context: RuleContext) -> Decision | None:
     if not cause:
         return None
     causing = context.view.units[cause]
+    confirming = causing.pending is not None and causing.published.level is not Level.ERROR
     undecided = context.record.fault is not None and (
-        starvation.undecided(causing) or in_grace(causing, context.now) or _acted_on(context)
+        confirming or starvation.undecided(causing) or in_grace(causing, context.now) or _acted_on(context)
     )
     return NO_CHANGE if undecided or cause == context.record.id else _blocked(context, cause)
 
@@ -243,8 +245,8 @@ def _unverified(record: UnitRecord, context: RuleContext) -> bool:
     published."""
     if record.fault is None and not record.escalated:
         return False
-    action = context.view.actions.get(record.target)
-    proving = action is not None and action.proving and action.owner == record.id
+    # By its owner: the action may be on another container, for a unit that names its target only in its results.
+    proving = any(action.proving and action.owner == record.id for action in context.view.actions.values())
     return proving or (context.now < record.unverified_until and not _all_back(record, context.view))
 
 

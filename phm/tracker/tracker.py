@@ -154,13 +154,18 @@ class Tracker:
 
     # ------------------------------------------------------------ restore after a restart of PHM
 
-    def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault], now: Stamp) -> Effects:
+    @property
+    def fault_count(self) -> int:
+        """The number of the last fault that was opened."""
+        return self._faults.count
+
+    def restore(self, faults: Iterable[Fault], given_up: Iterable[Fault], now: Stamp, fault_count: int = 0) -> Effects:
         """Restore the faults that an earlier run of PHM left open or had given up, before the first result.
 
-        Sends no FaultOpened: it was published before. Faults of units that are no longer configured are closed in the
-        returned effects, as resolved by ``configuration``.
+        fault_count: of that run. Sends no FaultOpened: it was published before. Faults of units that are no longer configured
+        are closed in the returned effects, as resolved by ``configuration``.
         """
-        return self._faults.restore(tuple(faults), tuple(given_up), now)
+        return self._faults.restore(tuple(faults), tuple(given_up), fault_count, now)
 
     # ------------------------------------------------------------ results and time
 
@@ -240,11 +245,15 @@ class Tracker:
             if worked:
                 self._evaluate(owner, now, effects)
         if not worked:
-            for record in self._units.values():
-                own = record.target == target or record.id == action.owner
-                if own and record.fault is not None and record.fault.by == action.action:
-                    record.fault = replace(record.fault, by="")
+            self._clear_credit(target, action)
         return effects
+
+    def action_not_needed(self, target: str) -> Effects:
+        """The action in progress on `target` found nothing to do: no fault that ends is credited to it."""
+        action = self._actions.get(target)
+        if action is not None:
+            self._clear_credit(target, action)
+        return Effects()
 
     def clear_action_credit(self, unit: str) -> Effects:
         """The action for the unit's fault did not help: later recoveries are not credited to it."""
@@ -397,6 +406,12 @@ class Tracker:
         if causing.fault is not None and record.id not in causing.fault.blocks:
             causing.fault = replace(causing.fault, blocks=(*causing.fault.blocks, record.id))
 
+    def _clear_credit(self, target: str, action: ActionInProgress) -> None:
+        for record in self._units.values():
+            own = record.target == target or record.id == action.owner
+            if own and record.fault is not None and record.fault.by == action.action:
+                record.fault = replace(record.fault, by="")
+
     def _release(self, target: str, now: Stamp, effects: Effects) -> None:
         if self._actions.pop(target, None) is not None:
             self._invalidate_target(target, now, effects)
@@ -434,7 +449,7 @@ class Tracker:
         self._stops.pop(target, None)
         for record in self._units.values():
             if record.target == target:
-                record.record_start(now.mono)
+                record.record_start(now.mono, by_phm=target in self._actions)
         self._give_grace(self._dependents_of(target), now, effects)
 
     def _give_grace(self, units: Iterable[str], now: Stamp, effects: Effects) -> None:
@@ -454,10 +469,10 @@ class Tracker:
         if level is Level.ERROR:
             self._faults.open(record, result, now, effects)
             self._withdraw_credit(record)
-        if reworded or (
-            level is Level.ERROR and before is not None and _statement(before.result) != _statement(result)
-        ):
+        if reworded or (level is Level.ERROR and before is not None and _basis(before.result) != _basis(result)):
             record.update_condition(result)
+        if changed and old.level is Level.OK and level is not Level.ERROR:
+            record.note_ok_end(now.mono)
         if changed:
             record.ok_before_s = record.ok_since_start_s(now.mono)
         fault = record.fault.id if record.fault is not None else ""
@@ -481,3 +496,9 @@ class Tracker:
 def _statement(result: Result) -> tuple[str, str, str]:
     """What reporters and recovery take from a bad result: another one changes the fault that is open."""
     return result.condition, result.brief, result.target
+
+
+def _basis(result: Result) -> tuple[object, ...]:
+    """What recovery decides by: the statement, and the evidence that it reads. Other evidence may differ in each run."""
+    evidence = result.evidence
+    return *_statement(result), evidence.never_ok, evidence.file, evidence.listed

@@ -111,6 +111,8 @@ class UnitRecord:
     """When its container was last observed to start."""
     ok_before_s: float = 0.0
     """Total time published as OK since that start, without the current period."""
+    longest_ok_s: float = 0.0
+    """The longest period published as OK since that start and since its last fault opened, without the current one."""
     unverified_from: float = NEVER
     unverified_until: float = NEVER
     """Its recovery did not bring back its dependents; until then its OK is not published."""
@@ -165,9 +167,19 @@ class UnitRecord:
         self.escalated, self.given_up = False, None
         self.conditions.clear()
 
-    def record_start(self, now: float) -> None:
-        """Its container has been started: OK times from before no longer count."""
-        self.container_started, self.ok_before_s = now, 0.0
+    def record_start(self, now: float, *, by_phm: bool) -> None:
+        """Its container has been started: OK times from before no longer count.
+
+        Nor for an open fault, unless PHM itself has restarted the container to restore what was OK before.
+        """
+        self.container_started, self.ok_before_s, self.longest_ok_s = now, 0.0, 0.0
+        if self.fault is not None and not by_phm:
+            self.fault = replace(self.fault, ok_since_start_s=0.0, start_seen=True)
+
+    def note_ok_end(self, now: float) -> None:
+        """It is no longer published as OK. A period that began before the start of its container counts from there on."""
+        period_s = now - max(self.published.since.mono, self.container_started)
+        self.longest_ok_s = max(self.longest_ok_s, period_s)
 
     def ok_since_start_s(self, now: float) -> float:
         """Total time published as OK since its container was started."""

@@ -51,9 +51,9 @@ class Injection:
     """It ends without being cleared."""
     also: list[str] = field(default_factory=list)
     asked: float | None = None
-    """When the injector began; side effects of the injection may be seen before the fault is complete."""
+    """When the injector began; side effects of the injection may be seen before the fault begins."""
     moment: float | None = None
-    """When the injection was complete; None: it failed."""
+    """When the fault began, never too late, as `Fault.inject` returns it; None: the injection failed."""
     cleared: float | None = None
     """When `clear` was called."""
     error: str = ""

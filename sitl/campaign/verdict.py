@@ -31,7 +31,7 @@ FLOOR_S = 0.1
 
 @dataclass
 class Verdict:
-    """One injected fault. Seconds since its injection was complete; None: it did not happen."""
+    """One injected fault. Seconds since it began, `Injection.moment`; None: it did not happen."""
 
     trial: int
     kind: str
@@ -65,7 +65,7 @@ class Verdict:
 
     @property
     def since(self) -> list[Alarm]:
-        """The alarms since the injection was complete."""
+        """The alarms since the fault began."""
         return [alarm for alarm in self.alarms if alarm.mono >= (self.injection.moment or 0.0)]
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import pytest
 
@@ -83,6 +84,30 @@ def test_checks_of_one_period_run_at_different_moments(rig: Rig) -> None:
         rig.clock.advance(10.0)
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
         assert unit in rig.batches[-1].units
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        None,
+        "x",
+        [],
+        {"scripted": api.Level.OK},
+        {"scripted": None},
+        api.Result(2, "fine"),  # type: ignore[arg-type]
+        api.Result(api.Level.OK, None),  # type: ignore[arg-type]
+    ],
+)
+def test_a_check_that_returns_no_result_is_unknown_and_runs_again(answer: Any, rig: Rig) -> None:
+    """Its thread would end, or the tracker fail at each tick, with the alarms of all other units."""
+    rig.start(Scripted(lambda: answer if not rig.batches else api.ok("fine")), period_s=20.0)
+    until(lambda: len(rig.batches) == 1, "the first result")
+    assert {result.level for result in rig.batches[0].units.values()} == {api.Level.STALE}
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
+    rig.clock.advance(0.05)
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
+    rig.clock.advance(20.0)
+    until(lambda: rig.summaries("scripted")[1:] == ["fine"], "the next result")
 
 
 def test_a_wake_runs_only_the_checks_of_its_subject(rig: Rig) -> None:

@@ -138,6 +138,59 @@ def test_one_silent_node_is_its_own_fault(path: DataPath, ages_s: tuple[float, .
     assert path.later(10.0, *ages_s).level is api.Level.OK
 
 
+class SlowTopics(DataPath):
+    """The same with a topic of 0.1 Hz for each node, a rate that the sampler has not learned yet, and no beacons."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        made = testing.settings(
+            containers=[{"name": "ros_app", "networks": [NET], "address": True}],
+            ros={
+                "nodes": [{"name": name} for name in NODES],
+                "topics": [{"name": f"{name}_out", "rate": 0.1, "publishers": [name]} for name in NODES],
+            },
+        )
+        (self.check,) = Network.build(made)
+        assert self.observe().level is api.Level.OK
+
+    def receive(self, *ages_s: float) -> None:
+        topics = {
+            f"{name}_out": api.TopicFact(rate=api.RateFact(0.1, age_s, limit_s=15.0))
+            for name, age_s in zip(NODES, ages_s, strict=True)
+        }
+        self.ros.change(nodes=dict.fromkeys(NODES, 1), beacons={}, topics=topics)
+
+
+def test_between_two_messages_of_slow_topics_nothing_is_cut_off() -> None:
+    """Nothing is due from any node yet, listed or not; a restart would interrupt healthy nodes."""
+    path = SlowTopics()
+    assert path.later(30.0, 4.0, 4.4).level is api.Level.OK
+    assert path.later(10.0, 14.0, 14.4).level is api.Level.OK
+    path.ros.change(nodes={})
+    assert path.observe().level is api.Level.OK
+    assert path.later(2.0, 16.0, 16.4).condition == "transport_blocked"
+    path.ros.change(nodes={})
+    assert path.observe().condition == "nodes_unreachable"
+
+
+def test_slow_beacons_get_their_periods(path: DataPath) -> None:
+    """A beacon may have a period of 10 s."""
+    path.clock.advance(60.0)
+    path.ros.change(beacons={name: api.BeaconFact(4.0, 10.0) for name in NODES})
+    assert path.observe().level is api.Level.OK
+    path.ros.change(beacons={name: api.BeaconFact(31.0, 10.0) for name in NODES})
+    assert path.observe().condition == "transport_blocked"
+
+
+@pytest.mark.parametrize(("beacon_s", "blocked"), [(4.2, True), (60.0, False)])
+def test_only_a_sign_of_life_that_has_just_ended_shows_that_the_next_is_late(beacon_s: float, blocked: bool) -> None:
+    """A beacon that was closed long ago says nothing about the pause of a slow topic."""
+    path = SlowTopics()
+    path.later(100.0, 4.0, 4.0)
+    path.ros.change(beacons={name: api.BeaconFact(beacon_s, 0.2) for name in NODES})
+    assert (path.observe().condition == "transport_blocked") is blocked
+
+
 @pytest.mark.parametrize("rows", [ROWS[:1], (ROWS[0], replace(ROWS[1], state="T"))])
 def test_processes_that_terminated_or_stopped_explain_the_silence(path: DataPath, rows: tuple[Any, ...]) -> None:
     """Then the network is not the cause."""

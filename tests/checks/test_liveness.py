@@ -239,6 +239,15 @@ def test_silent_topics_alone_do_not_prove_a_dead_node(process: tuple[Evidence, .
     assert state(SILENT, LISTED, *process) is NodeState.ALIVE
 
 
+def test_the_name_of_a_hung_node_does_not_show_that_it_runs_again() -> None:
+    """A hung process still announces it. Data, a beacon, or use of the CPU show more."""
+    hung = NodeHistory(alive=False, hung=True)
+    assert state(LISTED, RUNS, past=hung) is state(LISTED, RUNS, SILENT, past=hung) is NodeState.UNKNOWN
+    assert state(LISTED, RUNS, piece(Kind.ENDPOINTS, Observation.GONE, BARE_S), past=hung) is NodeState.UNKNOWN
+    for sign in (COMPUTES, BEACON_ALIVE, TOPICS_ACTIVE):
+        assert state(LISTED, sign, past=hung) is NodeState.ALIVE
+
+
 @pytest.mark.parametrize("sign", [(), (BEACON_ALIVE,), (TOPICS_ACTIVE,)])
 def test_a_name_listed_twice_for_long_is_a_duplicate(sign: tuple[Evidence, ...]) -> None:
     """Alive, but twice."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -42,6 +43,13 @@ def received(
 ) -> dict[str, api.TopicFact]:
     end = api.EndpointFact(NODE, "std_msgs/msg/String", "reliable", durability)
     return {"/a/plan": api.TopicFact((end,), (), api.RateFact(hz, silent_s, **fields))}
+
+
+def advertised_elsewhere(silent_s: float | None) -> dict[str, api.TopicFact]:
+    """A latched topic that another node only advertises, with the default QoS."""
+    (seen,) = received(silent_s, durability="transient_local").values()
+    other = replace(seen.publishers[0], node="/a/tool", durability="volatile")
+    return {"/a/plan": replace(seen, publishers=(*seen.publishers, other))}
 
 
 def test_readiness_is_opt_in() -> None:
@@ -171,6 +179,8 @@ def test_services_need_a_server() -> None:
         (received(4.0, not_counted_s=2.0), api.Level.OK, "is ready"),
         (received(4.0, sample_bytes=1e6, hz=2.0), api.Level.OK, "is ready"),
         (received(400.0, durability="transient_local"), api.Level.OK, "is ready"),
+        (advertised_elsewhere(400.0), api.Level.OK, "is ready"),
+        (advertised_elsewhere(None), api.Level.ERROR, "topic /a/plan was never received"),
         (received(None), api.Level.ERROR, "topic /a/plan was never received"),
         (received(None, problem="type unknown: a/msg/B"), api.Level.STALE, "cannot be received: type unknown"),
         (received(None, problem="QoS mismatch: x"), api.Level.STALE, "cannot be received: QoS mismatch"),
@@ -179,7 +189,7 @@ def test_services_need_a_server() -> None:
     ],
 )
 def test_topics_need_messages(topics: dict[str, api.TopicFact], level: api.Level, words: str) -> None:
-    """A latched topic needs one message; time in which PHM did not look does not count."""
+    """A latched topic needs one message, even if another node advertises it, too; time in which PHM did not look does not count."""
     result = evaluate(build(topics=["/a/plan"]), topics=topics)
     assert result.level is level and words in result.summary and not result.evidence.conclusive
 

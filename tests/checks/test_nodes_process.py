@@ -313,6 +313,63 @@ def test_a_beacon_of_the_previous_node_does_not_count() -> None:
     assert bench.after(2.0, silent).level is api.Level.OK
 
 
+def hung(*, cpu: bool = True) -> Bench:
+    """A node with a beacon, hung for 20 s. cpu: whether the CPU time of its process is known."""
+    bench = rated()
+    bench.processes(MAIN, ONE if cpu else replace(ONE, cpu_s=None))
+    bench.ros.change(beacons=live_beacon())
+    bench.after(3.0)
+    bench.after(20.0, lambda passed: bench.ros.change(topics=active_topic(passed), beacons=live_beacon(passed)))
+    return bench
+
+
+@pytest.mark.parametrize("cpu", [True, False], ids=["hung", "unanswering"])
+@pytest.mark.parametrize("sign", ["beacon", "data", "process"])
+def test_a_hung_node_is_not_alive_because_a_new_ros_child_lists_it(cpu: bool, sign: str) -> None:
+    """The new child never received its beacon, and the threads of the middleware announce the name of a process that hangs. Only the
+    node itself shows that it runs, or another process of it."""
+    bench = hung(cpu=cpu)
+    assert bench.result().condition == ("node_hung" if cpu else "node_unanswering")
+    bench.ros.change(up_s=0.5, nodes={}, topics={}, beacons={})
+    bench.after(2.0)
+    bench.ros.change(up_s=60.0, nodes={NAME: 1})
+    levels = set()
+    result = bench.after(60.0, lambda passed: levels.add(bench.result().level))
+    assert levels == {api.Level.STALE}
+    assert "it was hung, and has given no sign of life since" in result.summary
+    if sign == "process":
+        bench.processes(MAIN, replace(ONE, pid=99))
+    else:
+        bench.ros.change(**{"beacons": live_beacon()} if sign == "beacon" else {"topics": active_topic()})
+    assert bench.after(12.0).level is api.Level.OK
+
+
+def test_a_hung_node_that_is_listed_again_is_hung() -> None:
+    """Its network was interrupted for a moment: the process is the same, so the silence of its beacon continues. A new process may
+    have none."""
+    bench = hung()
+    bench.ros.change(nodes={})
+    assert bench.after(0.5).level is api.Level.STALE
+    bench.ros.change(nodes={NAME: 1})
+    result = bench.after(10.0, lambda passed: bench.ros.change(beacons=live_beacon(20.0 + passed)))
+    assert (result.condition, "its beacon has been silent" in result.summary) == ("node_hung", True)
+    bench.processes(MAIN, replace(ONE, pid=99))
+    bench.ros.change(nodes={NAME: 2})
+    assert bench.after(1.0).level is api.Level.OK
+    bench.ros.change(nodes={NAME: 1})
+    assert bench.after(20.0).level is api.Level.OK
+
+
+def test_a_resumed_node_that_sends_nothing_is_alive() -> None:
+    """It was hung because it was stopped, not according to a beacon, so nothing else can show that it runs."""
+    bench = Bench()
+    bench.after(3.0)
+    bench.processes(MAIN, replace(ONE, state="T"))
+    assert bench.after(3.0).condition == "node_hung"
+    bench.processes(MAIN, ONE)
+    assert bench.after(3.0).level is api.Level.OK
+
+
 def test_another_publisher_is_not_a_sign_of_life() -> None:
     """A topic with data from elsewhere proves nothing about the node."""
     bench = rated()

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from phm import api, testing
+from phm_checks import _qos
+from phm_checks._endpoint_matching import MAX_KINDS
 from phm_checks._text import listed
 from phm_checks.topics import Topics
 
@@ -236,6 +238,37 @@ def test_many_pairs_are_counted() -> None:
     """The text stays short."""
     fact = api.TopicFact((endpoint(**LAX),), tuple(endpoint(f"/in_{n}", **STRICT) for n in range(9)))
     assert evaluate(build(), fact).summary.endswith("And 6 more.")
+
+
+@pytest.mark.parametrize("deadlines", [1, 200], ids=["alike", "all different"])
+def test_hundreds_of_endpoints_are_compared_quickly(deadlines: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Anyone may announce them. Comparing each pair, or even all endpoints for each pair, would take seconds to minutes."""
+    compared, compare = [0], _qos._kinds
+
+    def counted(*pair: api.EndpointFact) -> Any:
+        compared[0] += 1
+        assert compared[0] < 200 * 200 / 10
+        return compare(*pair)
+
+    monkeypatch.setattr(_qos, "_kinds", counted)
+    out, into = (
+        tuple(endpoint(f"/a/{side}_{n}", **qos, deadline_s=9.0 + at * (n % deadlines)) for n in range(200))
+        for side, qos, at in (("out", LAX, -0.01), ("in", STRICT, 0.01))
+    )
+    assert " more." in evaluate(build(), api.TopicFact(out, into)).summary
+    fact = api.TopicFact((*out, endpoint(ONE, **LAX)), (*into, endpoint(TWO, **STRICT)))
+    compared[0] = 0
+    result = evaluate(build(publishers=[ONE], subscribers=[TWO]), fact)
+    assert result.level is api.Level.ERROR
+    assert f"publisher {ONE} offers best_effort, subscriber {TWO} requests reliable" in result.summary
+
+
+@pytest.mark.parametrize("kind", ["std_msgs/msg/String", "std_msgs/msg/Bool"])
+def test_invented_publishers_do_not_hide_the_one_that_serves_a_subscriber(kind: str) -> None:
+    """Any participant may announce as many as it likes. An ERROR could restart the container of the subscriber."""
+    invented = [endpoint(f"/0/out_{n}", kind, **LAX, deadline_s=1.0 + n) for n in range(2 * MAX_KINDS)]
+    fact = api.TopicFact((*invented, endpoint(ONE, **STRICT)), (endpoint(TWO, **STRICT),))
+    assert evaluate(build(subscribers=[TWO], type=None), fact).level is api.Level.WARN
 
 
 def test_changed_endpoints_are_compared_again() -> None:

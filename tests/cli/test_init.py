@@ -37,7 +37,7 @@ def test_yes_asks_nothing_and_the_result_is_valid(fake: FakeEngine, tmp_path: Pa
     assert sorted(path.name for path in (tmp_path / "phm").iterdir()) == FILES
     assert "docker compose up -d" in done.output and "PHM reports faults and restarts nothing" in done.output
     checked = CliRunner().invoke(group, ["validate", str(tmp_path / "phm" / "phm.yaml")])
-    assert checked.exit_code == 0 and "1 containers" in checked.output
+    assert checked.exit_code == 0 and "1 container," in checked.output
     assert "ROS_DOMAIN_ID=7" in (tmp_path / "phm" / "agent.env").read_text()
 
 

@@ -27,6 +27,15 @@ def test_without_examples_it_says_where_they_are(monkeypatch: pytest.MonkeyPatch
     assert done.exit_code == 1 and "part of the wheel and of the repository" in done.stderr
 
 
+def test_one_of_a_kind_is_named_in_the_singular(tmp_path: Path) -> None:
+    """None and several are not."""
+    file = tmp_path / "phm.yaml"
+    nodes = [{"name": "/agent_1/a"}, {"name": "/agent_1/b"}]
+    file.write_text(json.dumps({"agent": {"id": 1}, "containers": [{"name": "app"}], "ros": {"nodes": nodes}}))
+    done = CliRunner().invoke(group, ["validate", str(file)])
+    assert done.exit_code == 0 and ", 1 container, 2 nodes, 0 topics, " in done.stdout
+
+
 @pytest.mark.parametrize(("private", "count"), [(True, 1), (False, 0)])
 def test_an_endpoint_that_does_not_leave_the_container_is_a_warning(
     private: bool, count: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

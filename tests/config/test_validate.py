@@ -31,7 +31,7 @@ def test_a_valid_file_is_summarized_in_one_line(file: Path) -> None:
     done = CliRunner().invoke(command, [str(file)], env={"PHM_INTERVAL": "5s"})
     assert done.exit_code == 0
     assert done.stdout.startswith(f"{file}: valid, agent agent_1 (id 1), every 5 s: ")
-    assert "1 nodes" in done.stdout
+    assert ", 1 node, " in done.stdout
     assert done.stderr == ""
 
 

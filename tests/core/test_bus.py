@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 from phm import testing
-from phm.core.bus import Bus
+from phm.core.bus import REPORTED_S, Bus
 from phm.core.clock import SystemClock
 from phm.core.model import Event, Note, ReportStarted, Stamp
 from tests.fakes.until import until
@@ -93,3 +93,26 @@ def test_ticks_come_every_period_without_events() -> None:
         clock.wait_for_sleepers(1, LIMIT_S)
         clock.advance(2.0)
     bus.close()
+
+
+def test_a_problem_that_is_over_is_not_reported_for_long() -> None:
+    """Otherwise one lost event keeps the companion computer at WARN until PHM is restarted, and hides what follows."""
+    clock, gate, failing = testing.FakeClock(), threading.Event(), [True]
+    bus = Bus(clock)
+
+    def handler(event: Event) -> None:
+        gate.wait(LIMIT_S)
+        if failing.pop():
+            raise ValueError("once")
+
+    bus.subscribe("app", handler, size=1)
+    for number in range(3):
+        bus.publish(note(str(number)))
+    failing.insert(0, False)
+    gate.set()
+    until(lambda: bus.problems() == ("app: ValueError: once",), "the error")
+    assert "app" in bus.dropped()
+    clock.advance(REPORTED_S + 1)
+    assert (bus.problems(), bus.dropped()) == ((), {})
+    assert bus.queues()["app"][1] > 0
+    bus.close(LIMIT_S)

@@ -6,7 +6,8 @@ Behaviours: `good`; `garbage` (good, between lines that are not messages); `long
 several megabytes); `blind` (a snapshot, then only such lines);
 `exit` (a snapshot, then code 3); `mute` (a snapshot, then nothing); `never` (nothing at all);
 `crash` (SIGSEGV after a snapshot); `twice` (good, and lists its node twice); `stale_name` (the same, in the first child only);
-`stubborn` (good, and ignores its closed input); `no_input` (good, and never reads).
+`stubborn` (good, and ignores its closed input); `no_input` (good, and never reads);
+`slow` (good, after a text for the log and two seconds without a message).
 FOLDER gets a file per start.
 """
 
@@ -29,8 +30,7 @@ def main(behaviour: str, folder: str = "") -> int:
     times = 2 if behaviour == "twice" or (behaviour == "stale_name" and first) else 1
     if behaviour == "never":
         return _wait_for_end()
-    if behaviour == "long":
-        _write(b"x" * 3_000_000 + b"\n")
+    _before_the_first_snapshot(behaviour)
     began_s = time.monotonic()
     while True:
         _snapshot(wanted, time.monotonic() - began_s, times)
@@ -51,6 +51,14 @@ def main(behaviour: str, folder: str = "") -> int:
         readable, _, _ = select.select([0], [], [], 0.05)
         if readable and behaviour != "stubborn" and not os.read(0, 100):
             return 0
+
+
+def _before_the_first_snapshot(behaviour: str) -> None:
+    if behaviour == "long":
+        _write(b"x" * 3_000_000 + b"\n")
+    elif behaviour == "slow":
+        _write(b'["log",["one peer is unknown"]]\n')
+        time.sleep(2.0)
 
 
 def _snapshot(wanted: dict[str, object], up_s: float, times: int) -> None:

@@ -108,6 +108,18 @@ def test_a_fault_is_explained_with_cause_values_consequence_and_remedy(tmp_path:
     assert "cause:" not in logs(tmp_path, "--brief").output
 
 
+@pytest.mark.parametrize("number", [b"1" + b"0" * 400, b"1e999"], ids=["integer", "infinity"])
+def test_no_number_in_a_line_ends_the_program(number: bytes, tmp_path: Path) -> None:
+    """Copied logs may come from a hostile agent, and Python reads integers that are too large for a float."""
+    record(tmp_path, *STORY)
+    file = tmp_path / "phm.jsonl"
+    written = file.read_bytes()
+    assert b'"duration_s":4.5' in written
+    file.write_bytes(written.replace(b'"duration_s":4.5', b'"duration_s":' + number))
+    shown = logs(tmp_path)
+    assert shown.exit_code == 0 and "nodes/n1: resolved by restart" in shown.output
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [

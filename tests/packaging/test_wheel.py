@@ -150,7 +150,7 @@ def test_a_folder_is_made_from_the_wheel_alone(clean: Path, tmp_path: Path) -> N
     with FakeEngine(tmp_path / "engine.sock") as fake:
         fake.containers["app"] = container("app", networks=["swarm"])
         run(clean / "phm", "init", "agent", "--yes", "--socket", fake.url, cwd=tmp_path)
-    assert "1 containers" in run(clean / "phm", "validate", "agent/phm.yaml", cwd=tmp_path)
+    assert "1 container," in run(clean / "phm", "validate", "agent/phm.yaml", cwd=tmp_path)
     assert (tmp_path / "agent" / "compose.yaml").exists()
 
 

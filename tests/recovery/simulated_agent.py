@@ -65,6 +65,8 @@ class Containers:
 class Silent:
     """An engine that does nothing; each call raises `fails`, if it is set."""
 
+    act_limit_s = 15.0
+
     def __init__(self) -> None:
         self.fails: EngineError | None = None
 

@@ -59,6 +59,28 @@ def test_an_action_that_found_nothing_to_do_is_not_credited(agent: Agent) -> Non
     assert said.endswith("not credited to restart: no action was needed")
 
 
+def test_an_action_that_found_nothing_to_do_is_credited_for_no_other_fault() -> None:
+    """Another fault of the container ends at the same time, by itself too."""
+    units = {"container/app": Of("app"), "files/app": Of("app", grace_s=3.0)}
+    agent = Agent(units, Containers("app"), testing.FakeClock(), verify=5.0)
+
+    def nothing(key: str, context: ActionContext, fault: Fault) -> NotNeeded:
+        del agent.bad["container/app"]
+        return NotNeeded("app is already running")
+
+    agent.rest(4.0)
+    agent.behave = nothing
+    agent.bad["files/app"] = "only reported"
+    agent.rest(2.0)
+    agent.bad["container/app"] = "broken"
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the message about the action")
+    agent.bad.clear()
+    agent.until(lambda: len(agent.closed()) == 2, "the end of both faults")
+    agent.stop()
+    agent.clock.advance(1000)
+    assert [event.fault.by for event in agent.closed()] == ["itself", "itself"]
+
+
 def test_an_action_may_report_another_cause(agent: Agent) -> None:
     """The fault then ended by itself, and the log gives the cause."""
     agent.other_cause = lambda: "the moon has moved"

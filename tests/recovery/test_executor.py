@@ -16,6 +16,7 @@ from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Phase
 from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
+from phm.recovery.attempt import HUNG_S
 from phm.recovery.base import Action, ActionContext, ActionFailed, Target
 from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
@@ -31,6 +32,7 @@ class World:
         self.clock = testing.FakeClock()
         self.events: list[Event] = []
         self.runs: list[str] = []
+        self.alone: list[bool] = []
         self.behave: Callable[[str], None] = lambda name: self.fix()
         self.healthy, self.condition = False, "unhealthy"
         app = container or ContainerSettings(name="app", recover=True)
@@ -78,6 +80,7 @@ class World:
             def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 world._entered = True
                 world.runs.append(action)
+                world.alone.append(context.alone)
                 world.behave(action)
                 return f"{action}ed"
 
@@ -173,7 +176,8 @@ def test_an_ineffective_action_is_repeated_and_then_given_up(worlds: list[World]
 
 
 def test_a_container_given_up_while_down_is_started_again_without_a_new_alarm(worlds: list[World]) -> None:
-    """Once per maximum back-off; a start that does not last changes no published state, a lasting one ends it."""
+    """Once per maximum back-off; a start that does not last changes no published state, a lasting one ends it. Its dependents, which
+    run, are not restarted each time."""
     world = make(worlds, backoff_max=60)
     world.condition, world.nodes_healthy = "exited", False
     world.behave = lambda name: None
@@ -193,6 +197,7 @@ def test_a_container_given_up_while_down_is_started_again_without_a_new_alarm(wo
     world.until(lambda: len(world.runs) == 5)
     world.until(lambda: world.phases()[-1] is Phase.VERIFIED)
     assert world.runs[3:] == ["start", "start"]
+    assert world.alone == [False] * 3 + [True] * 2
     assert world.phases().count(Phase.ESCALATED) == 1
     assert len([event for event in world.events if isinstance(event, FaultOpened)]) == 1
     world.until(lambda: world.pipeline.states()[0].level is Level.OK)
@@ -232,23 +237,51 @@ def test_an_action_that_raises_is_a_failed_attempt(worlds: list[World], trouble:
     assert world.phases() == [Phase.STARTED, Phase.FAILED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
 
 
-def test_a_hanging_action_is_abandoned_at_its_deadline(worlds: list[World]) -> None:
-    """It is reported, and another attempt is made."""
-    world = make(worlds)
-    stuck, first, world.hangs = threading.Event(), [True], True
+class Stuck:
+    """The first action on the container does not return before `go`; every later one helps. `most`: actions at the same time."""
 
-    def hang_once(name: str) -> None:
-        if first:
-            first.pop()
-            stuck.wait(120)
+    def __init__(self, world: World) -> None:
+        self.world, self.go, self.most = world, threading.Event(), 0
+        self._running = 0
+        world.behave, world.hangs = self._act, True
+
+    def _act(self, name: str) -> None:
+        self._running += 1
+        self.most = max(self.most, self._running)
+        if len(self.world.runs) == 1:
+            self.go.wait(600)
         else:
-            world.fix()
+            self.world.fix()
+        self._running -= 1
 
-    world.behave = hang_once
+
+def test_an_action_that_outlasts_its_deadline_is_alone_on_its_target(worlds: list[World]) -> None:
+    """The attempt fails at the deadline, and the next one begins once the action has returned: both would act on one container."""
+    world = make(worlds)
+    stuck = Stuck(world)
     world.fail()
+    world.until(lambda: Phase.REFUSED in world.phases())
+    for _ in range(60):
+        world.clock.advance(1.0)
+        world.observe()
+    details = [event.detail for event in world.events if isinstance(event, ActionEvent)]
+    assert world.phases() == [Phase.STARTED, Phase.FAILED, Phase.REFUSED]
+    assert "within 5 s" in details[1] and "an earlier restart for health/app still runs" in details[2]
+    stuck.go.set()
     world.until(lambda: Phase.VERIFIED in world.phases())
-    stuck.set()
-    assert "within 5 s" in [event.detail for event in world.events if isinstance(event, ActionEvent)][1]
+    assert (world.runs, stuck.most) == (["restart"] * 2, 1)
+
+
+def test_an_action_that_never_returns_blocks_its_target_for_a_limited_time(worlds: list[World]) -> None:
+    """No call of the engine lasts that long, so it hangs in code of a plug-in: the next attempt follows."""
+    world = make(worlds)
+    stuck = Stuck(world)
+    world.fail()
+    world.until(lambda: Phase.REFUSED in world.phases())
+    world.clock.advance(HUNG_S)
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    stuck.go.set()
+    assert world.runs == ["restart"] * 2
 
 
 @pytest.mark.parametrize("recovery", [{"mode": "advise"}, {"mode": "off"}])

@@ -176,8 +176,30 @@ def test_a_superseded_verification_is_not_a_failure_of_the_target(agents: list[O
     assert Phase.ESCALATED not in agent.steps("side")
 
 
+def test_an_action_may_take_longer_by_what_its_dependents_need(agents: list[Owners]) -> None:
+    """Each stops slowly, and together they need longer than the action's own deadline: nothing has failed."""
+    agent = make(agents)
+
+    def slow(key: str, context: ActionContext, fault: Fault) -> None:
+        agent.containers.start(key)
+        for dependent in ("side", "b"):
+            with context.lock_dependent(dependent, fault, "restart", 90.0):
+                agent.bad[f"health/{dependent}"] = "broken"
+                began = agent.clock.mono()
+                agent.pause(lambda began=began: agent.clock.mono() - began > 80.0)  # type: ignore[misc]
+                agent.containers.start(dependent)
+                del agent.bad[f"health/{dependent}"]
+        agent.bad.pop("health/a", None)
+
+    agent.behave = slow
+    agent.bad["health/a"] = "broken"
+    agent.until(lambda: agent.steps("a")[-1:] in ([Phase.VERIFIED], [Phase.FAILED]), "the end of the attempt")
+    assert agent.steps("a") == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+    assert agent.opened() == ["health/a"]
+
+
 def test_an_abandoned_action_begins_nothing_more(agents: list[Owners]) -> None:
-    """It returns after its deadline: dependents are not restarted while the next attempt runs."""
+    """It returns after its deadline: dependents are not restarted any more."""
     agent = make(agents, same_failure=1)
     late: list[str] = []
 

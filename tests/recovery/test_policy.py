@@ -126,6 +126,17 @@ def test_evidence_of_a_check_overrides_the_published_state(never: bool, seconds:
     assert isinstance(say(fault=known), expected)
 
 
+def test_a_failed_restart_is_reported_although_the_unit_was_never_ok_after_it() -> None:
+    """That it was never OK since then is the failure: a restart that says nothing is repeated. A start by others does not count."""
+    known = was_ok("transport_blocked", 60.0)
+    known = replace(known, result=replace(known.result, evidence=Evidence(never_ok=True)))
+    failed = attempts(950.0, condition="transport_blocked")
+    assert isinstance(say(failed, fault=known), GiveUp)
+    assert say(marked(failed, not_counted=True), fault=known) == Act("restart", 1)
+    assert isinstance(say(marked(failed, backoff_reset=True, not_counted=True), fault=known), Skip)
+    assert isinstance(say(attempts(950.0), fault=known), Skip), "it was for another condition"
+
+
 @pytest.mark.parametrize("condition", ["data_gaps", "data_range"])
 def test_a_restart_for_wrong_values_is_only_advised(condition: str) -> None:
     """Messages still arrive, and the sensor behind the node may be the cause. An operator may approve it, and a configured
@@ -306,7 +317,22 @@ def test_a_container_that_is_down_is_started_after_the_budget_is_used_up(conditi
     history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(5)])
     decision = say(history, fault=fault(condition), now=950.0)
     assert isinstance(decision, Wait) and decision.until == 904.0 + RULES.backoff_max and decision.report
-    assert say(history, fault=fault(condition), now=964.0) == Act("start", 1)
+    assert say(history, fault=fault(condition), now=964.0) == Act("start", 1, alone=True)
+
+
+def test_a_start_without_budget_is_only_a_start() -> None:
+    """Once a minute, so it restarts no dependents, whatever step would be next."""
+    others = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(5)])
+    failed = History([*others.attempts, AttemptRecord(906.0, "health/app", "exited", "start", False)])
+    assert say(failed, fault=fault("exited"), now=966.0) == Act("start", 2, alone=True)
+    assert say(failed, fault=fault("exited"), now=966.0, forbidden="armed") == Advise("start", "armed", again_at=968.0)
+
+
+def test_a_configured_ladder_without_a_start_keeps_to_the_budget() -> None:
+    """Only a start does no harm to the containers that depend on it."""
+    history = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", False) for n in range(5)])
+    rules = RecoverySettings(ladders={"exited": ["restart"]})
+    assert say(history, fault=fault("exited"), settings=rules) == Wait(1500.0, ANY, report=True)
 
 
 def test_a_container_given_up_while_down_is_started_occasionally() -> None:
@@ -315,7 +341,7 @@ def test_a_container_given_up_while_down_is_started_occasionally() -> None:
     down = fault("exited")
     assert isinstance(say(history, fault=down), GiveUp)
     assert say(history, fault=down, now=979.0, given_up=True) == Wait(980.0, ANY, report=False)
-    assert say(history, fault=down, now=980.0, given_up=True) == Act("start", 4)
+    assert say(history, fault=down, now=980.0, given_up=True) == Act("start", 4, alone=True)
     assert isinstance(say(history, fault=down, given_up=True, forbidden="armed"), Advise)
     assert isinstance(say(history, fault=down, given_up=True, target=Target.of(ContainerSettings(name="app"))), Skip)
 

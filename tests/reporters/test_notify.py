@@ -13,6 +13,9 @@ from typing import Any
 
 import pytest
 
+from phm.api import Unit
+from phm.checking.pipeline import Pipeline
+from phm.core.bus import Bus
 from phm.core.model import (
     ActionEvent,
     Event,
@@ -32,6 +35,8 @@ from phm.reporters.base import ReporterContext
 from phm.reporters.notify import NotifyReporter
 from phm.runtime.sections import reporter_settings
 from phm.testing import FakeClock, settings
+from phm.tracker import Tracker
+from phm.tracker.units import TrackedUnit, graph_of
 from tests.fakes.until import until
 
 # Of the plug-ins of Apprise, which it imports when they are first used.
@@ -80,22 +85,25 @@ def hook() -> Iterator[Hook]:
 
 def make(clock: FakeClock | None = None, **notify_settings: Any) -> NotifyReporter:
     made = settings(agent={"id": 5, "name": "agent_5"}, notify=notify_settings)
-    context = ReporterContext(
-        reporter_settings(made), clock or FakeClock(), "b", tuple, lambda: True, dict, open_faults=lambda: (FAULT,)
-    )
+    context = ReporterContext(reporter_settings(made), clock or FakeClock(), "b", tuple, lambda: True, dict)
     reporter = NotifyReporter.build(context)
     assert reporter is not None
     return reporter
 
 
 def steps() -> list[Event]:
-    """A fault opens, PHM gives up, and it closes."""
-    closed = replace(FAULT, outcome=Outcome.RESOLVED, closed=AT)
+    """A fault opens and PHM gives up on it, which closes it; two others follow from another one, and are resolved."""
+
+    def closed(name: str, outcome: Outcome) -> FaultClosed:
+        return FaultClosed(AT, replace(FAULT, id=name, outcome=outcome, closed=AT))
+
     return [
         FaultOpened(AT, FAULT),
         ActionEvent(AT, FAULT.id, FAULT.unit, "restart", "ros_app", Phase.STARTED),
         ActionEvent(AT, FAULT.id, FAULT.unit, "restart", "ros_app", Phase.ESCALATED, "three restarts did not help"),
-        FaultClosed(AT, closed),
+        closed(FAULT.id, Outcome.ESCALATED),
+        closed("ab12-18", Outcome.REATTRIBUTED),
+        closed("ab12-19", Outcome.RESOLVED),
     ]
 
 
@@ -104,29 +112,47 @@ def test_a_webhook_gets_open_escalation_and_close(hook: Hook) -> None:
     reporter = make(urls=[hook.url])
     for event in steps():
         reporter.handle(event)
-    until(lambda: len(hook.posted) == 3, "the alerts")
+    until(lambda: len(hook.posted) == 4, "the alerts")
     reporter.close()
     assert [post["title"] for post in hook.posted] == [
         "A05 FAIL 2 ros_app exited 1",
         "A05 GAVE UP 2 ros_app exited 1",
+        "A05 REATTRIBUTED 2 ros_app exited 1",
         "A05 RESOLVED 2 ros_app exited 1",
     ]
-    assert [post["type"] for post in hook.posted] == ["failure", "failure", "success"]
+    assert [post["type"] for post in hook.posted] == ["failure", "failure", "info", "success"]
     assert "three restarts did not help" in hook.posted[1]["message"]
     assert reporter.problem() == ""
+
+
+def test_an_alert_is_sent_when_phm_gives_up_whatever_the_threads_do() -> None:
+    """Recovery reports it and closes the fault immediately: when this thread gets the event, the fault is not open."""
+    clock, bus = FakeClock(), Bus(FakeClock())
+    units = [TrackedUnit(Unit(FAULT.unit, target="ros_app"), "container", Slot.CONTAINER, Layer.DOCKER)]
+    pipeline = Pipeline(Tracker(units, graph_of(units), clock.stamp()), bus, clock)
+    reporter, sent = make(command=["true"], events=["escalate"]), list[str]()
+    reporter._senders = (lambda alert: sent.append(alert["title"]) or "",)  # type: ignore[assignment,func-returns-value]
+    bus.subscribe("notify", reporter.handle, kinds=reporter.kinds)
+    pipeline.observe({FAULT.unit: FOUND}, clock.mono(), 0.0)
+    (fault,) = pipeline.open_faults()
+    bus.publish(ActionEvent(AT, fault.id, fault.unit, "", "ros_app", Phase.ESCALATED, "it did not help"))
+    pipeline.escalate(fault.id)
+    until(lambda: sent == ["A05 GAVE UP 2 ros_app exited 1"], "the alert")
+    reporter.close()
+    bus.close(1.0)
 
 
 def test_a_command_gets_the_alert_as_json(tmp_path: Path) -> None:
     """Started without a shell, so that no name from outside is interpreted."""
     output = tmp_path / "alert; touch hacked"
     script = "import sys; open(sys.argv[1], 'ab').write(sys.stdin.buffer.read() + b'\\n')"
-    reporter = make(command=[sys.executable, "-c", script, str(output)], events=["close"])
+    reporter = make(command=[sys.executable, "-c", script, str(output)], events=["escalate"])
     for event in steps():
         reporter.handle(event)
     until(lambda: output.exists() and output.read_bytes().endswith(b"\n"), "the alert")
     reporter.close()
     (alert,) = map(json.loads, output.read_bytes().splitlines())
-    assert (alert["event"], alert["agent_id"], alert["fault"]["fault"]) == ("close", 5, "ab12-17")
+    assert (alert["event"], alert["agent_id"], alert["fault"]["fault"]) == ("escalate", 5, "ab12-17")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [output.name]
 
 

@@ -16,7 +16,7 @@ from phm.facts import DiagnosticFact, RosFact
 from phm.probes.ros.diagnostics import MAX_TEXT, MAX_VALUES, portions
 from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, encode
 from phm.probes.ros.self_reports import MAX_NAMES, ConfiguredNames, SelfReports
-from phm.probes.ros.supervisor import RosSupervisor
+from phm.probes.ros.supervisor import UNKEPT, RosSupervisor
 from phm.wire import json_log
 from tests.fakes.ros_bench import ROOT, Bench, Listener, seen, until
 
@@ -141,14 +141,16 @@ def test_texts_and_values_are_cut(bench: Bench) -> None:
 
 
 @pytest.mark.one_distribution
-def test_no_more_names_are_kept_than_the_cap(bench: Bench) -> None:
-    """500 at most; recently received names replace older ones."""
-    camera, probe = Speaker(bench), listening(bench)
+@pytest.mark.parametrize("watch", [[], [{"name": "*"}]], ids=["others", "watched"])
+def test_no_more_names_are_kept_than_the_cap(bench: Bench, watch: list[Any]) -> None:
+    """500 at most; recently received names replace older ones, which is reported of those that are watched."""
+    camera, probe = Speaker(bench), listening(bench, watch=watch)
     camera.say(*([f"a{n}", 0, "", "", {}] for n in range(400)))
     seen(probe, lambda fact: received(fact, "a399"), "the first")
     camera.say(*([f"b{n}", 0, "", "", {}] for n in range(400)))
     fact = seen(probe, lambda fact: received(fact, "b399") and fact, "the next")
     assert len(fact.diagnostics) == 500
+    assert (UNKEPT in probe.problems()) is bool(watch)
 
 
 @pytest.mark.one_distribution
@@ -294,3 +296,17 @@ def test_other_statuses_displace_no_configured_status() -> None:
     for number in range(3 * MAX_NAMES):
         kept = kept.with_update(SelfReportUpdate(diagnostics={f"x{number}": DiagnosticFact(0.0, 0)}), 2.0 + number)
     assert "camera: a" in kept.diagnostics and len(kept.diagnostics) == MAX_NAMES + 1
+
+
+def test_the_statuses_of_a_pattern_are_limited_and_displace_no_others() -> None:
+    """Part of a name may count up, or be invented: without a limit each of them would stay in the daemon's memory."""
+    named = dict.fromkeys(("lidar: a", "gps: fix"), DiagnosticFact(0.0, 0))
+    watched = ConfiguredNames(statuses=("camera: *", "lidar: *", "gps: fix"))
+    kept = SelfReports(configured=watched).with_update(SelfReportUpdate(diagnostics=named), 1.0)
+    for first in range(0, 3 * MAX_NAMES, 100):
+        assert kept.unkept_at is None or first > MAX_NAMES
+        frames = {f"camera: {number}": DiagnosticFact(0.0, 0) for number in range(first, first + 100)}
+        kept = kept.with_update(SelfReportUpdate(diagnostics=frames), 2.0 + first)
+    newest = {f"camera: {number}" for number in range(2 * MAX_NAMES, 3 * MAX_NAMES)}
+    assert kept.diagnostics.keys() == {*named, *newest}
+    assert kept.unkept_at == 2.0 + first

@@ -61,6 +61,13 @@ def test_a_failed_child_is_replaced_and_reported(bench: Bench, behaviour: str, w
     until(lambda: words in stale(probe), "the sentence in CannotTell")
 
 
+def test_a_text_for_the_log_does_not_end_the_time_to_start(bench: Bench) -> None:
+    """The child reports an unknown peer before it imports rclpy, which takes seconds on a small board."""
+    probe = bench.probe(command=fake("slow"), limits=replace(FAST, silent_s=0.5))
+    until(lambda: bench.changes or probe.restarts, "a snapshot, or another child")
+    assert probe.restarts == 0
+
+
 def test_the_same_failure_is_noted_once(bench: Bench) -> None:
     """A child that fails permanently must not fill the log."""
     probe = bench.probe(command=fake("exit"), limits=FAST)

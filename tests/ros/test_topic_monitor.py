@@ -259,6 +259,18 @@ def test_a_latched_sample_from_before_the_subscription_is_received(bench: Bench,
     assert rate_of(fact).sample_bytes == pytest.approx(1009, abs=4)
 
 
+def test_a_latched_sample_is_received_beside_a_volatile_publisher(bench: Bench, tmp_path: Path) -> None:
+    """No subscription receives both what one of them keeps and what the other one sends: first it is the one, then the other."""
+    path = tmp_path / "sent"
+    flows(bench, "source", path, "topic_1:0", "topic_1:0:1000:latched")
+    until(lambda: path.exists() and path.read_text(encoding="ascii"), "the only messages, before any subscription")
+    probe = bench.probe([{"name": TOPIC, "rate": 0}])
+    seen(probe, lambda fact: rate_of(fact).samples, "the kept sample")
+    fact = seen(probe, lambda fact: rate_of(fact).matched == 2 and fact, "a connection to both publishers")
+    assert rate_of(fact).sample_bytes == pytest.approx(1009, abs=4)
+    assert (rate_of(fact).samples, rate_of(fact).problem) == (1, "")
+
+
 def test_a_publisher_in_another_partition_is_a_mismatch(bench: Bench, tmp_path: Path) -> None:
     """Discovery lists it, but the middleware does not connect: the reason is reported, not a fault of the topic."""
     profile = tmp_path / "apart.xml"

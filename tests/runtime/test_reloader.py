@@ -17,6 +17,14 @@ from typing import Any
 
 import pytest
 
+from phm.api import error
+from phm.facts import Attachment, ContainerFact
+from phm.probes.docker import Docker
+from phm.recovery.persistence.state import PersistedState
+from phm.runtime.daemon import Daemon
+from phm.runtime.main_loop import MainLoop
+from phm.runtime.wiring import build_daemon, build_successor
+from phm.testing import settings
 from phm.wire import control, json_log, status_file
 from tests.fakes.mavlink import free_port
 from tests.fakes.until import until
@@ -157,6 +165,52 @@ def test_a_hold_outlives_a_reload(agent: Agent) -> None:
     until(lambda: [hold["reason"] for hold in agent.status().get("holds", [])] == ["maintenance"], "the hold")
     control.ask(run_dir, {"do": "release", "container": ""})
     until(lambda: agent.status().get("holds") == [], "the release")
+
+
+def test_a_successor_knows_what_cannot_be_observed_again(
+    tmp_path: Path, patient: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """How a container that is disconnected now was connected, for `reconnect`; and a fault that the main loop opens last."""
+    patient()
+    attached = Attachment("fleet", "n1", "172.30.0.5", aliases=("ros",), fixed_address="172.30.0.5")
+    networks, handed, hand_over, join = [attached], list[PersistedState](), Daemon._hand_over, MainLoop.join
+
+    def container(docker: Docker, name: str) -> ContainerFact:
+        return ContainerFact(name, "id", "running", "t", networks=tuple(networks))
+
+    def handing_over(daemon: Daemon) -> PersistedState:
+        handed.append(hand_over(daemon))
+        return handed[-1]
+
+    def last_iteration(loop: MainLoop, timeout_s: float) -> None:
+        broken = error("broken", brief="broken", condition="broken")
+        former.pipeline.observe({"custom/it": broken}, former.clock.mono(), 0.0)
+        join(loop, timeout_s)
+
+    monkeypatch.setattr(Docker, "container", container)
+    monkeypatch.setattr(Daemon, "_hand_over", handing_over)
+    monkeypatch.setattr(MainLoop, "join", last_iteration)
+    folders = {"state_dir": str(tmp_path / "s"), "run_dir": str(tmp_path / "r"), "log": {"directory": str(tmp_path)}}
+    more: dict[str, Any] = {
+        **folders,
+        "docker": {"socket": f"unix://{tmp_path}/none"},
+        "custom": [{"name": "it", "type": "command", "command": ["true"], "period": "1h", "failures": 1, "grace": 0}],
+    }
+    former = build_daemon(settings(containers=[{"name": "app"}, {"name": "a"}, {"name": "b", "alias": "x"}], **more))
+    former.start()
+    for name in ("app", "a", "x"):
+        former.components.probes.docker.container(name)
+    networks.clear()
+    successor = build_successor(
+        former, settings(containers=[{"name": "app", "recover": True}, {"name": "c", "alias": "x"}], **more)
+    )
+    successor.start()
+    try:
+        known = {name: successor.components.probes.remembered(name, "fleet") for name in ("app", "a", "x")}
+        assert known == {"app": attached, "a": None, "x": None}
+        assert [fault.unit for state in handed for fault in state.faults if fault.unit == "custom/it"] == ["custom/it"]
+    finally:
+        successor.stop()
 
 
 HANDING_OVER = """

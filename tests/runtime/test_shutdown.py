@@ -76,21 +76,6 @@ def hung_engine(tmp_path: Path) -> Iterator[HungEngine]:
         call.close()
 
 
-@pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """On a busy machine a step that does not hang may take longer than its limit: only the named ones keep theirs."""
-    step = ShutdownSequence.step
-
-    def lengthen(*kept: str) -> None:
-        def lengthened(closing: ShutdownSequence, name: str, call: Callable[[], object], limit_s: float) -> None:
-            step(closing, name, call, limit_s if name in kept else LIMIT_S)
-
-        monkeypatch.setattr(ShutdownSequence, "step", lengthened)
-        monkeypatch.setattr("phm.runtime.daemon.STOP_S", 20 * LIMIT_S)
-
-    return lengthen
-
-
 def _daemon(folder: Path, **more: Any) -> Daemon:
     return build_daemon(
         settings(

@@ -160,6 +160,32 @@ def test_a_slower_peer_is_not_late() -> None:
     assert peers.states(200.0)[2] is PeerState.ALIVE
 
 
+@pytest.mark.parametrize("delays", [(0.0,), (0.0, 0.9), (0.0, 0.6, 1.2)])
+def test_a_peer_received_by_several_links_keeps_its_period(delays: tuple[float, ...]) -> None:
+    """Each link delivers its heartbeats with another delay, so the gaps between links are shorter than its period."""
+    peers = Peers(1, PERIOD_S)
+    for beat in range(60):
+        for link, delay_s in enumerate(delays):
+            last_s = PERIOD_S * beat + delay_s
+            peers.heartbeat(2, HEALTHY, last_s, link=f"link_{link}")
+    assert peers.states(last_s + LATE_PERIODS * PERIOD_S - 0.1)[2] is PeerState.ALIVE
+    assert peers.states(last_s + LOST_PERIODS * PERIOD_S - 0.1)[2] is PeerState.LATE
+    assert peers.states(last_s + LOST_PERIODS * PERIOD_S + 0.1)[2] is PeerState.LOST
+
+
+@pytest.mark.parametrize("broken", ["mesh", "radio"])
+def test_the_outage_of_one_link_is_not_a_longer_period(broken: str) -> None:
+    """The other link delivers the heartbeats meanwhile."""
+    peers = Peers(1, PERIOD_S)
+    for beat in range(200):
+        for link, delay_s in (("mesh", 0.0), ("radio", 0.5)):
+            if link != broken or not 50 <= beat < 150:
+                peers.heartbeat(2, HEALTHY, PERIOD_S * beat + delay_s, link=link)
+        assert peers.states(PERIOD_S * beat + 0.5)[2] is PeerState.ALIVE
+        peer = peers.peer(2)
+        assert peer is not None and peer.period_s == pytest.approx(PERIOD_S)
+
+
 def test_an_agent_stopped_on_purpose_has_left() -> None:
     """It announced its end, so it is no longer a member and not lost."""
     swarm = Swarm(range(1, 4))

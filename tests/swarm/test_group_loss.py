@@ -191,6 +191,20 @@ def test_agents_that_fall_silent_one_after_another_have_not_vanished_together() 
     assert air.lost() == {2}
 
 
+@pytest.mark.parametrize("delays", [(0.0,), (0.0, 0.9), (0.0, 0.6, 1.2)])
+def test_two_missed_heartbeats_of_two_peers_are_no_loss_by_any_number_of_links(delays: tuple[float, ...]) -> None:
+    """A radio delivers each heartbeat again, later than Wi-Fi. With gaps between links for periods, this would be a split."""
+    peers = Peers(1, PERIOD_S, range(1, 7))
+    for step in range(1000):
+        beat, place = divmod(step, 10)
+        for link, delay_s in enumerate(delays):
+            for agent in range(2, 7):
+                if place == round(delay_s / STEP_S) and not (agent < 4 and beat in (60, 61)):
+                    peers.heartbeat(agent, WORD, step * STEP_S, link=f"link_{link}")
+        peers.watch(step * STEP_S, PERIOD_S)
+        assert PeerState.LOST not in peers.states(step * STEP_S).values()
+
+
 def test_two_agents_with_one_id_are_never_lost_between_their_heartbeats() -> None:
     """Their heartbeats arrive in pairs, unlike those of one agent."""
     peers = Peers(1, PERIOD_S, (2, 3, 4))

@@ -235,3 +235,23 @@ def test_a_fault_records_whether_its_container_was_started_before_phm() -> None:
     all_missing(bench, 2.0, life=1)
     (fault,) = [event.fault for event in bench.events if isinstance(event, FaultOpened)]
     assert (fault.start_seen, fault.ok_since_start_s > 0) == (False, True)
+
+
+def open_ok_s(bench: Bench) -> tuple[float, bool]:
+    (fault,) = bench.tracker.open_faults()
+    return fault.ok_since_start_s, fault.start_seen
+
+
+def test_an_open_fault_says_what_is_known_since_the_newest_start() -> None:
+    """An operator restarts the container: that the unit was OK before says nothing about a restart by PHM any more. PHM's own
+    restart is made because of that, and does not change it."""
+    bench = living()
+    all_missing(bench, 1.5, life=1)
+    bench.take(bench.tracker.begin_action("app", "nodes", "restart", bench.stamp(), 60.0))
+    all_published_ok(bench)
+    assert open_ok_s(bench)[0] > 0.0
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
+    bench.see("container", ran_in_life(2))
+    bench.later(1)
+    all_published_ok(bench)
+    assert open_ok_s(bench) == (0.0, True)

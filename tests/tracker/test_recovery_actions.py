@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from phm.api import Level, error, stale
+from phm.api import Level, error, stale, warn
 from phm.core.model import Evidence, FaultOpened, Outcome
 from phm_checks.pressure import KILL_SETTLE_S
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
@@ -133,6 +133,23 @@ def test_what_still_fails_after_an_action_is_not_credited_to_it() -> None:
     assert bench.closed == [("nodes", Outcome.RESOLVED, "restart"), ("devices", Outcome.RESOLVED, "itself")]
 
 
+def test_an_action_that_was_not_needed_is_not_credited() -> None:
+    """For no fault of its container; a fault of another container, and the action on that one, are not affected."""
+    bench = Bench([unit("one", target="a"), unit("more", target="a"), unit("two", target="b")])
+    bench.later(10)
+    bench.all_healthy()
+    for name in ("one", "more", "two"):
+        bench.see(name, BAD)
+    for name, target in (("one", "a"), ("two", "b")):
+        bench.take(bench.tracker.begin_action(target, name, "restart", bench.stamp(), 60.0))
+    bench.take(bench.tracker.action_not_needed("a"))
+    bench.take(bench.tracker.end_action("a", bench.stamp(), worked=True))
+    bench.later(1)
+    for name in ("one", "more", "two"):
+        bench.see(name, OK)
+    assert [by for _, _, by in bench.closed] == ["itself", "itself", "restart"]
+
+
 def test_a_failed_action_takes_no_credit_from_that_of_another_container() -> None:
     """Both are restarted at the same time."""
     bench = Bench([unit("one", target="a"), unit("two", target="b")])
@@ -169,6 +186,34 @@ def test_a_fault_states_how_long_its_unit_was_ok() -> None:
     bench.see("container", BAD)
     opened = [event.fault.ok_s for event in bench.events if isinstance(event, FaultOpened)]
     assert opened == [0.0, 40.0, 0.0]
+
+
+def test_a_period_as_ok_that_ended_as_unknown_counts_once() -> None:
+    """An operator has repaired it; then it is unknown or a warning for a moment, and fails again. Counted for that fault only."""
+    bench = Bench([unit("container")])
+    for seconds, result in ((0, OK), (40, stale("not known")), (1, OK), (2, warn("slow", brief="slow")), (1, BAD)):
+        bench.now += seconds
+        bench.see("container", result)
+    (fault,) = bench.tracker.open_faults()
+    assert fault.ok_s == 40.0
+    for result in (OK, stale("not known"), BAD):
+        bench.see("container", result)
+    (fault,) = bench.tracker.open_faults()
+    assert fault.ok_s == 0.0
+
+
+def test_a_period_as_ok_before_a_start_of_the_container_does_not_count() -> None:
+    """Restarts that helped no other fault come after it: they count for this one, too."""
+    bench = Bench([unit("container", target="app"), unit("nodes", target="app")])
+    bench.later(10)
+    bench.all_healthy()
+    bench.now += 40
+    bench.take(bench.tracker.container_started("app", bench.stamp()))
+    bench.now += 1
+    for result in (stale("starting"), BAD):
+        bench.see("nodes", result)
+    (fault,) = bench.tracker.open_faults()
+    assert fault.ok_s == 1.0
 
 
 def test_an_escalated_fault_is_closed_once_and_not_opened_again() -> None:
@@ -213,6 +258,20 @@ def test_a_repair_counts_only_after_verification() -> None:
     bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
     assert bench.closed == [("network", Outcome.RESOLVED, "reconnect")]
     assert bench.opened == ["network"]
+
+
+def test_a_unit_without_a_target_waits_for_verification_too() -> None:
+    """The consensus about nodes in two containers: only its results name the one that is restarted."""
+    bench = Bench([unit("consensus")])
+    bench.later(10)
+    bench.all_healthy()
+    bench.see("consensus", BAD)
+    bench.take(bench.tracker.begin_action("app", "consensus", "restart", bench.stamp(), 60.0, proving=True))
+    bench.now += 1
+    bench.see("consensus", OK)
+    assert bench.closed == []
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
+    assert bench.closed == [("consensus", Outcome.RESOLVED, "restart")]
 
 
 def test_a_dependent_counts_as_unknown_if_it_was_ok_before() -> None:

@@ -111,6 +111,26 @@ def test_an_open_fault_is_reattributed_when_its_cause_appears_later() -> None:
     assert [fault.unit for fault in bench.tracker.open_faults()] == ["container"]
 
 
+@pytest.mark.parametrize("confirmed", [False, True], ids=["a single failed run", "confirmed"])
+def test_an_unconfirmed_cause_closes_no_fault(confirmed: bool) -> None:
+    """The engine may not answer once, which is not a fault. Its dependents would have none then, and new ones later."""
+    bench = Bench([unit("engine", failures=2), unit("container", "engine"), unit("nodes", "container")])
+    bench.all_healthy()
+    bench.now += 1
+    bench.see("nodes", BAD)
+    bench.see("container", OK)
+    bench.see("engine", OK)
+    assert bench.opened == ["nodes"]
+    bench.now += 1
+    bench.see("engine", BAD)
+    bench.see("nodes", BAD)
+    bench.now += 1
+    bench.see("engine", BAD if confirmed else OK)
+    bench.see("nodes", BAD)
+    assert bench.closed == ([("nodes", Outcome.REATTRIBUTED, "engine")] if confirmed else [])
+    assert bench.opened == ["nodes", *(["engine"] if confirmed else [])]
+
+
 def test_an_error_is_not_published_before_settle_s() -> None:
     """A topic is silent before its node is known to be dead: settle_s covers the difference."""
     bench = chain(settle_s=2.0)

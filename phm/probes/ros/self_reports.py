@@ -19,7 +19,8 @@ _late_status = changer(DiagnosticFact, "not_counted_s")
 _Fact = TypeVar("_Fact", BeaconFact, DiagnosticFact)
 
 MAX_NAMES = 500
-"""Limit for unconfigured beacons, and for unconfigured statuses: names from outside must not fill the memory."""
+"""Limit for unconfigured beacons, unconfigured statuses, and the statuses that match one pattern: names from outside must not fill
+the memory."""
 SILENT_MISSES = 3.0
 
 
@@ -54,6 +55,8 @@ class SelfReports:
     """Number of messages on the beacon topic that were not valid beacons."""
     lost_at: float | None = None
     """When more beacons arrived than can be read."""
+    unkept_at: float | None = None
+    """When more statuses matched one pattern than are kept."""
     configured: ConfiguredNames = field(default_factory=ConfiguredNames)
 
     def with_update(self, update: SelfReportUpdate, now_s: float) -> SelfReports:
@@ -62,11 +65,14 @@ class SelfReports:
             if name in beacons:
                 beacons[name] = (now_s, _aged_beacon(beacons[name][1], age_s))
         diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in update.diagnostics.items()}}
+        diagnostics = _newest(diagnostics, self.configured.is_status)
+        kept = _newest_of_each(self.configured.statuses, diagnostics)
         return SelfReports(
             _newest(beacons, self.configured.is_node),
-            _newest(diagnostics, self.configured.is_status),
+            kept,
             max(self.refused, update.refused),
             now_s if update.lost else self.lost_at,
+            now_s if len(kept) < len(diagnostics) else self.unkept_at,
             self.configured,
         )
 
@@ -115,4 +121,15 @@ def _newest(found: dict[str, tuple[float, _Fact]], is_own: Callable[[str], bool]
         return found
     others = sorted((name for name in found if not is_own(name)), key=lambda name: found[name][0])
     dropped = set(others[: max(0, len(others) - MAX_NAMES)])
+    return {name: entry for name, entry in found.items() if name not in dropped}
+
+
+def _newest_of_each(patterns: tuple[str, ...], found: dict[str, tuple[float, _Fact]]) -> dict[str, tuple[float, _Fact]]:
+    """Of the entries that match a pattern, those received last: MAX_NAMES for each, so that no pattern displaces those of another."""
+    if len(found) <= MAX_NAMES:
+        return found
+    newest = sorted(found, key=lambda name: found[name][0], reverse=True)
+    matching = [[name for name in newest if _pattern(words).fullmatch(name)] for words in patterns]
+    kept = {name for names in matching for name in names[:MAX_NAMES]}
+    dropped = {name for names in matching for name in names} - kept
     return {name: entry for name, entry in found.items() if name not in dropped}

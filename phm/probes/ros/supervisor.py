@@ -39,7 +39,7 @@ from phm.probes.ros.protocol import (
     encode_order,
     encode_wanted,
 )
-from phm.probes.ros.self_reports import SILENT_MISSES, ConfiguredNames, SelfReports
+from phm.probes.ros.self_reports import MAX_NAMES, SILENT_MISSES, ConfiguredNames, SelfReports
 from phm.probes.ros.stale_nodes import DOUBT_S, StaleNodes
 from phm.probes.ros.unnamed_participants import UNNAMED_S, UnnamedParticipants
 from phm.probes.ros.unreceived_nodes import UNRECEIVED_S, UnreceivedNodes
@@ -52,6 +52,10 @@ NOT_INSTALLED = (
 COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
 OVERLONG = f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB and was dropped: its content is unknown"
 CROWDED = "more messages arrive on /phm/beacon than PHM can read: beacons may be lost; see which nodes publish there"
+UNKEPT = (
+    f"more than {MAX_NAMES} statuses match one pattern of ros.diagnostics.watch, and only the newest are kept: narrow the "
+    "pattern, or see which nodes publish them"
+)
 REPORTED_S = 30.0
 """How long a loss is reported."""
 MAX_LOG_TEXTS = 20
@@ -179,7 +183,8 @@ class RosSupervisor:
     def problems(self) -> tuple[str, ...]:
         """Sentences about parts of the graph that PHM cannot see."""
         with self._lock:
-            view, times = self._view, {OVERLONG: self._dropped_s, CROWDED: self._view.self_reports.lost_at}
+            view, reports = self._view, self._view.self_reports
+            times = {OVERLONG: self._dropped_s, CROWDED: reports.lost_at, UNKEPT: reports.unkept_at}
         found = view.graph.problems if view.graph is not None else ()
         now_s = self._clock.mono()
         return (*found, *(words for words, at in times.items() if at is not None and now_s - at < REPORTED_S))
@@ -291,7 +296,9 @@ class RosSupervisor:
                 elif isinstance(message, Sandbox):
                     self._note_sandbox(message)
                 else:
-                    limit_s = self._limits.silent_s
+                    # A text for the log may come before rclpy is imported, which takes most of `start_s`.
+                    if isinstance(message, (GraphMessage, Tick)):
+                        limit_s = self._limits.silent_s
                     self._take(message, now_s)
             if now_s - received_s - held_s > limit_s or now_s - received_s > limit_s + self._limits.starved_s:
                 held = f" (besides {held_s:.0f} s in which it could not run)" if held_s >= 1.0 else ""

@@ -22,6 +22,8 @@ MAX_COUNTED = 2000
 """Topics whose endpoints are counted: that takes about 20 ms."""
 MAX_READS = 50
 """Topics whose endpoints are read per poll; the others follow in the next one."""
+CLOCK = "/clock"
+"""Always kept: it shows that time is simulated, so a check that misses it takes correct stamps for wrong ones."""
 _UNREAD = (-1, -1)
 _EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello", CONSENSUS)
 
@@ -69,11 +71,12 @@ class UnconfiguredTopics:
 
     def _read_counts(self) -> dict[str, tuple[int, int]]:
         node = self._node
-        names = sorted(name for name, _ in node.get_topic_names_and_types() if self._is_other(name))[:MAX_COUNTED]
+        found = [name for name, _ in node.get_topic_names_and_types() if self._is_other(name)]
+        names = sorted(found, key=lambda name: (name != CLOCK, name))[:MAX_COUNTED]
         counts = {name: (node.count_publishers(name), node.count_subscribers(name)) for name in names}
-        # Topics used on one side only come first, those with subscribers before others: keep these if there are too many.
-        kept = sorted(names, key=lambda name: (counts[name][0] > 0, counts[name][1] > 0, name))[:MAX_TOPICS]
-        return {name: counts[name] for name in kept}
+        # After it, topics used on one side only come first, those with subscribers before others: keep these if there are too many.
+        names.sort(key=lambda name: (name != CLOCK, counts[name][0] > 0, counts[name][1] > 0, name))
+        return {name: counts[name] for name in names[:MAX_TOPICS]}
 
     def _is_other(self, name: str) -> bool:
         return name not in self._left_out and "/_" not in name
@@ -92,7 +95,7 @@ class UnconfiguredTopics:
 def _fitting(facts: dict[str, NameFact]) -> dict[str, NameFact]:
     sizes = {name: len(name) + sum(map(len, (*fact.publishers, *fact.subscribers))) for name, fact in facts.items()}
     left = MAX_NAMES_BYTES
-    for name in sorted(sizes, key=lambda name: sizes[name]):
+    for name in sorted(sizes, key=lambda name: (name != CLOCK, sizes[name])):
         left -= sizes[name]
         if left < 0:
             del facts[name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Protocol
 
 from phm.core.clock import Clock
@@ -43,7 +44,8 @@ class CpuWeights:
         clock: Clock,
     ) -> None:
         self._engine, self._container, self._pipeline, self._clock = engine, container, pipeline, clock
-        self._lowered: dict[str, LoweredWeight] = {}
+        # By container and unit: several starved containers may need the same weight low.
+        self._lowered: dict[tuple[str, str], LoweredWeight] = {}
         self._calm_s: dict[str, float] = {}
         self._put_back_at: dict[str, float] = {}
         self._lock = threading.Lock()
@@ -51,26 +53,40 @@ class CpuWeights:
     def restore(self, lowered: Iterable[LoweredWeight]) -> None:
         """What an earlier run of PHM had lowered."""
         with self._lock:
-            self._lowered.update({entry.key: entry for entry in lowered})
+            self._lowered.update({(entry.key, entry.unit): entry for entry in lowered})
 
     def kept(self) -> tuple[LoweredWeight, ...]:
         with self._lock:
             return tuple(self._lowered.values())
 
     def lower(self, key: str, fact: ContainerFact, unit: str, engine: DockerEngine) -> bool:
-        """Lower the CPU weight of a running container through `engine`. Returns False if it is already that low. Raises
-        CannotTell."""
+        """Lower the CPU weight of a running container through `engine`, until `unit` is OK. Returns False if it is already that low.
+        Raises CannotTell."""
         host = engine.inspect(fact.id).get("HostConfig")
         found = host.get("CpuShares") if isinstance(host, dict) else None
         shares = found if isinstance(found, int) and found > 0 else DEFAULT_SHARES
         if shares <= LOW_SHARES:
+            self._keep_low(key, fact.id, unit)
             return False
         with self._lock:  # noted first: if PHM is stopped in between, the next PHM restores it
-            self._lowered[key] = LoweredWeight(key, fact.id, shares, unit)
+            self._note(LoweredWeight(key, fact.id, shares, unit))
             again = self._clock.mono() - self._put_back_at.get(key, float("-inf")) < MOST_CALM_S
             self._calm_s[key] = min(2 * self._calm_s.get(key, CALM_S), MOST_CALM_S) if again else CALM_S
         engine.set_cpu_shares(fact.id, LOW_SHARES)
         return True
+
+    def _keep_low(self, key: str, container: str, unit: str) -> None:
+        """What was lowered for another unit stays low for this one, too. A weight that PHM has not lowered is the container's own."""
+        with self._lock:
+            entry = next((each for each in self._lowered.values() if (each.key, each.id) == (key, container)), None)
+            if entry is not None:
+                self._note(replace(entry, unit=unit))
+
+    def _note(self, entry: LoweredWeight) -> None:
+        """Add the unit to those that need the weight low. What was noted for an earlier container of this name is over."""
+        before = {unit: self._lowered.pop((key, unit)) for key, unit in tuple(self._lowered) if key == entry.key}
+        units = {unit for unit, other in before.items() if other.id == entry.id} | {entry.unit}
+        self._lowered.update({(entry.key, unit): replace(entry, unit=unit) for unit in sorted(units)})
 
     def handle(self, event: Event) -> None:
         """Ignored: only time decides when a weight is restored."""
@@ -83,11 +99,20 @@ class CpuWeights:
             state = states.get(entry.unit)
             calm_s = self._calm_s.get(entry.key, CALM_S)
             if state is None or (state.level is Level.OK and now - state.since.mono >= calm_s):
-                self._put_back(entry)
+                self._not_needed(entry)
 
     def end(self) -> None:
         """Restore all weights: PHM stops, and nothing else would do it later."""
-        for entry in self.kept():
+        for entry in {entry.key: entry for entry in self.kept()}.values():
+            self._put_back(entry)
+
+    def _not_needed(self, entry: LoweredWeight) -> None:
+        """The unit of the entry does not need it any more; the weight is restored when none does."""
+        with self._lock:
+            shared = sum(key == entry.key for key, _ in self._lowered) > 1
+            if shared:
+                del self._lowered[entry.key, entry.unit]
+        if not shared:
             self._put_back(entry)
 
     def _put_back(self, entry: LoweredWeight) -> None:
@@ -100,7 +125,7 @@ class CpuWeights:
         except CannotTell:
             return  # at the next tick
         with self._lock:
-            self._lowered.pop(entry.key, None)
+            self._lowered = {noted: other for noted, other in self._lowered.items() if other.key != entry.key}
             self._put_back_at[entry.key] = self._clock.mono()
         if same:
             self._pipeline.note("ACTION", f"restored the CPU weight of {entry.key} to {entry.shares}")

@@ -10,7 +10,7 @@ from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact, NotPermitted
 from phm.recovery.actions._networks import connect, missing, network_id, not_there
 from phm.recovery.actions.join_network import rejoin_networks
-from phm.recovery.actions.restart import Restart, restart_dependents, restart_gracefully
+from phm.recovery.actions.restart import Restart, restart_dependents, restart_gracefully, restart_limit_s
 from phm.recovery.base import (
     Action,
     ActionContext,
@@ -42,7 +42,6 @@ class Reconnect(Action):
 
     name = "reconnect"
     impact = Impact.NETWORK
-    deadline_s = Restart.deadline_s
     # A node that has lost its network permanently stays listed until its lease ends (1 s with config/fastdds.xml).
     verify_after_s = 2.0
     # On a connected interface the kernel answers immediately. An address that is silent after this time stays silent.
@@ -50,6 +49,9 @@ class Reconnect(Action):
     # The nodes keep running. They find each other with the next announcement (every 3 s by default in Fast DDS), or never:
     # a socket keeps its multicast membership on the interface that was removed.
     dependents_within_s: float | None = 6.0
+
+    def limit_s(self, context: ActionContext) -> float:
+        return restart_limit_s(context)
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         container = container_settings(target)

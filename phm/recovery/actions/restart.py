@@ -12,8 +12,10 @@ from phm.recovery.base import Action, ActionContext, FlightCriticalError, Target
 
 MOST_STOP_S = 120.0
 """PHM waits at most this long even if the container has a longer stop timeout: the container has failed already."""
-FOLLOW_S = 30.0
-"""A dependent is held for its stop timeout and this much longer, in case the thread that restarts it dies."""
+CALLS = 8
+"""So many calls to the engine may each take their longest time before the action is abandoned, beside the time for the stop."""
+FOLLOW_CALLS = 3
+"""A dependent is held for its stop timeout and this many calls, in case the thread that restarts it dies."""
 
 
 class Restart(Action):
@@ -26,7 +28,9 @@ class Restart(Action):
     name = "restart"
     # An application that fails to start also runs for a moment: measured 0.1 to 0.4 s.
     verify_after_s = 2.0
-    deadline_s = 240.0
+
+    def limit_s(self, context: ActionContext) -> float:
+        return restart_limit_s(context)
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         networks = container_settings(target).networks
@@ -52,6 +56,11 @@ def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
     if fact.status == "paused":
         context.engine.unpause(fact.id)  # a frozen process cannot act on SIGTERM
     context.engine.restart(fact.id, stop_timeout_s(fact, context))
+
+
+def restart_limit_s(context: ActionContext) -> float:
+    """How long the restart of one container may take, whatever its own stop timeout is."""
+    return max(context.settings.recovery.stop_timeout, MOST_STOP_S) + CALLS * context.engine.act_limit_s
 
 
 def stop_timeout_s(fact: ContainerFact, context: ActionContext) -> float:
@@ -94,7 +103,8 @@ def _follow(
     if not entry.recover:
         return f"{key} depends on it and has not opted in (recover: true): restart it manually", False
     try:
-        with context.lock_dependent(key, fault, "restart", stop_timeout_s(facts[key], context) + FOLLOW_S):
+        at_most_s = stop_timeout_s(facts[key], context) + FOLLOW_CALLS * context.engine.act_limit_s
+        with context.lock_dependent(key, fault, "restart", at_most_s):
             skipped = _restart_dependent(entry, "" if always else facts[key].generation, context)
     except FlightCriticalError as error:
         return f"{key} depends on it: {error}; restart it manually when that is safe", False

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from phm.core.model import Fault, Outcome
+from phm.core.model import Fault
 from phm.recovery.actions._networks import missing, not_there, reconnect_stopped, stale
-from phm.recovery.actions.restart import restart_dependents
+from phm.recovery.actions.restart import CALLS, restart_dependents
 from phm.recovery.base import (
     Action,
     ActionContext,
@@ -24,7 +24,9 @@ class Start(Action):
     impact = Impact.NOTHING
     # An application that cannot start runs for a moment, too: seen 0.1 to 0.4 s.
     verify_after_s = 2.0
-    deadline_s = 120.0
+
+    def limit_s(self, context: ActionContext) -> float:
+        return CALLS * context.engine.act_limit_s
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
@@ -40,6 +42,6 @@ class Start(Action):
         reconnect_stopped(container_settings(target), fact, context)
         if not context.engine.start(fact.id):
             return NotNeeded(f"{target.key} was started outside PHM meanwhile")
-        if fault.outcome is Outcome.ESCALATED:  # it has exited repeatedly: its dependents are not restarted each time
+        if context.alone:  # it has exited repeatedly: its dependents are not restarted each time
             return f"started {target.key}"
         return f"started {target.key}{restart_dependents(target, fault, context)}"

@@ -46,7 +46,7 @@ class PersistenceService:
         self._state, self._warning = (given, "") if given is not None else self._file.load(self._window_s)
         if not self._given:
             self._clock.steps.resume(self._state.clock)
-        self._events = self._pipeline.restore(self._state.faults, self._state.given_up)
+        self._events = self._pipeline.restore(self._state.faults, self._state.given_up, self._state.fault_count)
         if self._armed is not None:
             self._armed.restore(self._state.recovery.armed)
 

@@ -45,3 +45,5 @@ class PersistedState:
     recovery: RecoveryState = field(default_factory=RecoveryState)
     clock: tuple[tuple[float, float], ...] = ()
     """How the UTC clock was set on this start of the machine, as far as PHM has seen (`phm.core.clock.ClockSteps.kept`)."""
+    fault_count: int = 0
+    """The number of the last fault that was opened."""

@@ -40,6 +40,7 @@ def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
         "v": VERSION,
         "boot": boot,
         "written": _stamp(now),
+        "fault_count": state.fault_count,
         "faults": [_fault(fault) for fault in state.faults[:MAX_FAULTS]],
         "given_up": [_fault(fault) for fault in state.given_up[:MAX_FAULTS]],
         "attempts": {target: [_attempt(each, now) for each in made[-KEPT:]] for target, made in newest if made},
@@ -147,9 +148,8 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
         )
         faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
         clock = tuple((float(offset), float(begin)) for offset, begin in document.get("clock", [])[-MAX_STEPS:])
-        return PersistedState(
-            faults, tuple(fault(body) for body in document["given_up"][:MAX_FAULTS]), recovery, clock if same else ()
-        )
+        given_up = tuple(fault(body) for body in document["given_up"][:MAX_FAULTS])
+        return PersistedState(faults, given_up, recovery, clock if same else (), int(document.get("fault_count", 0)))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise InvalidState(f"a part of it is wrong: {type(error).__name__}: {str(error)[:80]}") from None
 
@@ -258,6 +258,8 @@ def _fault(fault: Fault) -> dict[str, Any]:
             "condition": result.condition[:MAX_TEXT],
             "target": result.target[:MAX_TEXT],
             "never_ok": result.evidence.never_ok,
+            "file": result.evidence.file[:MAX_TEXT],
+            "listed": result.evidence.listed,
         },
     }
 
@@ -284,6 +286,10 @@ def _read_result(body: Any) -> Result:
     summary, brief, condition, target = (
         str(body[key])[:MAX_TEXT] for key in ("summary", "brief", "condition", "target")
     )
-    never_ok = body.get("never_ok")
-    known = Evidence(never_ok=never_ok if isinstance(never_ok, bool) else None)
+    never_ok, listed = body.get("never_ok"), body.get("listed")
+    known = Evidence(
+        never_ok=never_ok if isinstance(never_ok, bool) else None,
+        listed=int(listed) if listed is not None else None,
+        file=str(body.get("file", ""))[:MAX_TEXT],
+    )
     return Result(Level.ERROR, summary, brief, condition, target, evidence=known)

@@ -142,7 +142,9 @@ class StateWriter:
     def state(self) -> PersistedState:
         """The current state to keep. Thread-safe."""
         faults, given_up = plain(self._pipeline.open_faults()), plain(self._pipeline.given_up())
-        return PersistedState(faults, given_up, self._recovery(), self._clock.steps.kept())
+        return PersistedState(
+            faults, given_up, self._recovery(), self._clock.steps.kept(), self._pipeline.fault_count()
+        )
 
     def problem(self) -> str:
         return self._problem

@@ -11,6 +11,7 @@ import pytest
 
 from phm.core.clock import SystemClock
 from phm.facts import CannotTell, HealthcheckFact
+from phm.probes.attachment_cache import AttachmentCache
 from phm.probes.docker import Docker, own_ids
 from phm.probes.docker_facts import container_fact
 from phm.probes.ping import Pinger
@@ -420,3 +421,21 @@ def test_others_are_the_running_containers_that_are_not_configured(fake: FakeEng
     chosen = settings(containers=[{"name": "app"}, {"label": "role=db"}], docker={"container": "me"})
     made = Docker(ask, chosen.containers, chosen.docker, FakeClock())
     assert [other.name for other in made.others()] == ["zed"]
+
+
+def test_the_attachment_of_a_disconnected_container_is_known_after_a_reload(
+    fake: FakeEngine, ask: DockerEngine
+) -> None:
+    """Its aliases and its fixed address are restored when it is connected again; the engine has forgotten them."""
+    fake.containers["app"] = container("app", networks=["swarm"])
+    before = AttachmentCache(probe(ask, {"name": "app"}))
+    before.container("app")
+    fake.containers["app"] = container("app")
+    after = AttachmentCache(probe(ask, {"name": "app"}))
+    after.resume(before, {"app"})
+    after.container("app")
+    known = after.remembered("app", "swarm")
+    assert known is not None and known == before.remembered("app", "swarm")
+    removed = AttachmentCache(probe(ask))
+    removed.resume(before, set())
+    assert removed.remembered("app", "swarm") is None

@@ -7,21 +7,22 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
-from phm.core.model import Evidence, Outcome
-from phm.facts import NotPermitted
+from phm.core.model import Evidence
+from phm.facts import CannotTell, NotPermitted
 from phm.probes.docker import Docker
 from phm.probes.ros.unnamed_participants import UNNAMED_S
 from phm.recovery.actions.reconnect import Reconnect
 from phm.recovery.actions.relaunch import Relaunch
-from phm.recovery.actions.restart import Restart
+from phm.recovery.actions.restart import MOST_STOP_S, Restart
 from phm.recovery.actions.restore_file import RestoreFile
 from phm.recovery.actions.start import Start
 from phm.recovery.actions.unpause import Unpause
-from phm.recovery.base import ActionFailed, NotNeeded
+from phm.recovery.attempt import GuardedEngine
+from phm.recovery.base import Action, ActionFailed, NotNeeded
 from phm.testing import FakeClock
 from phm.transport.docker import DockerEngine, EngineBroken, EngineTimeout
 from tests.fakes.engine import FakeEngine, container
@@ -84,7 +85,8 @@ def test_a_container_given_up_is_started_without_its_dependents(fake: FakeEngine
     """It is started repeatedly while it is down; running dependents must not be restarted each time."""
     made = stack(fake, ask)
     fake.containers["app"]["State"].update(Status="exited", Running=False)
-    assert made.run(Start, "app", replace(EXITED, outcome=Outcome.ESCALATED)) == "started app"
+    alone = replace(made.context(), alone=True)
+    assert Start().run(made.target("app"), EXITED, alone) == "started app"
     assert acted_on(fake, "start", "restart") == ["app"]
 
 
@@ -211,6 +213,29 @@ def test_a_container_gets_its_own_stop_timeout(
         fake.containers[name]["Config"]["StopTimeout"] = asked
     made.run(Restart, "app", EXITED)
     assert times == [given, given, 5]
+
+
+@pytest.mark.parametrize("action", [Restart, Reconnect])
+@pytest.mark.parametrize("stop_timeout", [0, 300])
+def test_a_restart_is_not_abandoned_before_the_engine_gives_up(
+    ask: DockerEngine, action: type[Action], stop_timeout: int
+) -> None:
+    """It would count as failed while the container is still being stopped for as long as the configuration allows."""
+    made = bench(ask, containers=[{"name": "app", "recover": True}], recovery={"stop_timeout": stop_timeout})
+    assert action().limit_s(made.context()) > max(stop_timeout, MOST_STOP_S) + 2 * ask.act_limit_s
+
+
+def test_an_abandoned_action_may_only_finish_what_it_has_begun(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Another attempt may act on the container now; but a network that it has disconnected must not stay so."""
+    fake.containers["app"], fake.containers["side"] = container("app"), container("side")
+    context = bench(ask, containers=[{"name": "app", "recover": True}, {"name": "side"}]).context()
+    engine = cast(GuardedEngine, context.engine)
+    engine.stop("app")
+    engine.abandoned = True
+    with pytest.raises(CannotTell, match="restart of side was not done: the action had taken too long"):
+        engine.restart("side")
+    engine.start("app")
+    assert acted_on(fake, "stop", "start", "restart") == ["app", "app"]
 
 
 # ---------------------------------------------------------------- relaunch

@@ -118,6 +118,56 @@ def test_a_recreated_container_keeps_its_own_weight(real: Any, engine: DockerEng
     assert scene.relief.kept() == () and scene.published.notes == []
 
 
+class Shares:
+    """Replaces the engine: the CPU weight of one container."""
+
+    def __init__(self) -> None:
+        self.shares = DEFAULT_SHARES
+
+    def inspect(self, ref: str) -> Mapping[str, Any]:
+        return {"HostConfig": {"CpuShares": self.shares}}
+
+    def set_cpu_shares(self, container: str, shares: int) -> None:
+        self.shares = shares
+
+
+def test_a_weight_stays_low_until_no_starved_container_needs_it() -> None:
+    """Two starved containers share one relief, also over a restart of PHM: the first that is calm does not end it for the other."""
+    engine, published, clock = Shares(), SimpleNamespace(states=tuple, notes=[]), FakeClock()
+    published.note = lambda kind, text: published.notes.append(text)
+    cam = testing.container("cam")
+
+    def relief() -> CpuWeights:
+        return CpuWeights(cast(Any, engine), lambda key: cam, published, clock)
+
+    def state(unit: str, level: Level) -> UnitState:
+        return UnitState(
+            unit, "pressure", Slot.HOST, Layer.DOCKER, level, Result(level, "so"), Stamp(0.0, clock.mono())
+        )
+
+    first = relief()
+    assert [first.lower("cam", cam, unit, cast(Any, engine)) for unit in ("pressure/a", "pressure/b")] == [True, False]
+    after = relief()
+    after.restore(first.kept())
+    for calm, shares in ((1, LOW_SHARES), (2, DEFAULT_SHARES)):
+        levels = {"pressure/a": Level.OK, "pressure/b": Level.OK if calm == 2 else Level.ERROR}
+        states = tuple(state(unit, level) for unit, level in levels.items())
+        published.states = lambda states=states: states
+        clock.advance(CALM_S)
+        after.tick()
+        assert engine.shares == shares
+    assert after.kept() == () and published.notes == [f"restored the CPU weight of cam to {DEFAULT_SHARES}"]
+
+
+def test_a_low_weight_that_phm_has_not_set_is_not_changed() -> None:
+    """It is the container's own."""
+    engine, clock = Shares(), FakeClock()
+    engine.shares = LOW_SHARES
+    relief = CpuWeights(cast(Any, engine), lambda key: None, Published(), clock)
+    assert not relief.lower("cam", testing.container("cam"), UNIT, cast(Any, engine))
+    assert relief.kept() == ()
+
+
 def test_relieve_applies_to_a_flight_critical_container_with_configured_others() -> None:
     """Opt-in twice: only named containers give way, and only for flight-critical ones."""
     named = settings(containers=[{"name": "app"}, {"name": "other"}], recovery={"relieve": ["other"]})

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import heapq
 import os
+import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,12 +15,15 @@ from typing import Any
 import pytest
 
 from phm import testing
+from phm.api import error
 from phm.core.clock import Clock
+from phm.core.model import Fault, Phase
 from phm.core.settings import FreeDiskSettings, Settings
 from phm.recovery.actions import free_disk
 from phm.recovery.actions.free_disk import FreeDisk
-from phm.recovery.base import ActionFailed, Target
+from phm.recovery.base import Action, ActionContext, ActionFailed, ActionSettings, NotYet, Target
 from phm.runtime.sections import action_settings
+from tests.recovery.simulated_agent import Agent, Containers, Of
 
 DISK_BYTES = 100_000
 HOUR_S = 3600.0
@@ -177,17 +182,116 @@ def test_no_list_of_all_names_is_built(disk: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(os, "scandir", counted)
     with pytest.raises(ActionFailed, match="removed 0 old files"):
         run(disk, {"files": ["*.none"]})
-    assert 0 < len(taken) <= 6
+    assert 0 < len(taken) <= 2 * 6, "read again for what becomes old enough"
 
 
 def test_unconfigured_and_recent_files_stay(disk: Path) -> None:
-    """Only files that match a pattern and are old enough are removed."""
+    """Only files that match a pattern and are old enough are removed. What becomes old enough is waited for, and nothing else."""
     other, fresh = put(disk / "bags/map.db", 50_000), put(disk / "bags/now.mcap", 48_000, age_s=0.0)
-    with pytest.raises(
-        ActionFailed, match=r"removed 0 old files.*still at 98 %.*nothing else that host\.free_disk names"
-    ):
+    with pytest.raises(NotYet, match=r"removed 0 old files.*still at 98 %.*no other file that host\.free_disk names"):
         run(disk, {"files": ["*.mcap"]})
     assert other.exists() and fresh.exists()
+    with pytest.raises(ActionFailed, match=r"still at 98 %.*nothing else that host\.free_disk names") as failed:
+        run(disk, {"files": ["*.none"]})
+    assert not isinstance(failed.value, NotYet)
+
+
+class FullDisk(Agent):
+    """The disk is full until a file is removed, with the real action and a clock that was observed for hours."""
+
+    def __init__(self, disk: Path) -> None:
+        self._disk = disk
+        super().__init__({"host/disk": Of("")}, Containers(), watched(), actions=("free_disk",))
+        self.found["host/disk"] = error("full", brief="full", condition="disk_full", target=f"disk:{disk}")
+
+    def _action(self, of: str) -> type[Action]:
+        agent = self
+
+        class Deleting(FreeDisk):
+            @classmethod
+            def applies(cls, target: Target, fault: Fault, settings: ActionSettings) -> bool:
+                return True
+
+            def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
+                return super().waits_for(target, fault, agent.of_disk(context))
+
+            def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
+                return super().run(target, fault, agent.of_disk(context))
+
+        return Deleting
+
+    def of_disk(self, context: ActionContext) -> ActionContext:
+        settings = action_settings(settings_of(self._disk, {"files": ["*.mcap"]}))
+        return replace(context, settings=settings, clock=self.clock)
+
+    def wait(self, seconds: int) -> None:
+        """In big steps."""
+        for _ in range(seconds // 5):
+            self.clock.advance(5.0)
+            if free_disk.used_percent(str(self._disk)) < 90:
+                self.found.clear()
+            self.step()
+
+
+@pytest.fixture
+def full(disk: Path) -> Iterator[Callable[[], FullDisk]]:
+    made: list[FullDisk] = []
+
+    def begin() -> FullDisk:
+        """Up to the first decision."""
+        made.append(FullDisk(disk))
+        made[-1].until(made[-1].actions, "the first decision")
+        return made[-1]
+
+    yield begin
+    for agent in made:
+        agent.stop()
+        agent.clock.advance(1000)
+
+
+def test_files_that_are_too_recent_are_waited_for(disk: Path, full: Callable[[], FullDisk]) -> None:
+    """Nothing would try again after three failures, although all could be removed ten minutes later. The reason is logged once."""
+    file = put(disk / "bags/a.mcap", 98_000, age_s=60.0)
+    agent = full()
+    agent.wait(400)
+    assert file.exists()
+    (waiting,) = agent.actions()
+    assert waiting.phase is Phase.REFUSED
+    assert re.search(r"no other file .* is old enough \(older_than\), the next one in 5\d\d s", waiting.detail)
+    agent.wait(300)
+    assert not file.exists()
+    assert agent.steps(f"disk:{disk}") == [Phase.REFUSED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+
+
+def test_a_disk_whose_files_become_old_enough_one_by_one_is_not_given_up(
+    disk: Path, full: Callable[[], FullDisk]
+) -> None:
+    """Each attempt removes some, which does not suffice yet: it is not a failure, and the next one follows."""
+    for age in range(610, 10, -30):
+        put(disk / f"bags/{age}.mcap", 1_000, age_s=age)
+    put(disk / "map.db", 78_000)
+    agent = full()
+    agent.wait(400)
+    phases = agent.steps(f"disk:{disk}")
+    assert phases.count(Phase.STARTED) > agent.settings.recovery.same_failure
+    assert Phase.FAILED not in phases and Phase.ESCALATED not in phases
+    assert [event.fault.unit for event in agent.closed()] == ["host/disk"]
+
+
+def test_the_ages_of_many_recent_files_are_read_once_a_minute(disk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PHM asks every second what the action waits for, and a folder may have a million files."""
+    clock, asked, files = watched(), [0], free_disk._files
+
+    def counted(*args: Any) -> Any:
+        asked[0] += 1
+        return files(*args)
+
+    monkeypatch.setattr(free_disk, "_files", counted)
+    put(disk / "bags/a.mcap", 98_000, age_s=60.0)
+    for _ in range(120):
+        assert waits_for(disk, {"files": ["*.mcap"]}, clock=clock)
+        clock.advance(1.0)
+    assert asked == [2]
 
 
 def test_links_are_not_followed(disk: Path, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -27,7 +27,8 @@ WINDOW_S = 600.0
 
 
 def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
-    result = Result(Level.ERROR, "app has exited", "app exited", "exited", "app", evidence=Evidence(never_ok=True))
+    known = Evidence(never_ok=True, file="/a", listed=2)
+    result = Result(Level.ERROR, "app has exited", "app exited", "exited", "app", evidence=known)
     when = opened or Stamp(1000.0, 90.0)
     return Fault(
         name,
@@ -64,6 +65,7 @@ FULL = PersistedState(
         lowered=(LoweredWeight("other", "id3", 512, "pressure/app"),),
     ),
     ((900.0, 20.0), (910.0, 60.0)),
+    7,
 )
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+from sitl.campaign.publication import RECORD
 from sitl.campaign.trial import RaisedWarning, Trial, append
+from sitl.harness.compose_stack import ROOT
 from sitl.soak.forecasts import Row, backtest, main
+from sitl.soak.runner import load
 from tests.fakes.campaign_trials import T0, alarm, injection, trial
 
 MEMORY, DISK = "pressure/ros_app", "host/disk"
@@ -93,3 +97,21 @@ def test_the_command_reads_records_and_names_what_is_none(tmp_path: Path, capsys
     with pytest.raises(SystemExit) as ended:
         main([str(tmp_path / "none.jsonl")])
     assert ended.value.code == 2 and "name the runs.jsonl of a soak" in capsys.readouterr().err
+
+
+def test_the_page_has_the_figures_of_the_published_campaign() -> None:
+    """Each row of its table, the time, and the leaks."""
+    found = backtest(load(ROOT / RECORD))
+    page = (ROOT / "docs/reference/trends.md").read_text("utf-8")
+    part = page[page.index("Of the [published campaign]") : page.index("In the [two-hour soak]")]
+    assert f" {found.rows[0].agent_hours:.1f} agent hours:" in part
+    for each in found.rows:
+        cells = next(line for line in part.splitlines() if line.startswith(f"| `{each.condition}` |")).split("|")
+        reports, came_true, before, wrong = (cell.strip() for cell in cells[2:6])
+        assert reports == str(each.reports), each.condition
+        if each.came_true is None:
+            assert came_true == "states no limit"
+            continue
+        assert (came_true, wrong) == (str(each.came_true), str(each.wrong)), each.condition
+        assert re.findall(r"\d+", before) == [f"{lead:.0f}" for lead in each.leads_s], each.condition
+    assert f"{found.forecast} of the {found.leaks} injected leaks" in " ".join(part.split())

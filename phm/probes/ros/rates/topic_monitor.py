@@ -59,7 +59,7 @@ class TopicMonitor:
         self._mixed_at_s = -math.inf
         self._publishers: tuple[EndpointFact, ...] = ()
         self._requested_s: float | None = None
-        """Since when the kept messages of a latched topic are requested again; None: they have arrived."""
+        """Since when the kept messages of a latched topic are requested; None: they have arrived."""
 
     def poll(self, now_s: float, publishers: tuple[EndpointFact, ...]) -> RateFact:
         """Called once per tick, with the publishers that discovery lists now."""
@@ -97,17 +97,19 @@ class TopicMonitor:
         """After a change of its publishers the message of a latched topic may be of one that is gone: a new subscription receives
         what the present ones keep."""
         before, self._publishers = self._publishers, publishers
-        if self._expected_hz or before == publishers or not _all_keep(before or publishers):
+        kept = any(map(_keeps, publishers)) or (before and all(map(_keeps, before)))
+        if self._expected_hz or before == publishers or not kept:
             return
         self._close()
         self._open_at_s, self._requested_s = -math.inf, now_s
 
     def _drop_unkept(self, now_s: float, samples: Sequence[Sample]) -> None:
-        """Forget the message if no present publisher has sent it again."""
+        """Forget the message if no present publisher has sent it again, then request it again."""
+        wait_s = MATCH_S if all(map(_keeps, self._publishers)) else MATCH_S + self._silence_s
         if samples:
             self._requested_s = None
-        elif self._requested_s is not None and now_s - self._requested_s > MATCH_S:
-            self._estimator, self._requested_s = RateEstimator(self._expected_hz, self._silence_s), None
+        elif self._requested_s is not None and now_s - self._requested_s > wait_s:
+            self._estimator, self._requested_s = RateEstimator(self._expected_hz, self._silence_s), now_s
 
     def _take(self, now_s: float) -> list[Sample]:
         if self._reader is None:
@@ -140,21 +142,28 @@ class TopicMonitor:
         if types and self._type not in types:
             self._close()
             self._type, self._unknown, self._open_at_s = types[0], "", -math.inf
-        qos = self._qos(publishers, several)
+        qos = SubscriptionQos(self._depth(publishers, several), self._latched(now_s, publishers))
         if self._reader is not None and publishers and self._reader.qos != qos:
             self._close()
         if self._reader is None and self._type and not self._unknown and now_s >= self._open_at_s:
             self._open(qos)
 
-    def _qos(self, publishers: Sequence[EndpointFact], several: bool) -> SubscriptionQos:
-        depth = 1
+    def _depth(self, publishers: Sequence[EndpointFact], several: bool) -> int:
         if self._counted:
             polls = COUNTED_POLLS * self._tick_s * self._expected_hz * max(1, len(publishers))
-            depth = min(COUNTED_MOST, max(COUNTED, math.ceil(polls)))
-        elif several or len(publishers) > 1:
+            return min(COUNTED_MOST, max(COUNTED, math.ceil(polls)))
+        if several or len(publishers) > 1:
             # Also for a restarted node: whether the older one is gone shows in all samples, not in the newest.
-            depth = min(DEPTH_MOST, PER_PUBLISHER * max(2, len(publishers)))
-        return SubscriptionQos(depth, not self._expected_hz and bool(publishers) and _all_keep(publishers))
+            return min(DEPTH_MOST, PER_PUBLISHER * max(2, len(publishers)))
+        return 1
+
+    def _latched(self, now_s: float, publishers: Sequence[EndpointFact]) -> bool:
+        """Whether to subscribe for kept messages. Such a subscription does not receive publishers that keep none, so beside these it is
+        open only until a kept message arrives, or for MATCH_S."""
+        if self._expected_hz or not any(map(_keeps, publishers)):
+            return False
+        requests = self._requested_s is not None and now_s - self._requested_s <= MATCH_S
+        return requests or all(map(_keeps, publishers))
 
     def _open(self, qos: SubscriptionQos) -> None:
         try:
@@ -196,6 +205,6 @@ class TopicMonitor:
         return ""
 
 
-def _all_keep(publishers: Sequence[EndpointFact]) -> bool:
-    """Whether they all keep their last message for later subscribers."""
-    return all((end.durability, end.reliability) == ("transient_local", "reliable") for end in publishers)
+def _keeps(publisher: EndpointFact) -> bool:
+    """Whether it keeps its last message for later subscribers."""
+    return (publisher.durability, publisher.reliability) == ("transient_local", "reliable")

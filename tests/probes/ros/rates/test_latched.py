@@ -14,17 +14,22 @@ from phm.probes.ros.rates.topic_monitor import TopicMonitor
 from phm.probes.ros.reader import SubscriptionQos
 
 TICK_S = 0.25
+TOOL = "/a/tool"
 
 
 def end(node: str) -> EndpointFact:
-    return EndpointFact(node, "std_msgs/msg/String", "reliable", "transient_local")
+    """The publisher of a node, which keeps its last message; of `tool` it does not."""
+    return EndpointFact(node, "std_msgs/msg/String", "reliable", "volatile" if node == TOOL else "transient_local")
 
 
 class Bench:
-    """A topic, its listed publishers, and the message that a living one keeps: each new subscription receives it once."""
+    """A topic, its listed publishers, and the message that a living one keeps: each new latched subscription receives it once.
+
+    every_s: period of a living publisher that keeps nothing, which only other subscriptions receive; 0: there is none.
+    """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now_s, self.kept, self.samples = 100.0, False, 0
+        self.now_s, self.kept, self.samples, self.every_s = 100.0, False, 0, 0.0
         bench = self
 
         class KeptReader:
@@ -33,6 +38,9 @@ class Bench:
                 self._new = True
 
             def take(self, now_s: float) -> list[Sample]:
+                if not self.qos.latched:
+                    sent = bench.every_s and now_s % bench.every_s == 0.0
+                    return [Sample(int(now_s), int(now_s * 1e9), now_s)] if sent else []
                 found = [Sample(1, 10, now_s)] if self._new and bench.kept else []
                 self._new = self._new and not found
                 return found
@@ -91,3 +99,25 @@ def test_a_message_that_is_received_again_counts_once(monkeypatch: pytest.Monkey
     bench.received("")
     bench.received("/a/one")
     assert bench.samples == 1
+
+
+def test_a_kept_message_is_received_beside_a_publisher_that_keeps_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tool that only advertises the topic: the message must not depend on who began first. It is forgotten with its publisher."""
+    bench = Bench(monkeypatch)
+    bench.kept = True
+    assert all(bench.received("/a/one", TOOL))
+    assert all(bench.received("/a/one"))
+    assert all(bench.received("/a/one", TOOL))
+    bench.kept = False
+    assert not bench.received("/a/two", TOOL, seconds=10.0)[-1]
+    bench.kept = True
+    assert bench.received("/a/two", TOOL, seconds=5.0)[-1]
+
+
+def test_a_publisher_that_keeps_none_is_received_beside_one_that_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the tool publishes: a subscription for kept messages would never receive it."""
+    bench = Bench(monkeypatch)
+    bench.every_s = 2.0
+    assert bench.received("/a/one", TOOL, seconds=6.0)[-1]
+    assert all(bench.received(TOOL, seconds=10.0))
+    assert all(bench.received("/a/one", TOOL, seconds=10.0))
