@@ -166,6 +166,19 @@ def test_new_faults_get_unused_ids(lives: Callable[..., Life]) -> None:
     assert second.of(FaultOpened)[0].fault.id not in ("", fault.id)
 
 
+def test_the_numbers_of_faults_go_on_after_a_restart(lives: Callable[..., Life]) -> None:
+    """Also when no fault is open: an operator may still approve by the number in an earlier line."""
+    first = lives(mode="advise")
+    first.until(lambda: bool(first.of(FaultOpened)))
+    first.healthy = True
+    first.until(lambda: bool(first.of(FaultClosed)))
+    first.die()
+    second = lives(mode="advise")
+    second.until(lambda: bool(second.of(FaultOpened)))
+    before, after = (fault_number(life.of(FaultOpened)[0].fault.id) for life in (first, second))
+    assert (before, after) == (1, 2)
+
+
 def test_attempts_and_giving_up_survive_a_restart(lives: Callable[..., Life]) -> None:
     """One attempt in each life makes two; a third life neither acts nor reports until the unit was OK."""
     first = lives(backoff=20)

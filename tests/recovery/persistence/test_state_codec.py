@@ -79,6 +79,13 @@ def test_the_state_is_restored_unchanged_on_the_same_boot() -> None:
     assert decode(document, BOOT, Stamp(5.0, 130.0), WINDOW_S) == FULL
 
 
+def test_a_document_of_an_earlier_version_has_no_count_of_faults() -> None:
+    """It is read all the same."""
+    document = through_json(FULL, Stamp(1010.0, 100.0))
+    del document["fault_count"]
+    assert decode(document, BOOT, Stamp(5.0, 130.0), WINDOW_S) == replace(FULL, fault_count=0)
+
+
 def test_on_another_boot_times_are_converted_through_utc() -> None:
     """An attempt 5 s before the writing is 65 s old a minute later, whatever the new monotonic clock shows."""
     document = through_json(FULL, Stamp(1010.0, 100.0))
