@@ -18,6 +18,8 @@ from phm.transport.docker import DockerEngine
 
 TAIL = 4000
 """Of a container's log, at most this many of the newest lines are read."""
+LONG_BYTES = READ_BYTES // 2
+"""A line without an end that has as much may be as long as READ_BYTES: what is read ends with the last whole part of the engine's."""
 LINE_CHARS = 2000
 """The rest of a longer line is not searched."""
 CLOCK_S = 2.0
@@ -203,7 +205,7 @@ class Logs:
             if match is not None and (stamp := _stamp(match)) > known:
                 found.append(match[8])
                 newest = max(newest, stamp)
-        if not found and len(data) >= READ_BYTES:
+        if not found and len(data) >= LONG_BYTES:
             match = _STAMPED.fullmatch(data[whole:])
             if match is not None and _stamp(match) > known:
                 return _endless(match)
