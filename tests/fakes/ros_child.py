@@ -7,7 +7,7 @@ several megabytes); `blind` (a snapshot, then only such lines);
 `exit` (a snapshot, then code 3); `mute` (a snapshot, then nothing); `never` (nothing at all);
 `crash` (SIGSEGV after a snapshot); `twice` (good, and lists its node twice); `stale_name` (the same, in the first child only);
 `stubborn` (good, and ignores its closed input); `no_input` (good, and never reads);
-`slow` (good, after a text for the log and two seconds without a message).
+`slow` (good, after a text for the log, and only once the file `go` is in FOLDER).
 FOLDER gets a file per start.
 """
 
@@ -30,7 +30,7 @@ def main(behaviour: str, folder: str = "") -> int:
     times = 2 if behaviour == "twice" or (behaviour == "stale_name" and first) else 1
     if behaviour == "never":
         return _wait_for_end()
-    _before_the_first_snapshot(behaviour)
+    _before_the_first_snapshot(behaviour, Path(folder))
     began_s = time.monotonic()
     while True:
         _snapshot(wanted, time.monotonic() - began_s, times)
@@ -53,12 +53,13 @@ def main(behaviour: str, folder: str = "") -> int:
             return 0
 
 
-def _before_the_first_snapshot(behaviour: str) -> None:
+def _before_the_first_snapshot(behaviour: str, folder: Path) -> None:
     if behaviour == "long":
         _write(b"x" * 3_000_000 + b"\n")
     elif behaviour == "slow":
         _write(b'["log",["one peer is unknown"]]\n')
-        time.sleep(2.0)
+        while not (folder / "go").exists():
+            select.select([], [], [], 0.02)
 
 
 def _snapshot(wanted: dict[str, object], up_s: float, times: int) -> None:
