@@ -145,9 +145,10 @@ class GraphEvidence:
         if not silent:
             return None
         shortest_s = min(silent)[0]
-        self.suspicions |= {"topics irregular"} if shortest_s <= max(limits) else {"topics irregular", "topics silent"}
+        overdue = shortest_s > max(limits)
+        self.suspicions |= {"topics irregular", "topics silent"} if overdue else {"topics irregular"}
         words = f"silent for {span(shortest_s)}: {listed([last(topic) for _, topic in silent], 3)}"
-        return Evidence(Kind.TOPICS, Observation.SILENT, words, fact.age_s, shortest_s)
+        return Evidence(Kind.TOPICS, Observation.SILENT, words, fact.age_s, shortest_s, overdue=overdue)
 
     def _endpoints(self, fact: api.RosFact, now: float) -> Evidence | None:
         """Missing endpoints count only for a listed node that had some: otherwise its topics are remapped, or it is still starting."""

@@ -25,6 +25,8 @@ class KnownProcess:
     used: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=_KEPT))
     state: str = ""
     command: str = ""
+    idle_since: float = float("inf")
+    """The first reading of its present CPU time, in whole seconds: it has used less than one since."""
     ended_at: float = float("inf")
     """When the process was first found missing."""
 
@@ -45,6 +47,8 @@ class KnownProcess:
         if process.cpu_s is None:
             self.used.clear()  # earlier CPU use says nothing about the present
         else:
+            if not self.used or self.used[-1][1] != process.cpu_s:
+                self.idle_since = now
             self.used.append((now, process.cpu_s))
             while len(self.used) > 2 and now - self.used[1][0] >= WINDOW_S:
                 self.used.popleft()

@@ -16,6 +16,8 @@ from phm_checks._evidence import Evidence, Kind, Observation
 class NodeState(Enum):
     ALIVE = "alive"
     HUNG = "hung"
+    BLOCKED = "blocked"
+    """Its executor does not run and its topics are silent for longer than ever, but not yet for as long as a slow callback may take."""
     UNANSWERING = "unanswering"
     """It is hung or busy: its process could show which, but too little is known about that process."""
     DEAD = "dead"
@@ -30,7 +32,7 @@ BLIND_HANG_S = 15.0
 """The same if it is unknown whether the process uses the CPU."""
 MUTE_S = 8.0
 """The same if its process cannot be listed, and it sends neither beacons nor data: the fault is then the node's, and its topics, which
-wait up to 10 s for it (`phm.tracker.rules`), have none. Nothing is restarted, since it may be busy."""
+wait up to 12 s for it (`phm.tracker.rules`), have none. Nothing is restarted, since it may be busy."""
 CERTAIN_HANG_S = 15.0
 """A lack of CPU does not block an executor for this long while the beacon of the same process is on time: with 3 % of a core, executors
 ran more than twice a second."""
@@ -212,11 +214,15 @@ def _certainly_blocked(case: Findings) -> bool:
 
 def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
     """A process known not to use the CPU is hung. If that is unknown, a node in a container does not count as hung: recovery would
-    restart a node that is only busy."""
+    restart a node that is only busy. Before HANG_S it is reported where two observations agree: it says itself that its executor
+    does not run, and its data is missing."""
     process = case.evidence(Kind.PROCESS, Observation.ALIVE)
-    if process is not None and process.measured:
-        return NodeState.HUNG if beacon.lasted_s >= HANG_S else NodeState.UNKNOWN
     topics = case.evidence(Kind.TOPICS, Observation.SILENT)
+    if process is not None and process.measured:
+        if beacon.lasted_s >= HANG_S:
+            return NodeState.HUNG
+        silent = topics is not None and topics.overdue and process.lasted_s >= beacon.lasted_s
+        return NodeState.BLOCKED if silent and beacon.says is Observation.LATE else NodeState.UNKNOWN
     mute = (
         process is None
         and beacon.says is Observation.SILENT

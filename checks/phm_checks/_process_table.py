@@ -256,7 +256,7 @@ class ProcessTable:
             return Evidence(Kind.PROCESS, Observation.BUSY, f"its process {known.pid} is using the CPU", age_s)
         words = f"its process {known.pid} is running"
         if known.measured:
-            return Evidence(Kind.PROCESS, Observation.ALIVE, words, age_s)
+            return Evidence(Kind.PROCESS, Observation.ALIVE, words, age_s, now - known.idle_since)
         return Evidence(Kind.PROCESS, Observation.ALIVE, f"{words}, its CPU use is unknown", age_s, measured=False)
 
     def fit(self, name: str, now: float) -> int:

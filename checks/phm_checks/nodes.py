@@ -9,7 +9,7 @@ from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
 from phm_checks._evidence import Evidence, Kind, Observation
 from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
-from phm_checks._liveness import NodeHistory, NodeState, NodeVerdict, disproved, judge_node
+from phm_checks._liveness import HANG_S, NodeHistory, NodeState, NodeVerdict, disproved, judge_node
 from phm_checks._process_matching import Wanted, wanted_nodes
 from phm_checks._process_table import NEVER, ProcessTable
 from phm_checks._text import brief, did_you_mean, last, span
@@ -95,7 +95,11 @@ class _Node:
             self._hung_as = None
             return
         stopped = said.get((Kind.BEACON, Observation.SILENT)) or said.get((Kind.BEACON, Observation.LATE))
-        if self.state in (NodeState.HUNG, NodeState.UNANSWERING) and stopped is not None and stopped.lasted_s < ran_s:
+        if (
+            self.state in (NodeState.BLOCKED, NodeState.HUNG, NodeState.UNANSWERING)
+            and stopped is not None
+            and stopped.lasted_s < ran_s
+        ):
             self._hung_as = process
 
     def record_alive(self, table: ProcessTable | None, evidence: Iterable[Evidence], now: float) -> None:
@@ -278,6 +282,12 @@ class Nodes(api.Check):
                 "to answer: check its log and `docker top`; PHM restarts nothing for this"
             )
             return Level.ERROR, words, "does not answer", "node_unanswering"
+        if state is NodeState.BLOCKED:
+            words = (
+                f"Node {subject} is blocked{where}: {evidence}. It was expected to run its callbacks: check its log; PHM restarts nothing "
+                f"for this before {HANG_S:g} s"
+            )
+            return Level.ERROR, words, "blocked", "node_blocked"
         if state is NodeState.HUNG:
             words = f"Node {subject} is hung{where}: {evidence}. It was expected to answer: check its log, restart it"
             return Level.ERROR, words, "hung", "node_hung"

@@ -13,8 +13,11 @@ from phm.core.model import ON_HOLD, Evidence, Level, Result
 from phm.tracker import starvation
 from phm.tracker.units import Pending, TrackerView, UnitRecord
 
-UNKNOWN_NEED_S = 10.0
-"""How long a bad result waits for a dependency that is STALE."""
+UNKNOWN_NEED_S = 12.0
+"""How long a bad result waits for a dependency that is STALE: longer than a node that left the graph is unknown while its process runs
+(`phm_checks._liveness`)."""
+UNANSWERED_S = 10.0
+"""How long a symptom waits for the answer of a pressure unit."""
 NETWORK, ENDED = "network/", "node_missing"
 """Units of networks, and the condition of a node that has ended: with conclusive evidence it is known from the Docker
 Engine, and no consequence of a network. So is a result with certain evidence. Other conclusive results may be one, of a node that runs:
@@ -187,8 +190,8 @@ def confirmed(context: RuleContext) -> Decision:
 
     A bad result is published once it was bad `failures` times in a row, has lasted `settle_s` (of the result, else of the unit),
     and every dependency that can explain it (with `settle_s` also the unit) has a result of a run that began after that. Dependencies that are
-    STALE may be the cause, so they are waited for, for UNKNOWN_NEED_S at most; pressure units, too, but one that is STALE explains
-    nothing, and of one that may soon explain it the result must be of a run that began WARN_WAIT_S later. Results from before a
+    STALE may be the cause, so they are waited for, for UNKNOWN_NEED_S at most; pressure units, too, for UNANSWERED_S, but one that is STALE
+    explains nothing, and of one that may soon explain it the result must be of a run that began WARN_WAIT_S later. Results from before a
     dependency changed do not count.
     """
     record, unit = context.record, context.record.spec.unit
@@ -261,7 +264,7 @@ def _all_back(record: UnitRecord, view: TrackerView) -> bool:
 
 def _unasked(context: RuleContext, lasted: float) -> frozenset[str]:
     """Pressure units that could explain the result and have no result that is new enough."""
-    if context.now >= lasted + UNKNOWN_NEED_S:
+    if context.now >= lasted + UNANSWERED_S:
         return frozenset()
     return frozenset(
         other.id for other, needed in starvation.asked(context.record, context.view, lasted) if other.started < needed

@@ -87,6 +87,7 @@ EXPLAINED: Mapping[str, Explanation] = {
         f"{_LATE.evidence}; not where its process or container is stopped, or its executor was blocked for 15 s while "
         "its beacon was in time"
     ),
+    "node_blocked": _LATE,
     "node_unanswering": _LATE,
     "node_busy": _LATE,
     "beacon_missing": _LATE,

@@ -10,7 +10,17 @@ from phm.reporters import received_heartbeats
 from phm.swarm import peers
 from phm.tracker.tracker import ASK_AGAIN_S
 from phm.transport.priority import default_periods
-from phm_checks import _data_path, _endpoint_history, _liveness, _process_table, files, nodes, pressure, topics
+from phm_checks import (
+    _data_path,
+    _endpoint_history,
+    _graph_evidence,
+    _node_activity,
+    _process_table,
+    files,
+    nodes,
+    pressure,
+    topics,
+)
 from sitl.campaign.metrics import ClassMetrics, Figures
 
 RATIO = 2.0
@@ -34,7 +44,11 @@ SNAPSHOTS_S = 0.5
 """Two snapshots of the ROS graph, which come four times a second: the evidence may just miss the first."""
 READ_S = 1.0
 """Counters of the kernel are read once a second."""
-_EXECUTOR = f"an executor must not have run for {_liveness.HANG_S:g} s while its process uses no CPU: a long callback is not a fault"
+_EXECUTOR = (
+    f"a beacon asks its executor to run once a second, and it counts as blocked {_graph_evidence.LATE_S:g} s after it should have, where "
+    "its topics are silent too: a short delay is not a fault"
+)
+_EXECUTOR_S = _node_activity.TURN_S + _graph_evidence.LATE_S + READ_S
 _PROCESS = (
     "PHM asks the engine for the processes when more than two heartbeats of a beacon, one every 0.2 s, are missing: it "
     "is not informed of their end"
@@ -99,7 +113,7 @@ WAITS = {
     "address_silent": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
     "autopilot_reboot": Wait(_AUTOPILOT, 0.5, _AUTOPILOT_S),
     "autopilot_silent": Wait(_AUTOPILOT, 0.5, _AUTOPILOT_S),
-    "callback_blocked": Wait(_EXECUTOR, 0.1, _liveness.HANG_S + READ_S),
+    "callback_blocked": Wait(_EXECUTOR, 0.1, _EXECUTOR_S),
     "clock_stepped": Wait("the clock is read once a second", 0.1, READ_S),
     "container_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
     "container_stopped": Wait(_REMOVAL, 0.1, _REMOVAL_S),
@@ -111,7 +125,7 @@ WAITS = {
     "cpu_limited": Wait(_WINDOW, 0.25, _WINDOW_S),
     "crash_loop": Wait(_REMOVAL, 0.1, _REMOVAL_S),
     "disk_slow": Wait(_DISK, 1.0, pressure.IO_S + READ_S),
-    "executor_deadlocked": Wait(_EXECUTOR, 0.1, _liveness.HANG_S + READ_S),
+    "executor_deadlocked": Wait(_EXECUTOR, 0.1, _EXECUTOR_S),
     "file_altered": Wait(_FILE, 0.1, _FILE_S),
     "file_deleted": Wait(_FILE, 0.1, _FILE_S),
     "file_not_executable": Wait(_FILE, 0.1, _FILE_S),

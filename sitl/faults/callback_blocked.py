@@ -10,7 +10,7 @@ class Injection(NodeSignal):
     wait for that: it restarts a node that neither runs nor computes."""
 
     name, title, unit = "callback_blocked", "callback blocks for 30 s", "nodes/{agent}/node_1"
-    condition = "node_hung"
+    condition, earlier = "node_hung", "node_blocked"
     layer = "ros"
     cause = "a callback waits for a device, a disk or a service that does not answer"
     evidence, evidence_s = "the next message of its topic is missing", 0.2

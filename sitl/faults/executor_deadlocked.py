@@ -10,7 +10,7 @@ class Injection(NodeSignal):
     run; the process uses no processor time, and it does not end at SIGTERM."""
 
     name, title, unit = "executor_deadlocked", "executor deadlocked, its heartbeat alive", "nodes/{agent}/node_1"
-    condition = "node_hung"
+    condition, earlier = "node_hung", "node_blocked"
     layer = "ros"
     cause = "a callback waits for a lock that is never released, while other threads go on"
     evidence, evidence_s = "the next message of its topic is missing", 0.2

@@ -155,6 +155,25 @@ def test_a_blocked_executor_is_hung_if_its_process_sleeps() -> None:
     assert state(late(60.0), TOPICS_ACTIVE, RUNS, LISTED) is NodeState.ALIVE
 
 
+def test_a_blocked_executor_without_data_is_reported_before_it_is_hung() -> None:
+    """Two observations agree: it says that it does not run, and its topics are silent for longer than they ever were. Each alone, or
+    beside use of the CPU, may be a short delay."""
+    late, overdue = piece(Kind.BEACON, Observation.LATE, 1.6), replace(SILENT, overdue=True, lasted_s=1.2)
+    unmeasured, idle = (
+        Evidence(Kind.PROCESS, Observation.ALIVE, "runs", 0.1, measured=False),
+        replace(RUNS, lasted_s=1.6),
+    )
+    assert state(late, overdue, idle, LISTED) is NodeState.BLOCKED
+    assert state(replace(late, lasted_s=HANG_S), overdue, idle, LISTED) is NodeState.HUNG
+    assert state(late, replace(overdue, overdue=False), idle, LISTED) is NodeState.UNKNOWN
+    assert state(late, overdue, replace(idle, lasted_s=1.5), LISTED) is NodeState.UNKNOWN
+    assert state(late, overdue, unmeasured, LISTED) is state(late, overdue, LISTED) is NodeState.UNKNOWN
+    assert state(late, overdue, COMPUTES, LISTED) is NodeState.ALIVE
+    silent = piece(Kind.BEACON, Observation.SILENT, 1.6)
+    assert state(silent, overdue, idle, LISTED) is NodeState.UNKNOWN
+    assert not judge_node([late, overdue, idle, LISTED], NO_HISTORY).witnessed
+
+
 @pytest.mark.parametrize("says", [Observation.LATE, Observation.SILENT])
 def test_a_node_that_may_be_busy_is_not_hung(says: Observation) -> None:
     """Its process runs and may be computing: a restart would hit a busy node."""
@@ -189,7 +208,7 @@ def test_a_node_without_list_beacon_and_data_does_not_answer_before_its_topics_a
     assert after(MUTE_S, 60.0, unmeasured) is after(MUTE_S, 60.0, says=Observation.LATE) is NodeState.UNKNOWN
     assert state(piece(Kind.BEACON, Observation.SILENT, MUTE_S), TOPICS_ACTIVE, LISTED, past=blind) is NodeState.ALIVE
     assert state(piece(Kind.BEACON, Observation.SILENT, MUTE_S), LISTED, past=blind) is NodeState.UNKNOWN
-    assert MUTE_S + 1 < UNKNOWN_NEED_S
+    assert MUTE_S + 1 < UNKNOWN_NEED_S and LOST_S + 1 < UNKNOWN_NEED_S
 
 
 @pytest.mark.parametrize("sign", [BEACON_ALIVE, TOPICS_ACTIVE])

@@ -8,6 +8,7 @@ import pytest
 
 from phm import api
 from phm.recovery.ladders import LADDERS
+from phm_checks._graph_evidence import LATE_S
 from phm_checks._liveness import HANG_S, LOST_S
 from phm_checks._process_table import BLIND_S, QUIET_S
 from phm_checks.nodes import BUSY_S
@@ -154,23 +155,43 @@ def test_a_node_that_waits_for_a_disk_is_not_hung() -> None:
     assert "its process 71 waits for a disk or a device (state D)" in result.summary
 
 
-def test_a_sleeping_executor_is_hung() -> None:
-    """A deadlock: the beacon reports it, the process sleeps. Unknown before HANG_S, so that topics wait."""
+def test_a_sleeping_executor_is_blocked_and_then_hung() -> None:
+    """A deadlock: the beacon reports it, its topic is silent, the process sleeps. It is blocked, for which
+    nothing is restarted, when both are late, and hung after HANG_S."""
     bench = rated()
     bench.ros.change(beacons=live_beacon())
     bench.after(3.0)
-    levels = []
+    found: list[tuple[str, float]] = []
 
     def asleep(passed: float) -> None:
         bench.ros.change(topics=active_topic(passed), beacons=live_beacon(0.1, late_s=passed))
-        levels.append(bench.result().level)
+        result = bench.result()
+        word = result.condition or result.level.name
+        if not found or found[-1][0] != word:
+            found.append((word, passed))
 
     result = bench.after(HANG_S + 0.5, asleep)
     assert (result.level, result.condition) == (api.Level.ERROR, "node_hung")
     assert "its executor has been blocked for" in result.summary
-    known = [level for level in levels if level is not api.Level.STALE]
-    assert known == sorted(known, key=lambda level: level is api.Level.ERROR)
-    assert levels[int(2.5 * 4)] is api.Level.STALE
+    assert [word for word, _ in found] == ["OK", "node_blocked", "node_hung"]
+    since = dict(found)
+    assert LATE_S < since["node_blocked"] <= LATE_S + 0.5 and since["node_hung"] == HANG_S
+    assert "node_blocked" not in LADDERS
+
+
+def test_a_blocked_node_without_topics_waits_until_it_is_hung() -> None:
+    """Its beacon alone: nothing shows that a message is missing."""
+    bench = Bench()
+    bench.ros.change(beacons=live_beacon())
+    bench.after(8.0)
+    conditions = []
+
+    def asleep(passed: float) -> None:
+        bench.ros.change(beacons=live_beacon(0.1, late_s=passed))
+        conditions.append(bench.result().condition)
+
+    assert bench.after(HANG_S + 0.5, asleep).condition == "node_hung"
+    assert set(conditions) == {"", "node_hung"}
 
 
 @pytest.mark.parametrize(("late_s", "condition"), [(0.0, ""), (20.0, "node_hung")])

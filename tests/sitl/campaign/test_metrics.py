@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from phm.core.settings import RosSettings
-from phm_checks import _liveness
+from phm_checks import _graph_evidence, _node_activity
 from sitl.campaign import uptime
 from sitl.campaign.evidence import EXPLANATIONS, READ_S, SNAPSHOTS_S, UNEXPLAINED, WAITS, compared
 from sitl.campaign.fault_catalog import explained
@@ -409,8 +409,8 @@ def test_a_ratio_that_was_set_from_measurements_says_so() -> None:
 
 
 def test_a_hung_executor_is_explained_by_the_wait_that_applies_to_it() -> None:
-    """The longer wait is for a busy machine; such a detection counts as disturbed."""
-    longest_s = _liveness.HANG_S + READ_S
+    """It is reported as blocked before it is hung. The longer wait is for a busy machine; such a detection counts as disturbed."""
+    longest_s = _node_activity.TURN_S + _graph_evidence.LATE_S + READ_S
     assert EXPLANATIONS["executor_deadlocked"].up_to == pytest.approx((0.1 + longest_s) / 0.1)
 
 
