@@ -33,6 +33,8 @@ def cgroup(container: Container, controller: str, mount: Path = MOUNT, proc: Pat
     unified = (mount / "cgroup.controllers").exists()
     for line in (proc / str(pid) / "cgroup").read_text("ascii").splitlines():
         _, controllers, path = line.split(":", 2)
+        if path == "/":
+            continue  # what version 1 shows of a process that is ending: the root, which has all processes of the machine
         if unified and not controllers:
             return mount / path.lstrip("/")
         if not unified and controller in controllers.split(","):

@@ -46,6 +46,13 @@ def test_a_stopped_container_has_no_cgroup(tmp_path: Path) -> None:
         _cgroups.cgroup(container(0), "cpu", tmp_path, tmp_path)
 
 
+def test_a_container_whose_process_is_ending_has_no_cgroup(tmp_path: Path, proc: Path) -> None:
+    """Version 1 shows the root for it: its counters are those of the entire machine."""
+    (proc / "42" / "cgroup").write_text("7:blkio:/\n2:cpu,cpuacct:/\n0::/docker/abc\n")
+    with pytest.raises(LookupError, match="no cgroup of the controller cpuacct"):
+        _cgroups.cgroup(container(42), "cpuacct", tmp_path, proc)
+
+
 def test_a_disk_is_throttled_and_released_on_version_2(tmp_path: Path) -> None:
     """`io.max` has both directions in one line, and `max` removes the limit."""
     (tmp_path / "io.max").touch()
