@@ -18,6 +18,8 @@ SILENT_S = 20.0
 """The same if PHM does not receive it either. `nodes` decides within 15 s, unless the node's process uses the CPU or is unknown."""
 SETTLE_S = 5.0
 """Such a result must last this long after any grace: `nodes` has the same grace and decides then."""
+YOUNG_S = 10.0
+"""The run of a container needs no request of its own, as its start is an event of the engine: other checks ask more often."""
 ENDED_S = 5.0
 """A beacon that has been silent for this long, while the node gives other signs of life, was closed."""
 
@@ -112,7 +114,7 @@ def received_by_others(agreement: Agreement) -> list[str]:
 
 def _generation(world: api.World, container: str) -> str:
     try:
-        fact = world.docker.container(container)
+        fact = world.docker.container(container, YOUNG_S)
     except api.CannotTell:
         return ""
     return fact.generation if fact is not None else ""

@@ -181,9 +181,11 @@ class DockerProbe(Protocol):
     def engine(self) -> str:
         """Return the version of the engine. Raises CannotTell if it does not answer in time."""
 
-    def container(self, name: str) -> ContainerFact | None:
+    def container(self, name: str, young_s: float = 0.0) -> ContainerFact | None:
         """Return the container configured as `name` (its alias), or None if it does not exist.
 
+        young_s: an answer of this age is sufficient, unless the engine has reported a change of a container since. It is
+        for what is not the subject of the check: a result must not rest on data from before its run.
         Raises CannotTell if the engine does not answer, or if a label matches several containers.
         """
 

@@ -23,8 +23,8 @@ class AttachmentCache:
     def engine(self) -> str:
         return self._inner.engine()
 
-    def container(self, name: str) -> ContainerFact | None:
-        fact = self._inner.container(name)
+    def container(self, name: str, young_s: float = 0.0) -> ContainerFact | None:
+        fact = self._inner.container(name, young_s)
         if fact is not None and fact.running:
             for attachment in fact.networks:
                 self._seen[name, attachment.name] = attachment

@@ -71,17 +71,14 @@ class Docker:
     def engine(self) -> str:
         return str(self._engine.version().get("Version") or "unknown version")
 
-    def container(self, name: str) -> ContainerFact | None:
-        return self._container(name, 0.0)
-
-    def _container(self, name: str, young_s: float) -> ContainerFact | None:
+    def container(self, name: str, young_s: float = 0.0) -> ContainerFact | None:
         wanted = self._containers.get(name)
         if wanted is None:
             raise CannotTell(f"no container {name} is configured")
         return self._shared(name, lambda budget: find(self._engine, wanted, budget), young_s)
 
     def processes(self, name: str) -> tuple[ProcessFact, ...]:
-        fact = self._container(name, FRESH_S)
+        fact = self.container(name, FRESH_S)
         if fact is None or not fact.running:
             raise CannotTell(f"{name} is not running, so it has no processes")
         return self._processes.inspect(fact.id)

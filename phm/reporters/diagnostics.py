@@ -52,6 +52,8 @@ class DiagnosticsReporter(Reporter):
         self._port = port
         self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
         self._actions: dict[str, str] = {}
+        self._units: dict[str, tuple[UnitState, str, DiagnosticFact]] = {}
+        """The last status of each unit, with what it was made of: most units do not change from one array to the next."""
         self._sent_at = float("-inf")
         self._not_taken = 0
 
@@ -108,6 +110,15 @@ class DiagnosticsReporter(Reporter):
         return statuses
 
     def _unit(self, state: UnitState) -> DiagnosticFact:
+        action = self._actions.get(state.fault, "")
+        before = self._units.get(state.unit)
+        if before is not None and before[1] == action and _same(before[0], state):
+            return before[2]
+        status = self._status(state, action)
+        self._units[state.unit] = (state, action, status)
+        return status
+
+    def _status(self, state: UnitState, action: str) -> DiagnosticFact:
         result = state.result
         message = f"{NOT_APPLICABLE}: {result.summary}" if state.not_applicable else result.summary
         known: dict[str, Any] = {
@@ -118,7 +129,7 @@ class DiagnosticsReporter(Reporter):
             "condition": result.condition,
             "blocked_by": state.blocked_by,
             "fault": state.fault,
-            "action": self._actions.get(state.fault, ""),
+            "action": action,
             "target": result.target,
         }
         measured = list(values_json(result.values).items())[:MAX_VALUES]
@@ -156,6 +167,15 @@ class DiagnosticsReporter(Reporter):
     def _cut(text: str) -> str:
         line = one_line(text)
         return line if len(line) <= MAX_MESSAGE else f"{line[: MAX_MESSAGE - 3]}..."
+
+
+def _same(one: UnitState, other: UnitState) -> bool:
+    """Whether both give the same status: they may differ in when their check ran."""
+    return one is other or (
+        one.result == other.result
+        and (one.level, one.since, one.blocked_by, one.fault)
+        == (other.level, other.since, other.blocked_by, other.fault)
+    )
 
 
 def _text(value: Any) -> str:

@@ -73,7 +73,7 @@ class FakeDocker(Fake):
         self._asked()
         return self.version
 
-    def container(self, name: str) -> ContainerFact | None:
+    def container(self, name: str, young_s: float = 0.0) -> ContainerFact | None:
         self._asked()
         if name in self.problems:
             raise self.problems[name]

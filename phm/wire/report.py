@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta, timezone
+from functools import lru_cache
 from typing import Any
 
 from phm.core.model import Fault, Level, Slot, UnitState, Value, worst_by_slot
@@ -23,6 +24,7 @@ ARRAY_SLOTS = 8
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
+@lru_cache(maxsize=512)  # most are the times since which units are as they are, which every report contains
 def iso(utc_s: float) -> str:
     """Seconds since the epoch as ``2026-03-01T12:00:00.123Z`` (UTC, milliseconds cut, not rounded)."""
     moment = _moment(utc_s)

@@ -87,7 +87,7 @@ def test_a_hung_engine_is_asked_once_per_run() -> None:
     clock, asked = testing.FakeClock(), list[str]()
 
     class Hanging(testing.FakeDocker):
-        def container(self, name: str) -> api.ContainerFact | None:
+        def container(self, name: str, young_s: float = 0.0) -> api.ContainerFact | None:
             asked.append(name)
             clock.advance(5.0)
             raise api.CannotTell("the Docker Engine did not answer within 5.0 s")

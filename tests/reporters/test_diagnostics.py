@@ -134,6 +134,30 @@ def test_a_change_is_published_immediately_and_a_burst_once() -> None:
     assert len(port.sent) == 2
 
 
+def test_only_what_has_changed_is_made_again() -> None:
+    """Most units are the same in the next array. A new result, level, cause or action is shown; a new duration is not a change."""
+    states = [DEAD, BLOCKED]
+    port = Port()
+    chosen = Settings.model_validate({"ros": ROS})
+    made = DiagnosticsReporter.build(replace(context(chosen, states=lambda: tuple(states)), ros=port))
+    assert made is not None
+    made.handle(opened(DEAD))
+    made.tick()
+    first = port.sent[-1]
+    states[0] = replace(DEAD, result=replace(DEAD.result), duration_s=9.0)
+    made.tick()
+    assert port.sent[-1][NODE] is first[NODE] and port.sent[-1][TOPIC] is first[TOPIC]
+    states[:] = [
+        replace(DEAD, result=replace(DEAD.result, values={"listed": 1})),
+        replace(BLOCKED, blocked_by="network"),
+    ]
+    made.tick()
+    assert port.sent[-1][NODE].values["listed"] == "1" and port.sent[-1][TOPIC].values["blocked_by"] == "network"
+    made.handle(ActionEvent(at(), "ab12-1", DEAD.unit, "restart", "ros_app", Phase.STARTED))
+    made.tick()
+    assert port.sent[-1][NODE].values["action"] == "restart started"
+
+
 def test_a_stalled_scheduler_publishes_nothing() -> None:
     """A dead man's switch: outdated states must not look current."""
     reporter, port = make((HEALTHY,), alive=lambda: False)

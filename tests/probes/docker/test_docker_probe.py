@@ -231,6 +231,27 @@ def test_an_event_invalidates_the_shared_response(fake: FakeEngine, ask: DockerE
     assert fact.status == "exited"
 
 
+def test_an_answer_that_is_young_enough_is_not_requested_again_before_the_next_event(
+    fake: FakeEngine, ask: DockerEngine
+) -> None:
+    """For callers that name an age; without one, each call gets a new answer."""
+    fake.containers["app"] = container("app")
+    clock = FakeClock()
+    docker = probe(ask, {"name": "app"}, clock=clock)
+    for _ in range(3):
+        docker.container("app", 10.0)
+        clock.advance(4.9)
+    assert asked(fake, "GET /containers/app/json") == 1
+    docker.container("app", 10.0)
+    docker.container("app", 10.0)
+    assert asked(fake, "GET /containers/app/json") == 2
+    docker.invalidate()
+    docker.container("app", 10.0)
+    clock.advance(0.1)
+    docker.container("app")
+    assert asked(fake, "GET /containers/app/json") == 4
+
+
 class NotedClock(SystemClock):
     """Notes which threads have read it."""
 
