@@ -19,7 +19,7 @@ SILENT_S = 20.0
 SETTLE_S = 5.0
 """Such a result must last this long after any grace: `nodes` has the same grace and decides then."""
 YOUNG_S = 10.0
-"""The run of a container needs no request of its own, as its start is an event of the engine: other checks ask more often."""
+"""The run of a container needs no separate request, as its start is an event of the engine: other checks ask more often."""
 ENDED_S = 5.0
 """A beacon that has been silent for this long, while the node gives other signs of life, was closed."""
 

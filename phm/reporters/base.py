@@ -62,6 +62,9 @@ class DiagnosticsPublisher(Protocol):
     def publish(self, statuses: Mapping[str, DiagnosticFact], topic: str = DIAGNOSTICS) -> int:
         """Publish these statuses by name; never blocks. Returns how many times in a row that failed."""
 
+    def idle(self, topic: str = DIAGNOSTICS) -> bool:
+        """Whether no node subscribes to the topic, so that an array would reach none. Arrays for a new subscriber follow in two seconds."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReporterSettings:

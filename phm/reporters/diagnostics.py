@@ -1,4 +1,4 @@
-"""PHM's units as ROS diagnostics: one status for each unit and a summary, every second and on each change.
+"""PHM's units as ROS diagnostics: one status for each unit and a summary, every second and on each change, while a node subscribes.
 
 The daemon does not use ROS: statuses go through a pipe to the ROS child process. When the check scheduler hangs nothing is
 published, so subscribers see the statuses become stale.
@@ -76,7 +76,7 @@ class DiagnosticsReporter(Reporter):
             self.tick()
 
     def tick(self) -> None:
-        if self._context.alive():
+        if self._context.alive() and not self._port.idle():
             self._send(self._statuses(self._context.states()))
 
     def close(self) -> None:

@@ -24,7 +24,7 @@ ARRAY_SLOTS = 8
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
-@lru_cache(maxsize=512)  # most are the times since which units are as they are, which every report contains
+@lru_cache(maxsize=512)  # most are the times since which units are unchanged, which every report contains
 def iso(utc_s: float) -> str:
     """Seconds since the epoch as ``2026-03-01T12:00:00.123Z`` (UTC, milliseconds cut, not rounded)."""
     moment = _moment(utc_s)

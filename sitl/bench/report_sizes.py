@@ -93,6 +93,9 @@ class _Pipe:
     def __init__(self) -> None:
         self.statuses: Mapping[str, DiagnosticFact] = {}
 
+    def idle(self, topic: str = DIAGNOSTICS) -> bool:
+        return False
+
     def publish(self, statuses: Mapping[str, DiagnosticFact], topic: str = DIAGNOSTICS) -> int:
         self.statuses = statuses
         return 0

@@ -66,7 +66,7 @@ def _snapshot(wanted: dict[str, object], up_s: float, times: int) -> None:
     topics = wanted["topics"]
     assert isinstance(topics, list)
     empty: list[object] = [[], [], None]
-    picture = ["graph", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}, 1, True, [], 0.0]]
+    picture = ["graph", [up_s, {"/a/n": times}, {t["name"]: empty for t in topics}, 1, True, [], 0.0, []]]
     _write(json.dumps(picture).encode() + b"\n")
 
 

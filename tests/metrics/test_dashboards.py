@@ -172,6 +172,9 @@ class Port:
     def __init__(self) -> None:
         self.statuses: dict[str, DiagnosticFact] = {}
 
+    def idle(self, topic: str = DIAGNOSTICS) -> bool:
+        return False
+
     def publish(self, statuses: Any, topic: str = DIAGNOSTICS) -> int:
         self.statuses = dict(statuses)
         return 0

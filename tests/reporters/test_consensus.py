@@ -30,6 +30,9 @@ class Port:
         self.sent: list[Mapping[str, DiagnosticFact]] = []
         self.not_taken = 0
 
+    def idle(self, topic: str = DIAGNOSTICS) -> bool:
+        return False
+
     def publish(self, statuses: Mapping[str, DiagnosticFact], topic: str = DIAGNOSTICS) -> int:
         assert topic == CONSENSUS
         self.sent.append(statuses)

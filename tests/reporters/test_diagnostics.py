@@ -11,7 +11,7 @@ from typing import Any
 import phm
 from phm.core.model import ActionEvent, Layer, Level, Outcome, Phase, Slot, UnitState
 from phm.core.settings import Settings
-from phm.facts.ros import DiagnosticFact
+from phm.facts.ros import DIAGNOSTICS, DiagnosticFact
 from phm.reporters.diagnostics import ALONG_S, MAX_MESSAGE, MAX_UNITS, MAX_VALUES, DiagnosticsReporter
 from phm.testing import FakeClock
 from tests.fakes.records import at, closed, context, fault, opened, transition, unit
@@ -41,8 +41,12 @@ class Port:
     def __init__(self) -> None:
         self.sent: list[Mapping[str, DiagnosticFact]] = []
         self.not_taken = 0
+        self.without_subscriber = False
 
-    def publish(self, statuses: Mapping[str, DiagnosticFact]) -> int:
+    def idle(self, topic: str = DIAGNOSTICS) -> bool:
+        return self.without_subscriber
+
+    def publish(self, statuses: Mapping[str, DiagnosticFact], topic: str = DIAGNOSTICS) -> int:
         self.sent.append(statuses)
         return self.not_taken
 
@@ -156,6 +160,18 @@ def test_only_what_has_changed_is_made_again() -> None:
     made.handle(ActionEvent(at(), "ab12-1", DEAD.unit, "restart", "ros_app", Phase.STARTED))
     made.tick()
     assert port.sent[-1][NODE].values["action"] == "restart started"
+
+
+def test_without_a_subscriber_nothing_is_made() -> None:
+    """Neither each second nor on a change; the next tick after one has come publishes."""
+    reporter, port = make((HEALTHY,))
+    port.without_subscriber = True
+    reporter.tick()
+    reporter.handle(transition(HEALTHY))
+    assert port.sent == []
+    port.without_subscriber = False
+    reporter.tick()
+    assert len(port.sent) == 1
 
 
 def test_a_stalled_scheduler_publishes_nothing() -> None:

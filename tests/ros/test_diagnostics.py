@@ -103,6 +103,26 @@ def test_phms_diagnostics_reach_a_subscriber(bench: Bench) -> None:
     assert monitor.frames["phm/agent_1: summary"] == "phm"
 
 
+def test_the_daemon_knows_whether_a_node_subscribes(bench: Bench) -> None:
+    """The topic exists from the first array on. PHM's own reader does not count; a subscriber that comes later does."""
+    probe = listening(bench)
+    assert not probe.idle()  # unknown
+
+    def published() -> bool:
+        probe.publish(statuses(1, "first"))
+        return probe.idle()
+
+    until(published, "a topic without a subscriber")
+    monitor = Listener(bench)
+    until(lambda: not probe.idle(), "the subscriber")
+
+    def arrived() -> Any:
+        probe.publish(statuses(1, "second"))
+        return monitor.received.get("phm/agent_1: summary")
+
+    assert until(arrived, "the status")[1] == "second"
+
+
 @pytest.mark.one_distribution
 def test_a_long_array_goes_through_the_pipe_in_pieces(bench: Bench) -> None:
     """Longer than the pipe's capacity: nothing blocks, and it arrives complete."""

@@ -78,6 +78,14 @@ class DiagnosticsListener:
             self._publishers[order.topic] = self._node.create_publisher(self._kinds.DiagnosticArray, order.topic, 1)
         self._publishers[order.topic].publish(self._array(order))
 
+    def idle(self) -> tuple[str, ...]:
+        """The topics whose publisher exists and has no subscriber but PHM's own reader: no array is needed there."""
+        return tuple(
+            topic
+            for topic, publisher in self._publishers.items()
+            if publisher.get_subscription_count() <= (topic in self._readers)
+        )
+
     def close(self) -> None:
         """Wait until the subscribers have received the last arrays: the middleware discards what is not acknowledged with
         its publisher.

@@ -120,7 +120,8 @@ class Observer:
         }
         self._number += 1
         problems = tuple(filter(None, (*graph.problems, self._names.problem)))
-        return GraphMessage(up_s, graph.nodes, topics, self._number, graph.names_known, problems, late_s)
+        idle = self._diagnostics.idle()
+        return GraphMessage(up_s, graph.nodes, topics, self._number, graph.names_known, problems, late_s, idle)
 
     def close(self) -> None:
         """Leave the graph, so that other participants remove this one immediately and not after its lease."""

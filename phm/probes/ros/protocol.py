@@ -113,6 +113,7 @@ class GraphMessage:
     of this poll because the child did not get to run.
 
     names_known: whether node names could be read. problems: sentences about what could not be read or was omitted.
+    idle: topics on which PHM publishes and to which no other node subscribes.
     """
 
     up_s: float
@@ -122,6 +123,7 @@ class GraphMessage:
     names_known: bool = True
     problems: tuple[str, ...] = ()
     late_s: float = 0.0
+    idle: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

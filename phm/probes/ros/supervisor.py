@@ -189,6 +189,11 @@ class RosSupervisor:
         now_s = self._clock.mono()
         return (*found, *(words for words, at in times.items() if at is not None and now_s - at < REPORTED_S))
 
+    def idle(self, topic: str = DIAGNOSTICS) -> bool:
+        """Whether the child publishes there and has no subscriber, as of its last report of the graph, at most a second ago."""
+        graph = self._view.graph
+        return graph is not None and topic in graph.idle
+
     def publish(self, statuses: Mapping[str, DiagnosticFact], topic: str = DIAGNOSTICS) -> int:
         """Let the child publish these on `topic`, by name. Never blocks. Ignored while no child responds.
 
