@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,7 @@ ROOT = Path(__file__).resolve().parent
 NEEDS = {"system": ("engine", "ros"), "ros": ("ros",), "interop": ("interop",)}
 """What all tests of a folder need; a test elsewhere carries its own mark. `scripts/test` runs those without any of these
 marks on other Pythons, too, with no ROS and no engine there."""
+NEED_MARK = re.compile(r"pytest\.mark\.(engine|ros|packaging|interop)\b")
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"
 SKIPPED_CODE = 8
 """Exit code of such a run, which none of pytest's own are: `scripts/test` makes no second attempt then."""
@@ -50,6 +52,23 @@ def _marks(path: Path) -> tuple[str, ...]:
     return (*NEEDS.get(path.relative_to(ROOT).parts[0], ()), *engine)
 
 
+@cache
+def _may_need(path: Path) -> bool:
+    """Whether a test of this file can have one of these marks: by its place or name, or since its text has one."""
+    return bool(_marks(path)) or NEED_MARK.search(path.read_text("utf-8")) is not None
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Reading all files costs each process 19 s of CPU time, those with the tests of an engine 3 s."""
+    parser.addoption("--marked-files", action="store_true", help="read only files whose tests may need something")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files for `--marked-files`."""
+    skipped = config.getoption("marked_files", default=False) and collection_path.name.startswith("test_")
+    return True if skipped and collection_path.suffix == ".py" and not _may_need(collection_path) else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark by directory; in any directory, a file named `test_real_*` or `test_*_real` uses a real engine.
@@ -59,6 +78,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         for mark in _marks(item.path):
             item.add_marker(mark)
+        if not _may_need(item.path) and any(map(item.get_closest_marker, ("engine", "ros", "packaging", "interop"))):
+            raise pytest.UsageError(
+                f"{item.nodeid}: write its mark as `pytest.mark.NAME` in this file, or --marked-files skips it"
+            )
     if getattr(config.option, "loadgroup", False):
         items.sort(key=lambda item: item.get_closest_marker("long") is None)
         for item in items:
