@@ -36,8 +36,9 @@ def serve() -> Iterator[Serve]:
 
         def start(answer: Callable[[socket.socket], object]) -> int:
             def run() -> None:
-                # The client may close first, with data unread: then its end of the connection is a reset.
-                with listener.accept()[0] as connection, contextlib.suppress(ConnectionError):
+                # The client may close first, with data unread: then its end of the connection is a reset. On a busy machine it may have
+                # its answer by the system, and the listener be closed, before this thread accepts.
+                with contextlib.suppress(OSError), listener.accept()[0] as connection:
                     answer(connection)
 
             threading.Thread(target=run, daemon=True).start()

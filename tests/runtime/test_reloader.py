@@ -175,7 +175,7 @@ def test_a_successor_knows_what_cannot_be_observed_again(
     attached = Attachment("fleet", "n1", "172.30.0.5", aliases=("ros",), fixed_address="172.30.0.5")
     networks, handed, hand_over, join = [attached], list[PersistedState](), Daemon._hand_over, MainLoop.join
 
-    def container(docker: Docker, name: str) -> ContainerFact:
+    def container(docker: Docker, name: str, young_s: float = 0.0) -> ContainerFact:
         return ContainerFact(name, "id", "running", "t", networks=tuple(networks))
 
     def handing_over(daemon: Daemon) -> PersistedState:
