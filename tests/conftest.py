@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parent
 NEEDS = {"system": ("engine", "ros"), "ros": ("ros",), "interop": ("interop",)}
 """What all tests of a folder need; a test elsewhere carries its own mark. `scripts/test` runs those without any of these
 marks on other Pythons, too, with no ROS and no engine there."""
-NEED_MARK = re.compile(r"pytest\.mark\.(engine|ros|packaging|interop)\b")
+NEED_MARKS = ("engine", "ros", "packaging", "interop")
+IN_TEXT = re.compile(rf"pytest\.mark\.({'|'.join(NEED_MARKS)})\b")
 SKIPPED_IS_FAILED = "tests were skipped: what a test needs is set up by scripts/test, so a skipped test is a failed one"
 SKIPPED_CODE = 8
 """Exit code of such a run, which none of pytest's own are: `scripts/test` makes no second attempt then."""
@@ -55,7 +56,7 @@ def _marks(path: Path) -> tuple[str, ...]:
 @cache
 def _may_need(path: Path) -> bool:
     """Whether a test of this file can have one of these marks: by its place or name, or since its text has one."""
-    return bool(_marks(path)) or NEED_MARK.search(path.read_text("utf-8")) is not None
+    return bool(_marks(path)) or IN_TEXT.search(path.read_text("utf-8")) is not None
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -78,7 +79,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         for mark in _marks(item.path):
             item.add_marker(mark)
-        if not _may_need(item.path) and any(map(item.get_closest_marker, ("engine", "ros", "packaging", "interop"))):
+        if not _may_need(item.path) and any(map(item.get_closest_marker, NEED_MARKS)):
             raise pytest.UsageError(
                 f"{item.nodeid}: write its mark as `pytest.mark.NAME` in this file, or --marked-files skips it"
             )
