@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Slot
@@ -36,8 +37,15 @@ def code_in_words(code: int) -> str:
     return "exited with an application error: see its log"
 
 
+ENGINE_STOPS_S = 1.0
+"""A Docker Engine that is stopped ends its containers, PHM's among them, and answers nothing meanwhile. PHM is asked to end first."""
+
+
 class Container(PerContainer):
-    """The container's process exists, is not paused, and is not restarted repeatedly."""
+    """The container's process exists, is not paused, and is not restarted repeatedly.
+
+    While the Docker Engine does not answer, its cgroup shows whether it has processes, and whether they are frozen.
+    """
 
     name, slot = "container", Slot.CONTAINER
     period_s = 5.0
@@ -53,6 +61,8 @@ class Container(PerContainer):
         super().__init__(entry)
         self._trend = RestartTrend(trends.restarts, trends.confidence)
         self._restarts = RestartLoop(steady_s, by_hand)
+        self._before: tuple[api.ContainerFact, api.Result] | None = None
+        """The engine's last answer, and the result."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -66,9 +76,36 @@ class Container(PerContainer):
         return (api.Unit(self.unit_id, needs=("engine",), target=self.key),)
 
     def run(self, world: api.World) -> api.Result:
-        fact = world.docker.container(self.key)
-        seen = api.Evidence(generation=fact.generation if fact is not None else "")
-        return self._judge(fact, world).with_evidence(seen)
+        try:
+            fact = world.docker.container(self.key)
+        except api.CannotTell as reason:
+            found = self._by_cgroup(world, *self._before, reason) if self._before is not None else None
+            if found is None:
+                raise
+            return found
+        result = self._judge(fact, world)
+        result = result.with_evidence(api.Evidence(generation=fact.generation if fact is not None else ""))
+        self._before = (fact, result) if fact is not None else None
+        return result
+
+    def _by_cgroup(
+        self, world: api.World, fact: api.ContainerFact, before: api.Result, reason: api.CannotTell
+    ) -> api.Result | None:
+        """What the cgroup shows; None if that is nothing, or does not show whether the result of before still holds."""
+        state, key = world.pressure.state(self.key, fact.id), self.key
+        why = f"The Docker Engine does not say more: {clean(str(reason))}"
+        seen = api.Evidence(generation=fact.generation, certain=True, conclusive=True)
+        if state is None or (state is api.CgroupState.RUNNING and before.level is not api.Level.OK):
+            return None
+        if state is api.CgroupState.RUNNING:
+            running = api.ok(f"{key} is running: its cgroup has processes. {why}")
+            return running.with_evidence(api.Evidence(generation=fact.generation))
+        if before.level is api.Level.ERROR and (fact.status == "paused") is (state is api.CgroupState.FROZEN):
+            return before
+        if state is api.CgroupState.FROZEN:
+            return self._bad("frozen", f"{key} is paused: its cgroup is frozen. {why}", "paused").with_evidence(seen)
+        words = f"{key} has ended: its cgroup has no process. {why}; it can be started when the engine responds again"
+        return replace(self._bad("ended", words, "ended, Docker away"), settle_s=ENGINE_STOPS_S).with_evidence(seen)
 
     def _judge(self, fact: api.ContainerFact | None, world: api.World) -> api.Result:
         if fact is None:

@@ -45,6 +45,7 @@ from phm.facts.links import (
 from phm.facts.logs import LogFact as LogFact, LogMemory as LogMemory, LogProbe as LogProbe
 from phm.facts.mavlink_messages import MessageProbe as MessageProbe, MessageValue as MessageValue
 from phm.facts.pressure import (
+    CgroupState as CgroupState,
     ConsumerFact as ConsumerFact,
     PressureFact as PressureFact,
     PressureProbe as PressureProbe,

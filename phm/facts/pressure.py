@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from typing import Protocol
+
+
+class CgroupState(str, Enum):
+    """What the kernel shows about the processes of a container."""
+
+    RUNNING = "running"
+    FROZEN = "frozen"
+    """`docker pause` does this."""
+    EMPTY = "empty"
+    """None is left, or the cgroup has been removed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +82,12 @@ class PressureProbe(Protocol):
         """Return the counters of the container configured as `name`; None if it is not running.
 
         The engine's statistics are requested at most every 2 s; in between, the last answer is returned. Raises CannotTell.
+        """
+
+    def state(self, name: str, container_id: str) -> CgroupState | None:
+        """Return the state of the processes of the container configured as `name`, without asking the engine.
+
+        None: unknown, because the cgroup of the container with this id (64 digits) has not been found since PHM started.
         """
 
     def consumers(self) -> tuple[ConsumerFact, ...]:

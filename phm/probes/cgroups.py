@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from phm.facts import ContainerFact, PressureFact, StallFact
+from phm.facts import CgroupState, ContainerFact, PressureFact, StallFact
 from phm.probes.kernel_file import head
 
 NEAR_LIMIT = 0.9
@@ -69,6 +69,31 @@ def _slice(name: str) -> str:
     """The path of a systemd slice: `a-b.slice` is in `a.slice`."""
     words = name.rpartition("/")[2].removesuffix(".slice").split("-")
     return "/".join("-".join(words[: count + 1]) + ".slice" for count in range(len(words)))
+
+
+def state(root: Path, group: Cgroup) -> CgroupState | None:
+    """Whether a cgroup that was found has processes now; None if `root` does not show it any more."""
+    if group.version == 2:
+        return _state_v2(group) if (root / "cgroup.controllers").exists() else None
+    return _state_v1(root, group) if (root / "cpu").is_dir() else None
+
+
+def _state_v2(group: Cgroup) -> CgroupState | None:
+    events = _table(f"{group.unified}/cgroup.events")
+    if not events.get("populated"):
+        return CgroupState.EMPTY if events or not os.path.exists(group.unified) else None
+    return CgroupState.FROZEN if events.get("frozen") else CgroupState.RUNNING
+
+
+def _state_v1(root: Path, group: Cgroup) -> CgroupState | None:
+    """By the number of tasks: version 1 does not list processes that are outside of PHM's PID namespace."""
+    if not os.path.exists(group.cpu):
+        return CgroupState.EMPTY
+    tasks = _text(f"{group.pids}/pids.current")
+    if tasks in ("0", None, ""):
+        return CgroupState.EMPTY if tasks == "0" else None
+    frozen = _text(str(root / "freezer" / os.path.relpath(group.cpu, root / "cpu") / "freezer.state")) or ""
+    return CgroupState.FROZEN if frozen.startswith("FR") else CgroupState.RUNNING
 
 
 def _group(root: Path, place: str) -> Cgroup | None:

@@ -160,14 +160,14 @@ class Docker:
         return entry.generation == self._generation and called_at - entry.asked_at <= young_s
 
     def _ask(self, entry: _Entry, ask: Callable[[TimeBudget], ContainerFact | None]) -> None:
+        """If there is no answer, `reachable` and `answering` need the last fact: the container may well run on."""
         entry.asked_at, entry.generation = self._clock.mono(), self._generation
-        fact = entry.error = None
+        entry.error = None
         try:
-            fact = ask(TimeBudget(self._clock, self._engine.timeout_s))
+            entry.fact = ask(TimeBudget(self._clock, self._engine.timeout_s))
         except CannotTell as error:
             entry.error = error
         finally:
-            entry.fact = fact  # not before: meanwhile `reachable` must know which run has an address
             entry.done_at = self._clock.mono()
 
     # ------------------------------------------------------------ PHM's own container

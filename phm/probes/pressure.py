@@ -9,7 +9,7 @@ from pathlib import Path
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, PressureSettings
-from phm.facts import CannotTell, ConsumerFact, DockerProbe, PressureFact
+from phm.facts import CannotTell, CgroupState, ConsumerFact, DockerProbe, PressureFact
 from phm.probes import cgroups, engine_stats
 from phm.probes.stall_sampler import SUSPECT, StallSampler
 from phm.probes.top_consumers import TopConsumers
@@ -33,6 +33,8 @@ class _Entry:
     asked_at: float = float("-inf")
     before: PressureFact | None = None
     """The previous reading of its files."""
+    newest: tuple[str, cgroups.Cgroup] | None = None
+    """Id and cgroup of the container that was found last; kept when that has gone. Replaced as a whole, and read without `lock`."""
     without_cache: int | None = None
     cache_at: float = float("-inf")
 
@@ -64,6 +66,11 @@ class Pressure:
             return self._by_files(entry) or self._find_again(name, entry)
         finally:
             entry.lock.release()
+
+    def state(self, name: str, container_id: str) -> CgroupState | None:
+        entry = self._entries.get(name)
+        newest = entry.newest if entry is not None else None
+        return cgroups.state(self._root, newest[1]) if newest is not None and newest[0] == container_id else None
 
     def consumers(self) -> tuple[ConsumerFact, ...]:
         return self._consumers.read()
@@ -102,6 +109,7 @@ class Pressure:
         if container is None or not container.running:
             return None
         entry.group, entry.cache_at = cgroups.find(self._root, container), float("-inf")
+        entry.newest = (container.id, entry.group) if entry.group is not None else None
         found = self._by_files(entry)
         if found is not None:
             return found

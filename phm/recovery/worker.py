@@ -16,7 +16,7 @@ from functools import partial
 from phm.core import threads
 from phm.core.model import Event, Fault, Phase
 from phm.recovery.attempt import Attempt
-from phm.recovery.base import Target
+from phm.recovery.base import Target, TargetKind
 from phm.recovery.fault_cases import (
     ActionReporter,
     AttemptRecord,
@@ -44,6 +44,8 @@ MISSING_S = 1.0
 """While something that an action needs is missing, PHM checks for it this often; usually an event comes first."""
 ENDED = "exited"
 """The condition of a container that an operator may have stopped."""
+ENGINE, ENGINE_DOWN = "engine", "engine_down"
+"""The unit of the Docker Engine, and its condition while the engine does not respond."""
 GENERATION_S = 2.0
 """While attempts on the container count, it is checked this often whether something else has started it again."""
 
@@ -314,7 +316,7 @@ class TargetWorker:
         last = self._catalog.is_last(self._target, fault, act.action)
         approved_at = case.approval.situation.armed if case.approval is not None else None
         attempt = self._new_attempt(self._target, fault, action, last=last, approved_at=approved_at, alone=act.alone)
-        missing = attempt.waits_for()
+        missing = self._engine_down() or attempt.waits_for()
         if missing:
             self._reporter.report_once(case, act.action, Phase.REFUSED, f"no action on {self._name} for now: {missing}")
             return MISSING_S
@@ -328,6 +330,12 @@ class TargetWorker:
         self._under_way = UnfinishedAction(fault.id, record)
         self._carry_out(case, act, attempt, record)
         return 0
+
+    def _engine_down(self) -> str:
+        """Why no action on a container can succeed now, as a sentence; empty: the Docker Engine responds. An attempt would only fail."""
+        newest = self._pipeline.newest(ENGINE) if self._target.kind is TargetKind.CONTAINER else None
+        away = newest is not None and newest.condition == ENGINE_DOWN
+        return "the Docker Engine does not respond" if away else ""
 
     def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> None:
         worked, before = False, self._generations.current(self._name)

@@ -9,6 +9,7 @@ from typing import Any
 
 from phm.facts import (
     CannotTell,
+    CgroupState,
     ConsumerFact,
     ContainerFact,
     EnvironmentDifference,
@@ -136,13 +137,15 @@ class FakeFiles(Fake):
 class FakePressure(Fake):
     """Counters of containers by name: with room for everything and no limit, until `put` or `change` says otherwise.
 
-    `taken` lists who takes the CPUs. A container that was never put has counters that do not change.
+    `taken` lists who takes the CPUs. A container that was never put has counters that do not change. `states` are those of cgroups;
+    of others they are unknown.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.facts: dict[str, PressureFact | None] = {}
         self.taken: tuple[ConsumerFact, ...] = ()
+        self.states: dict[str, CgroupState] = {}
         self.consumers_asked = 0
 
     def put(self, name: str, fact: PressureFact | None) -> None:
@@ -157,6 +160,9 @@ class FakePressure(Fake):
     def container(self, name: str) -> PressureFact | None:
         self._asked()
         return self.facts.get(name, PressureFact(0.0, "cgroup v2"))
+
+    def state(self, name: str, container_id: str) -> CgroupState | None:
+        return self.states.get(name)
 
     def consumers(self) -> tuple[ConsumerFact, ...]:
         self.consumers_asked += 1

@@ -6,7 +6,7 @@ order of the evidence and even if a wake-up is lost, as long as the cause can be
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from phm.core.model import ON_HOLD, Evidence, Level, Result
@@ -22,6 +22,8 @@ NETWORK, ENDED = "network/", "node_missing"
 """Units of networks, and the condition of a node that has ended: with conclusive evidence it is known from the Docker
 Engine, and no consequence of a network. So is a result with certain evidence. Other conclusive results may be one, of a node that runs:
 its source may be on that network."""
+ENGINE, CONTAINER = "engine", "container/"
+"""The unit of the Docker Engine, and units of containers."""
 DETACHED, RECONNECTS = "disconnected", "reconnect"
 """The condition of a container that is not on its network, known from the Docker Engine if the evidence is conclusive,
 and the action that takes a container off its networks for a moment."""
@@ -308,10 +310,25 @@ def _acted_on(context: RuleContext) -> bool:
 
 
 def _possible_causes(context: RuleContext) -> list[UnitRecord]:
-    """The dependencies that can explain the result: a network does not explain that a process has ended or is stopped."""
+    """The dependencies that can explain the result.
+
+    A network does not explain that a process has ended or is stopped. The Docker Engine explains what is unknown; containers run on
+    without it, so that a problem below it which can be observed nevertheless is a separate fault.
+    """
     evidence, upstream = context.result.evidence, context.view.upstream(context.record.id)
     ended = evidence.certain or (evidence.conclusive and context.result.condition == ENDED)
-    return [other for other in upstream if not (ended and other.id.startswith(NETWORK))]
+    known = context.result.level.bad and _known_without_engine(context.record, upstream)
+    return [
+        other
+        for other in upstream
+        if not (ended and other.id.startswith(NETWORK)) and not (known and other.id == ENGINE)
+    ]
+
+
+def _known_without_engine(record: UnitRecord, upstream: Iterable[UnitRecord]) -> bool:
+    """Whether the unit is one of a container, and what is between it and the engine is known: then that is not the cause."""
+    between = [other for other in (record, *upstream) if other.id != ENGINE]
+    return any(other.id.startswith(CONTAINER) for other in between) and not any(other.unknown for other in between)
 
 
 def _merely_starved(other: UnitRecord, context: RuleContext) -> bool:

@@ -57,7 +57,9 @@ EXPLAINS: Mapping[str, frozenset[str]] = {
 alarm may report both.
 """
 THROUGH_ENGINE = frozenset({"container", "files"})
-"""Kinds that PHM knows of through the Docker Engine alone."""
+"""Kinds that PHM knows of through the Docker Engine, except what BY_CGROUP lists."""
+BY_CGROUP = frozenset({"exited", "oom", "paused"})
+"""Conditions that the container's cgroup shows, too: it has no process left, or is frozen."""
 _SOLE = frozenset({"clock_stepped", "memory_leak", "network_lost_together", "phm_killed_in_restart", "power_loss"})
 """Faults that affect PHM as well as what they are named for, or whose injection takes more than a minute."""
 _RANK = {
@@ -166,7 +168,7 @@ def injection(fault: Fault, agent: Agent, profile: Profile) -> Injection:
 def explained(injections: Collection[Injection]) -> None:
     """Fill in `explained_by` and `hidden_s` of a trial's faults, from what is injected beside each on its agent."""
     for each in injections:
-        if each.group in THROUGH_ENGINE:
+        if each.group in THROUGH_ENGINE and each.condition not in BY_CGROUP:
             each.hidden_s = max((it.outage_s for it in injections if it.agent == each.agent), default=0.0)
         causes = [it for it in injections if it.agent == each.agent and each.group in EXPLAINS.get(it.group, ())]
         # The last one injected: a container's end explains more than the loss of its network.

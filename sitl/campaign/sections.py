@@ -80,8 +80,8 @@ def sections(groups: Sequence[Group]) -> list[Section]:
             f"Evidence limit ({first.name})",
             "The earliest moment at which anything on board could know of the fault, and the mean detection divided by "
             "its average: where the evidence is periodic, a fault begins at any moment of the period. A limit below "
-            f"{FLOOR_S:g} s counts as {FLOOR_S:g} s. While the engine is away, the limit of a container and of its files is "
-            f"its return. A ratio above {RATIO:g} needs an explanation, which holds up to the "
+            f"{FLOOR_S:g} s counts as {FLOOR_S:g} s. While the engine is away, the limit of what only the engine knows is its "
+            f"return: a container's files, but not its end, which its cgroup shows. A ratio above {RATIO:g} needs an explanation, which holds up to the "
             "stated ratio. `disturbed`: between the fault and its detection, PHM of that agent reported a busy CPU "
             "(`host/cpu`) or acted on it for another fault. It waits for the CPU then, and reports no symptom that the load "
             "or the action explains.",

@@ -159,3 +159,53 @@ def test_a_silent_engine_is_not_a_network_fault() -> None:
     engine.fail()
     with pytest.raises(api.CannotTell):
         evaluate(engine)
+
+
+# ------------------------------------------------------------ while the engine does not respond
+
+
+def away(state: api.CgroupState, silent: bool = False, mode: str = "", **entry: Any) -> api.Result:
+    """The result then, after an OK."""
+    engine, pressure = docker(**({"network_mode": mode} if mode else {})), testing.FakePressure()
+    (check,) = Network.build(testing.settings(containers=[{"name": "ros_app", "networks": [NET], **entry}]))
+    world = testing.world(docker=engine, pressure=pressure)
+    check.run(world)
+    pressure.states["ros_app"] = state
+    engine.problems["ros_app"] = api.CannotTell("no answer")
+    engine.silent = {"172.20.0.3"} if silent else set()
+    result = check.run(world)
+    assert isinstance(result, api.Result)
+    return result
+
+
+def test_a_running_container_that_responds_is_on_its_network_also_without_the_engine() -> None:
+    """Its address cannot have become that of another container without the engine."""
+    found = away(api.CgroupState.RUNNING)
+    assert found.level is api.Level.OK
+    assert "172.20.0.3" in found.summary and "no answer" in found.summary
+
+
+def test_a_container_without_its_own_networks_stays_one_without_the_engine() -> None:
+    """There is still nothing to check."""
+    assert away(api.CgroupState.RUNNING, mode="host").bypass
+
+
+@pytest.mark.parametrize(
+    "more", [{"silent": True}, {"address": False}, {"state": api.CgroupState.EMPTY}, {"state": api.CgroupState.FROZEN}]
+)
+def test_otherwise_the_network_is_unknown_without_the_engine(more: dict[str, Any]) -> None:
+    """Silence may have many reasons; without an address there is no evidence; what does not run is not checked."""
+    with pytest.raises(api.CannotTell):
+        away(**{"state": api.CgroupState.RUNNING, **more})
+
+
+def test_networks_that_were_wrong_are_unknown_without_the_engine() -> None:
+    """Only the engine knows whether they are right now."""
+    engine, pressure = docker(networks=()), testing.FakePressure()
+    (check,) = Network.build(testing.settings(containers=[{"name": "ros_app", "networks": [NET]}]))
+    world = testing.world(docker=engine, pressure=pressure)
+    check.run(world)
+    pressure.states["ros_app"] = api.CgroupState.RUNNING
+    engine.problems["ros_app"] = api.CannotTell("no answer")
+    with pytest.raises(api.CannotTell):
+        check.run(world)

@@ -37,53 +37,27 @@ from phm.facts import ContainerFact
 from phm.tracker import GRACE_ENDS_AFTER_OK_S, Effects, Tracker
 from phm.tracker.rules import DETACHED, RECONNECTS
 from phm.tracker.starvation import UNREAD_S
+from phm_checks.container import ENGINE_STOPS_S
+from tests.fakes.agent_causes import (
+    BY_ENGINE,
+    BY_KERNEL,
+    CAUSES,
+    LINKS,
+    LOST,
+    NODES,
+    OK,
+    RATES,
+    STARVING,
+    TARGET,
+    TOPICS,
+    UNEXPLAINED,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
-TARGET = "ros_app"
 TICK_S = 0.1
 SILENCE_S = 0.5
 PROBING_S = 5.0
 """After a start, the engine says `starting` until so many probes in a row have failed that the container is unhealthy."""
-OK = Result(Level.OK, "healthy")
-NODES = {n: f"nodes/agent_1/node_{n}" for n in (1, 2, 3)}
-TOPICS = {n: f"topics/agent_1/topic_{n}" for n in (1, 2, 3)}
-RATES = {n: f"rates/agent_1/topic_{n}" for n in (1, 2, 3)}
-CAUSES = {
-    "container": ("container/ros_app", "exited"),
-    "paused": ("container/ros_app", "paused"),
-    "unhealthy": ("health/ros_app", "unhealthy"),
-    "network": ("network/ros_app", "disconnected"),
-    "apart": ("network/ros_app", "sidecar_disconnected"),
-    "file": ("files/ros_app", "file_missing"),
-    "device": ("devices/ros_app", "device_missing"),
-    "disk": ("host/disk", "disk_full"),
-    "engine": ("engine", "unreachable"),
-    **{f"node_{n}": (NODES[n], "node_missing") for n in NODES},
-    **{f"silent_{n}": (RATES[n], "topic_silent") for n in RATES},
-    "quorum": ("consensus", "quorum_dead"),
-    "starved": ("pressure/ros_app", "cpu_throttled"),
-    "overload": ("host/cpu", "cpu_high"),
-}
-"""Primary faults: the unit that is the cause, and its condition."""
-LINKS = (("autopilot", "autopilot_silent"), ("gcs", "gcs_lost"), ("link/ground", "link_silent"))
-STARVING = frozenset({"starved", "overload"})
-HIDDEN = frozenset({"unhealthy", "quorum", *(kind for kind in CAUSES if kind.startswith("silent"))})
-"""What cannot be known while the container is starved: it would look the same without its own cause."""
-FIXES = {
-    "start": {"container"},
-    "unpause": {"paused"},
-    "reconnect": {"network"},
-    "join_network": {"apart"},
-    "restore_file": {"file"},
-    "relaunch": {"node_1", "node_2", "node_3", "silent_1", "silent_2", "silent_3"},
-    "restart": set(CAUSES) - {"file", "device", "disk", "engine", "apart", *STARVING},
-}
-UNEXPLAINED = CAUSES.keys() - HIDDEN - {"overload"}
-"""Whose process is gone: starvation does not explain it."""
-LOST = "lost"
-"""Not a cause: nodes that a repair has left cut off."""
-BY_ENGINE = ("container/", "health/", "files/", "network/")
-"""Units whose state is unknown while the engine does not respond."""
 
 
 @cache
@@ -134,6 +108,10 @@ class World:
     lives: list[Life] = field(default_factory=lambda: [Life(float("-inf"), 0)])
     sure: bool = True
     """Whether checks find evidence that cuts settling short."""
+    kernel: bool = True
+    """Whether the host's cgroups and the container's address show it while the engine is unreachable."""
+    known: dict[str, Result] = field(default_factory=dict)
+    """The last result about the unit for which the engine answered."""
 
     def inject(self, kind: str, at: float) -> None:
         """Begin a primary fault `at`, with all its consequences."""
@@ -225,11 +203,13 @@ class World:
     def fact(self, at: float) -> ContainerFact:
         """What the engine reports about the container."""
         life = self._life(at)
-        status = next(
-            (span.condition for span in self.bad.get(f"container/{TARGET}", ()) if span.covers(at)), "running"
-        )
+        down = self._covering(f"container/{TARGET}", at)
         return testing.container(
-            TARGET, id=f"id{life.made}", started_at=f"t{life.number:06}", restart_count=life.restarts, status=status
+            TARGET,
+            id=f"id{life.made}",
+            started_at=f"t{life.number:06}",
+            restart_count=life.restarts,
+            status="running" if down is None else down.condition,
         )
 
     def _life(self, at: float) -> Life:
@@ -242,8 +222,29 @@ class World:
 
     def result(self, unit: str, at: float) -> Result:
         """The result of a run of the unit's check at `at`."""
-        if unit.startswith(BY_ENGINE) and self._is_bad("engine", at):
+        if not unit.startswith(BY_ENGINE):
+            return self._result(unit, at)
+        if self._is_bad("engine", at):
+            return self._without_engine(unit, at)
+        result = self._result(unit, at)
+        self.known[unit] = result
+        return result
+
+    def _without_engine(self, unit: str, at: float) -> Result:
+        """What `phm_checks.container` and `phm_checks.network` say then."""
+        before = self.known.get(unit, OK) if self.kernel and unit.startswith(BY_KERNEL) else None
+        down = self._covering(f"container/{TARGET}", at)
+        if before is not None and down is None and before.level is Level.OK and not self._is_bad(unit, at):
+            return OK
+        if before is None or down is None or not unit.startswith("container/"):
             return Result(Level.STALE, "the engine does not answer")
+        if before.condition == down.condition:
+            return before
+        state, settle_s = ("frozen", None) if down.condition == "paused" else ("ended", ENGINE_STOPS_S)
+        evidence = Evidence(self.fact(at).generation, certain=True, conclusive=True)
+        return Result(Level.ERROR, state, state, state, TARGET, settle_s=settle_s, evidence=evidence)
+
+    def _result(self, unit: str, at: float) -> Result:
         if unit in ("network/ros_app", "health/ros_app", "pressure/ros_app") and self._is_bad("container/ros_app", at):
             return Result(Level.STALE, "not judged while the container does not run")
         if self._is_stale_name(unit, at):
@@ -290,7 +291,10 @@ class World:
         return not any(span.covers(at) for spans in self.active.values() for span in spans if span.unit == unit)
 
     def _is_bad(self, unit: str, at: float) -> bool:
-        return any(span.covers(at) for span in self.bad.get(unit, ()))
+        return self._covering(unit, at) is not None
+
+    def _covering(self, unit: str, at: float) -> Bad | None:
+        return next((span for span in self.bad.get(unit, ()) if span.covers(at)), None)
 
     def changing(self, begin: float, end: float) -> set[str]:
         """The units of which something changes in that time. Only those that are bad at some time, and the health."""
@@ -320,6 +324,7 @@ class Sim:
         self.watch: list[Callable[[], None]] = []
         self.wakes_lost = wakes_lost
         self.held: str = ""
+        self.held_until = 0.0
         self.reset_units: list[str] = []
         self.granted: dict[str, float] = {entry.unit.id: 0.0 for entry in self.plan.tracked}
         self.healthy_from: dict[str, float] = {}
@@ -455,7 +460,8 @@ class Sim:
         assert event.fault.result.level is Level.ERROR
         result, action = event.fault.result, self.tracker.action_on(TARGET)
         detached = result.condition == DETACHED and result.evidence.conclusive and action != RECONNECTS
-        assert not self.held or unit not in self.touched or detached, f"{unit} reported during an action"
+        free = not self.held or self.now >= self.held_until or unit not in self.touched
+        assert free or detached, f"{unit} reported during an action"
         assert since == 0.0 or self.tracker.last_started(unit) >= since, f"{unit} reported by old evidence"
         assert self.now - since >= grace_s or self.sure.get(unit, -1.0) >= since, f"{unit} reported within its grace"
 

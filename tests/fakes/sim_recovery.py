@@ -28,7 +28,8 @@ from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.runtime.sections import action_settings
 from phm.testing import FakeClock
-from tests.fakes.agent_world import FIXES, Sim
+from tests.fakes.agent_causes import FIXES
+from tests.fakes.agent_world import Sim
 
 REAL_LIMIT_S = 60.0
 KINDS = {kind.name: kind for kind in (Start, Restart, Unpause, Reconnect, JoinNetwork, Relaunch, RestoreFile)}
@@ -63,7 +64,7 @@ class SimPipeline(Pipeline):
         self._sim = sim
 
     def begin_action(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
-        self._sim.held = owner
+        self._sim.held, self._sim.held_until = owner, self._sim.now + at_most_s
         super().begin_action(target, owner, action, at_most_s, proving=proving)
 
     def end_action(self, target: str, *, worked: bool) -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from docker import DockerClient
 
+from sitl.faults import _docker_proxy
 from sitl.faults.base import freeze
 from sitl.harness.log_follower import Event
 from tests.fakes.until import until
@@ -63,6 +66,45 @@ def test_one_fault_raises_one_alarm_and_is_recovered(
     assert steps[-1] == ("verified", closed["by"])
     assert closed["by"] in (action, "restart")
     phm.wait_all_ok(phm.mark())
+
+
+@pytest.fixture
+def door() -> Iterator[Path]:
+    """A socket through which PHM reaches the engine. Not in the folder of the test, whose path may be too long for one."""
+    with tempfile.TemporaryDirectory(prefix="phm-", ignore_cleanup_errors=True) as folder:
+        path = Path(folder, "engine.sock")
+        _docker_proxy.start(path)
+        yield path
+        _docker_proxy.stop(path)
+
+
+def test_an_application_that_fails_while_the_engine_is_away_is_reported_then(
+    app: AppContainer, start_phm: Callable[..., Phm], door: Path
+) -> None:
+    """First a node, then the container: each is one alarm while PHM has no engine, and recovered once it has one."""
+    phm = start_phm(config_for(app, docker={"socket": f"unix://{door}"}), app.domain)
+    phm.wait_all_ok()
+    mark = phm.mark()
+    _docker_proxy.block(door, 3600.0)
+    opened = ["engine", "nodes/agent_1/node_1", f"container/{app.name}"]
+    phm.wait(lambda event: event["event"] == "fault_opened", "the engine's fault", since=mark)
+    app.kill_node("node_1")
+    phm.wait(lambda event: event["event"] == "fault_opened" and event["unit"] == opened[1], "the node's", since=mark)
+    waits = phm.wait(lambda event: event["event"] == "action", "recovery", since=mark)
+    assert (waits["phase"], "the Docker Engine does not respond" in waits["detail"]) == ("refused", True)
+    app.container.kill()
+    last = phm.wait(lambda event: event["event"] == "fault_opened" and event["unit"] == opened[2], "its", since=mark)
+    assert last["condition"] == "ended"
+    assert phm.opened(mark) == opened
+    back = phm.mark()
+    _docker_proxy.block(door, 0.0)
+    closed = phm.wait(
+        lambda event: event["event"] == "fault_closed" and event["unit"] == opened[2], "the container's end", since=back
+    )
+    assert (closed["outcome"], closed["by"], closed["condition"]) == ("resolved", "start", "exited")
+    phm.wait_all_ok(back)
+    settled(phm, mark, closed["mono"])
+    assert phm.opened(mark) == opened
 
 
 @pytest.mark.parametrize("recovery", [{"mode": "off"}, {"mode": "advise"}])

@@ -16,6 +16,7 @@ from phm.probes.docker import Docker
 from phm.probes.pressure import Pressure as Probe
 from phm.transport.docker import DockerEngine
 from phm_checks.pressure import Pressure
+from sitl.faults.base import freeze
 from tests.fakes.until import until
 
 FILES, STATISTICS = "/sys/fs/cgroup", "/nowhere"
@@ -123,6 +124,28 @@ def test_a_reached_limit_of_processes_is_reported(real: Any, engine: DockerEngin
     made.kill(signal="SIGKILL")
     agent.docker.invalidate()
     agent.until(lambda result: result.bypass, "the end of the container")
+
+
+def test_the_cgroup_shows_whether_a_container_runs_is_frozen_or_has_ended(real: Any, engine: DockerEngine) -> None:
+    """Also when the engine has forgotten it; of a source without cgroups nothing is known."""
+    made = real.container("sleep 600")
+    blind = Agent(engine, made.name, STATISTICS)
+    agent = Agent(engine, made.name, FILES)
+    agent.is_ok()
+    blind.is_ok()
+    state = partial(agent.world.pressure.state, "ros_app", made.id)
+    assert state() is api.CgroupState.RUNNING
+    freeze(made)
+    assert state() is api.CgroupState.FROZEN
+    made.unpause()
+    assert state() is api.CgroupState.RUNNING
+    made.kill(signal="SIGKILL")
+    wait_until(lambda: state() is api.CgroupState.EMPTY, "an empty cgroup")
+    made.start()
+    wait_until(lambda: state() is api.CgroupState.RUNNING, "processes again")
+    made.remove(force=True)
+    wait_until(lambda: state() is api.CgroupState.EMPTY, "no cgroup")
+    assert blind.world.pressure.state("ros_app", made.id) is None
 
 
 def test_a_memory_limit_below_the_working_set_is_reported(real: Any, engine: DockerEngine, source: str) -> None:

@@ -265,18 +265,19 @@ def test_periodic_evidence_counts_with_its_average() -> None:
 
 
 def test_an_outage_of_the_engine_hides_the_evidence_of_a_container() -> None:
-    """Nothing on board can know that the container has ended before the engine is back."""
-    alone = injection(fault="container_killed", agent=1, unit="container/a", group="container", evidence_s=0.1)
+    """Nothing on board can know what its files are before the engine is back. That it has ended shows in its cgroup."""
+    alone = injection(fault="file_removed", agent=1, unit="files/a", group="files", evidence_s=0.1)
     beside = replace(alone, agent=3)
+    ended = replace(beside, unit="container/a", group="container", condition="exited")
     away = injection(
         fault="engine_restarted", title="away", unit="engine", group="engine", evidence_s=0.3, outage_s=15.0
     )
     elsewhere = replace(away, agent=2)
-    explained([alone, elsewhere, beside, away])
-    assert [each.hidden_s for each in (alone, beside, away)] == [0.0, 15.0, 0.0]
+    explained([alone, elsewhere, beside, ended, away])
+    assert [each.hidden_s for each in (alone, beside, ended, away)] == [0.0, 15.0, 0.0, 0.0]
     made = [
-        trial(number=1, injections=[alone], alarms=[alarm(0.2, unit="container/a", agent=1)]),
-        trial(number=2, injections=[beside], alarms=[alarm(16.61, unit="container/a")]),
+        trial(number=1, injections=[alone], alarms=[alarm(0.2, unit="files/a", agent=1)]),
+        trial(number=2, injections=[beside], alarms=[alarm(16.61, unit="files/a")]),
     ]
     (group,) = groups(made)
     (row,) = compared(group.all)
