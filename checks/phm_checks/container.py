@@ -76,23 +76,29 @@ class Container(PerContainer):
         return (api.Unit(self.unit_id, needs=("engine",), target=self.key),)
 
     def run(self, world: api.World) -> api.Result:
+        began_s, state = world.clock.mono(), self._cgroup(world)
         try:
             fact = world.docker.container(self.key)
         except api.CannotTell as reason:
             found = self._by_cgroup(world, *self._before, reason) if self._before is not None else None
             if found is None:
                 raise
-            return found
+            # The request that was given up may have taken for as long as this is to last.
+            lasted_s = world.clock.mono() - began_s if state is api.CgroupState.EMPTY else 0.0
+            return replace(found, settle_s=0.0) if lasted_s >= ENGINE_STOPS_S else found
         result = self._judge(fact, world)
         result = result.with_evidence(api.Evidence(generation=fact.generation if fact is not None else ""))
         self._before = (fact, result) if fact is not None else None
         return result
 
+    def _cgroup(self, world: api.World) -> api.CgroupState | None:
+        return world.pressure.state(self.key, self._before[0].id) if self._before is not None else None
+
     def _by_cgroup(
         self, world: api.World, fact: api.ContainerFact, before: api.Result, reason: api.CannotTell
     ) -> api.Result | None:
         """What the cgroup shows; None if that is nothing, or does not show whether the result of before still holds."""
-        state, key = world.pressure.state(self.key, fact.id), self.key
+        state, key = self._cgroup(world), self.key
         why = f"The Docker Engine does not say more: {clean(str(reason))}"
         seen = api.Evidence(generation=fact.generation, certain=True, conclusive=True)
         if state is None or (state is api.CgroupState.RUNNING and before.level is not api.Level.OK):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Slot
@@ -34,6 +35,7 @@ class Engine(api.Check):
         return frozenset({"engine"})
 
     def run(self, world: api.World) -> api.Result:
+        began_s = world.clock.mono()
         try:
             version = clean(world.docker.engine(), 40)
         except api.NotPermitted as refusal:
@@ -44,10 +46,12 @@ class Engine(api.Check):
                 condition="engine_refused",
             )
         except api.CannotTell as reason:
-            return api.error(
+            found = api.error(
                 f"the Docker Engine does not respond: {clean(str(reason))}. Running containers continue without it, but "
-                "they can be neither monitored nor recovered: check `systemctl status docker` and free space on its disk",
+                "PHM knows less about them and cannot recover them: check `systemctl status docker` and free space on its disk",
                 brief="Docker not responding",
                 condition="engine_down",
             )
+            # A request that was given up has lasted for longer already; one more run must confirm it.
+            return replace(found, settle_s=0.0) if world.clock.mono() - began_s >= SETTLE_S else found
         return api.ok(f"Docker Engine {version} responds", values={"engine_version": version})

@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 
 from phm import api, testing
+from phm.checking import plan
 from phm.facts import FailedProbe, HealthcheckFact
+from phm.tracker import Tracker
 from phm_checks._restart_loop import OTHER_STARTS, STABLE_S, WAIT_S
 from phm_checks.container import Container, code_in_words
 from phm_checks.engine import SETTLE_S, Engine
@@ -65,6 +67,35 @@ def test_a_broken_event_stream_triggers_the_engine_check() -> None:
     (check,) = build(Engine)
     assert check.wakes == {"engine"}
     assert check.units == (api.Unit("engine", settle_s=SETTLE_S),) and check.failures == 2
+
+
+class Hanging(testing.FakeDocker):
+    """An engine that accepts requests and answers none, so that each is given up after its deadline."""
+
+    def __init__(self, clock: testing.FakeClock, takes_s: float) -> None:
+        super().__init__()
+        self.clock, self.takes_s = clock, takes_s
+
+    def engine(self) -> str:
+        self.clock.advance(self.takes_s)
+        raise api.CannotTell(f"did not answer within {self.takes_s:g} s")
+
+
+@pytest.mark.parametrize(("takes_s", "runs"), [(5.0, 2), (0.01, 3)])
+def test_an_engine_that_hangs_is_reported_after_two_requests(takes_s: float, runs: int) -> None:
+    """Each has lasted for longer than a lost connection may. Refused ones come so fast that a third one must follow."""
+    clock = testing.FakeClock()
+    (check,), world = build(Engine), testing.world(clock=clock, docker=Hanging(clock, takes_s))
+    made = plan.build_plan(testing.settings(containers=[{"name": "ros_app"}]), {"engine": Engine})
+    tracker, done = Tracker(made.tracked, made.graph, clock.stamp()), 0
+    while not tracker.open_faults():
+        started, done = clock.mono(), done + 1
+        result = check.run(world)
+        assert isinstance(result, api.Result)
+        tracker.observe("engine", result, started, clock.stamp())
+        clock.advance(0.2)
+        tracker.tick(clock.stamp())
+    assert done == runs
 
 
 # ------------------------------------------------------------ container

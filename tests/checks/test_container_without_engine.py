@@ -13,13 +13,25 @@ from phm_checks.container import ENGINE_STOPS_S, Container
 SETTINGS = testing.settings(containers=[{"name": "ros_app"}])
 
 
+class SlowDocker(testing.FakeDocker):
+    """Each request takes `takes_s`."""
+
+    def __init__(self, clock: testing.FakeClock, *containers: api.ContainerFact) -> None:
+        super().__init__(*containers)
+        self.clock, self.takes_s = clock, 0.0
+
+    def container(self, name: str, young_s: float = 0.0) -> api.ContainerFact | None:
+        self.clock.advance(self.takes_s)
+        return super().container(name, young_s)
+
+
 class Away:
     """A container that the engine has described as `fields`, before it stopped answering."""
 
-    def __init__(self, **fields: Any) -> None:
+    def __init__(self, clock: testing.FakeClock | None = None, **fields: Any) -> None:
         (self.check,) = Container.build(SETTINGS)
-        self.docker = testing.FakeDocker(testing.container("ros_app", **fields))
-        self.world = testing.world(docker=self.docker, pressure=testing.FakePressure())
+        self.docker = SlowDocker(clock or testing.FakeClock(), testing.container("ros_app", **fields))
+        self.world = testing.world(clock=self.docker.clock, docker=self.docker, pressure=testing.FakePressure())
         self.before = self.run()
         self.docker.fail("no answer within 5 s")
 
@@ -57,6 +69,15 @@ def test_its_end_is_an_error_without_a_ladder_while_the_engine_does_not_respond(
     )
     assert found.evidence.conclusive and found.evidence.certain
     assert ladder_of(found.condition, SETTINGS.recovery) == ()
+
+
+@pytest.mark.parametrize(("takes_s", "settle_s"), [(5.0, 0.0), (0.1, ENGINE_STOPS_S)])
+def test_an_end_that_was_seen_before_a_long_request_has_lasted(takes_s: float, settle_s: float) -> None:
+    """Otherwise an engine that hangs would delay it by one more deadline."""
+    clock = testing.FakeClock()
+    away = Away(clock)
+    away.docker.takes_s = takes_s
+    assert away.run(api.CgroupState.EMPTY).settle_s == settle_s
 
 
 @pytest.mark.parametrize("status", ["exited", "paused"])

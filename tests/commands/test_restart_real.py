@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import socket
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +23,8 @@ APPROVE, RESTART = 2, 3
 RUN = "trap 'exit 0' TERM; while :; do sleep 0.1; done"
 # With its default dialect pymavlink starts with MAVLink 1, and loses its key when it first receives MAVLink 2.
 mavutil.set_dialect("common")
+AGAIN_S = 20.0
+"""A command without an answer is sent again after this time."""
 
 
 def watching(folder: Path, names: dict[str, str], url: str, mode: str = "act") -> Settings:
@@ -41,7 +46,7 @@ class Agent:
     """PHM as agent 7 on the real engine, with the container `app` that has opted in and `other` that has not."""
 
     def __init__(self, folder: Path, names: dict[str, str], mode: str = "act") -> None:
-        port = free_port()
+        port = free_port(socket.SOCK_DGRAM)
         made = watching(folder, names, f"udpin:127.0.0.1:{port}", mode)
         self.events: list[Event] = []
         self.lines: list[tuple[int, str]] = []
@@ -72,10 +77,18 @@ class Agent:
             self.answer: int | None = message.result
 
     def ask(self, operation: int, number: int) -> int:
-        """The result of the acknowledgement."""
+        """The result of the acknowledgement. The command is sent again until there is one, as a ground station does."""
         self.answer = None
-        self.ground.mav.command_long_send(7, 193, 31010, 0, operation, number, 0, 0, 0, 0, 0)
-        self.until(lambda: self.answer is not None, "the acknowledgement")
+        attempts, again_s = itertools.count(), 0.0
+
+        def answered() -> bool:
+            nonlocal again_s
+            if self.answer is None and time.monotonic() >= again_s:
+                self.ground.mav.command_long_send(7, 193, 31010, next(attempts), operation, number, 0, 0, 0, 0, 0)
+                again_s = time.monotonic() + AGAIN_S
+            return self.answer is not None
+
+        self.until(answered, "the acknowledgement")
         assert self.answer is not None
         return self.answer
 
