@@ -178,9 +178,9 @@ def grace(context: RuleContext) -> Decision | None:
     """8. A bad result during grace is `not known yet`, unless its evidence is certain.
 
     Grace begins when PHM starts; after a recovery action, for the target and its dependents; after an ERROR, published or not,
-    for the dependents; and once per container start (`phm.tracker.start_dedup`), for the dependents. Results from before never
-    count. Grace ends early when the unit has been OK for GRACE_ENDS_AFTER_OK_S, or for its `memory_s` if longer. A container
-    that never becomes healthy is reported by its own check.
+    for the dependents, of the Docker Engine except those that are known without it; and once per container start
+    (`phm.tracker.start_dedup`), for the dependents. Results from before never count. Grace ends early when the unit has been OK
+    for GRACE_ENDS_AFTER_OK_S, or for its `memory_s` if longer. A container that never becomes healthy is reported by its own check.
     """
     if not in_grace(context.record, context.now):
         return None
@@ -317,7 +317,7 @@ def _possible_causes(context: RuleContext) -> list[UnitRecord]:
     """
     evidence, upstream = context.result.evidence, context.view.upstream(context.record.id)
     ended = evidence.certain or (evidence.conclusive and context.result.condition == ENDED)
-    known = context.result.level.bad and _known_without_engine(context.record, upstream)
+    known = context.result.level.bad and known_without_engine(context.record, upstream)
     return [
         other
         for other in upstream
@@ -325,7 +325,7 @@ def _possible_causes(context: RuleContext) -> list[UnitRecord]:
     ]
 
 
-def _known_without_engine(record: UnitRecord, upstream: Iterable[UnitRecord]) -> bool:
+def known_without_engine(record: UnitRecord, upstream: Iterable[UnitRecord]) -> bool:
     """Whether the unit is one of a container, and what is between it and the engine is known: then that is not the cause."""
     between = [other for other in (record, *upstream) if other.id != ENGINE]
     return any(other.id.startswith(CONTAINER) for other in between) and not any(other.unknown for other in between)

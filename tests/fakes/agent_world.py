@@ -439,9 +439,16 @@ class Sim:
         if isinstance(event, FaultOpened):
             self._opened(event)
         if isinstance(event, Transition) and event.new is Level.OK and event.old is Level.ERROR:
-            self.grant(self.tracker.graph.downstream(event.unit))
+            below = self.tracker.graph.downstream(event.unit)
+            self.grant(unit for unit in below if event.unit != "engine" or not self._known_without_engine(unit))
         for listener in self.listeners:
             listener(event)
+
+    def _known_without_engine(self, unit: str) -> bool:
+        between = {unit, *self.tracker.graph.upstream(unit)} - {"engine"}
+        newest = [self.tracker.newest(other, float("-inf")) for other in between]
+        of_container = any(other.startswith("container/") for other in between)
+        return of_container and all(result is not None and result.level is not Level.STALE for result in newest)
 
     def wake(self, units: Iterable[str], within_s: float) -> None:
         for unit in sorted(units):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from phm.api import error
 from phm.core.model import FaultOpened, Level, Outcome
 from tests.fakes.agent_causes import CAUSES, NODES, TARGET
 from tests.fakes.agent_world import Sim
@@ -96,3 +97,20 @@ def test_a_container_that_was_down_before_stays_a_fault(seed: int) -> None:
     sim.run(20.0)
     assert sorted(sim.opened) == sorted([CONTAINER, "engine"])
     assert [event.fault.unit for event in sim.closed] == ["engine"]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_engine_that_fails_one_run_of_its_check_again_and_again_delays_no_other_fault(seed: int) -> None:
+    """Each such run would give grace to all that depends on the engine, and the grace of the next would follow."""
+    sim = Sim(seed)
+    sim.run(5.0)
+    sim.world.inject("node_1", sim.now)
+    for _ in range(10):
+        sim.take(
+            sim.tracker.observe(
+                "engine", error("no answer", brief="no answer", condition="engine_down"), sim.now, sim.stamp()
+            )
+        )
+        sim.ask("engine")
+        sim.run(1.5)
+    assert sim.opened == [NODES[1]]
