@@ -37,14 +37,15 @@ def code_in_words(code: int) -> str:
     return "exited with an application error: see its log"
 
 
-ENGINE_STOPS_S = 1.0
-"""A Docker Engine that is stopped ends its containers, PHM's among them, and answers nothing meanwhile. PHM is asked to end first."""
+WITHOUT_ENGINE_S = 15.0
+"""A container must have ended or be frozen for this long by its cgroup before this is reported: only the engine's events show who
+stopped it, and a recreation by hand that takes no longer is not reported (`phm.recovery.holds.manual_stop.RECREATED_S`)."""
 
 
 class Container(PerContainer):
     """The container's process exists, is not paused, and is not restarted repeatedly.
 
-    While the Docker Engine does not answer, its cgroup shows whether it has processes, and whether they are frozen.
+    While the Docker Engine does not answer, the container's cgroup shows that it has ended or is frozen, and nothing else is known.
     """
 
     name, slot = "container", Slot.CONTAINER
@@ -76,42 +77,34 @@ class Container(PerContainer):
         return (api.Unit(self.unit_id, needs=("engine",), target=self.key),)
 
     def run(self, world: api.World) -> api.Result:
-        began_s, state = world.clock.mono(), self._cgroup(world)
         try:
             fact = world.docker.container(self.key)
-        except api.CannotTell as reason:
-            found = self._by_cgroup(world, *self._before, reason) if self._before is not None else None
+        except api.NoAnswer as reason:
+            found = self._by_cgroup(world, *self._before, str(reason)) if self._before is not None else None
             if found is None:
                 raise
-            # The request that was given up may have taken for as long as this is to last.
-            lasted_s = world.clock.mono() - began_s if state is api.CgroupState.EMPTY else 0.0
-            return replace(found, settle_s=0.0) if lasted_s >= ENGINE_STOPS_S else found
+            return found
         result = self._judge(fact, world)
         result = result.with_evidence(api.Evidence(generation=fact.generation if fact is not None else ""))
         self._before = (fact, result) if fact is not None else None
         return result
 
-    def _cgroup(self, world: api.World) -> api.CgroupState | None:
-        return world.pressure.state(self.key, self._before[0].id) if self._before is not None else None
-
     def _by_cgroup(
-        self, world: api.World, fact: api.ContainerFact, before: api.Result, reason: api.CannotTell
+        self, world: api.World, fact: api.ContainerFact, before: api.Result, reason: str
     ) -> api.Result | None:
-        """What the cgroup shows; None if that is nothing, or does not show whether the result of before still holds."""
-        state, key = self._cgroup(world), self.key
-        why = f"The Docker Engine does not say more: {clean(str(reason))}"
-        seen = api.Evidence(generation=fact.generation, certain=True, conclusive=True)
-        if state is None or (state is api.CgroupState.RUNNING and before.level is not api.Level.OK):
+        """That the container has ended or is frozen; None: neither, or unknown. What was reported before and still holds is repeated."""
+        state = world.pressure.state(self.key, fact.id)
+        if state in (None, api.CgroupState.RUNNING):
             return None
-        if state is api.CgroupState.RUNNING:
-            running = api.ok(f"{key} is running: its cgroup has processes. {why}")
-            return running.with_evidence(api.Evidence(generation=fact.generation))
-        if before.level is api.Level.ERROR and (fact.status == "paused") is (state is api.CgroupState.FROZEN):
-            return before
-        if state is api.CgroupState.FROZEN:
-            return self._bad("frozen", f"{key} is paused: its cgroup is frozen. {why}", "paused").with_evidence(seen)
-        words = f"{key} has ended: its cgroup has no process. {why}; it can be started when the engine responds again"
-        return replace(self._bad("ended", words, "ended, Docker away"), settle_s=ENGINE_STOPS_S).with_evidence(seen)
+        frozen = state is api.CgroupState.FROZEN
+        if before.level is api.Level.ERROR and not fact.running and (fact.status == "paused") is frozen:
+            found = before
+        else:
+            what = "is paused: its cgroup is frozen" if frozen else "has ended: its cgroup has no process"
+            words = f"{self.key} {what}. Why is unknown, and it cannot be recovered, until the Docker Engine responds: {clean(reason)}"
+            found = self._bad("frozen", words, "paused") if frozen else self._bad("ended", words, "ended")
+        seen = api.Evidence(fact.generation, certain=True, conclusive=True)
+        return replace(found, settle_s=WITHOUT_ENGINE_S, evidence=seen)
 
     def _judge(self, fact: api.ContainerFact | None, world: api.World) -> api.Result:
         if fact is None:

@@ -20,10 +20,7 @@ GRACE_S = 3.0
 
 
 class Network(PerContainer):
-    """All configured networks of one container.
-
-    While the Docker Engine does not answer, what was OK before still is if the container runs and its addresses respond.
-    """
+    """All configured networks of one container."""
 
     name, slot = "network", Slot.NETWORK
     period_s = 5.0
@@ -33,8 +30,6 @@ class Network(PerContainer):
         self._data_path = DataPath(self.key, settings)
         self._attached: set[tuple[str, str]] = set()
         """Run of the container, and id of a network on which it was found in that run."""
-        self._was_ok: tuple[api.ContainerFact, api.Result] | None = None
-        """The last fact from the engine, if its networks were OK, with that result."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -53,34 +48,9 @@ class Network(PerContainer):
         return super().wakes | {"network"}
 
     def run(self, world: api.World) -> api.Result:
-        try:
-            fact = world.docker.container(self.key)
-            if fact is None or not fact.running:
-                return api.stale(f"networks of {self.key} are not checked while it is not running")
-            result = self._judge_all(world, fact)
-        except api.CannotTell as reason:
-            found = self._without_engine(world, *self._was_ok, reason) if self._was_ok is not None else None
-            if found is None:
-                raise
-            return found
-        self._was_ok = (fact, result) if result.level is api.Level.OK else None
-        return result
-
-    def _without_engine(
-        self, world: api.World, fact: api.ContainerFact, before: api.Result, reason: api.CannotTell
-    ) -> api.Result | None:
-        """The result of before, if what PHM can observe itself is unchanged, else None."""
-        if world.pressure.state(self.key, fact.id) is not api.CgroupState.RUNNING:
-            return None
-        if before.bypass:
-            return before
-        addresses = [one.address for one in fact.networks if one.name in self.entry.networks and one.address]
-        if not self.entry.address or not addresses or not all(map(world.docker.reachable, addresses)):
-            return None
-        words = f"{self.key} responds at {listed(addresses)}. The Docker Engine does not say more: {clean(str(reason))}"
-        return self._blocked(world, fact) or api.ok(words)
-
-    def _judge_all(self, world: api.World, fact: api.ContainerFact) -> api.Result:
+        fact = world.docker.container(self.key)
+        if fact is None or not fact.running:
+            return api.stale(f"networks of {self.key} are not checked while it is not running")
         special = self._mode(fact)
         if special is not None:
             return special

@@ -7,5 +7,9 @@ class CannotTell(Exception):
     """The probe could not find out; the message says why and what to do."""
 
 
+class NoAnswer(CannotTell):
+    """The other side did not answer in time, or could not be reached."""
+
+
 class NotPermitted(CannotTell):
     """The other side refused the request for lack of permission (HTTP 403, EACCES)."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, DockerSettings
-from phm.facts import CannotTell, ContainerFact, OtherContainer, ProcessFact
+from phm.facts import CannotTell, ContainerFact, NoAnswer, OtherContainer, ProcessFact
 from phm.probes import ping
 from phm.probes.docker_facts import (
     TimeBudget,
@@ -144,7 +144,7 @@ class Docker:
         called_at = self._clock.mono()
         # The holder of the lock releases it when its own deadline has passed.
         if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):
-            raise CannotTell(f"the Docker Engine is still answering an earlier request for {key.strip(chr(0))}")
+            raise NoAnswer(f"the Docker Engine is still answering an earlier request for {key.strip(chr(0))}")
         try:
             if not self._usable(entry, called_at, young_s):
                 self._ask(entry, ask)
@@ -160,14 +160,14 @@ class Docker:
         return entry.generation == self._generation and called_at - entry.asked_at <= young_s
 
     def _ask(self, entry: _Entry, ask: Callable[[TimeBudget], ContainerFact | None]) -> None:
-        """If there is no answer, `reachable` and `answering` need the last fact: the container may well run on."""
         entry.asked_at, entry.generation = self._clock.mono(), self._generation
-        entry.error = None
+        fact = entry.error = None
         try:
-            entry.fact = ask(TimeBudget(self._clock, self._engine.timeout_s))
+            fact = ask(TimeBudget(self._clock, self._engine.timeout_s))
         except CannotTell as error:
             entry.error = error
         finally:
+            entry.fact = fact  # not before: meanwhile `reachable` must know which run has an address
             entry.done_at = self._clock.mono()
 
     # ------------------------------------------------------------ PHM's own container

@@ -126,6 +126,8 @@ class FaultCase:
     """Whether its container was on hold at the last decision."""
     interrupted: bool = False
     """Restored, with an action under way: for the tracker that lasts until it recovers or the next action."""
+    engine_was_down: bool = False
+    """Whether its action waited for the Docker Engine at the last decision."""
 
     def __post_init__(self) -> None:
         self.generation = self.fault.generation

@@ -316,7 +316,14 @@ class TargetWorker:
         last = self._catalog.is_last(self._target, fault, act.action)
         approved_at = case.approval.situation.armed if case.approval is not None else None
         attempt = self._new_attempt(self._target, fault, action, last=last, approved_at=approved_at, alone=act.alone)
-        missing = self._engine_down() or attempt.waits_for()
+        away = self._engine_down()
+        if case.engine_was_down and not away:
+            # What was known without the engine may be over, or look different with it.
+            case.engine_was_down = False
+            case.recheck_after(self._clock.mono() + self._grace_s(fault.unit))
+            return POLL_S
+        case.engine_was_down = bool(away)
+        missing = away or attempt.waits_for()
         if missing:
             self._reporter.report_once(case, act.action, Phase.REFUSED, f"no action on {self._name} for now: {missing}")
             return MISSING_S

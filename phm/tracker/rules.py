@@ -6,7 +6,7 @@ order of the evidence and even if a wake-up is lost, as long as the cause can be
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from phm.core.model import ON_HOLD, Evidence, Level, Result
@@ -178,9 +178,9 @@ def grace(context: RuleContext) -> Decision | None:
     """8. A bad result during grace is `not known yet`, unless its evidence is certain.
 
     Grace begins when PHM starts; after a recovery action, for the target and its dependents; after an ERROR, published or not,
-    for the dependents, of the Docker Engine except those that are known without it; and once per container start
-    (`phm.tracker.start_dedup`), for the dependents. Results from before never count. Grace ends early when the unit has been OK
-    for GRACE_ENDS_AFTER_OK_S, or for its `memory_s` if longer. A container that never becomes healthy is reported by its own check.
+    for the dependents; and once per container start (`phm.tracker.start_dedup`), for the dependents. Results from before never
+    count. Grace ends early when the unit has been OK for GRACE_ENDS_AFTER_OK_S, or for its `memory_s` if longer. A container
+    that never becomes healthy is reported by its own check.
     """
     if not in_grace(context.record, context.now):
         return None
@@ -312,23 +312,26 @@ def _acted_on(context: RuleContext) -> bool:
 def _possible_causes(context: RuleContext) -> list[UnitRecord]:
     """The dependencies that can explain the result.
 
-    A network does not explain that a process has ended or is stopped. The Docker Engine explains what is unknown; containers run on
-    without it, so that a problem below it which can be observed nevertheless is a separate fault.
+    A network does not explain that a process has ended or is stopped. An engine that does not respond explains what is unknown, but
+    neither a container that is known to be down without it or since before, nor what depends on that one.
     """
     evidence, upstream = context.result.evidence, context.view.upstream(context.record.id)
     ended = evidence.certain or (evidence.conclusive and context.result.condition == ENDED)
-    known = context.result.level.bad and known_without_engine(context.record, upstream)
+    down = any(_known_down(other) for other in (context.record, *upstream))
     return [
         other
         for other in upstream
-        if not (ended and other.id.startswith(NETWORK)) and not (known and other.id == ENGINE)
+        if not (ended and other.id.startswith(NETWORK)) and not (down and other.id == ENGINE)
     ]
 
 
-def known_without_engine(record: UnitRecord, upstream: Iterable[UnitRecord]) -> bool:
-    """Whether the unit is one of a container, and what is between it and the engine is known: then that is not the cause."""
-    between = [other for other in (record, *upstream) if other.id != ENGINE]
-    return any(other.id.startswith(CONTAINER) for other in between) and not any(other.unknown for other in between)
+def _known_down(record: UnitRecord) -> bool:
+    """Whether it is a container that has been reported as down, or is down by evidence of which the engine is not the source
+    (`phm_checks.container`)."""
+    latest = record.latest if record.id.startswith(CONTAINER) else None
+    if latest is None or latest.level is not Level.ERROR:
+        return False
+    return latest.evidence.conclusive or _known(record)
 
 
 def _merely_starved(other: UnitRecord, context: RuleContext) -> bool:

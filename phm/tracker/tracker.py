@@ -9,7 +9,7 @@ from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.tracker import starvation
 from phm.tracker.faults import ITSELF, FaultRecords
-from phm.tracker.rules import ENGINE, GRACE_ENDS_AFTER_OK_S, as_unknown, decide, in_grace, known_without_engine
+from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S, as_unknown, decide, in_grace
 from phm.tracker.start_dedup import StartDedup, StartSeen
 from phm.tracker.units import NEVER, ActionInProgress, Effects, TargetHold, TrackedUnit, TrackerView, UnitRecord
 
@@ -388,14 +388,7 @@ class Tracker:
             self._publish(record, result, now, effects)
         if recovered:
             # Problems of its dependents meanwhile, published or not, may follow from it.
-            self._give_grace(self._affected_by(record), now, effects)
-
-    def _affected_by(self, record: UnitRecord) -> Iterable[str]:
-        """The dependents that may need time after its recovery. Containers run on without their engine."""
-        below = self.graph.downstream(record.id)
-        if record.id != ENGINE:
-            return below
-        return [unit for unit in below if not known_without_engine(self._units[unit], self._view.upstream(unit))]
+            self._give_grace(self.graph.downstream(record.id), now, effects)
 
     @staticmethod
     def _count_ok(record: UnitRecord, now: Stamp) -> None:

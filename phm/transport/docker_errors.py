@@ -8,7 +8,7 @@ import requests
 from docker.errors import APIError
 from urllib3.exceptions import ProtocolError
 
-from phm.facts import CannotTell, NotPermitted
+from phm.facts import CannotTell, NoAnswer, NotPermitted
 from phm.transport.call_deadlines import PendingCall
 
 _MAX_TEXT = 300
@@ -21,12 +21,12 @@ class EngineError(CannotTell):
     """Base class: the engine gave no usable response."""
 
 
-class EngineTimeout(EngineError):
-    """No complete response within the deadline."""
+class EngineTimeout(EngineError, NoAnswer):
+    """No complete response within the deadline, or within that of a proxy (HTTP 504)."""
 
 
-class EngineUnreachable(EngineError):
-    """No connection: no socket, no permission, no listener, or the connection was lost."""
+class EngineUnreachable(EngineError, NoAnswer):
+    """No connection: no socket, no permission, no listener, the connection was lost, or a proxy has none (HTTP 502, 503)."""
 
 
 class EngineNotConnected(EngineUnreachable):
@@ -46,7 +46,7 @@ class EngineMissing(EngineError):
 
 
 class EngineBroken(EngineError):
-    """HTTP 5xx and other errors, or an invalid answer."""
+    """Other HTTP errors, such as 500, or an invalid answer."""
 
 
 _BY_STATUS: dict[int, type[EngineError]] = {
@@ -54,6 +54,9 @@ _BY_STATUS: dict[int, type[EngineError]] = {
     403: EngineRefused,
     404: EngineMissing,
     409: EngineConflict,
+    502: EngineUnreachable,
+    503: EngineUnreachable,
+    504: EngineTimeout,
 }
 
 
@@ -92,6 +95,8 @@ def _by_status(error: APIError, what: str) -> EngineError:
         return kind(
             f"the Docker Engine does not permit PHM to {what} (HTTP {status}): {said}; allow it at the socket proxy"
         )
+    if issubclass(kind, NoAnswer):
+        return kind(f"the proxy has no answer of the Docker Engine (HTTP {status}, {what}): {said}")
     return kind(f"the Docker Engine answered HTTP {status} ({what}): {said}")
 
 

@@ -8,100 +8,100 @@ import pytest
 
 from phm import api, testing
 from phm.recovery.base import ladder_of
-from phm_checks.container import ENGINE_STOPS_S, Container
+from phm_checks.container import WITHOUT_ENGINE_S, Container
 
 SETTINGS = testing.settings(containers=[{"name": "ros_app"}])
+EMPTY, FROZEN, RUNNING = api.CgroupState.EMPTY, api.CgroupState.FROZEN, api.CgroupState.RUNNING
+AWAY = api.NoAnswer("no answer within 5 s")
 
 
-class SlowDocker(testing.FakeDocker):
-    """Each request takes `takes_s`."""
+class Failing(testing.FakeDocker):
+    """An engine that answers each question with `fails`, if that is set."""
 
-    def __init__(self, clock: testing.FakeClock, *containers: api.ContainerFact) -> None:
-        super().__init__(*containers)
-        self.clock, self.takes_s = clock, 0.0
+    fails: api.CannotTell | None = None
 
     def container(self, name: str, young_s: float = 0.0) -> api.ContainerFact | None:
-        self.clock.advance(self.takes_s)
+        if self.fails is not None:
+            raise self.fails
         return super().container(name, young_s)
 
 
 class Away:
-    """A container that the engine has described as `fields`, before it stopped answering."""
+    """A container that the engine has described as `fields`, before it failed with `fails`."""
 
-    def __init__(self, clock: testing.FakeClock | None = None, **fields: Any) -> None:
+    def __init__(self, fails: api.CannotTell = AWAY, **fields: Any) -> None:
         (self.check,) = Container.build(SETTINGS)
-        self.docker = SlowDocker(clock or testing.FakeClock(), testing.container("ros_app", **fields))
-        self.world = testing.world(clock=self.docker.clock, docker=self.docker, pressure=testing.FakePressure())
+        self.docker, self.pressure = Failing(testing.container("ros_app", **fields)), testing.FakePressure()
+        self.world = testing.world(docker=self.docker, pressure=self.pressure)
         self.before = self.run()
-        self.docker.fail("no answer within 5 s")
+        self.docker.fails = fails
 
     def run(self, state: api.CgroupState | None = None) -> api.Result:
-        pressure = self.world.pressure
-        assert isinstance(pressure, testing.FakePressure)
-        pressure.states = {"ros_app": state} if state is not None else {}
+        self.pressure.states = {"ros_app": state} if state is not None else {}
         result = self.check.run(self.world)
         assert isinstance(result, api.Result)
         return result
 
 
-def test_a_container_with_processes_runs_also_while_the_engine_does_not_respond() -> None:
-    """Otherwise all that depends on it would be unknown for as long."""
-    away = Away()
-    found = away.run(api.CgroupState.RUNNING)
-    assert (found.level, found.evidence.generation) == (api.Level.OK, away.before.evidence.generation)
-    assert "no answer within 5 s" in found.summary
-
-
-@pytest.mark.parametrize(
-    ("state", "condition", "settle_s"),
-    [(api.CgroupState.EMPTY, "ended", ENGINE_STOPS_S), (api.CgroupState.FROZEN, "frozen", None)],
-)
-def test_its_end_is_an_error_without_a_ladder_while_the_engine_does_not_respond(
-    state: api.CgroupState, condition: str, settle_s: float | None
-) -> None:
+@pytest.mark.parametrize(("state", "condition"), [(EMPTY, "ended"), (FROZEN, "frozen")])
+def test_its_end_is_an_error_without_an_action(state: api.CgroupState, condition: str) -> None:
     """The cgroup shows it; nothing can be done about it before the engine responds."""
-    found = Away().run(state)
-    assert (found.level, found.condition, found.target, found.settle_s) == (
-        api.Level.ERROR,
-        condition,
-        "ros_app",
-        settle_s,
-    )
+    away = Away()
+    found = away.run(state)
+    assert (found.level, found.condition, found.target) == (api.Level.ERROR, condition, "ros_app")
+    assert found.settle_s == WITHOUT_ENGINE_S
     assert found.evidence.conclusive and found.evidence.certain
+    assert found.evidence.generation == away.before.evidence.generation
+    assert "no answer within 5 s" in found.summary
     assert ladder_of(found.condition, SETTINGS.recovery) == ()
 
 
-@pytest.mark.parametrize(("takes_s", "settle_s"), [(5.0, 0.0), (0.1, ENGINE_STOPS_S)])
-def test_an_end_that_was_seen_before_a_long_request_has_lasted(takes_s: float, settle_s: float) -> None:
-    """Otherwise an engine that hangs would delay it by one more deadline."""
-    clock = testing.FakeClock()
-    away = Away(clock)
-    away.docker.takes_s = takes_s
-    assert away.run(api.CgroupState.EMPTY).settle_s == settle_s
+@pytest.mark.parametrize("state", [RUNNING, None])
+def test_a_container_whose_cgroup_does_not_show_its_end_is_unknown(state: api.CgroupState | None) -> None:
+    """It has processes, but nothing else of it is known; or its cgroup has not been found."""
+    with pytest.raises(api.NoAnswer):
+        Away().run(state)
+
+
+@pytest.mark.parametrize("fails", [api.NotPermitted("403"), api.CannotTell("two containers have this label")])
+def test_an_engine_that_answers_with_an_error_is_not_away(fails: api.CannotTell) -> None:
+    """The container's cgroup may be that of an earlier container: the answer says more than it does."""
+    with pytest.raises(type(fails)):
+        Away(fails).run(EMPTY)
 
 
 @pytest.mark.parametrize("status", ["exited", "paused"])
 def test_what_was_wrong_before_still_is(status: str) -> None:
-    """The same words as before: nothing has changed."""
+    """With the same words, and not as a consequence of the engine."""
     away = Away(status=status)
-    assert away.before.level is api.Level.ERROR
-    same = api.CgroupState.FROZEN if status == "paused" else api.CgroupState.EMPTY
-    assert away.run(same) is away.before
-    with pytest.raises(api.CannotTell):
-        away.run(api.CgroupState.RUNNING)
+    found = away.run(FROZEN if status == "paused" else EMPTY)
+    assert (found.condition, found.summary) == (away.before.condition, away.before.summary) == (status, found.summary)
+    assert found.evidence.conclusive and not away.before.evidence.conclusive
+    with pytest.raises(api.NoAnswer):
+        away.run(RUNNING)
 
 
-def test_a_paused_container_can_end_while_the_engine_does_not_respond() -> None:
+def test_a_paused_container_can_end() -> None:
     """It is not paused any more then."""
-    assert Away(status="paused").run(api.CgroupState.EMPTY).condition == "ended"
+    assert Away(status="paused").run(EMPTY).condition == "ended"
 
 
-def test_without_its_cgroup_a_container_is_unknown_while_the_engine_does_not_respond() -> None:
-    """As one that the engine has never described."""
-    with pytest.raises(api.CannotTell):
-        Away().run()
+def test_a_container_that_restarted_repeatedly_and_has_ended_is_not_said_to_run() -> None:
+    """Its last result was an error, too, but while it ran."""
+    away = Away()
+    away.docker.fails = None
+    for count in range(1, 9):
+        away.docker.put(testing.container("ros_app", restart_count=count, started_at=f"start {count}"))
+        before = away.run()
+    assert (before.level, before.condition) == (api.Level.ERROR, "restarting")
+    away.docker.fails = AWAY
+    assert away.run(EMPTY).condition == "ended"
+
+
+def test_a_container_that_the_engine_has_never_described_is_unknown() -> None:
+    """Its cgroup is not known, either."""
     (check,) = Container.build(SETTINGS)
-    docker = testing.FakeDocker()
-    docker.fail()
-    with pytest.raises(api.CannotTell):
-        check.run(testing.world(docker=docker))
+    docker = Failing()
+    docker.fails = AWAY
+    with pytest.raises(api.NoAnswer):
+        check.run(testing.world(docker=docker, pressure=testing.FakePressure()))

@@ -12,6 +12,7 @@ a run takes, which wake-ups are lost) is random.
   node is known to be missing. If its node has been alive since, it may be reported immediately: no death caused it.
 - After a repair nodes are back within 5 s, topics 1 s and rates 3 s later: each within its grace of 8 s. A killed node
   may stay listed for another second after its container has started again (a stale name).
+- While the engine does not respond, the container's cgroup shows that it has ended or is frozen, and nothing else of it is known.
 - Pressure shows starvation no later than the first of its symptoms, in any run of its check that starts from then on; the
   machine's does so up to 1.5 s after that of a container which waits for CPUs. Symptoms are gone 4.5 s after its end.
   The healthcheck probes on its own schedule, reports when it did, and restarts with each start of the container.
@@ -37,27 +38,54 @@ from phm.facts import ContainerFact
 from phm.tracker import GRACE_ENDS_AFTER_OK_S, Effects, Tracker
 from phm.tracker.rules import DETACHED, RECONNECTS
 from phm.tracker.starvation import UNREAD_S
-from phm_checks.container import ENGINE_STOPS_S
-from tests.fakes.agent_causes import (
-    BY_ENGINE,
-    BY_KERNEL,
-    CAUSES,
-    LINKS,
-    LOST,
-    NODES,
-    OK,
-    RATES,
-    STARVING,
-    TARGET,
-    TOPICS,
-    UNEXPLAINED,
-)
+from phm_checks.container import WITHOUT_ENGINE_S
 
 ROOT = Path(__file__).resolve().parents[2]
+TARGET = "ros_app"
 TICK_S = 0.1
 SILENCE_S = 0.5
 PROBING_S = 5.0
 """After a start, the engine says `starting` until so many probes in a row have failed that the container is unhealthy."""
+OK = Result(Level.OK, "healthy")
+NODES = {n: f"nodes/agent_1/node_{n}" for n in (1, 2, 3)}
+TOPICS = {n: f"topics/agent_1/topic_{n}" for n in (1, 2, 3)}
+RATES = {n: f"rates/agent_1/topic_{n}" for n in (1, 2, 3)}
+CAUSES = {
+    "container": ("container/ros_app", "exited"),
+    "paused": ("container/ros_app", "paused"),
+    "unhealthy": ("health/ros_app", "unhealthy"),
+    "network": ("network/ros_app", "disconnected"),
+    "apart": ("network/ros_app", "sidecar_disconnected"),
+    "file": ("files/ros_app", "file_missing"),
+    "device": ("devices/ros_app", "device_missing"),
+    "disk": ("host/disk", "disk_full"),
+    "engine": ("engine", "unreachable"),
+    **{f"node_{n}": (NODES[n], "node_missing") for n in NODES},
+    **{f"silent_{n}": (RATES[n], "topic_silent") for n in RATES},
+    "quorum": ("consensus", "quorum_dead"),
+    "starved": ("pressure/ros_app", "cpu_throttled"),
+    "overload": ("host/cpu", "cpu_high"),
+}
+"""Primary faults: the unit that is the cause, and its condition."""
+LINKS = (("autopilot", "autopilot_silent"), ("gcs", "gcs_lost"), ("link/ground", "link_silent"))
+STARVING = frozenset({"starved", "overload"})
+HIDDEN = frozenset({"unhealthy", "quorum", *(kind for kind in CAUSES if kind.startswith("silent"))})
+"""What cannot be known while the container is starved: it would look the same without its own cause."""
+FIXES = {
+    "start": {"container"},
+    "unpause": {"paused"},
+    "reconnect": {"network"},
+    "join_network": {"apart"},
+    "restore_file": {"file"},
+    "relaunch": {"node_1", "node_2", "node_3", "silent_1", "silent_2", "silent_3"},
+    "restart": set(CAUSES) - {"file", "device", "disk", "engine", "apart", *STARVING},
+}
+UNEXPLAINED = CAUSES.keys() - HIDDEN - {"overload"}
+"""Whose process is gone: starvation does not explain it."""
+LOST = "lost"
+"""Not a cause: nodes that a repair has left cut off."""
+BY_ENGINE = ("container/", "health/", "files/", "network/")
+"""Units whose state is unknown while the engine does not respond."""
 
 
 @cache
@@ -108,10 +136,8 @@ class World:
     lives: list[Life] = field(default_factory=lambda: [Life(float("-inf"), 0)])
     sure: bool = True
     """Whether checks find evidence that cuts settling short."""
-    kernel: bool = True
-    """Whether the host's cgroups and the container's address show it while the engine is unreachable."""
-    known: dict[str, Result] = field(default_factory=dict)
-    """The last result about the unit for which the engine answered."""
+    cgroups: bool = True
+    """Whether PHM sees the container's cgroup, also while the engine does not respond."""
 
     def inject(self, kind: str, at: float) -> None:
         """Begin a primary fault `at`, with all its consequences."""
@@ -202,14 +228,10 @@ class World:
 
     def fact(self, at: float) -> ContainerFact:
         """What the engine reports about the container."""
-        life = self._life(at)
-        down = self._covering(f"container/{TARGET}", at)
+        life, span = self._life(at), self._first(f"container/{TARGET}", at)
+        status, start = span.condition if span is not None else "running", f"t{life.number:06}"
         return testing.container(
-            TARGET,
-            id=f"id{life.made}",
-            started_at=f"t{life.number:06}",
-            restart_count=life.restarts,
-            status="running" if down is None else down.condition,
+            TARGET, id=f"id{life.made}", started_at=start, restart_count=life.restarts, status=status
         )
 
     def _life(self, at: float) -> Life:
@@ -222,29 +244,9 @@ class World:
 
     def result(self, unit: str, at: float) -> Result:
         """The result of a run of the unit's check at `at`."""
-        if not unit.startswith(BY_ENGINE):
-            return self._result(unit, at)
-        if self._is_bad("engine", at):
-            return self._without_engine(unit, at)
-        result = self._result(unit, at)
-        self.known[unit] = result
-        return result
-
-    def _without_engine(self, unit: str, at: float) -> Result:
-        """What `phm_checks.container` and `phm_checks.network` say then."""
-        before = self.known.get(unit, OK) if self.kernel and unit.startswith(BY_KERNEL) else None
-        down = self._covering(f"container/{TARGET}", at)
-        if before is not None and down is None and before.level is Level.OK and not self._is_bad(unit, at):
-            return OK
-        if before is None or down is None or not unit.startswith("container/"):
-            return Result(Level.STALE, "the engine does not answer")
-        if before.condition == down.condition:
-            return before
-        state, settle_s = ("frozen", None) if down.condition == "paused" else ("ended", ENGINE_STOPS_S)
-        evidence = Evidence(self.fact(at).generation, certain=True, conclusive=True)
-        return Result(Level.ERROR, state, state, state, TARGET, settle_s=settle_s, evidence=evidence)
-
-    def _result(self, unit: str, at: float) -> Result:
+        if unit.startswith(BY_ENGINE) and (away := self._first("engine", at)) is not None:
+            seen = self._by_cgroup(away.begin, at) if unit == f"container/{TARGET}" else None
+            return seen or Result(Level.STALE, "the engine does not answer")
         if unit in ("network/ros_app", "health/ros_app", "pressure/ros_app") and self._is_bad("container/ros_app", at):
             return Result(Level.STALE, "not judged while the container does not run")
         if self._is_stale_name(unit, at):
@@ -272,8 +274,19 @@ class World:
             target,
             settle_s=sure,
             age_s=age_s,
-            evidence=Evidence(generation, conclusive=self._conclusive(span)),
+            evidence=Evidence(generation, conclusive=not generation and self._conclusive(span)),
         )
+
+    def _by_cgroup(self, away_from: float, at: float) -> Result | None:
+        """What `phm_checks.container` finds without the engine; None: that the container runs, or nothing."""
+        span, before = self._first(f"container/{TARGET}", at), self.fact(away_from)
+        replaced = before.id != self.fact(at).id
+        if not self.cgroups or (span is None and not replaced):
+            return None
+        paused = span is not None and span.condition == "paused" and not replaced
+        same, new = ("paused", "frozen") if paused else ("exited", "ended")
+        found, seen = same if before.status == same else new, Evidence(before.generation, certain=True, conclusive=True)
+        return Result(Level.ERROR, found, found, found, TARGET, settle_s=WITHOUT_ENGINE_S, evidence=seen)
 
     def _conclusive(self, span: Bad) -> bool:
         """A primary fault that starvation does not explain: its process is gone."""
@@ -290,11 +303,11 @@ class World:
             return False
         return not any(span.covers(at) for spans in self.active.values() for span in spans if span.unit == unit)
 
-    def _is_bad(self, unit: str, at: float) -> bool:
-        return self._covering(unit, at) is not None
-
-    def _covering(self, unit: str, at: float) -> Bad | None:
+    def _first(self, unit: str, at: float) -> Bad | None:
         return next((span for span in self.bad.get(unit, ()) if span.covers(at)), None)
+
+    def _is_bad(self, unit: str, at: float) -> bool:
+        return self._first(unit, at) is not None
 
     def changing(self, begin: float, end: float) -> set[str]:
         """The units of which something changes in that time. Only those that are bad at some time, and the health."""
@@ -323,8 +336,7 @@ class Sim:
         self.listeners: list[Callable[[Event], None]] = []
         self.watch: list[Callable[[], None]] = []
         self.wakes_lost = wakes_lost
-        self.held: str = ""
-        self.held_until = 0.0
+        self.held, self.held_until = "", 0.0
         self.reset_units: list[str] = []
         self.granted: dict[str, float] = {entry.unit.id: 0.0 for entry in self.plan.tracked}
         self.healthy_from: dict[str, float] = {}
@@ -439,16 +451,9 @@ class Sim:
         if isinstance(event, FaultOpened):
             self._opened(event)
         if isinstance(event, Transition) and event.new is Level.OK and event.old is Level.ERROR:
-            below = self.tracker.graph.downstream(event.unit)
-            self.grant(unit for unit in below if event.unit != "engine" or not self._known_without_engine(unit))
+            self.grant(self.tracker.graph.downstream(event.unit))
         for listener in self.listeners:
             listener(event)
-
-    def _known_without_engine(self, unit: str) -> bool:
-        between = {unit, *self.tracker.graph.upstream(unit)} - {"engine"}
-        newest = [self.tracker.newest(other, float("-inf")) for other in between]
-        of_container = any(other.startswith("container/") for other in between)
-        return of_container and all(result is not None and result.level is not Level.STALE for result in newest)
 
     def wake(self, units: Iterable[str], within_s: float) -> None:
         for unit in sorted(units):
@@ -467,8 +472,8 @@ class Sim:
         assert event.fault.result.level is Level.ERROR
         result, action = event.fault.result, self.tracker.action_on(TARGET)
         detached = result.condition == DETACHED and result.evidence.conclusive and action != RECONNECTS
-        free = not self.held or self.now >= self.held_until or unit not in self.touched
-        assert free or detached, f"{unit} reported during an action"
+        held = self.held and self.now < self.held_until
+        assert not held or unit not in self.touched or detached, f"{unit} reported during an action"
         assert since == 0.0 or self.tracker.last_started(unit) >= since, f"{unit} reported by old evidence"
         assert self.now - since >= grace_s or self.sure.get(unit, -1.0) >= since, f"{unit} reported within its grace"
 

@@ -28,8 +28,7 @@ from phm.recovery.executor import Executor
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.runtime.sections import action_settings
 from phm.testing import FakeClock
-from tests.fakes.agent_causes import FIXES
-from tests.fakes.agent_world import Sim
+from tests.fakes.agent_world import FIXES, Sim
 
 REAL_LIMIT_S = 60.0
 KINDS = {kind.name: kind for kind in (Start, Restart, Unpause, Reconnect, JoinNetwork, Relaunch, RestoreFile)}

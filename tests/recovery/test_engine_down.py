@@ -13,14 +13,17 @@ from tests.recovery.simulated_agent import Agent, Containers, Of
 
 DOWN = error("no answer", brief="Docker not responding", condition="engine_down")
 REFUSED = error("denied", brief="Docker denies access", condition="engine_refused")
+GRACE_S = 8.0
 HUNG = error("hung", brief="hung", condition="node_hung", target="app")
 
 
 @pytest.fixture
 def agent() -> Iterator[Agent]:
-    found = Agent({"engine": Of(""), "nodes/one": Of("app")}, Containers("app"), FakeClock(), verify="5s")
+    found = Agent(
+        {"engine": Of(""), "nodes/one": Of("app", grace_s=GRACE_S)}, Containers("app"), FakeClock(), verify="5s"
+    )
     found.behave = lambda *_: found.found.pop("nodes/one", None)
-    found.rest(3.0)
+    found.rest(2 * GRACE_S)
     yield found
     found.stop()
 
@@ -28,12 +31,24 @@ def agent() -> Iterator[Agent]:
 def test_an_action_waits_until_the_engine_responds(agent: Agent) -> None:
     """Three attempts that cannot succeed would end in giving up, and the container would stay down for good."""
     agent.found |= {"engine": DOWN, "nodes/one": HUNG}
+    agent.until(agent.steps, "the refusal")
     agent.rest(120.0)
     assert agent.steps() == [Phase.REFUSED]
     assert agent.runs == []
     del agent.found["engine"]
     agent.until(lambda: Phase.VERIFIED in agent.steps(), "the restart")
     assert agent.steps() == [Phase.REFUSED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+
+
+def test_a_run_after_the_grace_must_confirm_the_fault_once_the_engine_responds(agent: Agent) -> None:
+    """Meanwhile the container may have been restarted, and the last run may have begun before that."""
+    agent.found |= {"engine": DOWN, "nodes/one": HUNG}
+    agent.until(agent.steps, "the refusal")
+    del agent.found["engine"]
+    back = agent.clock.mono()
+    agent.until(lambda: Phase.STARTED in agent.steps(), "the restart")
+    started = next(event for event in agent.actions() if event.phase is Phase.STARTED)
+    assert started.at.mono - back >= GRACE_S
 
 
 def test_an_engine_that_refuses_a_question_may_permit_an_action(agent: Agent) -> None:

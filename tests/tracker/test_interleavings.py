@@ -19,8 +19,7 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 from phm.api import error, stale
 from phm.core.model import FaultClosed, FaultOpened, Level, Outcome
 from phm.tracker.starvation import BEFORE_PRESSURE_S
-from tests.fakes.agent_causes import CAUSES, HIDDEN, NODES, RATES, STARVING, TARGET
-from tests.fakes.agent_world import Sim, shipped
+from tests.fakes.agent_world import CAUSES, HIDDEN, NODES, STARVING, TARGET, Sim, shipped
 from tests.fakes.sim_recovery import SimRecovery
 
 pytestmark = pytest.mark.long
@@ -35,16 +34,10 @@ def examples(count: int) -> settings:
 
 
 NEEDS = Sim(0).tracker.graph
-VISIBLE = frozenset(
-    {"container", "paused", "starved", "quorum", *(f"node_{n}" for n in NODES), *(f"silent_{n}" for n in RATES)}
-)
-"""What PHM observes without the Docker Engine."""
 
 
 def independent(one: str, other: str) -> bool:
     """Whether the two units differ, neither is upstream of the other, and neither fault explains the other."""
-    if "engine" in (one, other) and not VISIBLE.isdisjoint((one, other)):
-        return True
     if STARVING.intersection((one, other)) and HIDDEN.intersection((one, other)):
         return False
     a, b = CAUSES[one][0], CAUSES[other][0]
@@ -333,6 +326,8 @@ def happen(sim: Sim, what: str) -> list[str]:
         sim.world.inject(what, now + 0.05)
         return [CAUSES[what][0]]
     elif now - spans[0].begin > 3.0:  # a cause that ended before all its consequences began does not count
+        if what == "container":
+            sim.world.record_start(now, "hand")
         sim.world.repair(what, now)
     return []
 

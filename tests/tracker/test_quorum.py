@@ -16,8 +16,7 @@ from phm.core.model import FaultClosed, FaultOpened, Outcome
 from phm.tracker import Effects, Tracker
 from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S
 from phm_checks.consensus import Consensus
-from tests.fakes.agent_causes import OK
-from tests.fakes.agent_world import shipped
+from tests.fakes.agent_world import OK, shipped
 
 NODES = ("/agent_1/node_1", "/agent_1/node_2", "/agent_1/node_3")
 DEAD = NODES[0]

@@ -16,8 +16,7 @@ from phm import api, testing
 from phm.api import ContainerFact, Level
 from phm.core.model import Result
 from phm_checks.container import Container
-from tests.fakes.agent_causes import NODES, TARGET
-from tests.fakes.agent_world import Bad, Sim, World
+from tests.fakes.agent_world import NODES, TARGET, Bad, Sim, World
 from tests.tracker.test_interleavings import SEEDS, assert_over, examples
 
 pytestmark = pytest.mark.long

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.facts import CannotTell, NotPermitted
+from phm.facts import CannotTell, NoAnswer, NotPermitted
 from phm.testing import FakeClock
 from phm.transport.call_deadlines import CallDeadlines
 from phm.transport.docker import (
@@ -94,7 +94,9 @@ def test_requests_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine,
         (Status(404, "No such container"), EngineMissing, "HTTP 404"),
         (Status(409, "is not running"), EngineConflict, "is not running"),
         (Status(500, "driver failed"), EngineBroken, "driver failed"),
-        (Status(503), EngineBroken, "HTTP 503"),
+        (Status(502), EngineUnreachable, "the proxy has no answer .*HTTP 502"),
+        (Status(503), EngineUnreachable, "the proxy has no answer .*HTTP 503"),
+        (Status(504), EngineTimeout, "the proxy has no answer .*HTTP 504"),
         (Garbage(), EngineBroken, "an invalid answer"),
         (NoHttp(), EngineBroken, "does not answer like"),
         (Truncate(), EngineUnreachable, "broke"),
@@ -114,12 +116,14 @@ def test_each_failure_of_the_engine_has_a_kind_and_a_text(
 
 
 def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
-    """Checks and recovery know only `CannotTell` and `NotPermitted`."""
+    """Checks and recovery know only `CannotTell`, `NotPermitted` and `NoAnswer`."""
     assert issubclass(EngineRefused, NotPermitted)
     assert all(
         issubclass(kind, CannotTell)
         for kind in (EngineTimeout, EngineUnreachable, EngineRefused, EngineConflict, EngineMissing, EngineBroken)
     )
+    assert issubclass(EngineTimeout, NoAnswer) and issubclass(EngineUnreachable, NoAnswer)
+    assert not issubclass(EngineBroken, NoAnswer)
 
 
 def test_a_missing_socket_names_its_path(tmp_path: Path) -> None:

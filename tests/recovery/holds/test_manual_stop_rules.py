@@ -147,6 +147,16 @@ def test_a_stop_with_a_missed_signal_is_not_undone(scenes: Any, monkeypatch: pyt
     assert scene.changes() == [("app", True)] and scene.agent.runs == []
 
 
+@pytest.mark.parametrize("condition", ["exited", "ended"])
+def test_an_end_that_may_be_part_of_a_recreation_is_not_reported(scenes: Any, condition: str) -> None:
+    """Also if only its cgroup shows it, because the engine is too busy with the recreation to answer PHM."""
+    scene = scenes()
+    scene.happen(("replace", ""), *STOP[:2])
+    scene.agent.bad = {"container/app": condition}
+    scene.agent.rest(5.0)
+    assert scene.agent.opened() == []
+
+
 @pytest.mark.parametrize("stops", [True, False])
 def test_an_exit_found_before_its_event_waits_for_it(scenes: Any, stops: bool) -> None:
     """A periodic check may be earlier than the `die`. Without one, the container is started all the same."""
