@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 from phm.api import error, stale
 from phm.core.model import FaultClosed, FaultOpened, Level, Outcome
 from phm.tracker.starvation import BEFORE_PRESSURE_S
-from tests.fakes.agent_world import CAUSES, HIDDEN, NODES, STARVING, TARGET, Sim, shipped
+from tests.fakes.agent_world import CAUSES, HIDDEN, NODES, RATES, STARVING, TARGET, TOPICS, Sim, shipped
 from tests.fakes.sim_recovery import SimRecovery
 
 pytestmark = pytest.mark.long
@@ -251,13 +251,9 @@ def test_recovery_respects_budget_hold_and_arming(
             sim.run(max(0.0, at - sim.now))
             causes.update(happen(sim, what))
         sim.run(25.0)
-        for kind in list(sim.world.active):
-            sim.world.repair(kind, sim.now)
-        for state in sim.tracker.states():
-            sim.ask(state.unit)
-        sim.run(40.0)
-    # A target that a repair left lost is published as lost when no next step may follow in time.
-    causes.update(dict.fromkeys(NODES.values(), recovery.left_lost))
+        repair_all(sim)
+    # What a repair left lost is published as lost when no next step may follow in time.
+    causes.update(dict.fromkeys((*NODES.values(), *TOPICS.values(), *RATES.values()), recovery.left_lost))
     assert not Counter(sim.opened) - (causes + reasons_to_publish_again(sim))
     assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
 
@@ -283,12 +279,18 @@ def test_a_unit_in_error_always_has_a_visible_fault(
             sim.run(max(0.0, at - sim.now))
             happen(sim, what)
         sim.run(30.0)
-        for kind in list(sim.world.active):
-            sim.world.repair(kind, sim.now)
+        repair_all(sim)
+    assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
+
+
+def repair_all(sim: Sim) -> None:
+    """End all faults and let PHM find that. The second request is for a HEALTHCHECK that is starting at the first."""
+    for kind in list(sim.world.active):
+        sim.world.repair(kind, sim.now)
+    for seconds in (10.0, 30.0):
         for state in sim.tracker.states():
             sim.ask(state.unit)
-        sim.run(40.0)
-    assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
+        sim.run(seconds)
 
 
 def reasons_to_publish_again(sim: Sim) -> Counter[str]:
@@ -326,9 +328,9 @@ def happen(sim: Sim, what: str) -> list[str]:
         sim.world.inject(what, now + 0.05)
         return [CAUSES[what][0]]
     elif now - spans[0].begin > 3.0:  # a cause that ended before all its consequences began does not count
-        if what == "container":
-            sim.world.record_start(now, "hand")
         sim.world.repair(what, now)
+        if what == "container" and sim.world.fact(now).running:
+            sim.world.record_start(now, "hand")
     return []
 
 
