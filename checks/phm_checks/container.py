@@ -79,7 +79,7 @@ class Container(PerContainer):
     def run(self, world: api.World) -> api.Result:
         try:
             fact = world.docker.container(self.key)
-        except api.NoAnswer as reason:
+        except api.NoResponse as reason:
             found = self._by_cgroup(world, *self._before, str(reason)) if self._before is not None else None
             if found is None:
                 raise

@@ -7,7 +7,7 @@ class CannotTell(Exception):
     """The probe could not find out; the message says why and what to do."""
 
 
-class NoAnswer(CannotTell):
+class NoResponse(CannotTell):
     """The other side did not answer in time, or could not be reached."""
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, DockerSettings
-from phm.facts import CannotTell, ContainerFact, NoAnswer, OtherContainer, ProcessFact
+from phm.facts import CannotTell, ContainerFact, NoResponse, OtherContainer, ProcessFact
 from phm.probes import ping
 from phm.probes.docker_facts import (
     TimeBudget,
@@ -144,7 +144,7 @@ class Docker:
         called_at = self._clock.mono()
         # The holder of the lock releases it when its own deadline has passed.
         if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):
-            raise NoAnswer(f"the Docker Engine is still answering an earlier request for {key.strip(chr(0))}")
+            raise NoResponse(f"the Docker Engine is still answering an earlier request for {key.strip(chr(0))}")
         try:
             if not self._usable(entry, called_at, young_s):
                 self._ask(entry, ask)

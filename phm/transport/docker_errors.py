@@ -8,7 +8,7 @@ import requests
 from docker.errors import APIError
 from urllib3.exceptions import ProtocolError
 
-from phm.facts import CannotTell, NoAnswer, NotPermitted
+from phm.facts import CannotTell, NoResponse, NotPermitted
 from phm.transport.call_deadlines import PendingCall
 
 _MAX_TEXT = 300
@@ -21,11 +21,11 @@ class EngineError(CannotTell):
     """Base class: the engine gave no usable response."""
 
 
-class EngineTimeout(EngineError, NoAnswer):
+class EngineTimeout(EngineError, NoResponse):
     """No complete response within the deadline, or within that of a proxy (HTTP 504)."""
 
 
-class EngineUnreachable(EngineError, NoAnswer):
+class EngineUnreachable(EngineError, NoResponse):
     """No connection: no socket, no permission, no listener, the connection was lost, or a proxy has none (HTTP 502, 503)."""
 
 
@@ -95,7 +95,7 @@ def _by_status(error: APIError, what: str) -> EngineError:
         return kind(
             f"the Docker Engine does not permit PHM to {what} (HTTP {status}): {said}; allow it at the socket proxy"
         )
-    if issubclass(kind, NoAnswer):
+    if issubclass(kind, NoResponse):
         return kind(f"the proxy has no answer of the Docker Engine (HTTP {status}, {what}): {said}")
     return kind(f"the Docker Engine answered HTTP {status} ({what}): {said}")
 

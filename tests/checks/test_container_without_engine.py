@@ -12,7 +12,7 @@ from phm_checks.container import WITHOUT_ENGINE_S, Container
 
 SETTINGS = testing.settings(containers=[{"name": "ros_app"}])
 EMPTY, FROZEN, RUNNING = api.CgroupState.EMPTY, api.CgroupState.FROZEN, api.CgroupState.RUNNING
-AWAY = api.NoAnswer("no answer within 5 s")
+AWAY = api.NoResponse("no answer within 5 s")
 
 
 class Failing(testing.FakeDocker):
@@ -59,7 +59,7 @@ def test_its_end_is_an_error_without_an_action(state: api.CgroupState, condition
 @pytest.mark.parametrize("state", [RUNNING, None])
 def test_a_container_whose_cgroup_does_not_show_its_end_is_unknown(state: api.CgroupState | None) -> None:
     """It has processes, but nothing else of it is known; or its cgroup has not been found."""
-    with pytest.raises(api.NoAnswer):
+    with pytest.raises(api.NoResponse):
         Away().run(state)
 
 
@@ -77,7 +77,7 @@ def test_what_was_wrong_before_still_is(status: str) -> None:
     found = away.run(FROZEN if status == "paused" else EMPTY)
     assert (found.condition, found.summary) == (away.before.condition, away.before.summary) == (status, found.summary)
     assert found.evidence.conclusive and not away.before.evidence.conclusive
-    with pytest.raises(api.NoAnswer):
+    with pytest.raises(api.NoResponse):
         away.run(RUNNING)
 
 
@@ -103,5 +103,5 @@ def test_a_container_that_the_engine_has_never_described_is_unknown() -> None:
     (check,) = Container.build(SETTINGS)
     docker = Failing()
     docker.fails = AWAY
-    with pytest.raises(api.NoAnswer):
+    with pytest.raises(api.NoResponse):
         check.run(testing.world(docker=docker, pressure=testing.FakePressure()))

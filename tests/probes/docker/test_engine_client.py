@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.facts import CannotTell, NoAnswer, NotPermitted
+from phm.facts import CannotTell, NoResponse, NotPermitted
 from phm.testing import FakeClock
 from phm.transport.call_deadlines import CallDeadlines
 from phm.transport.docker import (
@@ -116,14 +116,14 @@ def test_each_failure_of_the_engine_has_a_kind_and_a_text(
 
 
 def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
-    """Checks and recovery know only `CannotTell`, `NotPermitted` and `NoAnswer`."""
+    """Checks and recovery know only `CannotTell`, `NotPermitted` and `NoResponse`."""
     assert issubclass(EngineRefused, NotPermitted)
     assert all(
         issubclass(kind, CannotTell)
         for kind in (EngineTimeout, EngineUnreachable, EngineRefused, EngineConflict, EngineMissing, EngineBroken)
     )
-    assert issubclass(EngineTimeout, NoAnswer) and issubclass(EngineUnreachable, NoAnswer)
-    assert not issubclass(EngineBroken, NoAnswer)
+    assert issubclass(EngineTimeout, NoResponse) and issubclass(EngineUnreachable, NoResponse)
+    assert not issubclass(EngineBroken, NoResponse)
 
 
 def test_a_missing_socket_names_its_path(tmp_path: Path) -> None:
