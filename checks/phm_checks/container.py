@@ -39,7 +39,7 @@ def code_in_words(code: int) -> str:
 
 WITHOUT_ENGINE_S = 15.0
 """A container must have ended or be frozen for this long by its cgroup before this is reported: only the engine's events show who
-stopped it, and a recreation by hand that takes no longer is not reported (`phm.recovery.holds.manual_stop.RECREATED_S`)."""
+stopped it. PHM allows a recreation by hand as much (`phm.recovery.holds.manual_stop.RECREATED_S`)."""
 
 
 class Container(PerContainer):
@@ -100,10 +100,12 @@ class Container(PerContainer):
         if before.level is api.Level.ERROR and not fact.running and (fact.status == "paused") is frozen:
             found = before
         else:
-            what = "is paused: its cgroup is frozen" if frozen else "has ended: its cgroup has no process"
+            what = (
+                "is paused: its cgroup is frozen" if frozen else "has ended or was replaced: its cgroup has no process"
+            )
             words = f"{self.key} {what}. Why is unknown, and it cannot be recovered, until the Docker Engine responds: {clean(reason)}"
             found = self._bad("frozen", words, "paused") if frozen else self._bad("ended", words, "ended")
-        seen = api.Evidence(fact.generation, certain=True, conclusive=True)
+        seen = api.Evidence(certain=True, conclusive=True)  # of no generation: it may have been replaced
         return replace(found, settle_s=WITHOUT_ENGINE_S, evidence=seen)
 
     def _judge(self, fact: api.ContainerFact | None, world: api.World) -> api.Result:

@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 
 from phm.core import threads
-from phm.core.model import Event, Fault, Phase
+from phm.core.model import Event, Fault, Level, Phase
 from phm.recovery.attempt import Attempt
 from phm.recovery.base import Target, TargetKind
 from phm.recovery.fault_cases import (
@@ -44,8 +44,8 @@ MISSING_S = 1.0
 """While something that an action needs is missing, PHM checks for it this often; usually an event comes first."""
 ENDED = "exited"
 """The condition of a container that an operator may have stopped."""
-ENGINE, ENGINE_DOWN = "engine", "engine_down"
-"""The unit of the Docker Engine, and its condition while the engine does not respond."""
+ENGINE, CONTAINER, ENGINE_DOWN = "engine", "container/", "engine_down"
+"""The unit of the Docker Engine, units of containers, and the condition of an engine that does not respond."""
 GENERATION_S = 2.0
 """While attempts on the container count, it is checked this often whether something else has started it again."""
 
@@ -316,7 +316,7 @@ class TargetWorker:
         last = self._catalog.is_last(self._target, fault, act.action)
         approved_at = case.approval.situation.armed if case.approval is not None else None
         attempt = self._new_attempt(self._target, fault, action, last=last, approved_at=approved_at, alone=act.alone)
-        away = self._engine_down()
+        away = self._engine_away()
         if case.engine_was_down and not away:
             # What was known without the engine may be over, or look different with it.
             case.engine_was_down = False
@@ -338,11 +338,18 @@ class TargetWorker:
         self._carry_out(case, act, attempt, record)
         return 0
 
-    def _engine_down(self) -> str:
-        """Why no action on a container can succeed now, as a sentence; empty: the Docker Engine responds. An attempt would only fail."""
-        newest = self._pipeline.newest(ENGINE) if self._target.kind is TargetKind.CONTAINER else None
-        away = newest is not None and newest.condition == ENGINE_DOWN
-        return "the Docker Engine does not respond" if away else ""
+    def _engine_away(self) -> str:
+        """Why no action on the container can succeed now, as a sentence; empty: the Docker Engine answers. An attempt would only fail.
+
+        It may answer others: a container whose own state is known from elsewhere was not described by it.
+        """
+        if self._target.kind is not TargetKind.CONTAINER:
+            return ""
+        newest, own = self._pipeline.newest(ENGINE), self._pipeline.newest(f"{CONTAINER}{self._name}")
+        if newest is not None and newest.condition == ENGINE_DOWN:
+            return "the Docker Engine does not respond"
+        without = own is not None and own.level is Level.ERROR and own.evidence.conclusive
+        return "the Docker Engine does not respond about it" if without else ""
 
     def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> None:
         worked, before = False, self._generations.current(self._name)

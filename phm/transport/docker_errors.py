@@ -26,11 +26,11 @@ class EngineTimeout(EngineError, NoResponse):
 
 
 class EngineUnreachable(EngineError, NoResponse):
-    """No connection: no socket, no permission, no listener, the connection was lost, or a proxy has none (HTTP 502, 503)."""
+    """No connection: no socket, no permission, no listener, the connection was lost, or a proxy has none (HTTP 502)."""
 
 
 class EngineNotConnected(EngineUnreachable):
-    """The connection failed: the engine has not received the request."""
+    """The connection failed, or that of a proxy (HTTP 503): the engine has not received the request."""
 
 
 class EngineRefused(EngineError, NotPermitted):
@@ -55,7 +55,7 @@ _BY_STATUS: dict[int, type[EngineError]] = {
     404: EngineMissing,
     409: EngineConflict,
     502: EngineUnreachable,
-    503: EngineUnreachable,
+    503: EngineNotConnected,
     504: EngineTimeout,
 }
 

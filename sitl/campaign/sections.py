@@ -83,8 +83,8 @@ def sections(groups: Sequence[Group]) -> list[Section]:
             f"{FLOOR_S:g} s counts as {FLOOR_S:g} s. While the engine is away, the limit of what only the engine knows is its "
             f"return: a container's files, but not its end, which its cgroup shows. A ratio above {RATIO:g} needs an explanation, which holds up to the "
             "stated ratio. `disturbed`: between the fault and its detection, PHM of that agent reported a busy CPU "
-            "(`host/cpu`) or acted on it for another fault. It waits for the CPU then, and reports no symptom that the load "
-            "or the action explains.",
+            "(`host/cpu`) or that the Docker Engine does not respond, or acted on it for another fault. It waits for the CPU "
+            "and the engine then, and reports no symptom that the load or the action explains.",
             fault_rows.EVIDENCE,
             fault_rows.evidence(first.all),
         ),

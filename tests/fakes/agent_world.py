@@ -285,7 +285,7 @@ class World:
             return None
         paused = span is not None and span.condition == "paused" and not replaced
         same, new = ("paused", "frozen") if paused else ("exited", "ended")
-        found, seen = same if before.status == same else new, Evidence(before.generation, certain=True, conclusive=True)
+        found, seen = same if before.status == same else new, Evidence(certain=True, conclusive=True)
         return Result(Level.ERROR, found, found, found, TARGET, settle_s=WITHOUT_ENGINE_S, evidence=seen)
 
     def _conclusive(self, span: Bad) -> bool:

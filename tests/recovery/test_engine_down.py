@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
-from phm.api import error
+from phm.api import Evidence, error, ok
 from phm.core.model import Phase
 from phm.testing import FakeClock
 from tests.recovery.simulated_agent import Agent, Containers, Of
 
 DOWN = error("no answer", brief="Docker not responding", condition="engine_down")
 REFUSED = error("denied", brief="Docker denies access", condition="engine_refused")
+GONE = error("exited", brief="exited", condition="exited", target="app")
 GRACE_S = 8.0
 HUNG = error("hung", brief="hung", condition="node_hung", target="app")
 
@@ -20,7 +22,11 @@ HUNG = error("hung", brief="hung", condition="node_hung", target="app")
 @pytest.fixture
 def agent() -> Iterator[Agent]:
     found = Agent(
-        {"engine": Of(""), "nodes/one": Of("app", grace_s=GRACE_S)}, Containers("app"), FakeClock(), verify="5s"
+        {"engine": Of(""), "container/app": Of("app"), "nodes/one": Of("app", grace_s=GRACE_S)},
+        Containers("app"),
+        FakeClock(),
+        verify="5s",
+        ladders={"exited": ["restart"], "node_hung": ["restart"]},
     )
     found.behave = lambda *_: found.found.pop("nodes/one", None)
     found.rest(2 * GRACE_S)
@@ -49,6 +55,19 @@ def test_a_run_after_the_grace_must_confirm_the_fault_once_the_engine_responds(a
     agent.until(lambda: Phase.STARTED in agent.steps(), "the restart")
     started = next(event for event in agent.actions() if event.phase is Phase.STARTED)
     assert started.at.mono - back >= GRACE_S
+
+
+def test_an_action_waits_while_only_the_container_is_not_described(agent: Agent) -> None:
+    """The engine answers others, but not about it: its cgroup shows that it is still down, and attempts would fail."""
+    seen = replace(GONE, evidence=Evidence(certain=True, conclusive=True))
+    agent.behave = lambda *_: agent.found.update({"container/app": ok("runs")})
+    agent.found["container/app"] = seen
+    agent.until(agent.steps, "the refusal")
+    agent.rest(120.0)
+    assert agent.steps() == [Phase.REFUSED]
+    agent.found["container/app"] = GONE
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the restart")
+    assert agent.steps() == [Phase.REFUSED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
 
 
 def test_an_engine_that_refuses_a_question_may_permit_an_action(agent: Agent) -> None:

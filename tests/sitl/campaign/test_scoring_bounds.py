@@ -242,6 +242,8 @@ def action(unit: str, *phases: tuple[str, float]) -> list[Act]:
         ({"warned": [cpu_warning(3, -9.0, -0.1)]}, False),
         ({"warned": [cpu_warning(3, 0.5, 9.0)]}, False),
         ({"warned": [cpu_warning(5, 0.2, None)]}, False),
+        ({"alarms": [alarm(0.4), alarm(0.2, unit="engine")]}, True),
+        ({"alarms": [alarm(0.4), alarm(0.2, unit="files/app")]}, False),
         ({"acts": action("container/app", ("started", -1.0), ("done", -0.5), ("verified", 0.1))}, True),
         ({"acts": action("container/app", ("started", -9.0), ("done", -8.0), ("failed", -0.1))}, False),
         ({"acts": action(NODE, ("started", 0.5), ("verified", 2.0))}, False),
@@ -250,8 +252,9 @@ def action(unit: str, *phases: tuple[str, float]) -> list[Act]:
 def test_a_fault_is_disturbed_by_what_its_agent_did_before_the_detection(
     recorded: dict[str, Any], disturbed: bool
 ) -> None:
-    """A busy CPU as PHM of that agent reported it, or an action there for another fault, after the injection and before the alarm."""
-    assert only(trial(alarms=[alarm(0.4)], **{"acts": [], **recorded})).disturbed is disturbed
+    """A busy CPU or no engine as PHM of that agent reported it, or an action there for another fault, after the injection and before the
+    alarm."""
+    assert only(trial(**{"alarms": [alarm(0.4)], "acts": [], **recorded})).disturbed is disturbed
 
 
 def test_a_class_that_could_not_be_injected_is_listed() -> None:
