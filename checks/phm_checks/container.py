@@ -85,7 +85,8 @@ class Container(PerContainer):
                 raise
             return found
         result = self._judge(fact, world)
-        result = result.with_evidence(api.Evidence(generation=fact.generation if fact is not None else ""))
+        generation = fact.generation if fact is not None else ""
+        result = result.with_evidence(replace(result.evidence, generation=generation))
         self._before = (fact, result) if fact is not None else None
         return result
 
@@ -150,7 +151,7 @@ class Container(PerContainer):
                 brief=brief(self.key, f"{self._trend.count} restarts, ever faster"),
                 condition="restarts_rising",
                 values=values,
-            )
+            ).with_evidence(api.Evidence(forecast=True))
         return api.ok(f"Container {self.key} is running", values=values)
 
     def _stopped(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:

@@ -196,7 +196,8 @@ class Pressure(PerContainer):
             "limit (`mem_limit:`)"
         )
         short = f"memory full {self._growing.short(soon)}"
-        return self._naming(self._bad(Level.WARN, words, short, "memory_filling"), short, by.short if by else "")
+        found = self._bad(Level.WARN, words, short, "memory_filling").with_evidence(api.Evidence(forecast=True))
+        return self._naming(found, short, by.short if by else "")
 
     def _judge_io(self, newest: PressureDelta) -> api.Result | None:
         over = self._window.over(IO_S, full=True)

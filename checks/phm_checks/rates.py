@@ -307,7 +307,7 @@ class Rates(api.Check):
         soon = None if forecast is None else forecast.soon(now, jitter_s, limit_s)
         if soon is None or forecast is None or jitter_s is None or jitter_s >= limit_s:
             return None
-        return self._bad(
+        found = self._bad(
             Level.WARN,
             "jitter_rising",
             f"jitter too high {forecast.short(soon)}",
@@ -315,6 +315,7 @@ class Rates(api.Check):
             f"{forecast.words(soon)}: look for a queue, a log or a disk that fills, and for growing load",
             case,
         )
+        return found.with_evidence(api.Evidence(forecast=True))
 
     def _changed(self, seen: api.TopicFact, fact: api.RosFact) -> bool:
         """Whether the rate has certainly changed: each measurement shows it, and the machine is not slow in general."""

@@ -102,6 +102,7 @@ class Evidence:
     rising:       the newest measurement is above the limit, but not for long enough to report it yet.
     falling:      the newest measurement is below the limit; the report only has not ended yet.
     ended_by:     what ended the earlier failure of the unit, as observed, e.g. ``reboot``: no action is credited for it.
+    forecast:     the unit works, and this WARN is about what may come: an earlier failure of the unit is over.
     """
 
     generation: str = ""
@@ -116,6 +117,7 @@ class Evidence:
     rising: bool = False
     falling: bool = False
     ended_by: str = ""
+    forecast: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,8 +187,9 @@ class Result:
 
     @property
     def ends_fault(self) -> bool:
-        """Whether the earlier failure is over: OK, or a WARN about something else that states what ended it."""
-        return self.level is Level.OK or (self.level is Level.WARN and bool(self.evidence.ended_by))
+        """Whether the earlier failure is over: OK, or a WARN about something else that states what ended it, or a forecast."""
+        known = bool(self.evidence.ended_by) or self.evidence.forecast
+        return self.level is Level.OK or (self.level is Level.WARN and known)
 
     def with_evidence(self, evidence: Evidence) -> Result:
         """Return a copy of this result with `evidence`."""

@@ -221,6 +221,8 @@ def test_restarts_that_become_more_frequent_are_reported() -> None:
         "restarts_rising",
         "ros_app 5 restarts, ever faster",
     )
+    assert result.ends_fault, "the container runs: a recovery that has started it has succeeded"
+    assert result.evidence.generation
 
 
 @pytest.mark.parametrize("at_s", [(600, 1200, 1800, 2400, 2700), (100, 300, 800, 2000), (2500, 2900)])

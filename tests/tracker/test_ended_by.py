@@ -8,6 +8,7 @@ from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 REBOOT = Evidence(certain=True, ended_by="reboot")
 REBOOTED = warn("rebooted", brief="rebooted", condition="rebooted").with_evidence(REBOOT)
+FORECAST = warn("4 restarts", brief="4 restarts", condition="restarts_rising").with_evidence(Evidence(forecast=True))
 
 
 def failing(target: str = "") -> Bench:
@@ -37,6 +38,26 @@ def test_any_other_warning_leaves_the_fault_open() -> None:
     bench.see("pilot", warn("weak", brief="weak", condition="weak"))
     bench.later(3)
     assert bench.closed == []
+
+
+def test_a_forecast_closes_the_fault_first() -> None:
+    """The unit works. A container that PHM had started stayed a fault for as long as its restarts became more frequent."""
+    bench = failing()
+    bench.see("pilot", FORECAST)
+    assert bench.closed == [("pilot", Outcome.RESOLVED, "itself")]
+    assert bench.level("pilot") is Level.WARN
+
+
+def test_a_forecast_verifies_an_action() -> None:
+    """It has recovered the unit, whatever comes."""
+    bench = failing("link")
+    bench.take(bench.tracker.begin_action("link", "pilot", "start", bench.stamp(), 60.0, proving=True))
+    bench.now += 1
+    bench.see("pilot", FORECAST)
+    assert bench.tracker.found_ok("pilot", bench.now)
+    bench.take(bench.tracker.end_action("link", bench.stamp(), worked=True))
+    assert bench.level("pilot") is Level.WARN
+    assert [(unit, outcome) for unit, outcome, _ in bench.closed] == [("pilot", Outcome.RESOLVED)]
 
 
 def test_an_ok_that_states_the_end_names_it() -> None:
