@@ -23,6 +23,8 @@ STAYS_S = 5.0
 fault."""
 FEWEST = 2
 """Minimum number of readings in the quick window. The kernel counts continuously, so a few are enough."""
+KNOWN_S = 10.0
+"""An answer of the engine about a container may be this old: the engine reports a start, and is slow on a machine without idle CPU."""
 ASK_AGAIN_S = 10.0
 """After the engine failed to answer whether a container is starting, PHM waits this long before it asks again."""
 _MOST_READINGS = 2000
@@ -107,7 +109,8 @@ class Cpu:
         seen = self._pressed(fact, now)
         if seen is not None and (self._quick_fault is not None or not self._starting(now, world)):
             level = max(seen[0], self._quick_fault[1], key=_rank) if self._quick_fault is not None else seen[0]
-            self._quick_fault = now, level, seen[1]
+            # Not `now`: on a busy machine the engine may have taken seconds to answer whether a container is starting.
+            self._quick_fault = world.clock.mono(), level, seen[1]
         if self._quick_fault is not None and now - self._quick_fault[0] > STAYS_S:
             self._quick_fault = None
         return self._quick_fault[1:] if self._quick_fault is not None else None
@@ -142,7 +145,7 @@ class Cpu:
         if self._first is None or now - self._first < self._start_s or now < self._ask_from:
             return True
         try:
-            facts = [world.docker.container(name) for name in self._containers]
+            facts = [world.docker.container(name, KNOWN_S) for name in self._containers]
         except api.CannotTell:
             self._ask_from = now + ASK_AGAIN_S
             return True

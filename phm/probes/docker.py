@@ -34,16 +34,28 @@ _ID = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])")
 _BY_DOCKER = ("/etc/hostname", "/etc/hosts", "/etc/resolv.conf")
 
 
-@dataclass(slots=True)
-class _Entry:
-    """The last response about one container. Invariant: read and written with `lock` held."""
+@dataclass(frozen=True, slots=True)
+class _Response:
+    """To one request about a container, made at `asked_at` and answered at `done_at` (monotonic seconds)."""
 
-    lock: threading.Lock = field(default_factory=threading.Lock)
     asked_at: float = float("-inf")
     done_at: float = float("-inf")
     generation: int = -1
     fact: ContainerFact | None = None
     error: CannotTell | None = None
+
+    def result(self) -> ContainerFact | None:
+        if self.error is not None:
+            raise self.error.with_traceback(None)
+        return self.fact
+
+
+@dataclass(slots=True)
+class _Entry:
+    """The last response about one container: replaced with `lock` held, read by any thread."""
+
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    response: _Response = _Response()
 
 
 class Docker:
@@ -106,18 +118,18 @@ class Docker:
         return str(network.get("Id") or "") if network.get("Name") == name else ""
 
     def reachable(self, address: str) -> bool:
-        facts = [entry.fact for entry in self._entries.values() if entry.fact is not None]
+        facts = [fact for entry in self._entries.values() if (fact := entry.response.fact) is not None]
         holder = next((fact for fact in facts if any(one.address == address for one in fact.networks)), None)
         return self._pinger.answers(address, holder.generation if holder is not None else "")
 
     def answering(self) -> tuple[str, ...]:
         """Addresses of configured containers that run and have responded in this run; see
         `phm.probes.reachability_monitor`."""
-        facts = [entry.fact for key, entry in self._entries.items() if key != _OWN_CONTAINER and entry.fact is not None]
+        facts = [entry.response.fact for key, entry in self._entries.items() if key != _OWN_CONTAINER]
         return tuple(
             one.address
             for fact in facts
-            if fact.running
+            if fact is not None and fact.running
             for one in fact.networks
             if one.address and self._pinger.has_responded(one.address, fact.generation)
         )
@@ -140,35 +152,33 @@ class Docker:
         Threads that wait while another one asks share its next response. A check's result counts from the start of its
         run, so none of its data may be older.
         """
-        entry = self._entries[key]
-        called_at = self._clock.mono()
+        entry, called_at = self._entries[key], self._clock.mono()
+        last = entry.response
+        if young_s and self._usable(last, called_at, young_s):
+            return last.result()  # not waiting for a request that a busy engine has not answered yet
         # The holder of the lock releases it when its own deadline has passed.
         if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):
             raise NoResponse(f"the Docker Engine is still answering an earlier request for {key.strip(chr(0))}")
         try:
-            if not self._usable(entry, called_at, young_s):
-                self._ask(entry, ask)
-            if entry.error is not None:
-                raise entry.error.with_traceback(None)
-            return entry.fact
+            if not self._usable(entry.response, called_at, young_s):
+                # Not before: meanwhile `reachable` must know which run has an address.
+                entry.response = self._ask(ask)
+            return entry.response.result()
         finally:
             entry.lock.release()
 
-    def _usable(self, entry: _Entry, called_at: float, young_s: float) -> bool:
-        if entry.error is not None and entry.done_at > called_at:
+    def _usable(self, last: _Response, called_at: float, young_s: float) -> bool:
+        if last.error is not None and last.done_at > called_at:
             return True  # failed while this thread waited: another attempt would only add up the deadlines
-        return entry.generation == self._generation and called_at - entry.asked_at <= young_s
+        return last.generation == self._generation and called_at - last.asked_at <= young_s
 
-    def _ask(self, entry: _Entry, ask: Callable[[TimeBudget], ContainerFact | None]) -> None:
-        entry.asked_at, entry.generation = self._clock.mono(), self._generation
-        fact = entry.error = None
+    def _ask(self, ask: Callable[[TimeBudget], ContainerFact | None]) -> _Response:
+        asked_at, generation = self._clock.mono(), self._generation
         try:
             fact = ask(TimeBudget(self._clock, self._engine.timeout_s))
         except CannotTell as error:
-            entry.error = error
-        finally:
-            entry.fact = fact  # not before: meanwhile `reachable` must know which run has an address
-            entry.done_at = self._clock.mono()
+            return _Response(asked_at, self._clock.mono(), generation, error=error)
+        return _Response(asked_at, self._clock.mono(), generation, fact)
 
     # ------------------------------------------------------------ PHM's own container
 

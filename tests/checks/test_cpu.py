@@ -129,6 +129,21 @@ def test_with_a_silent_engine_only_the_mean_decides_and_the_engine_is_not_polled
     assert bench.docker.calls == asked == 1
 
 
+def test_an_alarm_lasts_also_if_the_engine_took_long_to_answer() -> None:
+    """On a busy machine it is slow: the alarm was over at the next reading, and raised again by the one after that."""
+    bench = Bench()
+    bench.observations(1.5, **BUSY)
+    known = bench.docker.container
+
+    def slow(name: str, young_s: float = 0.0) -> api.ContainerFact | None:
+        bench.clock.advance(STAYS_S + 1.0)
+        return known(name, young_s)
+
+    bench.docker.container = slow  # type: ignore[method-assign]
+    assert bench.observe(**BUSY).level is api.Level.ERROR
+    assert bench.observe(**BUSY).level is api.Level.ERROR
+
+
 def test_bursts_with_short_pauses_are_one_fault() -> None:
     """A fast report stays until the load has been low for a while."""
     bench = Bench()

@@ -252,6 +252,31 @@ def test_an_answer_that_is_young_enough_is_not_requested_again_before_the_next_e
     assert asked(fake, "GET /containers/app/json") == 4
 
 
+def test_an_answer_that_is_young_enough_does_not_wait_for_a_request_under_way(
+    fake: FakeEngine, ask: DockerEngine
+) -> None:
+    """The engine of a busy machine takes seconds, and that it is busy would be reported so much later."""
+    fake.containers["app"] = container("app")
+    clock = FakeClock()
+    docker = probe(ask, {"name": "app"}, clock=clock)
+    known = docker.container("app")
+    clock.advance(0.1)
+    fake.fault = Hang(route="/app/")
+
+    def observe() -> None:
+        with contextlib.suppress(CannotTell):
+            docker.container("app")
+
+    checking = threading.Thread(target=observe)
+    checking.start()
+    until(lambda: asked(fake, "GET /containers/app/json") == 2, "the request that hangs")
+    assert docker.container("app", 10.0) is known
+    assert checking.is_alive()
+    fake.fault = None
+    ask.close()
+    checking.join(60)
+
+
 class NotedClock(SystemClock):
     """Notes which threads have read it."""
 
@@ -281,10 +306,10 @@ def test_checks_that_waited_for_a_hung_engine_do_not_wait_again(fake: FakeEngine
     threads = [threading.Thread(target=observe) for _ in range(5)]
     real_ask = docker._ask
 
-    def ask_when_all_wait(*words: Any) -> None:
+    def ask_when_all_wait(*words: Any) -> Any:
         """On a busy machine a thread may begin long after the others, and would then rightly ask again."""
         until(lambda: {thread.ident for thread in threads} <= clock.readers, "all checks to begin")
-        real_ask(*words)
+        return real_ask(*words)
 
     docker._ask = ask_when_all_wait  # type: ignore[method-assign]
     for thread in threads:
