@@ -349,7 +349,7 @@ class TargetWorker:
         if newest is not None and newest.condition == ENGINE_DOWN:
             return "the Docker Engine does not respond"
         without = own is not None and own.level is Level.ERROR and own.evidence.conclusive
-        return "the Docker Engine does not respond about it" if without else ""
+        return "the Docker Engine does not report its state" if without else ""
 
     def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> None:
         worked, before = False, self._generations.current(self._name)

@@ -103,7 +103,8 @@ def _paragraph(group: Group) -> str:
         f"{_seconds(published)} (prototype: 14.82 s).",
         f"An action of PHM ended {'-' if by_action is None else percent(by_action.mean)} of the faults, confirmed from "
         "outside (prototype: 16.6 %).",
-        f"There were {'-' if alarms is None else f'{alarms.mean:.2f}'} alarms per fault and {group.all.false} false alarms, "
+        f"There were {'-' if alarms is None else f'{alarms.mean:.2f}'} alarms per fault and {group.all.false} false "
+        f"alarm{'' if group.all.false == 1 else 's'}, "
         f"beside {len(group.all.beside)} about the measured load of the machine, which the agents share. "
         f"{sum(verdict.missed for verdict in group.all.verdicts)} faults were missed, so the times are those of "
         f"{group.all.detection.n}.",

@@ -7,7 +7,7 @@ sleep again. So an example is reproducible.
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -112,7 +112,7 @@ class SimRecovery:
         settings = sim.settings.model_copy(update={"recovery": self.rules, "containers": [entry]})
         self.acted: list[Acted] = []
         self.begun: list[float] = []
-        self.left_lost = 0
+        self.left_lost: Counter[str] = Counter()
         self._acting: list[str] = []
         self._at_work = False
         self._broken: list[str] = []
@@ -221,8 +221,9 @@ class SimRecovery:
             world.record_start(up)
         in_part = action not in ("restart", "join_network") and self.sim.random.random() < self.in_part
         for kind in sorted(FIXES[action].intersection(world.active)) if helps else ():
+            if in_part:
+                self.left_lost.update({span.unit for span in world.active[kind][1:]})
             (world.repair_in_part if in_part else world.repair)(kind, up)
-            self.left_lost += in_part
         self._pause(up - self.sim.now)
 
     def _pause(self, seconds: float) -> None:

@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 from phm.api import error, stale
 from phm.core.model import FaultClosed, FaultOpened, Level, Outcome
 from phm.tracker.starvation import BEFORE_PRESSURE_S
-from tests.fakes.agent_world import CAUSES, HIDDEN, NODES, RATES, STARVING, TARGET, TOPICS, Sim, shipped
+from tests.fakes.agent_world import CAUSES, HIDDEN, STARVING, TARGET, Sim, shipped
 from tests.fakes.sim_recovery import SimRecovery
 
 pytestmark = pytest.mark.long
@@ -253,7 +253,7 @@ def test_recovery_respects_budget_hold_and_arming(
         sim.run(25.0)
         repair_all(sim)
     # What a repair left lost is published as lost when no next step may follow in time.
-    causes.update(dict.fromkeys((*NODES.values(), *TOPICS.values(), *RATES.values()), recovery.left_lost))
+    causes.update(recovery.left_lost)
     assert not Counter(sim.opened) - (causes + reasons_to_publish_again(sim))
     assert sim.units_at(Level.OK) == {state.unit for state in sim.tracker.states()}
 
