@@ -42,10 +42,9 @@ Pipeline.note = hang
 import pathlib, sys, threading
 from phm.runtime.daemon import Daemon
 def hang(daemon):
-    pathlib.Path(sys.argv[-1]).with_name("reloads").touch()
-    # CPython calls no handler in a wait that begins just after the signal: the test sends it at about that moment.
-    while True:
-        threading.Event().wait(1.0)
+    # Not before the wait has begun: CPython calls no handler in a wait that begins just after the signal.
+    threading.Timer(0.5, pathlib.Path(sys.argv[-1]).with_name("reloads").touch).start()
+    threading.Event().wait()
 Daemon._hand_over = hang
 """,
 }
