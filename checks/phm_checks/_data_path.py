@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from phm import api
 from phm_checks._graph_evidence import SILENT_PERIODS, NodeTopics
-from phm_checks._process_matching import Wanted, match, wanted_nodes
+from phm_checks._process_matching import Wanted, match, repeated, wanted_nodes
 from phm_checks._text import listed, span
 
 WITNESSES = 2
@@ -213,13 +213,16 @@ class DataPath:
         return len(found) >= WITNESSES and not any(found) and not received
 
     def _run(self, world: api.World) -> str:
-        """AWAKE or ASLEEP if each node has its own process and none is stopped; otherwise empty. Called only if there is a reason."""
+        """AWAKE or ASLEEP if each node has at least one process, not shared, and none is stopped; otherwise empty. Called only if there
+        is a reason."""
         try:
-            found, _ = match(self._wanted, world.docker.processes(self._key), {})
+            processes = world.docker.processes(self._key)
         except api.CannotTell:
             return ""
-        states = [one.process.state[:1] for one in found.values()]
-        if len(states) != len(self._wanted) or any(state in ("T", "t") for state in states):
+        found, _ = match(self._wanted, processes, {})
+        every = repeated(self._wanted, processes) | {name: [one.process] for name, one in found.items()}
+        states = [one.state[:1] for own in every.values() for one in own]
+        if len(every) != len(self._wanted) or any(state in ("T", "t") for state in states):
             return ""
         return ASLEEP if all(state == "S" for state in states) else AWAKE
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from phm import api
 
@@ -78,23 +79,41 @@ def match(
     parents = {one.pid: one.parent for one in processes}
     for node in nodes:
         apart = [one for one in processes if one.pid not in wrappers.get(node.name, ())]
-        fitting, way = _fitting(node, apart, (ways or {}).get(node.name, BARE))
-        forks = _forks(fitting)
-        if any(one.age_s is not None and one.age_s < EXEC_S for one in forks):
-            counts[node.name] = len(fitting)
-            continue
-        fitting = [one for one in fitting if one not in forks]
-        outer = {pid for one in fitting for pid in _above(one.pid, parents)}
-        inner = [one for one in fitting if one.pid not in outer]
-        counts[node.name] = len(inner)
-        if len(inner) == 1:
-            found[node.name] = Match(inner[0], frozenset(_above(inner[0].pid, parents)), way)
+        own = _own(node, apart, parents, (ways or {}).get(node.name, BARE))
+        counts[node.name] = len(own.processes)
+        if len(own.processes) == 1 and own.settled:
+            found[node.name] = Match(own.processes[0], frozenset(_above(own.processes[0].pid, parents)), own.way)
     for name in _launchers(nodes, found):
         del found[name]
         counts[name] = 0
     for name in _shared(nodes, found):
         del found[name]
     return found, {name: count for name, count in counts.items() if name not in found}
+
+
+def repeated(nodes: Sequence[Wanted], processes: Sequence[api.ProcessFact]) -> dict[str, list[api.ProcessFact]]:
+    """The processes of each node that seems to run more than once: enough for a statement that holds for all of them."""
+    parents = {one.pid: one.parent for one in processes}
+    every = {node.name: _own(node, processes, parents, BARE) for node in nodes}
+    return {name: own.processes for name, own in every.items() if own.settled and len(own.processes) > 1}
+
+
+class _Own(NamedTuple):
+    """The processes that fit a node, without the parents of others, and the method. settled: none may soon become another program."""
+
+    processes: list[api.ProcessFact]
+    way: int
+    settled: bool = True
+
+
+def _own(node: Wanted, processes: Sequence[api.ProcessFact], parents: Mapping[int, int], least: int) -> _Own:
+    fitting, way = _fitting(node, processes, least)
+    forks = _forks(fitting)
+    if any(one.age_s is not None and one.age_s < EXEC_S for one in forks):
+        return _Own(fitting, way, settled=False)
+    apart = [one for one in fitting if one not in forks]
+    outer = {pid for one in apart for pid in _above(one.pid, parents)}
+    return _Own([one for one in apart if one.pid not in outer], way)
 
 
 def _fitting(node: Wanted, processes: Sequence[api.ProcessFact], least: int) -> tuple[list[api.ProcessFact], int]:

@@ -198,6 +198,24 @@ def test_processes_that_terminated_or_stopped_explain_the_silence(path: DataPath
     assert path.later(10.0, 4.0, 4.0).level is api.Level.OK
 
 
+@pytest.mark.parametrize(
+    ("state", "soon_s", "blocked"), [("S", 0.9, True), ("R", 4.0, True), ("R", 0.9, False), ("T", 4.0, False)]
+)
+def test_a_node_that_runs_twice_does_not_hide_a_blocked_transport(
+    path: DataPath, state: str, soon_s: float, blocked: bool
+) -> None:
+    """Found in a campaign: a blocked transport was reported as two hung nodes beside the duplicate."""
+    path.docker.lists["ros_app"] = (*ROWS, replace(ROWS[1], pid=19, state=state))
+    result = silent(path, soon_s, soon_s + 0.1)
+    assert (result.condition == "transport_blocked") is blocked
+
+
+def test_a_second_process_of_one_node_does_not_replace_another_node(path: DataPath) -> None:
+    """A second process must not count for a node that has none."""
+    path.docker.lists["ros_app"] = (ROWS[0], replace(ROWS[0], pid=19))
+    assert path.later(10.0, 4.0, 4.0).level is api.Level.OK
+
+
 def test_a_restarted_container_has_other_processes(path: DataPath) -> None:
     """Old names stay listed until their lease expires; nothing was received in this generation yet."""
     path.clock.advance(10.0)
