@@ -87,6 +87,14 @@ def test_the_sidecar_finds_ros_and_every_check() -> None:
     assert [entry["problem"] for entry in entries if entry["problem"]] == []
 
 
+def test_the_sidecar_keeps_no_columns_of_instructions_in_memory() -> None:
+    """They took 3 MB. Tracebacks still have their line numbers."""
+    program = "from phm.tracker.rules import decide; print([p for p in decide.__code__.co_positions() if p[0]][0])"
+    line, *columns = in_sidecar("python", "-c", program).strip("()\n").split(", ")
+    assert int(line) > 0
+    assert columns[-2:] == ["None", "None"]
+
+
 def test_the_ros_child_is_restricted_in_the_sidecar() -> None:
     """With the engine's default seccomp profile, as an ordinary user and read-only, every restriction is active."""
     code = "from phm.probes.ros import sandbox; print(repr(sandbox.enter()))"
