@@ -38,8 +38,17 @@ def code_in_words(code: int) -> str:
 
 
 WITHOUT_ENGINE_S = 15.0
-"""A container must have ended or be frozen for this long by its cgroup before this is reported: only the engine's events show who
-stopped it. PHM allows a recreation by hand as much (`phm.recovery.holds.manual_stop.RECREATED_S`)."""
+"""A container whose cgroup was removed or is frozen must have been so for this long before this is reported: only the engine's events
+show who did it, and the engine may work while PHM does not reach it. PHM allows a recreation by hand as much
+(`phm.recovery.holds.manual_stop.RECREATED_S`)."""
+UNNOTICED_S = 3.0
+"""The same for a cgroup that is empty and still there. An engine that works removes it (measured: within 0.1 s), so it does not work,
+and no one can recreate the container."""
+_SHOWN = {
+    api.CgroupState.FROZEN: "is paused: its cgroup is frozen",
+    api.CgroupState.EMPTY: "has ended: its cgroup has no process",
+    api.CgroupState.REMOVED: "has ended or was replaced: its cgroup was removed",
+}
 
 
 class Container(PerContainer):
@@ -95,19 +104,17 @@ class Container(PerContainer):
     ) -> api.Result | None:
         """That the container has ended or is frozen; None: neither, or unknown. What was reported before and still holds is repeated."""
         state = world.pressure.state(self.key, fact.id)
-        if state in (None, api.CgroupState.RUNNING):
+        if state is None or state is api.CgroupState.RUNNING:
             return None
         frozen = state is api.CgroupState.FROZEN
         if before.level is api.Level.ERROR and not fact.running and (fact.status == "paused") is frozen:
             found = before
         else:
-            what = (
-                "is paused: its cgroup is frozen" if frozen else "has ended or was replaced: its cgroup has no process"
-            )
-            words = f"{self.key} {what}. Why is unknown, and it cannot be recovered, until the Docker Engine responds: {clean(reason)}"
+            words = f"{self.key} {_SHOWN[state]}. Why is unknown, and it cannot be recovered, until the Docker Engine responds: {clean(reason)}"
             found = self._bad("frozen", words, "paused") if frozen else self._bad("ended", words, "ended")
         seen = api.Evidence(certain=True, conclusive=True)  # of no generation: it may have been replaced
-        return replace(found, settle_s=WITHOUT_ENGINE_S, evidence=seen)
+        settle_s = UNNOTICED_S if state is api.CgroupState.EMPTY else WITHOUT_ENGINE_S
+        return replace(found, settle_s=settle_s, evidence=seen)
 
     def _judge(self, fact: api.ContainerFact | None, world: api.World) -> api.Result:
         if fact is None:

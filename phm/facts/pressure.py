@@ -14,7 +14,9 @@ class CgroupState(str, Enum):
     FROZEN = "frozen"
     """`docker pause` does this."""
     EMPTY = "empty"
-    """None is left, or the cgroup has been removed."""
+    """None is left. The Docker Engine removes the cgroup then, so it has not dealt with the end yet."""
+    REMOVED = "removed"
+    """The cgroup does not exist any more: something has dealt with the container's end."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,14 +81,16 @@ def state(root: Path, group: Cgroup) -> CgroupState | None:
 def _state_v2(group: Cgroup) -> CgroupState | None:
     events = _table(f"{group.unified}/cgroup.events")
     if not events.get("populated"):
-        return CgroupState.EMPTY if events or not os.path.exists(group.unified) else None
+        if events:
+            return CgroupState.EMPTY
+        return None if os.path.exists(group.unified) else CgroupState.REMOVED
     return CgroupState.FROZEN if events.get("frozen") else CgroupState.RUNNING
 
 
 def _state_v1(root: Path, group: Cgroup) -> CgroupState | None:
     """By the number of tasks: version 1 does not list processes that are outside of PHM's PID namespace."""
     if not os.path.exists(group.cpu):
-        return CgroupState.EMPTY
+        return CgroupState.REMOVED
     tasks = _text(f"{group.pids}/pids.current")
     if tasks in ("0", None, ""):
         return CgroupState.EMPTY if tasks == "0" else None

@@ -8,10 +8,11 @@ import pytest
 
 from phm import api, testing
 from phm.recovery.base import ladder_of
-from phm_checks.container import WITHOUT_ENGINE_S, Container
+from phm_checks.container import UNNOTICED_S, WITHOUT_ENGINE_S, Container
 
 SETTINGS = testing.settings(containers=[{"name": "ros_app"}])
 EMPTY, FROZEN, RUNNING = api.CgroupState.EMPTY, api.CgroupState.FROZEN, api.CgroupState.RUNNING
+REMOVED = api.CgroupState.REMOVED
 AWAY = api.NoResponse("no answer within 5 s")
 
 
@@ -43,13 +44,17 @@ class Away:
         return result
 
 
-@pytest.mark.parametrize(("state", "condition"), [(EMPTY, "ended"), (FROZEN, "frozen")])
-def test_its_end_is_an_error_without_an_action(state: api.CgroupState, condition: str) -> None:
-    """The cgroup shows it; nothing can be done about it before the engine responds."""
+@pytest.mark.parametrize(
+    ("state", "condition", "settle_s"),
+    [(EMPTY, "ended", UNNOTICED_S), (REMOVED, "ended", WITHOUT_ENGINE_S), (FROZEN, "frozen", WITHOUT_ENGINE_S)],
+)
+def test_its_end_is_an_error_without_an_action(state: api.CgroupState, condition: str, settle_s: float) -> None:
+    """The cgroup shows it; nothing can be done about it before the engine responds. An engine that works removes an empty cgroup:
+    while it is there, no one can be recreating the container."""
     away = Away()
     found = away.run(state)
     assert (found.level, found.condition, found.target) == (api.Level.ERROR, condition, "ros_app")
-    assert found.settle_s == WITHOUT_ENGINE_S
+    assert found.settle_s == settle_s
     assert found.evidence.conclusive and found.evidence.certain
     assert away.before.evidence.generation and not found.evidence.generation, "another run may have begun"
     assert "no answer within 5 s" in found.summary

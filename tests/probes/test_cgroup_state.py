@@ -31,7 +31,7 @@ def test_the_state_of_a_cgroup_of_version_2_needs_no_engine(tmp_path: Path) -> N
         assert bench.probe.state("ros_app", ID) is state
         assert bench.probe.state("ros_app", OTHER) is None, "another container"
     shutil.rmtree(folder)
-    assert bench.probe.state("ros_app", ID) is CgroupState.EMPTY
+    assert bench.probe.state("ros_app", ID) is CgroupState.REMOVED
     (tmp_path / "cgroup.controllers").unlink()
     assert bench.probe.state("ros_app", ID) is None
     assert bench.probe.state("gps", ID) is None
@@ -52,6 +52,6 @@ def test_the_state_of_a_cgroup_of_version_1_is_its_number_of_tasks(tmp_path: Pat
     tasks.unlink()
     assert bench.probe.state("ros_app", ID) is None, "without the controller"
     shutil.rmtree(tmp_path / "cpu" / "docker")
-    assert bench.probe.state("ros_app", ID) is CgroupState.EMPTY
+    assert bench.probe.state("ros_app", ID) is CgroupState.REMOVED
     shutil.rmtree(tmp_path / "cpu")
     assert bench.probe.state("ros_app", ID) is None

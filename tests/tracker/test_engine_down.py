@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from phm.core.model import FaultOpened, Level, Outcome
-from phm_checks.container import WITHOUT_ENGINE_S
+from phm_checks.container import UNNOTICED_S, WITHOUT_ENGINE_S
+from tests.fakes import agent_world
 from tests.fakes.agent_world import CAUSES, NODES, TARGET, Sim
 
 SEEDS = range(8)
@@ -51,6 +52,18 @@ def test_a_container_that_ends_is_one_more_alarm(kind: str, condition: str, seed
     sim.run(20.0)
     assert {event.fault.outcome for event in sim.closed} == {Outcome.RESOLVED}
     assert len(sim.closed) == 2
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_end_that_no_engine_notices_is_reported_soon(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its cgroup would be removed by an engine that works: no one is recreating the container."""
+    monkeypatch.setattr(agent_world, "WITHOUT_ENGINE_S", UNNOTICED_S)
+    sim = down(seed)
+    sim.world.inject("container", sim.now)
+    sim.run(UNNOTICED_S - 0.5)
+    assert conditions(sim) == []
+    sim.run(WITHOUT_ENGINE_S - UNNOTICED_S - 2.0)
+    assert conditions(sim) == [(CONTAINER, "ended")]
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -127,7 +127,8 @@ def test_a_reached_limit_of_processes_is_reported(real: Any, engine: DockerEngin
 
 
 def test_the_cgroup_shows_whether_a_container_runs_is_frozen_or_has_ended(real: Any, engine: DockerEngine) -> None:
-    """Also when the engine has forgotten it; of a source without cgroups nothing is known."""
+    """Also when the engine has forgotten it, and whether an engine has removed the cgroup; of a source without cgroups nothing is
+    known."""
     made = real.container("sleep 600")
     blind = Agent(engine, made.name, STATISTICS)
     agent = Agent(engine, made.name, FILES)
@@ -140,11 +141,11 @@ def test_the_cgroup_shows_whether_a_container_runs_is_frozen_or_has_ended(real: 
     made.unpause()
     assert state() is api.CgroupState.RUNNING
     made.kill(signal="SIGKILL")
-    wait_until(lambda: state() is api.CgroupState.EMPTY, "an empty cgroup")
+    wait_until(lambda: state() is api.CgroupState.REMOVED, "the engine to remove the cgroup")
     made.start()
     wait_until(lambda: state() is api.CgroupState.RUNNING, "processes again")
     made.remove(force=True)
-    wait_until(lambda: state() is api.CgroupState.EMPTY, "no cgroup")
+    wait_until(lambda: state() is api.CgroupState.REMOVED, "no cgroup")
     assert blind.world.pressure.state("ros_app", made.id) is None
 
 
