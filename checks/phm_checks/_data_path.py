@@ -220,7 +220,7 @@ class DataPath:
         except api.CannotTell:
             return ""
         found, _ = match(self._wanted, processes, {})
-        every = repeated(self._wanted, processes) | {name: [one.process] for name, one in found.items()}
+        every = repeated(self._wanted, processes, found) | {name: [one.process] for name, one in found.items()}
         states = [one.state[:1] for own in every.values() for one in own]
         if len(every) != len(self._wanted) or any(state in ("T", "t") for state in states):
             return ""

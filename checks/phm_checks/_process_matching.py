@@ -91,10 +91,17 @@ def match(
     return found, {name: count for name, count in counts.items() if name not in found}
 
 
-def repeated(nodes: Sequence[Wanted], processes: Sequence[api.ProcessFact]) -> dict[str, list[api.ProcessFact]]:
-    """The processes of each node that seems to run more than once: enough for a statement that holds for all of them."""
+def repeated(
+    nodes: Sequence[Wanted], processes: Sequence[api.ProcessFact], found: Mapping[str, Match]
+) -> dict[str, list[api.ProcessFact]]:
+    """The processes of each node that seems to run more than once: enough for a statement that holds for all of them.
+
+    found: the certain matches. Their processes are those of no other node, whose name may be a word in their command lines.
+    """
+    taken = {one.process.pid for one in found.values()}
     parents = {one.pid: one.parent for one in processes}
-    every = {node.name: _own(node, processes, parents, BARE) for node in nodes}
+    free = [one for one in processes if one.pid not in taken]
+    every = {node.name: _own(node, free, parents, BARE) for node in nodes if node.name not in found}
     return {name: own.processes for name, own in every.items() if own.settled and len(own.processes) > 1}
 
 

@@ -216,6 +216,27 @@ def test_a_second_process_of_one_node_does_not_replace_another_node(path: DataPa
     assert path.later(10.0, 4.0, 4.0).level is api.Level.OK
 
 
+def test_processes_of_other_nodes_that_name_a_node_do_not_run_it(path: DataPath) -> None:
+    """Two processes fit node `one`, and both belong to others: it may have ended."""
+    words = "node --name {} --follow one"
+    made = testing.settings(
+        containers=[{"name": "ros_app", "networks": [NET]}],
+        ros={"nodes": [{"name": f"/a/{k}"} for k in ("one", "two", "six")]},
+    )
+    (path.check,) = Network.build(made)
+    path.docker.lists["ros_app"] = (
+        *(api.ProcessFact(k, 1, "S", 1.0, words.format(name)) for k, name in ((11, "two"), (12, "six"))),
+    )
+    path.observe()
+    path.clock.advance(10.0)
+    beacons = {f"/a/{name}": api.BeaconFact(4.0, 0.2) for name in ("one", "two", "six")}
+    path.ros.change(nodes=dict.fromkeys(beacons, 1), beacons=beacons)
+    assert path.observe().level is api.Level.OK
+    twice = (api.ProcessFact(pid, 1, "S", 1.0, "node --name one") for pid in (10, 13))
+    path.docker.lists["ros_app"] += tuple(twice)
+    assert path.observe().condition == "transport_blocked"
+
+
 def test_a_restarted_container_has_other_processes(path: DataPath) -> None:
     """Old names stay listed until their lease expires; nothing was received in this generation yet."""
     path.clock.advance(10.0)
