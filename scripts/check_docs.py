@@ -33,6 +33,8 @@ EXEMPT = {"LICENSE"}
 WIDTH = 100
 """Columns of a line of prose; tables, code, pictures and links are longer where they must be."""
 UNWRAPPED = ("|", "<", "![")
+CELL_END = re.compile(r"(?<!\\)\|")
+SEPARATOR = re.compile(r"\|(?: ?:?-+:? ?\|)+")
 MAX_TEST_LINES = 500
 UNFORMATTED = re.compile(r"# fmt: (?:skip|off)$", re.MULTILINE)
 MAX_UNFORMATTED = 48
@@ -95,6 +97,26 @@ def long_lines(files: list[Path]) -> Iterator[str]:
                 yield f"{path.relative_to(ROOT)}:{number}: {len(line)} columns, at most {WIDTH}"
 
 
+def broken_tables(files: list[Path]) -> Iterator[str]:
+    """Tables of Markdown without a header, e.g. after an empty line in one, and rows with another number of columns."""
+    for path in files:
+        if path.suffix != ".md":
+            continue
+        code, columns = False, 0
+        lines = path.read_text("utf-8").splitlines()
+        for number, line in enumerate(lines, 1):
+            code ^= line.lstrip().startswith("```")
+            if code or not line.startswith("|"):
+                columns = 0
+                continue
+            cells = len(CELL_END.findall(line))
+            if not columns and not (number < len(lines) and SEPARATOR.fullmatch(lines[number])):
+                yield f"{path.relative_to(ROOT)}:{number}: a table without a header: remove an empty line above it, or add one"
+            elif columns and cells != columns:
+                yield f"{path.relative_to(ROOT)}:{number}: a row of {cells - 1} columns in a table of {columns - 1}"
+            columns = columns or cells
+
+
 def undocumented() -> Iterator[str]:
     """Verbs, entry points and sections of the configuration that no document mentions; phm.yaml is one, since it explains each key."""
     pages = [ROOT / "README.md", ROOT / "config" / "phm.yaml", *sorted((ROOT / "docs").glob("**/*.md"))]
@@ -149,6 +171,7 @@ def main() -> int:
         *broken_links(files),
         *missing_files(files),
         *long_lines(files),
+        *broken_tables(files),
         *undocumented(),
         *machine_names(files),
         *long_tests(files),

@@ -44,6 +44,9 @@ show who did it, and the engine may work while PHM does not reach it. PHM allows
 UNNOTICED_S = 3.0
 """The same for a cgroup that is empty and still there. An engine that works removes it (measured: within 0.1 s), so it does not work,
 and no one can recreate the container."""
+UNREPORTED_S = 10.0
+"""How long an engine that reports a container as running, although its processes have ended, counts as late. Usually it reports the end
+within 0.1 s, on a busy machine within a second."""
 _SHOWN = {
     api.CgroupState.FROZEN: "is paused: its cgroup is frozen",
     api.CgroupState.EMPTY: "has ended: its cgroup has no process",
@@ -73,6 +76,8 @@ class Container(PerContainer):
         self._restarts = RestartLoop(steady_s, by_hand)
         self._before: tuple[api.ContainerFact, api.Result] | None = None
         """The engine's last answer, and the result."""
+        self._ended_at: float | None = None
+        """When its cgroup first showed that it has ended (monotonic seconds), while the engine reports it as running."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -93,7 +98,7 @@ class Container(PerContainer):
             if found is None:
                 raise
             return found
-        result = self._judge(fact, world)
+        result = self._not_reported(fact, world) or self._judge(fact, world)
         generation = fact.generation if fact is not None else ""
         result = result.with_evidence(replace(result.evidence, generation=generation))
         self._before = (fact, result) if fact is not None else None
@@ -115,6 +120,19 @@ class Container(PerContainer):
         seen = api.Evidence(certain=True, conclusive=True)  # of no generation: it may have been replaced
         settle_s = UNNOTICED_S if state is api.CgroupState.EMPTY else WITHOUT_ENGINE_S
         return replace(found, settle_s=settle_s, evidence=seen)
+
+    def _not_reported(self, fact: api.ContainerFact | None, world: api.World) -> api.Result | None:
+        """STALE if it has ended and the engine is late to report that, so that its end is not first reported as a fault of what depends
+        on it; else None."""
+        state = world.pressure.state(self.key, fact.id) if fact is not None and fact.running else None
+        if state not in (api.CgroupState.EMPTY, api.CgroupState.REMOVED):
+            self._ended_at = None
+            return None
+        now_s = world.clock.mono()
+        self._ended_at = now_s if self._ended_at is None else self._ended_at
+        if now_s - self._ended_at >= UNREPORTED_S:
+            return None
+        return api.stale(f"{self.key} {_SHOWN[state]}. The Docker Engine still reports it as running")
 
     def _judge(self, fact: api.ContainerFact | None, world: api.World) -> api.Result:
         if fact is None:

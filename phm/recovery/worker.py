@@ -324,6 +324,9 @@ class TargetWorker:
             return POLL_S
         case.engine_was_down = bool(away)
         missing = away or attempt.waits_for()
+        if away:
+            # An engine that was suspended answers again without an event, and its check has a long period.
+            self._pipeline.recheck(ENGINE, f"{CONTAINER}{self._name}")
         if missing:
             self._reporter.report_once(case, act.action, Phase.REFUSED, f"no action on {self._name} for now: {missing}")
             return MISSING_S

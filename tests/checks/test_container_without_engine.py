@@ -8,7 +8,7 @@ import pytest
 
 from phm import api, testing
 from phm.recovery.base import ladder_of
-from phm_checks.container import UNNOTICED_S, WITHOUT_ENGINE_S, Container
+from phm_checks.container import UNNOTICED_S, UNREPORTED_S, WITHOUT_ENGINE_S, Container
 
 SETTINGS = testing.settings(containers=[{"name": "ros_app"}])
 EMPTY, FROZEN, RUNNING = api.CgroupState.EMPTY, api.CgroupState.FROZEN, api.CgroupState.RUNNING
@@ -110,3 +110,33 @@ def test_a_container_that_the_engine_has_never_described_is_unknown() -> None:
     docker.fails = AWAY
     with pytest.raises(api.NoResponse):
         check.run(testing.world(docker=docker, pressure=testing.FakePressure()))
+
+
+@pytest.mark.parametrize("state", [EMPTY, REMOVED])
+def test_an_end_that_the_engine_does_not_report_yet_is_unknown(state: api.CgroupState) -> None:
+    """The engine is late on a busy machine. As OK, the end of a router was first reported as a closed endpoint."""
+    away = Away()
+    away.docker.fails = None
+    found = away.run(state)
+    assert (found.level, found.condition) == (api.Level.STALE, "")
+    assert "still reports it as running" in found.summary
+    assert away.run(RUNNING).level is api.Level.OK
+
+
+def test_an_engine_that_reports_it_as_running_for_long_is_right() -> None:
+    """Processes may have moved to another cgroup. Each new end is waited for again."""
+    clock = testing.FakeClock()
+    away = Away()
+    away.docker.fails, away.world = None, testing.world(docker=away.docker, pressure=away.pressure, clock=clock)
+    assert away.run(EMPTY).level is api.Level.STALE
+    clock.advance(UNREPORTED_S)
+    assert away.run(EMPTY).level is api.Level.OK
+    assert away.run(RUNNING).level is api.Level.OK
+    assert away.run(EMPTY).level is api.Level.STALE
+
+
+def test_an_end_that_the_engine_reports_is_reported() -> None:
+    """Its cgroup is removed then, too."""
+    away = Away(status="exited", exit_code=1)
+    away.docker.fails = None
+    assert away.run(REMOVED).condition == "exited"

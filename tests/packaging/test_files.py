@@ -42,6 +42,17 @@ def test_no_file_names_a_registry_or_a_machine() -> None:
     assert list(module.machine_names(module.tracked())) == []
 
 
+def test_a_broken_table_is_found(tmp_path: Path) -> None:
+    """An empty line in a table makes text of the rows below it."""
+    module = check_docs()
+    vars(module)["ROOT"] = tmp_path
+    page = tmp_path / "page.md"
+    page.write_text(
+        "| a | b |\n|---|---|\n| 1 | `x \\| y` |\n\n| 2 | 3 |\n\n| c |\n|---|\n| 4 | 5 |\n", encoding="utf-8"
+    )
+    assert [problem.partition(" ")[0] for problem in module.broken_tables([page])] == ["page.md:5:", "page.md:9:"]
+
+
 @pytest.mark.parametrize("lock", LOCKS, ids=lambda path: path.stem)
 def test_a_lock_has_only_pinned_packages_with_hashes(lock: Path) -> None:
     """Each line of a lock is a package at one version or a hash of one of its files; no address, no option."""

@@ -70,6 +70,17 @@ def test_an_action_waits_while_only_the_container_is_not_described(agent: Agent)
     assert agent.steps() == [Phase.REFUSED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
 
 
+def test_the_engine_is_checked_each_second_while_an_action_waits_for_it(agent: Agent) -> None:
+    """It may have been suspended: it answers again without an event, and its check has a period of 5 s."""
+    checked: list[tuple[str, ...]] = []
+    agent.pipeline.attach(lambda units, reason: checked.append(tuple(units)) if reason == "verify" else None)
+    agent.found |= {"engine": DOWN, "nodes/one": HUNG}
+    agent.until(agent.steps, "the refusal")
+    checked.clear()
+    agent.rest(10.0)
+    assert 5 <= checked.count(("engine", "container/app")) <= 12
+
+
 def test_an_engine_that_refuses_a_question_may_permit_an_action(agent: Agent) -> None:
     """A proxy may forbid one call and allow the other."""
     agent.found |= {"engine": REFUSED, "nodes/one": HUNG}
