@@ -339,10 +339,17 @@ class Attempt:
             self._allow(at_most_s)
             self._locks.begin_action(key, self, fault.unit, action, at_most_s)
             try:
-                with self._generations.acting(key, name, self._engine.take_unanswered, lambda: self._engine.disturbs):
+                with (
+                    self._approval(),
+                    self._generations.acting(key, name, self._engine.take_unanswered, lambda: self._engine.disturbs),
+                ):
                     yield
             finally:
                 self._locks.end_action(key, self, worked=True)
+
+    def _approval(self) -> contextlib.AbstractContextManager[None]:
+        """For a dependent: what an operator approved named it only if the action takes down others than its target."""
+        return self._engine.unapproved() if self._type.impact is Impact.NOTHING else contextlib.nullcontext()
 
 
 class GuardedEngine:
@@ -383,6 +390,15 @@ class GuardedEngine:
                 raise
 
         return guarded
+
+    @contextlib.contextmanager
+    def unapproved(self) -> Iterator[None]:
+        """Inside this context the approval does not count."""
+        approved_at, self._approved_at = self._approved_at, None
+        try:
+            yield
+        finally:
+            self._approved_at = approved_at
 
     def take_unanswered(self) -> int:
         """How many calls that start a container were sent and not answered since the last `take_unanswered`."""

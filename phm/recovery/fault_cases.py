@@ -264,14 +264,21 @@ class ExternalChanges:
         """An attempt on the target, for the case `mine`, has ended: the current generation is expected.
 
         Earlier results do not decide what to do next, for that case and for the others. The others get the grace of
-        their units if the container is no longer in the generation `before`.
+        their units if the container is no longer in the generation `before`, and so does that case if it began only now: the engine
+        may have started it without answering, or someone else may have.
         """
         now, self._generation = self._clock.mono(), self._generations.current(self._target)
         restarted = self._generation is not None and not self._generation.same(before)
         for case in cases:
             self._expect_current(case)
-            waits = superseded or (restarted and case.fault.id != mine.fault.id)
-            case.recheck_after(now + (self._grace_s(case.fault.unit) if waits else 0.0))
+            grace_s = self._grace_s(case.fault.unit)
+            waits = superseded or (restarted and (case.fault.id != mine.fault.id or self._age_s(now) < grace_s))
+            case.recheck_after(now + (grace_s if waits else 0.0))
+
+    def _age_s(self, now: float) -> float:
+        """How long ago the current generation was first observed."""
+        since = self._generation.since if self._generation is not None else None
+        return now - since if since is not None else float("inf")
 
     def generation_changed(self, case: FaultCase) -> bool:
         """Whether the container is no longer in the generation in which the fault was found: it has already been

@@ -238,7 +238,9 @@ class GenerationTracker:
         old = self._generations.get(key)
         generation = self._generations[key] = next_generation(old, fact, self._clock.mono(), self._lasting_s, phm_for)
         if actor is not None:
-            if generation is not old and generation.phm_for:
+            if old is not None and fact.id != old.id:
+                actor.unanswered = 0  # what was asked of the earlier container cannot start or stop this one
+            elif generation is not old and generation.phm_for:
                 actor.unanswered -= 1
             if actor.over(began):
                 del self._actors[key]

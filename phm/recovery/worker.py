@@ -198,7 +198,13 @@ class TargetWorker:
         if not self._pipeline.bad_since(case.fault.unit, ANY_TIME):
             # The decision waited, and the fault may be over: it stays open while its unit is unknown or only a warning.
             return [self._wait_for_confirmation(case.fault.unit, ANY_TIME)]
-        return [self._perform(case, decision)]
+        return [self._perform(case, decision, lambda: self._outdated(case, decision))]
+
+    def _outdated(self, case: FaultCase, act: Act) -> bool:
+        """Whether something has started the container again since the fault was found, or a newer run does not confirm the fault."""
+        if act.action not in self._catalog.unrestricted and self._changes.generation_changed(case):
+            return True
+        return not self._pipeline.bad_since(case.fault.unit, ANY_TIME)
 
     def _restart_manually(self, requests: OperatorRequests) -> float:
         case = requests.next()
@@ -305,8 +311,8 @@ class TargetWorker:
 
     # ------------------------------------------------------------ acting
 
-    def _perform(self, case: FaultCase, act: Act) -> float:
-        """Seconds to wait before deciding again."""
+    def _perform(self, case: FaultCase, act: Act, outdated: Callable[[], bool] = lambda: False) -> float:
+        """Seconds to wait before deciding again. outdated: whether what was decided no longer holds."""
         fault, action = case.fault, self._catalog.get(act.action)
         if action is None or not self._target.configured:
             what = f"no installed package provides the action {act.action!r}: correct recovery.ladders"
@@ -330,6 +336,8 @@ class TargetWorker:
         if missing:
             self._reporter.report_once(case, act.action, Phase.REFUSED, f"no action on {self._name} for now: {missing}")
             return MISSING_S
+        if outdated():
+            return POLL_S  # a slow engine may have taken seconds to answer `waits_for`
         record = AttemptRecord(self._clock.mono(), fault.unit, fault.result.condition, act.action, worked=False)
         if not attempt.begin():
             return RETRY_S  # another attempt restarts this container: decided again when that has ended

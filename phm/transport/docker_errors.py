@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from http import HTTPStatus
 
 import requests
 from docker.errors import APIError
@@ -38,7 +39,7 @@ class EngineRefused(EngineError, NotPermitted):
 
 
 class EngineConflict(EngineError):
-    """HTTP 409: the container or network is not in a state that allows this."""
+    """HTTP 409, and 403 of the engine itself: the container or network is not in a state that allows this."""
 
 
 class EngineMissing(EngineError):
@@ -49,6 +50,9 @@ class EngineBroken(EngineError):
     """Other HTTP errors, such as 500, or an invalid answer."""
 
 
+_NOT_NOW = ("already exists in network", "address already in use")
+"""What the engine itself answers with HTTP 403, after an unclean stop or while another container has the address: no lack of permission,
+and over later."""
 _BY_STATUS: dict[int, type[EngineError]] = {
     401: EngineRefused,
     403: EngineRefused,
@@ -91,6 +95,8 @@ def _by_status(error: APIError, what: str) -> EngineError:
     status = int(error.status_code or 0)
     said = " ".join(str(error.explanation or error).split())[:_MAX_TEXT]
     kind = _BY_STATUS.get(status, EngineBroken)
+    if status == HTTPStatus.FORBIDDEN and any(words in said.lower() for words in _NOT_NOW):
+        kind = EngineConflict
     if kind is EngineRefused:
         return kind(
             f"the Docker Engine does not permit PHM to {what} (HTTP {status}): {said}; allow it at the socket proxy"

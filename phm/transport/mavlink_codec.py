@@ -8,6 +8,7 @@ frame costs one byte.
 from __future__ import annotations
 
 import copy
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,8 +21,12 @@ from phm.transport.mavlink_traffic import SenderTable
 
 V1, V2 = 0xFE, 0xFD
 _MARKERS = frozenset((V1, V2))
+_MARKER = re.compile(b"[\xfe\xfd]")
 _SIGNED = 0x01
 _RECENT_FRAMES = 256
+FALSE_FRAMES = 8
+"""After this many invalid frames the rest of a datagram is dropped. Each is a checksum over up to 280 bytes in Python, and in one of
+64 kB every byte could begin one."""
 
 Wanted = Callable[[int], bool]
 """Whether a listener wants messages of this id."""
@@ -102,23 +107,27 @@ class Parser:
         """Frames whose checksum was computed and is correct."""
 
     def datagram(self, data: bytes, *, verify: bool = False) -> list[Any]:
-        """Like `feed`; a frame never continues in the next datagram."""
-        messages = self.feed(data, verify=verify)
+        """Like `feed`; a frame never continues in the next datagram, and it ends after FALSE_FRAMES."""
+        messages = self.feed(data, verify=verify, false_frames=FALSE_FRAMES)
         if self._buffer:
             self._counters.bad += 1
             self._buffer.clear()
         return messages
 
-    def feed(self, data: bytes, *, verify: bool = False) -> list[Any]:
-        """Messages that a listener wants. Others are skipped by their length, unless `verify` requests their checksum."""
+    def feed(self, data: bytes, *, verify: bool = False, false_frames: float = float("inf")) -> list[Any]:
+        """Messages that a listener wants. Others are skipped by their length, unless `verify` requests their checksum.
+
+        false_frames: stop after so many invalid frames, and keep the rest.
+        """
         self._buffer += data
         self._counters.bytes_in += len(data)
         messages, at, garbage = [], 0, False
-        while at < len(self._buffer):
+        while at < len(self._buffer) and false_frames > 0:
             length = self._length(at)
             if length < 0 or len(self._buffer) - at < length:
                 break
             good, message = self._judge(at, length, verify) if length else (False, None)
+            false_frames -= bool(length and not good)
             if good:
                 self._counters.received += 1
                 number, system, component = self._head(at)
@@ -128,7 +137,7 @@ class Parser:
             elif not garbage:
                 self._counters.bad += 1
             garbage = not good
-            at += length if good else 1
+            at = at + length if good else self._next_start(at + 1)
         del self._buffer[:at]
         return messages
 
@@ -136,6 +145,11 @@ class Parser:
         """Sequence number, system and component of the frame that starts here."""
         first = at + (2 if self._buffer[at] == V1 else 4)
         return self._buffer[first], self._buffer[first + 1], self._buffer[first + 2]
+
+    def _next_start(self, at: int) -> int:
+        """Where the next frame may begin, from there on; the end of the buffer if none may."""
+        found = _MARKER.search(self._buffer, at)
+        return found.start() if found is not None else len(self._buffer)
 
     def _length(self, at: int) -> int:
         """Length of the frame that starts here; 0 if none does; -1 if more bytes are needed."""

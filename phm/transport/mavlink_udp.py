@@ -16,7 +16,8 @@ from phm.transport.mavlink_channels import Channel
 from phm.transport.mavlink_codec import Codec
 
 PEER_EXPIRES_S = 60.0
-DATAGRAMS_A_TURN = 64
+DATAGRAMS_A_TURN, BYTES_A_TURN = 64, 16384
+"""After the first of both is reached, the endpoint sends before it reads on: a flood must not stop its heartbeats."""
 _BUSY = frozenset((errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS))
 
 
@@ -32,13 +33,17 @@ class _Udp(Channel):
 
     def serve(self, fd: int, events: int) -> list[Any]:
         messages: list[Any] = []
+        read = 0
         for _ in range(DATAGRAMS_A_TURN):
+            if read >= BYTES_A_TURN:
+                break
             try:
                 data, sender = self._socket.recvfrom(65535)
             except BlockingIOError:
                 break
             except OSError:
                 continue  # an ICMP error about an earlier datagram, which any host on the path can cause; reading clears it
+            read += len(data)
             messages += self._take(data, sender)
         return messages
 

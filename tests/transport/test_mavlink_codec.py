@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from phm.transport.dialect import mavlink
-from phm.transport.mavlink_codec import Codec, Parser
+from phm.transport.mavlink_codec import FALSE_FRAMES, Codec, Parser
 from tests.fakes.mavlink import Sender, heartbeat, text
 
 FRAME = Sender(7, 1).frame(heartbeat(5))
@@ -73,6 +73,26 @@ def test_hostile_heartbeats_are_decoded_or_dropped(payload: bytes, system: int, 
     message = heartbeat(int.from_bytes(payload[:4], "little"), kind=payload[4], autopilot=payload[5])
     (found,) = parser().feed(sender.frame(message))
     assert (found.get_srcSystem(), found.get_srcComponent(), found.type) == (system, component, payload[4])
+
+
+@pytest.mark.parametrize("noise", [b"\xfe", b"\xfe\x4c", b"\xfd\x10\x00", b"\xfe\xfd"])
+def test_a_datagram_of_false_starts_costs_few_checksums(noise: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each byte could begin a frame: without a limit four such datagrams a second kept the thread from sending."""
+    reader, checked = parser(), []
+    monkeypatch.setattr(reader._mav, "decode", lambda frame: checked.append(frame) or _fail())
+    data = noise * (65507 // len(noise))
+    assert reader.datagram(data, verify=True) == []
+    assert len(checked) <= FALSE_FRAMES
+    assert waiting(reader) == 0
+
+
+def _fail() -> None:
+    raise ValueError("wrong checksum")
+
+
+def test_the_frames_of_a_datagram_are_found_behind_a_few_false_starts() -> None:
+    """As before in a stream: noise before and between frames loses none."""
+    assert names(parser().datagram(b"noise" + FRAME + b"\xfe\x00" + TEXT)) == ["HEARTBEAT", "STATUSTEXT"]
 
 
 def test_version_1_frames_are_read() -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from phm.checking.pipeline import Pipeline
 from phm.core.clock import Clock
-from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, HoldChanged
+from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, HoldChanged, Phase
 from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.persistence.state_codec import InvalidState, decode, encode
 from phm.wire.status_file import place
@@ -120,7 +120,9 @@ class StateWriter:
         return "changed"
 
     def handle(self, event: Event) -> None:
-        if self._clock.mono() - self._tried_at >= ALONG_S:
+        # An action that has begun must count even if PHM is killed, or the power fails, within the next moment.
+        begins = isinstance(event, ActionEvent) and event.phase is Phase.STARTED
+        if begins or self._clock.mono() - self._tried_at >= ALONG_S:
             self.tick()
 
     def tick(self) -> None:

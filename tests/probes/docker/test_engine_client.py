@@ -90,6 +90,12 @@ def test_requests_leave_neither_threads_nor_descriptors_behind(fake: FakeEngine,
 @pytest.mark.parametrize(
     ("fault", "kind", "words"),
     [
+        (
+            Status(403, "endpoint with name app already exists in network net"),
+            EngineConflict,
+            r"HTTP 403 \(inspect app\): endpoint",
+        ),
+        (Status(403, "Address already in use"), EngineConflict, r"HTTP 403 \(inspect app\): Address"),
         (Status(403, "not on the list"), EngineRefused, r"does not permit PHM to inspect app \(HTTP 403\)"),
         (Status(404, "No such container"), EngineMissing, "HTTP 404"),
         (Status(409, "is not running"), EngineConflict, "is not running"),
