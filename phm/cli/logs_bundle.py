@@ -25,7 +25,8 @@ MOST_CONFIGURATION = 1_000_000
 SHOWN = 40
 SHARES = {
     "settings": 0.1,
-    "key": 0.15,
+    "MAVLink signing key": 0.15,
+    "delivery key": 0.18,
     "phm.yaml": 0.2,
     "containers": 0.4,
     "versions.json": 0.45,
@@ -100,22 +101,22 @@ class _Known:
         self.secrets.learn_environment((f"{name}={value}" for name, value in os.environ.items()), "environment")
         for url in settings.notify.urls:
             self.secrets.learn_url(url, "URL of notify.urls")
-        self._key(settings.mavlink.signing.key)
+        self._key(settings.mavlink.signing.key, "MAVLink signing key")
+        self._key(settings.delivery.key, "delivery key")
         self._configuration(config)
         self._containers()
 
-    def _key(self, path: str | None) -> None:
-        """The signing key, as in its file, in hexadecimal digits, and as text."""
+    def _key(self, path: str | None, what: str) -> None:
+        """A key, as in its file, in hexadecimal digits, and as text. what: its name, in SHARES."""
         from phm.logs.deadline import Late
 
         try:
-            data = self.deadline.within(SHARES["key"], lambda: _read(Path(path), 4096)) if path else b""
+            data = self.deadline.within(SHARES[what], lambda: _read(Path(path), 4096)) if path else b""
         except OSError:
             return
         except Late as error:
-            self.missing.append(("MAVLink signing key", f"{error}; {UNKNOWN_SECRETS}"))
+            self.missing.append((what, f"{error}; {UNKNOWN_SECRETS}"))
             return
-        what = "MAVLink signing key"
         for text in (data.hex(), data.hex().upper(), data.decode("latin-1").strip()):
             self.secrets.learn(text, what)
 

@@ -34,7 +34,8 @@ def command(
 ) -> None:
     """Validate a configuration file and list every problem.
 
-    In a container it also warns about endpoints that do not leave it. Opens nothing but the file. Exit code 0: valid; 78: invalid.
+    It also warns about ladders of unknown conditions, and in a container about endpoints that do not leave it. Opens nothing but
+    the file. Exit code 0: valid; 78: invalid.
     """
     if schema:
         from phm.config.schema import text
@@ -86,7 +87,7 @@ def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None 
 
 def _warnings(good: Configuration) -> list[str]:
     """What is allowed, but does not work here or is incomplete."""
-    return [*_loopback(good), *_unclear_path(good)]
+    return [*_loopback(good), *_unclear_path(good), *_unknown_conditions(good)]
 
 
 def _unclear_path(good: Configuration) -> list[str]:
@@ -96,6 +97,21 @@ def _unclear_path(good: Configuration) -> list[str]:
     return [
         f"{good.file}: mavlink.application: several containers may pass commands to the autopilot, so the application is not part "
         "of the unit `path`. Name one, set `commands: true` at a node of `ros.nodes`, or write none"
+    ]
+
+
+def _unknown_conditions(good: Configuration) -> list[str]:
+    """A warning and no problem: a plug-in that is installed only on the agent may report the condition."""
+    from phm.checking import registry
+    from phm.checking.condition_names import unnamed
+    from phm.config.problems import shown, suggestion
+    from phm.recovery.ladders import LADDERS
+
+    others = [condition for condition in good.settings.recovery.ladders if condition not in LADDERS]
+    return [
+        f"{good.file}: recovery.ladders: unknown condition {shown(condition)}{suggestion(condition, LADDERS) or '.'} "
+        "No installed check reports it, so this ladder has no effect"
+        for condition in unnamed(others, registry.checks().values())
     ]
 
 

@@ -6,8 +6,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from pydantic import BaseModel
+
 from phm.config.problems import Path, listed, shown, unknown
-from phm.config.schema_lookup import field_at, model_at, range_of, unit_of
+from phm.config.schema_lookup import field_at, model_at, models_of, range_of, unit_of
+from phm.config.yaml_scalars import resolve
 
 # By pattern of `phm.core.settings`; a test finds patterns without a description.
 PATTERNS = {
@@ -49,6 +52,10 @@ _WANTED = {
     "int_from_float": "a whole number",
     "int_parsing_size": "a smaller number",
 }
+_SECTIONS = {"model_type", "model_attributes_type"}
+_PLAIN = re.compile(r"[A-Za-z_/.]([\w/.@=+:-]*[\w/])?")
+"""Text that needs no quotes, also inside [] and {}."""
+_HINTED = 60
 _RANGES = {"greater_than_equal", "greater_than", "less_than_equal", "less_than", "finite_number"}
 
 
@@ -104,8 +111,38 @@ def _wrong_type(kind: str, path: Path, value: object) -> str:
     elif kind == "bool_type" and str(value).lower() in ("yes", "on", "no", "off"):
         hint = f" (write {'true' if str(value).lower() in ('yes', 'on') else 'false'})"
     elif kind == "list_type" and not isinstance(value, dict):
-        hint = " (put '- ' before each entry)"
+        entries = _entries(path, value)
+        hint = f" (write [{entries}])" if entries else " (write the entries between '[' and ']')"
+    elif kind in _SECTIONS and isinstance(path[-1], int) and (entry := _entry(path, value)):
+        hint = f" (write {entry})"
     return f"is {_what(value)}, expected {wanted}{hint}"
+
+
+def _entries(path: Path, value: object) -> str:
+    """The value as entries of the list at `path`; empty where they are not clear. What is hinted is allowed inside [] and {}, too."""
+    parts = [part.strip() for part in value.split(",")] if isinstance(value, str) else [value]
+    entries = [_entry((*path, 0), part) for part in parts]
+    text = ", ".join(entries)
+    return text if all(entries) and len(text) <= _HINTED else ""
+
+
+def _entry(path: Path, value: object) -> str:
+    """The value as an entry of a list: unchanged, or with the key that the entry needs. Empty where that is not clear."""
+    plain = isinstance(value, str) and _PLAIN.fullmatch(value) and isinstance(resolve(value), str)
+    field = field_at(path)
+    models = models_of(field.annotation) if field else ()
+    if not models:
+        return str(value) if plain or type(value) in (int, float) else ""
+    key = _only_key(models[0]) if len(models) == 1 else ""
+    return f"{{{key}: {value}}}" if plain and key else ""
+
+
+def _only_key(model: type[BaseModel]) -> str:
+    """The key that an entry cannot do without; `name` where there are several ways to name it."""
+    required = [name for name, field in model.model_fields.items() if field.is_required()]
+    if not required and "name" in model.model_fields:
+        return "name"
+    return required[0] if len(required) == 1 else ""
 
 
 def _what(value: object) -> str:

@@ -56,14 +56,13 @@ def load(
     environ: Mapping[str, str] | None = None,
     known_checks: Collection[str] | None = None,
     known_actions: Collection[str] | None = None,
-    known_conditions: Collection[str] | None = None,
     units_of: UnitsOf | None = None,
 ) -> Settings:
     """Read and validate one file. Raises `ConfigError` with all problems.
 
     environ:      for `${VAR}` and PHM_INTERVAL; default: that of the process.
-    known_checks: names of the installed checks; None: names of checks are not validated. Likewise the actions and
-                  conditions of `recovery.ladders`.
+    known_checks: names of the installed checks; None: names of checks are not validated. Likewise the actions of
+                  `recovery.ladders`.
     units_of:     called once everything else is valid; with it, `needs` must name existing units and form no cycle with
                   built-in needs.
     """
@@ -74,7 +73,6 @@ def load(
         environ=os.environ if environ is None else environ,
         known_checks=known_checks,
         known_actions=known_actions,
-        known_conditions=known_conditions,
         units_of=units_of,
     )
 
@@ -86,7 +84,6 @@ def loads(
     environ: Mapping[str, str],
     known_checks: Collection[str] | None = None,
     known_actions: Collection[str] | None = None,
-    known_conditions: Collection[str] | None = None,
     units_of: UnitsOf | None = None,
 ) -> Settings:
     """As `load`, from the text of a file called `file`."""
@@ -103,7 +100,7 @@ def loads(
     rules.check_all(root)
     if known_checks is not None:
         rules.names_of_checks(root, known_checks, None)
-    rules.names_of_recovery(root, known_actions, known_conditions)
+    rules.names_of_recovery(root, known_actions)
     rules.needs_have_no_loop(root, {})
     if problems or settings is None:
         raise ConfigError(problems)

@@ -14,6 +14,7 @@ import yaml
 
 from phm.config.env_expansion import Expander, ExpandError
 from phm.config.problems import Path, Problem, dotted, shown
+from phm.config.yaml_errors import explain
 from phm.config.yaml_scalars import resolve
 
 MAX_BYTES = 256 * 1024
@@ -91,9 +92,10 @@ def parse(text: str, file: str, expander: Expander) -> Tree:
         tree.problems.append(Problem(file, line, "", problem))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line = mark.line + 1 if mark else 0
-        hint = " (inside [] and {} a text with ${...} needs quotes)" if "${" in _line(text, line) else ""
-        tree.problems.append(Problem(file, line, "", _sentence(error) + hint))
+        stopped = mark.line + 1 if mark else 0
+        line, problem = (stopped, str(error.problem)) if isinstance(error, _TooMuch) else explain(error, text)
+        hint = " (inside [] and {} a text with ${...} needs quotes)" if "${" in _line(text, stopped) else ""
+        tree.problems.append(Problem(file, line, "", problem + hint))
     else:
         if node is None:
             tree.problems.append(
@@ -124,27 +126,6 @@ def compose(text: str) -> yaml.Node | None:
 def _line(text: str, number: int) -> str:
     lines = text.split("\n")
     return lines[number - 1] if 0 < number <= len(lines) else ""
-
-
-def _sentence(error: yaml.MarkedYAMLError) -> str:
-    """PyYAML's message, in plain words for common mistakes."""
-    problem = str(error.problem or error.context or "syntax error")
-    if isinstance(error, _TooMuch):
-        return problem
-    if "'\\t'" in problem:
-        return "tab used for indentation: use spaces"
-    if "expected a single document" in str(error.context):
-        return "a second document starts here: keep one, without '---' between"
-    if "mapping values are not allowed" in problem:
-        return "unexpected ':': check the indentation and the line before, put text with ': ' in quotes"
-    if "could not find expected ':'" in problem:
-        return "a ':' is missing after a key, or a line is indented wrongly"
-    if "found undefined alias" in problem:
-        return f"{problem}: define it with '&' first, or put text that starts with '*' in quotes"
-    if "cannot start any token" in problem:
-        return f"{problem}: put the text in quotes"
-    context = f" {error.context}" if error.context and error.problem else ""
-    return f"is not valid YAML{context}: {problem}"
 
 
 class _Builder:

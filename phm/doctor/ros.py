@@ -54,7 +54,10 @@ def _installation(*, needed: bool) -> Row:
         text = f"{found['distribution'] or 'unknown distribution'}, rclpy {found['rclpy'] or unknown}, {middleware}"
     except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
         text = "rclpy cannot be used here, so nodes and topics are not monitored"
-        remedy = "use PHM's image; or pip install 'phm-sidecar[ros]' on x86-64, or the Python of a ROS installation"
+        remedy = (
+            "use PHM's image; or on x86-64 install the extra 'ros' (in a clone of PHM: pip install '.[ros]'); or use the Python of a "
+            "ROS installation"
+        )
         return missing("PHM", text, remedy) if needed else limited("PHM", text, remedy)
     return ok("PHM", text)
 

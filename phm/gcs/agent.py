@@ -92,6 +92,10 @@ class Agent:
     no_ground: bool | None = None
     """It does not receive the ground, by its own view or by another agent's report."""
     restarts: int = 0
+    late: int = 0
+    """How often its heartbeats paused."""
+    is_late: bool = False
+    """It was late at the last look."""
     shown: PresenceState = PresenceState.NEVER
     """Its presence in the last event about it."""
     hop: object = None

@@ -137,8 +137,11 @@ class FleetState:
             yield GcsEvent(at, "slots", {**snapshot.who(agent), **snapshot.word(agent), "changed": names})
 
     def _presence(self, agent: Agent, at: Stamp) -> Iterator[GcsEvent]:
-        """Lost, left and back are events; a late agent may have lost a frame."""
+        """Lost, left and back are events; a late agent may have lost a frame, which is only counted."""
         state = self.fleet.state(agent, at.mono)
+        late = state is PresenceState.LATE
+        agent.late += late and not agent.is_late
+        agent.is_late = late
         shown = PresenceState.ALIVE if state is PresenceState.LATE else state
         if shown is agent.shown:
             return

@@ -52,8 +52,8 @@ class _Counts(SubscriberQueue):
             self.events[(event,)] += 1
             if event == "text" and not body["repeat"]:
                 self.texts[(severity_name(body["severity"]).lower(),)] += 1
-            elif event == "presence" and body["presence"] in (PresenceState.LATE.value, PresenceState.LOST.value):
-                key = (str(body["name"]), str(body["presence"]))
+            elif event == "presence" and body["presence"] == PresenceState.LOST.value:
+                key = (str(body["name"]), PresenceState.LOST.value)
                 if key in self.gaps or len(self.gaps) < MAX_SERIES:  # a sender can invent any number of agents
                     self.gaps[key] += 1
             elif event == "ack":
@@ -98,8 +98,7 @@ def _not_yet(page: MetricsPage, agents: Iterable[Mapping[str, Any]]) -> None:
     for result in CommandResult:
         page.add(metrics.ANSWERS, 0, result.name.lower())
     for agent in agents:
-        for presence in (PresenceState.LATE, PresenceState.LOST):
-            page.add(metrics.GAPS, 0, agent["name"], presence.value)
+        page.add(metrics.GAPS, 0, agent["name"], PresenceState.LOST.value)
 
 
 def _agent(page: MetricsPage, agent: Mapping[str, Any]) -> None:
@@ -109,6 +108,7 @@ def _agent(page: MetricsPage, agent: Mapping[str, Any]) -> None:
     page.add(metrics.AGE, agent["age_s"], name)
     page.add(metrics.PERIOD, agent["period_s"], name)
     page.add(metrics.RESTARTS, agent["restarts"], name)
+    page.add(metrics.GAPS, agent["late"], name, PresenceState.LATE.value)  # not an event
     if there and agent["how"] in Level.__members__:
         page.add(metrics.AGENT_LEVEL, Level[agent["how"]], name)
     for slot, level in agent["slots"].items():

@@ -165,6 +165,7 @@ def _agent(fleet: Fleet, current: FleetSnapshot, agent: Agent, times: Times) -> 
         "autopilot": autopilot_fields(autopilot, now, times) if autopilot is not None else None,
         "on_hold": agent.on_hold,
         "restarts": agent.restarts,
+        "late": agent.late,
         "problem": agent.problem or None,
         "first_utc": iso(agent.first.utc) if agent.first else None,
         "last_utc": iso(agent.last.utc) if agent.last else None,

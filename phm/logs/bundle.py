@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import io
 import json
 import os
 import re
+import stat
 import tarfile
 import tempfile
 import time
@@ -28,6 +30,7 @@ LIMIT_S = 180.0
 LOGS_SHARE = 0.9
 """Share of the time limit after which further logs are left out."""
 _BROKEN = (OSError, EOFError, zlib.error)
+_READING = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 _ROOT = "phm-bundle"
 
 
@@ -183,24 +186,38 @@ def _found(directory: Path) -> list[tuple[Path, str]]:
 
 
 def _copy(file: Path, limit: int, raw: IO[bytes], deadline: Deadline) -> str:
-    """Its lines, not cleaned, and why they are not all. Runs in a thread that may hang, and then ends as `raw` is closed."""
-    try:
-        for line in _lines(file, limit):
-            raw.write(line.encode("utf-8", "surrogateescape") + b"\n")
-            if not deadline.left(LOGS_SHARE):
-                return f"not reached within the time limit of {deadline.seconds:g} s"
-    except _BROKEN as error:
-        return str(getattr(error, "strerror", None) or error)
+    """Its lines, not cleaned, and why they are not all. Runs in a thread that may hang, and then ends as `raw` is closed. Raises
+    OSError if it cannot be opened."""
+    with _opened(file) as plain:
+        try:
+            for line in _lines(plain, file.name.endswith(json_log.COMPRESSED), limit):
+                raw.write(line.encode("utf-8", "surrogateescape") + b"\n")
+                if not deadline.left(LOGS_SHARE):
+                    return f"not reached within the time limit of {deadline.seconds:g} s"
+        except _BROKEN as error:
+            return str(getattr(error, "strerror", None) or error)
     return ""
 
 
-def _lines(file: Path, limit: int) -> Iterable[str]:
+def _opened(file: Path) -> IO[bytes]:
+    """Only a regular file: a link in the folder could lead to any file that this user can read, and a pipe has no end. Raises
+    OSError."""
+    try:
+        handle = os.open(file, _READING)
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise OSError(error.errno, "a symbolic link, which is not followed") from None
+        raise
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, "not a regular file")
+    return os.fdopen(handle, "rb")
+
+
+def _lines(plain: IO[bytes], compressed: bool, limit: int) -> Iterable[str]:
     """At most about `limit` bytes; long lines are cut. Raises OSError if there is more."""
-    if not file.is_file():
-        raise OSError(22, "not a regular file")
-    with file.open("rb") as plain:
-        stream = cast(IO[bytes], gzip.GzipFile(fileobj=plain)) if file.name.endswith(json_log.COMPRESSED) else plain
-        yield from _bounded(stream, limit)
+    stream = cast(IO[bytes], gzip.GzipFile(fileobj=plain)) if compressed else plain
+    yield from _bounded(stream, limit)
 
 
 def _bounded(stream: IO[bytes], limit: int) -> Iterator[str]:

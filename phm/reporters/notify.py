@@ -20,7 +20,10 @@ from phm.reporters.base import Reporter, ReporterContext
 from phm.wire.report import fault_json
 from phm.wire.status_line import agent_name
 
-MISSING = "notify.urls needs Apprise: pip install 'phm-sidecar[notify]', or build the image with EXTRAS=notify"
+MISSING = (
+    "notify.urls needs Apprise: install the extra 'notify' (in a clone of PHM: pip install '.[notify]'), or build the image with "
+    "EXTRAS=notify"
+)
 MAX_WAITING = 100
 COMMAND_S = 10.0
 CLOSE_LIMIT_S = 2.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 from collections import deque
 from dataclasses import replace
@@ -31,6 +32,8 @@ from phm.wire import status_word
 from phm.wire.report import fault_json, iso, report_json
 from phm.wire.status_file import NAME, place
 
+logger = logging.getLogger(__name__)
+
 VERSION = 2
 CLOSED_FAULTS = 20
 ALONG_S = 0.1
@@ -53,6 +56,7 @@ class StatusReporter(Reporter):
         self._closed: deque[Fault] = deque(maxlen=CLOSED_FAULTS)
         self._written_at = float("-inf")
         self._problem = ""
+        self._warned = False
 
     @classmethod
     def build(cls, context: ReporterContext) -> StatusReporter:
@@ -95,6 +99,9 @@ class StatusReporter(Reporter):
             self._problem = ""
         except OSError as error:
             self._problem = f"cannot write {self._path}: {error.strerror or error}; `phm status` does not work"
+            if not self._warned:  # `phm status` cannot show it
+                self._warned = True
+                logger.warning("%s", self._problem)
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
 

@@ -74,6 +74,10 @@ class Run:
     faults: dict[str, dict[str, Any]] = field(default_factory=dict)
     units: dict[str, dict[str, Any]] = field(default_factory=dict)
     """check, slot, layer, target, and the first level with its time."""
+    causes: list[tuple[float, str, str]] = field(default_factory=list)
+    """(mono, unit, blocked_by), when a line about a unit has another `blocked_by` than the one before."""
+    last_cause: dict[str, str] = field(default_factory=dict)
+    """`blocked_by` of the last line about each unit."""
     reports: array[float] = field(default_factory=lambda: array("d"))
     took_at: array[float] = field(default_factory=lambda: array("d"))
     took_s: array[float] = field(default_factory=lambda: array("d"))
@@ -129,6 +133,7 @@ class Run:
             mine = self.units.setdefault(unit, body)
             if body["at"] < mine["at"]:
                 self.units[unit] = body
+        self.causes += other.causes
         self.reports.extend(other.reports)
         self.armed = sorted({*self.armed, *other.armed})
         self.took_at.extend(other.took_at)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import bisect
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from phm.review.levels import RANK, Segment, of_agent, seconds
@@ -66,17 +67,14 @@ def _row(
 
 def unknown(agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: float, end: float) -> list[Json]:
     """Units that were STALE: blocked by a known fault, or not known at all."""
-    blocked: dict[str, list[tuple[float, str]]] = {}
-    for t, change in agent.changes:
-        blocked.setdefault(change.unit, []).append((t, change.blocked_by))
+    causes = _causes(agent)
     found: list[Json] = []
     for unit, segments in units.items():
         spent = {True: 0.0, False: 0.0}
-        changes = blocked.get(unit, [])
         for first, last, level in segments:
             if level == "STALE":
-                cause = next((by for t, by in reversed(changes) if t <= first + 1e-6), "")
-                spent[bool(cause)] += max(0.0, min(last, end) - max(first, begin))
+                for since, until, cause in _split(first, last, causes.get(unit, [])):
+                    spent[bool(cause)] += max(0.0, min(until, end) - max(since, begin))
         if spent[True] + spent[False] > 0.05:
             row = {
                 "agent": agent.name,
@@ -86,3 +84,29 @@ def unknown(agent: AgentRecord, units: Mapping[str, Sequence[Segment]], begin: f
             }
             found.append(row)
     return found
+
+
+def _causes(agent: AgentRecord) -> dict[str, list[tuple[float, str]]]:
+    """By unit: from when on which other unit was named as the cause."""
+    found: dict[str, list[tuple[float, str]]] = {}
+    for run, clock in agent.runs:
+        for mono, unit, by in run.causes:
+            found.setdefault(unit, []).append((clock.t(mono), by))
+    for each in found.values():
+        each.sort(key=_moment)
+    return found
+
+
+def _split(first: float, last: float, causes: Sequence[tuple[float, str]]) -> Iterator[Segment]:
+    """The time from `first` to `last` by cause, which can end or begin while the unit is unknown."""
+    place = bisect.bisect_right(causes, first + 1e-6, key=_moment)
+    since, cause = first, causes[place - 1][1] if place else ""
+    while place < len(causes) and causes[place][0] < last:
+        t, by = causes[place]
+        yield since, t, cause
+        since, cause, place = t, by, place + 1
+    yield since, last, cause
+
+
+def _moment(cause: tuple[float, str]) -> float:
+    return cause[0]

@@ -15,6 +15,8 @@ HALF = 20
 """Lines around the opening, and around the end, where there are more than both together."""
 MOST_STEPS = 60
 ENDS = {"resolved": "RESOLVED", "escalated": "ESCALATED", "reattributed": "STALE"}
+LATER = ("resolved", "escalated")
+"""A fault that had such an end after the window was open at the end of the window."""
 KINDS = {"OK": "SUCCESS", "WARN": "WARNING", "ERROR": "FAILURE", "STALE": "STALE", "n/a": "BYPASS"}
 
 
@@ -43,6 +45,8 @@ def rows(agent: AgentRecord, begin: float, end: float, omitted: OmittedCounts) -
             continue
         done = steps.get(fault["fault"], [])
         row = _row(agent, fault, done, evidence.get(fault["fault"], {}), running)
+        if closed is not None and closed > end and fault["outcome"] in LATER:
+            row.update(closed=None, outcome="open", by="")
         kept = omitted.keep(agent.name, "actions of a fault", done, MOST_STEPS)
         found.append({**row, "steps": kept, "lines": _around(lines, fault)})
     return found

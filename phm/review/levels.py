@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from phm.review.ground_part import GroundRun
 from phm.review.record import AgentRecord, Record
 from phm.review.spans import Span, clipped
 
@@ -58,22 +59,39 @@ def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span]) -> list[
 
 
 def of_ground(record: Record, agent: int) -> list[Segment]:
-    """An agent's worst level as the ground received it, for agents without a log."""
+    """An agent's worst level as the ground received it, for agents without a log; none in the gaps."""
     result: list[Segment] = []
     for ground, clock in record.grounds:
-        known = [(clock.t(mono), level) for mono, which, level in ground.levels if which == agent]
-        known += [
-            (clock.t(mono), "")
-            for mono, which, presence, _ in ground.presence
-            if which == agent and presence != "alive"
-        ]
-        known.sort()
+        known = [(clock.t(mono), level) for mono, level in _received(ground, agent)]
         end = clock.t(ground.cover.spans[-1][1]) if ground.cover.spans else 0.0
         for place, (t, level) in enumerate(known):
             until = known[place + 1][0] if place + 1 < len(known) else end
             if level and until > t:
                 result.append((t, until, level))
     return _joined(sorted(result))
+
+
+def _received(ground: GroundRun, agent: int) -> list[tuple[float, str]]:
+    """Each moment on the ground's clock at which the level changed; empty: not received."""
+    lines = [(mono, 1, level, 0.0) for mono, which, level in ground.levels if which == agent]
+    # One heartbeat can cause two lines: the levels of the first one after a gap are newer than `alive`, and those of the last
+    # one before the agent leaves do not last.
+    lines += [
+        (mono, 0 if presence == "alive" else 2, presence, silent_s)
+        for mono, which, presence, silent_s in ground.presence
+        if which == agent
+    ]
+    found: list[tuple[float, str]] = []
+    last = ""
+    for mono, order, word, silent_s in sorted(lines):
+        if order == 1:
+            last = word
+        if order < 2:
+            found.append((mono, last))  # at `alive` the last one: the ground records only levels that change
+        else:
+            heard = mono - silent_s if word == "lost" else mono
+            found.append((max(heard, found[-1][0]) if found else heard, ""))
+    return found
 
 
 def gaps(record: Record, agent: int) -> list[Span]:

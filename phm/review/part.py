@@ -134,6 +134,7 @@ class Part:
                 "at": event.mono,
                 "summary": self._same(event.summary[:500]),
             }
+        _cause(run, event)
         if event.check in MEASURED:
             _measure(run, event)
         spent_ms = event.duration_ms
@@ -235,7 +236,12 @@ class Part:
             }
             text = event.detail
         elif event.event == "flight":
-            body = {"number": event.number, "began": event.began, "duration_s": event.duration_s}
+            body = {
+                "number": event.number,
+                "began": event.began,
+                "continued": event.continued,
+                "duration_s": event.duration_s,
+            }
         elif event.event == "lost":
             body, text = {"lines": event.lines}, event.reason
         elif event.event == "hold":
@@ -243,6 +249,17 @@ class Part:
         run.marks.append(
             RunMark(event.seq, event.mono, event.event, self._same(text[:1000]), {"kind": event.kind, **body})
         )
+
+
+def _cause(run: Run, event: Event) -> None:
+    """Why the unit is unknown, if that is new. The first line of a part always is: it is not known what the others say."""
+    if run.last_cause.get(event.unit) == event.blocked_by:
+        return
+    if len(run.causes) >= MOST_EVENTS:
+        run.left_out += 1
+        return
+    run.last_cause[event.unit] = event.blocked_by
+    run.causes.append((event.mono, event.unit, event.blocked_by))
 
 
 def _measure(run: Run, event: Event) -> None:

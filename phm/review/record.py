@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+import statistics
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from phm.review import recordings
 from phm.review.agent_run import Change, Run, RunMark
@@ -27,6 +29,15 @@ from phm.review.spans import Cover, Span, joined
 
 QUIET_S = 30.0
 """At least this long nothing may be written before PHM counts as not running; and not less than 2.5 reports."""
+
+
+class _Said(NamedTuple):
+    """What a run says of its autopilot. mono: on its clock; continued: armed since before this run."""
+
+    mono: float
+    armed: bool
+    duration_s: Any
+    continued: bool
 
 
 @dataclass
@@ -138,9 +149,16 @@ def _once(run: Run) -> None:
     marks = {(mark.seq, mark.mono): mark for mark in run.marks}
     run.marks = sorted(marks.values(), key=lambda mark: (mark.mono, mark.seq))
     run.reports = array("d", sorted(set(run.reports)))
-    run.cover.tolerance = max(QUIET_S, 2.5 * run.interval_s)
+    run.cover.tolerance = max(QUIET_S, 2.5 * _interval_s(run))
     run.cover.merge(Cover(0.0))
     run.numbers.merge(Cover(0.0))
+
+
+def _interval_s(run: Run) -> float:
+    """The time between reports. Only the first line of a run has it: where that was rotated away, the median of its reports."""
+    if run.interval_s or len(run.reports) < 2:
+        return run.interval_s
+    return statistics.median(after - before for before, after in itertools.pairwise(run.reports))
 
 
 def _join(agent: AgentRecord) -> None:
@@ -206,12 +224,8 @@ def _end_forgotten(agent: AgentRecord) -> None:
 
 def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> None:
     """From the flights in its log, else from what its check of the autopilot says; from the ground where it has no log."""
-    edges = [
-        (t, bool(mark.body["began"]), mark.body.get("duration_s")) for t, mark in agent.marks if mark.what == "flight"
-    ]
+    edges = _logged(agent, _by_flights) or _logged(agent, _by_autopilot)
     end = agent.end
-    if not edges:
-        edges = [(clock.t(mono), armed, None) for run, clock in agent.runs for mono, armed in run.armed]
     if not agent.runs:
         edges = [
             (clock.t(mono), armed, None)
@@ -221,6 +235,34 @@ def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> Non
         ]
         end = max((clock.t(ground.cover.spans[-1][1]) for ground, clock in grounds if ground.cover.spans), default=0.0)
     agent.armed, agent.flying = _spans(edges, end), _flying(edges)
+
+
+def _logged(agent: AgentRecord, say: Callable[[Run], list[_Said]]) -> list[tuple[float, bool, Any]]:
+    """What its runs say. If a run ends armed and the next one does not continue that, it was armed until the last line of the run: the
+    next one may begin days after a loss of power."""
+    runs = [(run, clock, said) for run, clock in agent.runs if (said := say(run))]
+    edges: list[tuple[float, bool, Any]] = []
+    for place, (run, clock, said) in enumerate(runs):
+        edges += [(clock.t(one.mono), one.armed, one.duration_s) for one in said]
+        later = runs[place + 1][2] if place + 1 < len(runs) else []
+        # Without any later run it is not known when it was disarmed; a later one that says nothing does not continue it.
+        goes_on = later[0].continued if later else run is agent.runs[-1][0]
+        if said[-1].armed and not goes_on and run.cover.spans:
+            edges.append((clock.t(run.cover.spans[-1][1]), False, None))
+    return edges
+
+
+def _by_flights(run: Run) -> list[_Said]:
+    marks = [(mark.mono, mark.body) for mark in run.marks if mark.what == "flight"]
+    return [
+        _Said(mono, bool(body["began"]), body["duration_s"], bool(body["began"] and body["continued"]))
+        for mono, body in marks
+    ]
+
+
+def _by_autopilot(run: Run) -> list[_Said]:
+    """Its first line of the check has a state, not a change: an autopilot that is armed there was armed before."""
+    return [_Said(mono, armed, None, armed and place == 0) for place, (mono, armed) in enumerate(run.armed)]
 
 
 def _armed_by_others(agent: AgentRecord, others: list[ExternalEntry]) -> None:
@@ -235,7 +277,8 @@ def _flying(edges: Sequence[tuple[float, bool, Any]]) -> bool:
 
 
 def _spans(edges: Sequence[tuple[float, bool, Any]], end: float) -> list[Span]:
-    """(t, armed or disarmed, for how long it was armed if that is known) to armed periods; one that goes on ends at `end`."""
+    """(t, armed or disarmed, for how long it was armed if that is known) to armed periods; one that goes on ends at `end`. One of no
+    length is left out: it would be a flight without agents."""
     spans: list[Span] = []
     since: float | None = None
     for t, began, duration_s in sorted(edges, key=lambda edge: edge[0]):
@@ -246,4 +289,4 @@ def _spans(edges: Sequence[tuple[float, bool, Any]], end: float) -> list[Span]:
             since = None
     if since is not None and end > since:
         spans.append([since, end])
-    return joined(spans)
+    return [span for span in joined(spans) if span[0] < span[1]]

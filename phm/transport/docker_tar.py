@@ -13,6 +13,8 @@ from requests.models import Response
 
 from phm.facts import CannotTell
 
+MOST_HEADER = 1 << 20
+"""Bytes read before the content: tarfile holds an extended header in memory, whatever size it states."""
 _PIECE = 64 << 10
 
 
@@ -27,13 +29,21 @@ class FileCopy:
 
 
 class _Reader:
-    """`read(n)` over the pieces of a response, for tarfile's stream mode."""
+    """`read(n)` over the pieces of a response, for tarfile's stream mode.
 
-    def __init__(self, response: Response) -> None:
-        self._pieces = response.iter_content(_PIECE)
+    in_header: the content has not begun; then there is a limit.
+    """
+
+    def __init__(self, response: Response, what: str) -> None:
+        self._pieces, self._what = response.iter_content(_PIECE), what
         self._rest = b""
+        self._asked = 0
+        self.in_header = True
 
     def read(self, size: int) -> bytes:
+        self._asked += size
+        if self.in_header and self._asked > MOST_HEADER:
+            raise CannotTell(f"{self._what} has a header of more than {MOST_HEADER} bytes")
         parts, missing = [], size
         while missing > 0:
             piece = self._rest or next(self._pieces, b"")
@@ -47,8 +57,10 @@ class _Reader:
 def unpack(response: Response, sink: Callable[[bytes], object], what: str, limit: int) -> tarfile.TarInfo:
     """Pass the only file of the tar to `sink`. Returns its header. Raises CannotTell unless it is a file within
     `limit`."""
-    with tarfile.open(fileobj=_Reader(response), mode="r|") as archive:  # type: ignore[call-overload]
+    reader = _Reader(response, what)
+    with tarfile.open(fileobj=reader, mode="r|") as archive:  # type: ignore[call-overload]
         member: tarfile.TarInfo | None = archive.next()
+        reader.in_header = False
         content = archive.extractfile(member) if member is not None and member.isreg() else None
         if member is None or content is None:
             raise CannotTell(f"{what} is not a regular file")

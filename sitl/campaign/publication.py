@@ -106,8 +106,8 @@ def _paragraph(group: Group) -> str:
         f"There were {'-' if alarms is None else f'{alarms.mean:.2f}'} alarms per fault and {group.all.false} false "
         f"alarm{'' if group.all.false == 1 else 's'}, "
         f"beside {len(group.all.beside)} about the measured load of the machine, which the agents share. "
-        f"{sum(verdict.missed for verdict in group.all.verdicts)} faults were missed, so the times are those of "
-        f"{group.all.detection.n}.",
+        f"{sum(verdict.missed for verdict in group.all.verdicts)} faults were missed. The times to detect are those of "
+        f"{group.all.detection.n} faults, those to report of {group.all.response.n}.",
     ]
     return " ".join([f"The campaign is {done}." if done else "", *sentences]).strip()
 

@@ -54,3 +54,21 @@ def test_an_endpoint_that_does_not_leave_the_container_is_a_warning(
         assert "use udpout:host.docker.internal:14550 with `extra_hosts" in text
     shown = CliRunner().invoke(group, ["validate", str(file)])
     assert shown.exit_code == 0 and shown.stderr.count("warning: ") == count
+
+
+@pytest.mark.parametrize(
+    ("condition", "words"),
+    [
+        ("unhealthy", ""),
+        ("unhealty", "unknown condition 'unhealty', did you mean 'unhealthy'? No installed check reports it"),
+        ("queue_overrun", "unknown condition 'queue_overrun'. No installed check reports it"),
+    ],
+)
+def test_a_ladder_of_an_unknown_condition_is_a_warning(condition: str, words: str, tmp_path: Path) -> None:
+    """A plug-in that is installed only on the agent may report it, so the file is valid."""
+    file = tmp_path / "phm.yaml"
+    file.write_text(json.dumps({"agent": {"id": 1}, "recovery": {"ladders": {condition: []}}}))
+    done = CliRunner().invoke(group, ["validate", str(file), "--json"])
+    warnings = json.loads(done.stdout)["warnings"]
+    assert done.exit_code == 0 and len(warnings) == bool(words)
+    assert all(f"recovery.ladders: {words}" in text for text in warnings)

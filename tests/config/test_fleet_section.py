@@ -58,7 +58,7 @@ def test_a_missing_package_is_reported_with_its_remedy(monkeypatch: pytest.Monke
     monkeypatch.setattr(fleet, "find_spec", without)
     line, message = refused(ON + ROUTER)["fleet.enabled"]
     assert line == 2
-    assert "pip install 'phm-sidecar[fleet]'" in message
+    assert "install the extra 'fleet' (in a clone of PHM: pip install '.[fleet]')" in message
     assert loads("fleet: {enabled: false}\n", "phm.yaml", environ={}).fleet == Settings().fleet
 
 

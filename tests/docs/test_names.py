@@ -10,6 +10,7 @@ import pytest
 
 from phm.checking import registry
 from phm.core.model import Layer, Phase
+from phm.core.settings.mavlink import EndpointSettings
 from phm.core.settings.recovery import ManualStopSettings
 from phm.recovery.base import Action
 from tests.docs.examples import ROOT, pages
@@ -67,6 +68,14 @@ def test_the_rules_of_a_manual_stop_are_those_of_the_configuration() -> None:
     table = text.split("| rule | alarm | action | default |", 1)[1].split("\n\n", 1)[0]
     described = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
     assert sorted(described) == sorted(get_args(ManualStopSettings.model_fields["ground"].annotation))
+
+
+def test_each_value_of_leads_to_is_in_the_guide() -> None:
+    """The table of the guide lists exactly the values that the configuration accepts."""
+    text = (ROOT / "docs" / "guides" / "get-started.md").read_text("utf-8")
+    table = text.split("| `leads_to` | at the other end |", 1)[1].split("\n\n", 1)[0]
+    described = re.findall(r"^\| `(\w+)`", table, re.MULTILINE)
+    assert sorted(described) == sorted(get_args(EndpointSettings.model_fields["leads_to"].annotation))
 
 
 def test_the_layers_are_those_of_the_import_contract() -> None:

@@ -38,7 +38,9 @@ def test_the_installation_of_phm_is_named(tmp_path: Path, monkeypatch: pytest.Mo
 def test_no_rclpy_is_missing_where_nodes_are_configured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Elsewhere it only limits."""
     installed(monkeypatch, None)
-    assert states(list(rows(doctor_context(tmp_path))))["PHM"] == "limited"
+    found = list(rows(doctor_context(tmp_path)))
+    assert states(found)["PHM"] == "limited"
+    assert "install the extra 'ros' (in a clone of PHM: pip install '.[ros]')" in row(found, "PHM").remedy
     assert states(list(rows(doctor_context(tmp_path, ros={"nodes": [{"name": "/a"}]}))))["PHM"] == "missing"
 
 

@@ -6,6 +6,7 @@ import base64
 import contextlib
 import json
 import socket
+import tarfile
 import threading
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -24,7 +25,7 @@ from phm.probes.docker_reconcile import ExpectedState, differences
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
 from phm.transport.docker_session import FAILURES
-from phm.transport.docker_tar import FileCopy, pack, unpack
+from phm.transport.docker_tar import MOST_HEADER, FileCopy, pack, unpack
 from tests.fuzz.hostile import DEEP, JSON, corrupted, damaged, written
 from tests.fuzz.targets import folder, fuzzed
 
@@ -147,6 +148,32 @@ def test_any_tar_is_one_file_or_a_failure(data: bytes, size: int) -> None:
         member = unpack(cast(Any, _Pieces(data, size)), taken.extend, "a file", 2000)
         assert len(taken) == member.size
     assert len(taken) <= 2000
+
+
+def test_an_extended_header_without_an_end_is_not_kept_in_memory() -> None:
+    """Whatever size it states: the reader stops behind the largest header, not at the end of the response."""
+    header = tarfile.TarInfo("f")
+    header.type, header.size = tarfile.XHDTYPE, 8 << 30
+    sent = 0
+
+    def endless(size: int) -> Iterator[bytes]:
+        nonlocal sent
+        yield header.tobuf(tarfile.GNU_FORMAT)
+        while sent < 10 * MOST_HEADER:
+            sent += size
+            yield bytes(size)
+
+    with pytest.raises(CannotTell, match="a file has a header of more than 1048576 bytes"):
+        unpack(cast(Any, SimpleNamespace(iter_content=endless)), bytearray().extend, "a file", 1000)
+    assert sent < 2 * MOST_HEADER
+
+
+def test_a_file_larger_than_the_largest_header_is_read() -> None:
+    """The limit is that of the header alone; a long path has an extended one."""
+    data, taken = bytes(3 * MOST_HEADER), bytearray()
+    tar = pack("folder/" * 50 + "file", FileCopy(data, 0o755, 1, 2), 1_800_000_000.0)
+    unpack(cast(Any, _Pieces(tar, 65536)), taken.extend, "a file", len(data))
+    assert taken == data
 
 
 def _http(body: bytes, *headers: str, status: str = "200 OK") -> bytes:

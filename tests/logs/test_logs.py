@@ -221,6 +221,17 @@ def test_text_from_outside_is_safe_and_bounded(tmp_path: Path) -> None:
     assert max(map(len, result.output.splitlines())) < 100_000
 
 
+def test_names_of_folders_from_outside_are_safe(tmp_path: Path) -> None:
+    """A card's folder can have any name; what is said of its files has no escape."""
+    folder = tmp_path / "\x1b]0;owned\x07\x1b[2J"
+    folder.mkdir()
+    (folder / "phm.jsonl").write_text('{"torn":')
+    (folder / "phm.jsonl.1.gz").write_bytes(b"damaged")
+    result = logs(tmp_path)
+    assert "\x1b" not in result.stderr and "\x07" not in result.stderr
+    assert "1 lines are incomplete" in result.stderr and "phm.jsonl.1.gz: damaged" in result.stderr
+
+
 def test_a_log_is_read_once_whatever_the_rotation_does_meanwhile(tmp_path: Path) -> None:
     """Events come in order, without a gap and without a repetition, while files are renamed, compressed and emptied."""
     log = log_of(tmp_path, max_size="100kB", files=50)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import os
 import stat
 import tarfile
 from pathlib import Path
@@ -19,21 +20,23 @@ from phm.logs.secrets import MOST_LINE, Secrets, is_secret
 from tests.logs.test_logs import note, record
 
 KEY = "00112233445566778899aabbccddeeff00112233445566778899aabbccddeeff"
+DELIVERY_KEY = "ffeeddccbbaa99887766554433221100ffeeddccbbaa99887766554433221100"
 HOOK = "json://robot:Pa55phrase@example.org/T0PSECRETPATH?x=Qu3ryT0ken"
 SLACK = "slack://T1JJ3T3L2AAAA/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ"
 PLANTED = (
     *(KEY, KEY.upper(), HOOK, "Pa55phrase", "T0PSECRETPATH", "Qu3ryT0ken", "TIiajkdnlazkcOXrIdevi7FQ", "T1JJ3T3L2AAAA"),
     *("env-v4lue-one", "env-v4lue-two", "c0mmented-0ut", "b3arer-in-a-log", "url-passw0rd", "block-l1ne-one"),
+    DELIVERY_KEY,
     *("MIIBVwIBADANBg", "j5on-in-a-log", "opti0n-value", 'quo"ted-s3cret', r"quo\"ted-s3cret"),
 )
 
 
 @pytest.fixture
 def agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An agent with secrets in its configuration, environment, signing key and logs. Returns its configuration."""
-    key = tmp_path / "key"
-    key.write_text(KEY)
-    key.chmod(0o600)
+    """An agent with secrets in its configuration, environment, keys and logs. Returns its configuration."""
+    for name, text in (("key", KEY), ("delivery.key", DELIVERY_KEY)):
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o600)
     config = tmp_path / "phm.yaml"
     config.write_text(
         f"""\
@@ -42,7 +45,8 @@ agent: {{name: agent_1, id: 1}}
 log: {{directory: {tmp_path / "log"}}}
 state_dir: {tmp_path / "state"}
 docker: {{socket: "unix://{tmp_path}/none.sock"}}
-mavlink: {{signing: {{key: {key}}}}}
+mavlink: {{signing: {{key: {tmp_path}/key}}}}
+delivery: {{key: {tmp_path}/delivery.key}}
 notify:
   urls: ["{HOOK}", "{SLACK}"]
 """
@@ -51,6 +55,7 @@ notify:
     monkeypatch.setenv("SOME_PASSWORD", "env-v4lue-two")
     monkeypatch.setenv("QUOTED_SECRET", 'quo"ted-s3cret')
     said = (
+        f"with {DELIVERY_KEY}",
         f"key {KEY} and {HOOK} and TIiajkdnlazkcOXrIdevi7FQ",
         "env-v4lue-one, env-v4lue-two, Authorization: Bearer b3arer-in-a-log",
         'http://user:url-passw0rd@example.org/x {"token": "j5on-in-a-log"} --password opti0n-value quo"ted-s3cret',
@@ -84,7 +89,14 @@ def test_no_planted_secret_is_in_the_bundle_or_on_the_terminal(agent: Path, tmp_
         for secret in PLANTED:
             assert secret.encode() not in content, f"{secret} is in {name}"
     removed = inside["REMOVED.txt"].decode()
-    for words in ("MAVLink signing key", "URL of notify.urls", "value of PHM_API_TOKEN", "logs/phm.jsonl", "phm.yaml"):
+    for words in (
+        "MAVLink signing key",
+        "delivery key",
+        "URL of notify.urls",
+        "value of PHM_API_TOKEN",
+        "logs/phm.jsonl",
+        "phm.yaml",
+    ):
         assert words in removed and words in result.output
 
 
@@ -96,7 +108,7 @@ def test_the_bundle_has_what_a_reader_needs(agent: Path, tmp_path: Path) -> None
     wanted = {"phm.yaml", "versions.json", "environment.json", "doctor.txt", "REMOVED.txt", "MISSING.txt"}
     assert wanted | {"logs/phm.jsonl", "logs/phm.jsonl.1", "logs/phm.log"} == set(inside)
     texts = [json.loads(line).get("text") for line in inside["logs/phm.jsonl"].splitlines()]
-    assert "an ordinary line" in texts and len(texts) == 6
+    assert "an ordinary line" in texts and len(texts) == 7
     assert json.loads(inside["versions.json"])["phm"] and b"engine: " in inside["doctor.txt"]
     assert b"status.json" in inside["MISSING.txt"] and b"logs/phm.jsonl.1: the rest of it" in inside["MISSING.txt"]
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
@@ -127,6 +139,25 @@ def test_logs_are_capped_the_newest_first(agent: Path, tmp_path: Path, monkeypat
     bundle(agent, file)
     inside = members(file)
     assert "logs/phm.jsonl" in inside and "logs/phm.jsonl.1" not in inside and b"phm.jsonl.1" in inside["MISSING.txt"]
+
+
+def test_links_and_pipes_are_not_read(tmp_path: Path) -> None:
+    """A program that can write in the folder could put a link to a file of another user there, or a pipe that never ends."""
+    (tmp_path / "shadow").write_text("root:secret-of-others\n")
+    folder = tmp_path / "log"
+    folder.mkdir()
+    (folder / "phm.log").symlink_to(tmp_path / "shadow")
+    (folder / "phm.jsonl.1.gz").symlink_to(tmp_path / "shadow")
+    os.mkfifo(folder / "phm.jsonl")
+    with tarfile.open(fileobj=io.BytesIO(), mode="w") as archive:
+        made = bundles.Bundle(archive, Secrets())
+        made.logs(folder)
+    assert not made.written
+    assert dict(made.missing) == {
+        "logs/phm.log": "a symbolic link, which is not followed",
+        "logs/phm.jsonl.1": "a symbolic link, which is not followed",
+        "logs/phm.jsonl": "not a regular file",
+    }
 
 
 def test_a_log_that_was_cut_says_so(agent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,6 +73,21 @@ def test_counters_of_events_that_never_happened_are_0() -> None:
     assert [line for line in found if line.startswith('phm_gcs_autopilot_age_seconds{agent="A05"}')]
 
 
+def test_pauses_of_the_heartbeats_are_counted() -> None:
+    """A late agent is not an event: each of its pauses counts, also one that ends before the agent is lost."""
+    fleet = Fleet()
+    station = Station(fleet)
+    metrics = GroundMetrics(station, FakeClock())
+    for pause_s in (7.0, 7.0, 60.0):
+        fleet.wait(20.0, phm_heartbeat(5), every=2.0)
+        fleet.wait(pause_s)
+    fleet.wait(20.0, phm_heartbeat(5), every=2.0)
+    station.publish(*fleet.news)
+    found = MetricsText(metrics.page).render("text/plain")[0].decode().splitlines()
+    assert 'phm_gcs_agent_gaps_total{agent="A05",presence="late"} 3.0' in found
+    assert 'phm_gcs_agent_gaps_total{agent="A05",presence="lost"} 1.0' in found
+
+
 def test_invented_agents_cost_no_more_than_the_limit() -> None:
     """Any number of names may come and go; those that were known first are counted further."""
     fleet = Fleet()

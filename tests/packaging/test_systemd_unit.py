@@ -53,3 +53,12 @@ def test_the_unit_fits_what_phm_does() -> None:
     assert settings.run_dir == f"/run/{found['RuntimeDirectory']}"
     assert settings.state_dir == f"/var/lib/{found['StateDirectory']}"
     assert settings.log.directory == f"/var/log/{found['LogsDirectory']}"
+
+
+def test_the_memory_limit_is_that_of_the_compose_file() -> None:
+    """Above `ros.max_memory`, at which PHM replaces its ROS child; and the kernel may end that child without the end of the service."""
+    found, settings = service(), Settings.model_validate({"agent": {"id": 1}})
+    compose = (UNIT.parents[2] / "docker" / "compose.yaml").read_text("utf-8")
+    assert f"mem_limit: {found['MemoryMax'].lower()}\n" in compose
+    assert int(found["MemoryMax"].removesuffix("M")) * 1e6 > settings.ros.max_memory
+    assert found["OOMPolicy"] == "continue"

@@ -178,6 +178,7 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is an extra, and imported only for an alert."""
     monkeypatch.setitem(sys.modules, "apprise", None)
     assert notify.send_to_urls({}, ["json://x"]) == notify.MISSING
+    assert "install the extra 'notify' (in a clone of PHM: pip install '.[notify]')" in notify.MISSING
 
 
 def test_alerts_are_limited_and_what_was_left_out_is_counted() -> None:

@@ -118,12 +118,14 @@ def test_the_status_is_removed_at_shutdown(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unwritable_run_dir_is_a_problem_without_a_crash(tmp_path: Path) -> None:
-    """The reporter reports the problem, continues, and recovers."""
+def test_an_unwritable_run_dir_is_a_problem_without_a_crash(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The reporter reports the problem, continues, and recovers. The problem is on stderr once, since `phm status` cannot show it."""
     (tmp_path / "run").write_text("a file in the way")
     status = make(tmp_path / "run")
     status.tick()
     assert "status.json: File exists; `phm status` does not work" in status.problem()
+    status.tick()
+    assert [record.getMessage() for record in caplog.records] == [status.problem()]
     (tmp_path / "run").unlink()
     status.tick()
     assert status.problem() == ""

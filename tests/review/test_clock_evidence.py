@@ -173,6 +173,27 @@ def test_runs_of_one_start_of_the_machine_are_placed_together(tmp_path: Path) ->
     assert not alone["applied"]
 
 
+def test_a_flight_that_continues_is_not_an_arming(tmp_path: Path) -> None:
+    """PHM was restarted just after the arming that the ground received: this is not the arming of its second run."""
+    ground = Ground(tmp_path / "ground.jsonl")
+    for second, armed in ((50.0, False), (100.3, True), (150.0, True)):
+        keys = {"presence": "alive", "mode": 5, "state": "ACTIVE", "age_s": 0.0}
+        ground.event(second, "autopilot", system=1, armed=armed, **keys)
+    ground.close()
+    first = Flown(tmp_path, boot="boot0001")
+    first.until(100.0)
+    first.arm(True)
+    first.until(104.0)
+    first.close()
+    second_run = Flown(tmp_path, boot="boot0002", start=106.0)
+    second_run.arm(True)
+    second_run.until(150.0)
+    second_run.close()
+    found = clocks(report(tmp_path))
+    assert (found["boot0001"]["offset_s"], found["boot0001"]["votes"]) == (pytest.approx(0.3), 1)
+    assert (found["boot0002"]["offset_s"], found["boot0002"]["votes"]) == (None, 0)
+
+
 def test_regular_failures_fit_many_offsets_and_move_nothing_far(tmp_path: Path) -> None:
     """A node that fails each 60 s, on two days."""
     agent, ground = Flown(tmp_path / "log"), Ground(tmp_path / "ground.jsonl")

@@ -209,7 +209,12 @@ def test_an_agent_without_a_log_is_shown_as_the_ground_received_it(tmp_path: Pat
     assert (agent["agent"], agent["logged"], agent["uptime"]) == ("A07", False, None)
     assert agent["link_gaps"] == [[T0 + 54, T0 + 80]]
     assert agent["armed"] == [[T0 + 30, T0 + 100]]
-    assert agent["levels"] == [[T0, T0 + 40, "OK"], [T0 + 40, T0 + 60, "ERROR"], [T0 + 90, T0 + 100, "OK"]]
+    assert agent["levels"] == [
+        [T0, T0 + 40, "OK"],
+        [T0 + 40, T0 + 54, "ERROR"],
+        [T0 + 80, T0 + 90, "ERROR"],
+        [T0 + 90, T0 + 100, "OK"],
+    ]
 
 
 def test_the_document_is_json(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from phm.cli.report import command
 from phm.core.model import Level
 from phm.review import comparison
-from tests.review.records import Flown, report
+from tests.review.records import T0, Flown, report
 
 
 def flight(folder: Path, faults: int = 0, boot: str = "boot0001") -> Path:
@@ -82,6 +82,127 @@ def test_a_fault_that_is_open_over_two_flights_counts_in_the_one_in_which_it_ope
     assert [sum(row["faults"] for row in each["checks"]) for each in (first, second)] == [1, 0]
     assert [each["agents"][0]["faults"] for each in (first, second)] == [1, 0]
     assert second["sentences"][1] == "There was no fault."
+
+
+def over_the_landing(folder: Path) -> None:
+    """Armed from 100 to 200 s; node_1 fails at 150 s and is OK again at 230 s."""
+    made = Flown(folder)
+    made.until(100)
+    made.arm(True)
+    made.until(150)
+    made.fail("nodes/node_1", lasts=None)
+    made.until(200)
+    made.arm(False)
+    made.until(230)
+    log = made.close()
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    opened = next(line for line in lines if line["event"] == "fault_opened")
+    ended = {"event": "fault_closed", "outcome": "resolved", "by": "restart", "duration_s": 80.0}
+    times = {"seq": lines[-1]["seq"] + 1, "mono": opened["mono"] + 80, "utc_s": opened["utc_s"] + 80}
+    with log.open("a") as file:
+        file.write(json.dumps({**opened, **times, **ended}) + "\n")
+
+
+def test_a_fault_that_ended_after_the_flight_was_open_at_its_end(tmp_path: Path) -> None:
+    """It did not recover in the flight. In the whole record it did."""
+    over_the_landing(tmp_path)
+    flown, whole = report(tmp_path, flight=1), report(tmp_path)
+    assert flown["sentences"][1:3] == [
+        "There was 1 fault: 0 ended by an action of PHM and 0 otherwise.",
+        "1 fault was open at the end (agent_1 nodes/node_1 gone), and PHM gave up on 0.",
+    ]
+    assert flown["sentences"][4] == "Before the next flight, on agent_1 (nodes/node_1): restart it and check its log."
+    for made, expected in (
+        (flown, ("open", None, "", 80.0, 0, None)),
+        (whole, ("resolved", T0 + 230, "restart", 80.0, 1, 80.0)),
+    ):
+        fault, check = made["faults"][0], next(row for row in made["checks"] if row["check"] == "nodes")
+        ended = (fault["outcome"], fault["closed"], fault["by"], fault["lasted_s"])
+        assert (*ended, check["resolved"], check["mttr_s"]) == expected
+    assert whole["sentences"][2] == "No fault was open at the end, and PHM gave up on none."
+
+
+@pytest.mark.parametrize("source", ["flight", "autopilot", "silent"])
+def test_a_flight_that_a_loss_of_power_cut_ends_with_its_log(tmp_path: Path, source: str) -> None:
+    """The computer is on again a day later, disarmed, or without an autopilot; what another agent flew in between is its own flight."""
+    first = Flown(tmp_path / "1", boot="boot0001", machine_boot="m1")
+    first.until(100)
+    first.arm(False)
+    first.arm(True)
+    first.until(400)
+    first.report()
+    logs = [first.close()]
+    second = Flown(tmp_path / "1", boot="boot0002", machine_boot="m2", start=86_400, mono=-86_300)
+    second.until(86_420)
+    if source != "silent":
+        second.arm(False)
+    second.until(86_600)
+    logs.append(second.close())
+    if source == "autopilot":
+        for log in logs:
+            said = {"check": "autopilot", "unit": "autopilot", "event": "unit", "slot": 8, "level": "OK"}
+            text = [json.loads(line) for line in log.read_text().splitlines()]
+            for line in text:
+                if line["event"] == "flight":
+                    line.update(said, values={"armed": line["began"]})
+            log.write_text("".join(json.dumps(line) + "\n" for line in text))
+    other = Flown(tmp_path / "2", 2, boot="boot0003", start=50_000, mono=-49_900)
+    other.until(50_100)
+    other.arm(True)
+    other.until(50_400)
+    other.arm(False)
+    other.close()
+    made = report(tmp_path)
+    assert [(one["begin"] - T0, one["end"] - T0, one["agents"]) for one in made["flights"]] == [
+        (100.0, 400.0, ["agent_1"]),
+        (50_100.0, 50_400.0, ["agent_2"]),
+    ]
+
+
+def test_a_restart_of_phm_in_flight_does_not_end_the_flight(tmp_path: Path) -> None:
+    """The next run that knows the autopilot continues it; one in between was too short to know it."""
+    first = Flown(tmp_path, boot="boot0001")
+    first.until(100)
+    first.arm(True)
+    first.until(200)
+    first.close()
+    Flown(tmp_path, boot="boot0002", start=210).close()
+    third = Flown(tmp_path, boot="boot0003", start=220)
+    third.arm(True)
+    third.until(300)
+    third.arm(False)
+    third.until(320)
+    third.close()
+    assert [(one["begin"] - T0, one["end"] - T0) for one in report(tmp_path)["flights"]] == [(100.0, 300.0)]
+
+
+def test_an_arming_in_the_last_line_before_a_loss_of_power_is_not_a_flight(tmp_path: Path) -> None:
+    """Nothing is known of how long it lasted, and the next start of the computer does not end it."""
+    first = Flown(tmp_path, boot="boot0001", machine_boot="m1")
+    first.until(100)
+    first.arm(True)
+    first.close()
+    second = Flown(tmp_path, boot="boot0002", machine_boot="m2", start=86_400)
+    second.arm(False)
+    second.until(86_500)
+    second.close()
+    made = report(tmp_path)
+    assert (made["flights"], made["agents"][0]["armed_s"]) == ([], 0.0)
+
+
+def test_without_the_line_start_the_interval_is_that_of_the_reports(tmp_path: Path) -> None:
+    """The oldest file was rotated away, and reports are a minute apart: PHM ran between them."""
+    made = Flown(tmp_path)
+    made.until(3600, every=60)
+    log = made.close()
+    lines = [line for line in log.read_text().splitlines(True) if '"event":"start"' not in line]
+    assert len(lines) == len(log.read_text().splitlines()) - 1
+    log.write_text("".join(lines[3:]))
+    whole = report(tmp_path)
+    assert (whole["agents"][0]["uptime"], whole["agents"][0]["down"]) == (1.0, [])
+    assert {row["observed_s"] for row in whole["checks"]} == {3540.0}
+    log.write_text("".join(lines[3 : len(lines) // 2] + lines[len(lines) * 3 // 4 :]))
+    assert len(report(tmp_path)["agents"][0]["down"]) == 1
 
 
 def test_a_fault_that_the_next_run_does_not_know_has_ended(tmp_path: Path) -> None:

@@ -298,9 +298,10 @@ def test_a_running_daemon_judges_and_publishes_diagnostics(bench: Bench, tmp_pat
     until(lambda: monitor.received[unit][:2] == [3, "PHM has stopped"], "the final statuses")
 
 
-def test_statuses_of_any_size_fit_into_messages() -> None:
-    """The maximum number and length; characters that JSON writes with six bytes."""
-    text = "\u20ac" * MAX_TEXT
+@pytest.mark.parametrize("character", ["\u20ac", "\U0001f600"])
+def test_statuses_of_any_size_fit_into_messages(character: str) -> None:
+    """The maximum number and length; characters that JSON writes with six bytes, and with twelve."""
+    text = character * MAX_TEXT
     fact = DiagnosticFact(0.0, 2, text, text, {f"{number:03}{text[3:]}": text for number in range(MAX_VALUES)})
     messages = portions([(f"{number:03}{text[3:]}", fact) for number in range(50)])
     assert sum(len(message.diagnostics) for message in messages if isinstance(message, SelfReportUpdate)) == 50

@@ -17,7 +17,8 @@ def fleet_has_endpoints(root: ConfigNode) -> None:
         return
     if find_spec("zenoh") is None:
         enabled.add_problem(
-            "is true, but eclipse-zenoh is not installed: pip install 'phm-sidecar[fleet]', or build the image with EXTRAS=fleet"
+            "is true, but eclipse-zenoh is not installed: install the extra 'fleet' (in a clone of PHM: "
+            "pip install '.[fleet]'), or build the image with EXTRAS=fleet"
         )
     if not fleet.get("connect").texts and not fleet.get("listen").texts:
         enabled.add_problem(

@@ -67,7 +67,7 @@ class Sessions:
         """The role of a token, empty for a wrong one. Takes the same time for every token."""
         if self.tokens is None:
             return ""
-        said = token.encode("utf-8", "surrogateescape")
+        said = token.encode("utf-8", "surrogatepass")  # JSON can hold half of a surrogate pair: a wrong token
         operate = _equal(said, self.tokens.operate)
         view = _equal(said, self.tokens.view)
         return OPERATE if operate else VIEW if view else ""

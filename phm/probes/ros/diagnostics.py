@@ -20,10 +20,10 @@ MAX_TAKES = 50
 MAX_BYTES = 200_000
 """Longest array in bytes that is read: 500 statuses of a few hundred bytes. Python needs about 10 ms for one."""
 MAX_STATUSES = 500
-PORTION = 140_000
-"""Characters in one message to the daemon."""
+PORTION = 75_000
+"""Characters in one message to the daemon: JSON writes one beyond U+FFFF with twelve bytes, which makes 900 kB of LINE_LIMIT."""
 _REST = 10
-"""Overhead of a text in bytes."""
+"""What a text costs besides its characters, counted as characters: JSON's quotes and separators, and numbers."""
 MAX_REMARKS = 20
 MAX_TEXT = 255
 MAX_VALUES = 32
@@ -178,7 +178,7 @@ class DiagnosticsListener:
 
 
 def portions(statuses: Sequence[tuple[str, DiagnosticFact]]) -> list[Message]:
-    """Split into messages of limited size: a character takes at most six bytes there."""
+    """Split into messages that stay below LINE_LIMIT whatever their characters."""
     messages: list[Message] = []
     part: dict[str, DiagnosticFact] = {}
     size = 0

@@ -5,6 +5,7 @@ Runs only in the child. Names cost microseconds; endpoints cost 50 us per topic 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterable
 from typing import Any
 
@@ -15,7 +16,7 @@ from phm.probes.ros.raw_names import undecodable
 POLL_S = 2.0
 MAX_TOPICS = 200
 MAX_NAMES_BYTES = 200_000
-"""Limit in characters for the names of topics and of their nodes together; the longest are dropped."""
+"""Limit for the names of topics and of their nodes together, as bytes of JSON; the longest are dropped."""
 MAX_NODES = 8
 """Limit for one side of one topic: a name used by many nodes is not misspelt."""
 MAX_COUNTED = 2000
@@ -93,7 +94,11 @@ class UnconfiguredTopics:
 
 
 def _fitting(facts: dict[str, NameFact]) -> dict[str, NameFact]:
-    sizes = {name: len(name) + sum(map(len, (*fact.publishers, *fact.subscribers))) for name, fact in facts.items()}
+    """As many as fit into MAX_NAMES_BYTES, the shortest first. A character takes up to 12 bytes there."""
+    sizes = {
+        name: len(json.dumps(name)) + sum(len(json.dumps(node)) for node in (*fact.publishers, *fact.subscribers))
+        for name, fact in facts.items()
+    }
     left = MAX_NAMES_BYTES
     for name in sorted(sizes, key=lambda name: (name != CLOCK, sizes[name])):
         left -= sizes[name]

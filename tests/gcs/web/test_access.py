@@ -194,6 +194,15 @@ def test_tokens_cannot_be_guessed_quickly(locked: Ground) -> None:
     assert client.login(OPERATE)[0] == 429
 
 
+def test_a_token_that_is_not_unicode_counts_as_wrong(locked: Ground, caplog: pytest.LogCaptureFixture) -> None:
+    """JSON can hold half of a surrogate pair. Such requests fill no log with tracebacks."""
+    client = locked.client()
+    for _ in range(FAILURES):
+        assert client.login("\ud800")[0] == 403
+    assert client.login("\ud800")[0] == client.login(OPERATE)[0] == 429
+    assert "Traceback" not in caplog.text
+
+
 def test_a_wrong_token_counts_for_a_minute_and_not_longer() -> None:
     """After FAILURES an address has one try per AGAIN_S; one wrong token is forgotten after it."""
     sessions = Sessions(None)
@@ -245,7 +254,7 @@ def test_the_addresses_of_one_machine_are_one(address: str, counted: str) -> Non
     assert network(address) == counted
 
 
-@pytest.mark.parametrize("token", [None, 5, "", "x" * 2000, "ünïcode-token-0123456", VIEW[:-1], VIEW + "x"])
+@pytest.mark.parametrize("token", [None, 5, "", "x" * 2000, "ünïcode-token-0123456", "\ud800", VIEW[:-1], VIEW + "x"])
 def test_a_wrong_token_opens_nothing(locked: Ground, token: Any) -> None:
     """Whatever its type."""
     status, body, response = locked.client().ask("POST", "/api/login", {"token": token})

@@ -27,6 +27,8 @@ MAX_BYTES, MAX_AGE_S = 200_000_000, 30 * 86_400.0
 MAX_WAITING = 50_000
 """Maximum number of rows that wait to be written."""
 MAX_SERIES = 20_000
+SORTED = 50_000
+"""About this many entries are sorted to find the oldest tenth."""
 COMMIT_S, PRUNE_S, RETRY_S, OPEN_S = 1.0, 60.0, 10.0, 2.0
 CLOSE_LIMIT_S = 5.0
 APPLICATION, VERSION = 0x50484D47, 1
@@ -50,6 +52,11 @@ COMMIT;
 SAMPLE = "INSERT OR REPLACE INTO sample (series, at, value) VALUES (?, ?, ?)"
 EVENT = "INSERT INTO event (at, who, grade, event, words, body) VALUES (?, ?, ?, ?, ?, ?)"
 FAULT = "INSERT OR REPLACE INTO fault (key, who, at, changed, open, body) VALUES (?, ?, ?, ?, ?, ?)"
+DELETE = (
+    "DELETE FROM sample WHERE at <= ?",
+    "DELETE FROM event WHERE at <= ?",
+    "DELETE FROM fault WHERE changed <= ?",
+)
 
 
 _UNUSABLE = (
@@ -228,21 +235,14 @@ class HistoryStore:
         return self._series[name]
 
     def _prune(self, connection: sqlite3.Connection) -> None:
-        """Delete what is too old, and the oldest tenth while the file is too large."""
-        if self._clock.mono() < self._prune_at:
+        """Delete what is too old, and the oldest entries while the file is too large."""
+        if self._clock.mono() < self._prune_at and self._size(connection) <= self._max_bytes:
             return
         self._prune_at = self._clock.mono() + PRUNE_S
-        oldest = self._clock.utc() - self._max_age_s
-        if self._size(connection) > self._max_bytes:
-            first, last = connection.execute(
-                "SELECT min(at), max(at) FROM (SELECT min(at) AS at FROM event UNION ALL SELECT max(at) FROM event "
-                "UNION ALL SELECT min(at) FROM sample UNION ALL SELECT max(at) FROM sample)"
-            ).fetchone()
-            oldest = max(oldest, (first or 0.0) + ((last or 0.0) - (first or 0.0)) / 10)
-        with connection:
-            connection.execute("DELETE FROM sample WHERE at < ?", (oldest,))
-            connection.execute("DELETE FROM event WHERE at < ?", (oldest,))
-            connection.execute("DELETE FROM fault WHERE changed < ?", (oldest,))
+        _delete(connection, self._clock.utc() - self._max_age_s)
+        while self._size(connection) > self._max_bytes and not self._stop.is_set():
+            if not _delete(connection, _oldest(connection)):
+                break  # only the names of series are left
         connection.execute("PRAGMA incremental_vacuum").fetchall()
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
 
@@ -283,6 +283,30 @@ class HistoryStore:
                 self._connection.close()
         self._connection = None
         self._series = {}
+
+
+def _oldest(connection: sqlite3.Connection) -> float:
+    """The moment until which the oldest tenth of the entries goes.
+
+    Of many entries it is an estimate from a random selection: to sort millions of them takes seconds, in which nothing is written.
+    """
+    entries = connection.execute(
+        "SELECT (SELECT count(*) FROM sample) + (SELECT count(*) FROM event) + (SELECT count(*) FROM fault)"
+    ).fetchone()[0]
+    one_of = max(1, entries // SORTED)
+    found = connection.execute(
+        "SELECT at FROM (SELECT at FROM sample WHERE random() % :one_of = 0 UNION ALL SELECT at FROM event "
+        "WHERE random() % :one_of = 0 UNION ALL SELECT changed FROM fault WHERE random() % :one_of = 0) "
+        "ORDER BY at LIMIT 1 OFFSET :place",
+        {"one_of": one_of, "place": entries // one_of // 10},
+    ).fetchone()
+    return float("-inf") if found is None else float(found[0])
+
+
+def _delete(connection: sqlite3.Connection, until: float) -> int:
+    """Delete the entries until this moment; their number."""
+    with connection:
+        return sum(connection.execute(statement, (until,)).rowcount for statement in DELETE)
 
 
 def _check_owner(connection: sqlite3.Connection) -> None:

@@ -1,0 +1,61 @@
+"""The limit of the history's file: it holds during a flood, and no more of the older entries is deleted than is necessary."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from phm.core.clock import SystemClock
+from phm.gcs.web.history.store import EVENT, HistoryRow, HistorySample, HistoryStore
+from tests.fakes.until import until
+
+LIMIT = 1_000_000
+DAY_S = 86_400.0
+
+
+def size(path: Path) -> int:
+    with sqlite3.connect(path) as connection:
+        pages = connection.execute("PRAGMA page_count").fetchone()[0]
+        return int(pages * connection.execute("PRAGMA page_size").fetchone()[0])
+
+
+def count(path: Path, who: str) -> int:
+    with sqlite3.connect(path) as connection:
+        return int(connection.execute("SELECT count(*) FROM event WHERE who = ?", (who,)).fetchone()[0])
+
+
+def line(at: float, who: str) -> HistoryRow:
+    return HistoryRow(EVENT, (at, who, 0, "text", "line", "x" * 400))
+
+
+def test_a_flood_does_not_exceed_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of it is newer than what was there, and it comes between two of the deletions that are made each minute."""
+    monkeypatch.setattr("phm.gcs.web.history.store.COMMIT_S", 0.01)
+    path, clock = tmp_path / "history.db", SystemClock()
+    store, now = HistoryStore(path, clock, max_bytes=LIMIT), clock.utc()
+    store.start()
+    for number in range(100):
+        store.put(line(now - 29 * DAY_S + number * DAY_S / 4, "A01"))
+    assert store.flush(120)
+    for number in range(10_000):
+        store.put(line(now + number / 1000, "A99"))
+    until(lambda: store.flush(0.1) and size(path) <= LIMIT, "the limit", lambda: size(path))
+    assert count(path, "A99") * 400 > LIMIT / 2
+    store.close()
+
+
+def test_no_more_is_deleted_than_is_necessary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """About a tenth of the entries, though all but a few are of the first day."""
+    monkeypatch.setattr("phm.gcs.web.history.store.COMMIT_S", 0.01)
+    path, clock = tmp_path / "history.db", SystemClock()
+    store, now = HistoryStore(path, clock, max_bytes=LIMIT), clock.utc()
+    for number in range(1900):
+        store.put(line(now - 20 * DAY_S + number, "A01"))
+        store.put(HistorySample("A01", "gap", now - 20 * DAY_S + number, 1.0))
+    store.put(line(now, "A01"))
+    store.start()
+    until(lambda: store.flush(0.1) and size(path) <= LIMIT, "the limit", lambda: size(path))
+    assert count(path, "A01") > 1500
+    store.close()
