@@ -107,18 +107,18 @@ class _Known:
         self._containers()
 
     def _key(self, path: str | None, what: str) -> None:
-        """A key, as in its file, in hexadecimal digits, and as text. what: its name, in SHARES."""
+        """A key as in its file, which may have hexadecimal digits of either case, and in such digits. what: its name, in SHARES."""
         from phm.logs.deadline import Late
 
         try:
             data = self.deadline.within(SHARES[what], lambda: _read(Path(path), 4096)) if path else b""
-        except OSError:
+        except (OSError, Late) as error:
+            why = error.strerror if isinstance(error, OSError) else error
+            self.missing.append((what, f"{path}: {why}; {UNKNOWN_SECRETS}"))
             return
-        except Late as error:
-            self.missing.append((what, f"{error}; {UNKNOWN_SECRETS}"))
-            return
-        for text in (data.hex(), data.hex().upper(), data.decode("latin-1").strip()):
-            self.secrets.learn(text, what)
+        for text in (data.hex(), data.decode("latin-1").strip()):
+            for spelled in dict.fromkeys((text, text.lower(), text.upper())):
+                self.secrets.learn(spelled, what)
 
     def _configuration(self, config: str | None) -> None:
         import yaml

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from phm.cli.options import json_option
+from phm.core.extras import remedy
 from phm.wire.text import one_line
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def _need(modules: tuple[str, ...]) -> None:
     missing = [module for module in modules if find_spec(module) is None]
     if missing:
         raise click.ClickException(
-            f"phm report needs {', '.join(missing)}: install with `pip install 'phm-sidecar[report]'` (docs/reference/report.md)"
+            f"phm report needs {', '.join(missing)}: {remedy('report')} (docs/reference/report.md)"
         )
 
 

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from phm.core.extras import remedy
+
 if TYPE_CHECKING:
     from phm.gcs.web.options import ListenOptions
 
 S = TypeVar("S")
 F = TypeVar("F", bound=Callable[..., Any])
-MISSING = "{option} needs aiohttp: install it with `pip install 'phm-sidecar[web]'` (docs/reference/web.md)"
+MISSING = "{option} needs aiohttp: " + remedy("web") + " (docs/reference/web.md)"
 
 
 def address(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from phm.core import extras
 from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.facts import CannotTell, RosEnvironment
@@ -54,10 +55,7 @@ def _installation(*, needed: bool) -> Row:
         text = f"{found['distribution'] or 'unknown distribution'}, rclpy {found['rclpy'] or unknown}, {middleware}"
     except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
         text = "rclpy cannot be used here, so nodes and topics are not monitored"
-        remedy = (
-            "use PHM's image; or on x86-64 install the extra 'ros' (in a clone of PHM: pip install '.[ros]'); or use the Python of a "
-            "ROS installation"
-        )
+        remedy = f"use PHM's image; or on x86-64 {extras.remedy('ros')}; or use the Python of a ROS installation"
         return missing("PHM", text, remedy) if needed else limited("PHM", text, remedy)
     return ok("PHM", text)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from phm.core.extras import remedy
 from phm.core.model import Event, Slot
 from phm.core.settings.metrics import is_loopback
 from phm.reporters.base import Reporter, ReporterContext
@@ -18,7 +19,7 @@ from phm.reporters.metrics_page import build_page
 if TYPE_CHECKING:
     from phm.transport.scrape_server import ScrapeServer
 
-MISSING = "metrics.listen needs prometheus-client: pip install 'phm-sidecar[metrics]'"
+MISSING = f"metrics.listen needs prometheus-client: {remedy('metrics')}"
 
 
 class MetricsReporter(Reporter):

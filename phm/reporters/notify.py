@@ -14,16 +14,14 @@ from typing import Any
 
 from phm.core import threads
 from phm.core.bounded_queue import BoundedQueue
+from phm.core.extras import remedy
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Outcome, Phase
 from phm.core.rate_limiter import RateLimiter
 from phm.reporters.base import Reporter, ReporterContext
 from phm.wire.report import fault_json
 from phm.wire.status_line import agent_name
 
-MISSING = (
-    "notify.urls needs Apprise: install the extra 'notify' (in a clone of PHM: pip install '.[notify]'), or build the image with "
-    "EXTRAS=notify"
-)
+MISSING = f"notify.urls needs Apprise: {remedy('notify')}, or build the image with EXTRAS=notify"
 MAX_WAITING = 100
 COMMAND_S = 10.0
 CLOSE_LIMIT_S = 2.0

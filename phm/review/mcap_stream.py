@@ -18,6 +18,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
+from phm.core.extras import remedy
 from phm.review import decompression
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -150,7 +151,7 @@ def _chunk(state: _State, body: memoryview) -> Iterator[ChannelRow | MessageRow]
         state.unpacked += MOST_CHUNK
         return
     except ImportError as error:
-        state.problem(f"compressed chunks, for which {error.name} is missing (pip install 'phm-sidecar[report]')")
+        state.problem(f"compressed chunks, for which {error.name} is missing: {remedy('report')}")
         return
     except _DAMAGE:
         state.problem("damaged chunks, left out")

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from phm.core.extras import remedy
 from phm.review.cdr import Status
 from phm.review.cdr_read import line, statuses
 from phm.review.decompression import ZSTD, zstd
@@ -94,7 +95,7 @@ class Recording:
             data = zstd(data, MOST_MESSAGE) if data.startswith(ZSTD) else data
             self._diagnostics(t, statuses(data)) if topic.reads == "diagnostics" else self._log(t, data)
         except ImportError as error:
-            self.problem(f"packed messages, for which {error.name} is missing (pip install 'phm-sidecar[report]')")
+            self.problem(f"packed messages, for which {error.name} is missing: {remedy('report')}")
         except ValueError:
             self.problem(f"damaged messages of {topic.kind}, of which only the time is read")
 

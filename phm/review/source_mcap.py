@@ -6,13 +6,14 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
+from phm.core.extras import remedy
 from phm.review.decompression import damages, first_bytes, opened
 from phm.review.events import Event
 from phm.review.lines import FileSegment, Problems
 from phm.review.recording import MOST_MESSAGE, MOST_TOPICS, Recording
 
 MAGIC = b"\x89MCAP0\r\n"
-MISSING = "needs mcap: install with `pip install 'phm-sidecar[report]'`"
+MISSING = f"needs mcap: {remedy('report')}"
 
 
 def fits(path: Path, head: bytes) -> bool:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import IO
 from urllib.parse import quote
 
+from phm.core.extras import remedy
 from phm.review.decompression import GZIP, ZSTD, damages, first_bytes, opened
 from phm.review.events import Event
 from phm.review.lines import BLOCK, FileSegment, Problems
@@ -53,7 +54,7 @@ def read(segment: FileSegment, problems: Problems) -> Iterator[Event]:
                 found.problem("the end of the file is missing")
             _read(database, found, os.path.getsize(path))
     except ImportError:
-        found.problem("a compressed database: needs zstandard, install with `pip install 'phm-sidecar[report]'`")
+        found.problem(f"a compressed database: needs zstandard: {remedy('report')}")
     except (sqlite3.Error, OSError) as error:
         found.problem(f"damaged or unreadable from here on: {error}")
     yield from found.events()

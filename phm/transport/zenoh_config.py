@@ -6,6 +6,7 @@ import json
 import re
 from typing import Any
 
+from phm.core.extras import remedy
 from phm.core.settings import FleetSettings
 
 RETRY_MS = (500, 4000)
@@ -62,7 +63,7 @@ def make_config(settings: FleetSettings) -> Any:
 def error_text(error: BaseException) -> str:
     """The message of an error in one line, without the position in Zenoh's sources."""
     if isinstance(error, ImportError):
-        return "eclipse-zenoh cannot be imported: pip install 'phm-sidecar[fleet]'"
+        return f"eclipse-zenoh cannot be imported: {remedy('fleet')}"
     said = _SOURCE_PLACE.sub("", str(error)).strip() or type(error).__name__
     said = "".join(char if char.isprintable() else " " for char in said[: 2 * _MAX_WORDS])
     return said if len(said) <= _MAX_WORDS else f"{said[: _MAX_WORDS - 2]}.."

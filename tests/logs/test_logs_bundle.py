@@ -26,7 +26,7 @@ SLACK = "slack://T1JJ3T3L2AAAA/A1BRTD4JD/TIiajkdnlazkcOXrIdevi7FQ"
 PLANTED = (
     *(KEY, KEY.upper(), HOOK, "Pa55phrase", "T0PSECRETPATH", "Qu3ryT0ken", "TIiajkdnlazkcOXrIdevi7FQ", "T1JJ3T3L2AAAA"),
     *("env-v4lue-one", "env-v4lue-two", "c0mmented-0ut", "b3arer-in-a-log", "url-passw0rd", "block-l1ne-one"),
-    DELIVERY_KEY,
+    *(DELIVERY_KEY, DELIVERY_KEY.upper()),
     *("MIIBVwIBADANBg", "j5on-in-a-log", "opti0n-value", 'quo"ted-s3cret', r"quo\"ted-s3cret"),
 )
 
@@ -55,7 +55,7 @@ notify:
     monkeypatch.setenv("SOME_PASSWORD", "env-v4lue-two")
     monkeypatch.setenv("QUOTED_SECRET", 'quo"ted-s3cret')
     said = (
-        f"with {DELIVERY_KEY}",
+        f"with {DELIVERY_KEY} or {DELIVERY_KEY.upper()}",
         f"key {KEY} and {HOOK} and TIiajkdnlazkcOXrIdevi7FQ",
         "env-v4lue-one, env-v4lue-two, Authorization: Bearer b3arer-in-a-log",
         'http://user:url-passw0rd@example.org/x {"token": "j5on-in-a-log"} --password opti0n-value quo"ted-s3cret',
@@ -112,6 +112,14 @@ def test_the_bundle_has_what_a_reader_needs(agent: Path, tmp_path: Path) -> None
     assert json.loads(inside["versions.json"])["phm"] and b"engine: " in inside["doctor.txt"]
     assert b"status.json" in inside["MISSING.txt"] and b"logs/phm.jsonl.1: the rest of it" in inside["MISSING.txt"]
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
+def test_a_key_that_cannot_be_read_is_listed(agent: Path, tmp_path: Path) -> None:
+    """Where it appears it cannot be removed, so the reader of the bundle must know."""
+    (tmp_path / "delivery.key").unlink()
+    file = tmp_path / "problem.tar.gz"
+    bundle(agent, file)
+    assert b"delivery key: " in members(file)["MISSING.txt"]
 
 
 def test_an_existing_file_is_not_replaced(agent: Path, tmp_path: Path) -> None:

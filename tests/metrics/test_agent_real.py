@@ -137,5 +137,5 @@ def test_without_the_library_phm_says_how_to_get_it(monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "phm.wire.openmetrics", None)
     made = MetricsReporter.build(context(metrics={"listen": "127.0.0.1:1"}))
     assert made is not None
-    assert made.problem().startswith("metrics.listen needs prometheus-client: pip install 'phm-sidecar[metrics]'")
+    assert made.problem().startswith("metrics.listen needs prometheus-client: install the extra 'metrics'")
     made.close()

@@ -177,4 +177,4 @@ def test_a_missing_package_is_named_with_the_extra(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("phm.cli.report.find_spec", lambda name: None if name == "duckdb" else object())
     result = phm(tmp_path, "--parquet", tmp_path / "set")
     assert result.exit_code == 1
-    assert "phm report needs duckdb: install with `pip install 'phm-sidecar[report]'`" in result.output
+    assert "phm report needs duckdb: install the extra 'report'" in result.output

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 from phm.config.node import ConfigNode
+from phm.core.extras import remedy
 
 _ENCRYPTED = ("tls/", "quic/")
 
@@ -17,8 +18,7 @@ def fleet_has_endpoints(root: ConfigNode) -> None:
         return
     if find_spec("zenoh") is None:
         enabled.add_problem(
-            "is true, but eclipse-zenoh is not installed: install the extra 'fleet' (in a clone of PHM: "
-            "pip install '.[fleet]'), or build the image with EXTRAS=fleet"
+            f"is true, but eclipse-zenoh is not installed: {remedy('fleet')}, or build the image with EXTRAS=fleet"
         )
     if not fleet.get("connect").texts and not fleet.get("listen").texts:
         enabled.add_problem(

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from phm.core import threads
 from phm.core.backoff import Backoff
 from phm.core.clock import Clock
+from phm.core.extras import remedy
 from phm.core.scheduling_delay import NOISE_S, ProcessStallMeter, SchedulingDelay
 from phm.core.settings import CustomCheckSettings, ReadySettings, RosSettings
 from phm.facts import CannotTell, RosFact
@@ -45,10 +46,7 @@ from phm.probes.ros.unnamed_participants import UNNAMED_S, UnnamedParticipants
 from phm.probes.ros.unreceived_nodes import UNRECEIVED_S, UnreceivedNodes
 from phm.probes.ros.wanted import wanted
 
-NOT_INSTALLED = (
-    "rclpy is not installed here: ROS checks are off; "
-    "on x86-64 install phm-sidecar[ros], elsewhere use an image FROM a ROS base"
-)
+NOT_INSTALLED = f"rclpy is not installed here: ROS checks are off; on x86-64 {remedy('ros')}, elsewhere use an image FROM a ROS base"
 COMMAND = (sys.executable, "-m", "phm.probes.ros.child")
 OVERLONG = f"a message of the ROS child was longer than {LINE_LIMIT // 1000} kB and was dropped: its content is unknown"
 CROWDED = "more messages arrive on /phm/beacon than PHM can read: beacons may be lost; see which nodes publish there"

@@ -487,4 +487,6 @@ def test_without_the_extra_it_says_what_to_install(option: str, monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "aiohttp", None)
     result = CliRunner().invoke(group, ["gcs", "udpin:127.0.0.1:14550", option, "0"])
     assert result.exit_code == 1
-    assert result.output.startswith(f"Error: {option} needs aiohttp: install it with `pip install 'phm-sidecar[web]'`")
+    assert result.output.startswith(
+        f"Error: {option} needs aiohttp: install the extra 'web' (in a clone of PHM: pip install '.[web]')"
+    )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from aiohttp import hdrs, web
 
+from phm.core.extras import remedy
 from phm.gcs.metrics import GroundMetrics, MeasuredStation
 from phm.gcs.web.access import HttpProblem, view
 from phm.gcs.web.site import Site
@@ -20,7 +21,7 @@ logger = logging.getLogger(__name__)
 
 AGAIN_S = 0.5
 """The page is rendered at most once in this time for each format."""
-MISSING = "/metrics needs prometheus-client: pip install 'phm-sidecar[metrics]'"
+MISSING = f"/metrics needs prometheus-client: {remedy('metrics')}"
 
 
 class _Page:
