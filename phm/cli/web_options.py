@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from phm.core.extras import remedy
-
 if TYPE_CHECKING:
     from phm.gcs.web.options import ListenOptions
 
 S = TypeVar("S")
 F = TypeVar("F", bound=Callable[..., Any])
-MISSING = "{option} needs aiohttp: " + remedy("web") + " (docs/reference/web.md)"
 
 
 def address(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:
@@ -63,7 +60,9 @@ def require_aiohttp(option: str) -> None:
     try:
         import aiohttp  # noqa: F401
     except ImportError:
-        raise click.ClickException(MISSING.format(option=option)) from None
+        from phm.core.extras import remedy
+
+        raise click.ClickException(f"{option} needs aiohttp: {remedy('web')} (docs/reference/web.md)") from None
 
 
 def listen_options(
