@@ -110,7 +110,7 @@ def _unknown_conditions(good: Configuration) -> list[str]:
     others = [condition for condition in good.settings.recovery.ladders if condition not in LADDERS]
     return [
         f"{good.file}: recovery.ladders: unknown condition {shown(condition)}{suggestion(condition, LADDERS) or '.'} "
-        "No installed check reports it, so this ladder has no effect"
+        "No installed check reports it, as far as their source shows; then this ladder has no effect"
         for condition in unnamed(others, registry.checks().values())
     ]
 

@@ -140,7 +140,8 @@ class FleetState:
         """Lost, left and back are events; a late agent may have lost a frame, which is only counted."""
         state = self.fleet.state(agent, at.mono)
         late = state is PresenceState.LATE
-        agent.late += late and not agent.is_late
+        if late and not agent.is_late:
+            agent.late += 1
         agent.is_late = late
         shown = PresenceState.ALIVE if state is PresenceState.LATE else state
         if shown is agent.shown:

@@ -340,15 +340,15 @@ class Attempt:
             self._locks.begin_action(key, self, fault.unit, action, at_most_s)
             try:
                 with (
-                    self._approval(),
+                    self._approval_of_dependents(),
                     self._generations.acting(key, name, self._engine.take_unanswered, lambda: self._engine.disturbs),
                 ):
                     yield
             finally:
                 self._locks.end_action(key, self, worked=True)
 
-    def _approval(self) -> contextlib.AbstractContextManager[None]:
-        """For a dependent: what an operator approved named it only if the action takes down others than its target."""
+    def _approval_of_dependents(self) -> contextlib.AbstractContextManager[None]:
+        """What an operator approved names dependents only if the action takes down others than its target."""
         return self._engine.unapproved() if self._type.impact is Impact.NOTHING else contextlib.nullcontext()
 
 
